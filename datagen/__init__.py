@@ -1,0 +1,76 @@
+"""datagen: the dataset factory for machine learning on non-line-of-sight single-photon data.
+
+The public face is imported lazily, so that `import datagen` and `datagen --help` stay quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from datagen._version import __version__
+
+if TYPE_CHECKING:
+    from datagen.builder import build
+    from datagen.capture import capture_for
+    from datagen.config import load_config
+    from datagen.detector import Exposure, Spad, detect, expected_histogram
+    from datagen.loader import TransientDataset
+    from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
+    from datagen.scene import generate_scene
+    from datagen.transport import simulate
+
+_HOME = {
+    "Accuracy": "datagen.records",
+    "Capture": "datagen.records",
+    "Exposure": "datagen.detector",
+    "Lambertian": "datagen.records",
+    "Laser": "datagen.records",
+    "Part": "datagen.records",
+    "Scene": "datagen.records",
+    "Sensor": "datagen.records",
+    "Spad": "datagen.detector",
+    "TimeAxis": "datagen.records",
+    "TransientDataset": "datagen.loader",
+    "build": "datagen.builder",
+    "capture_for": "datagen.capture",
+    "detect": "datagen.detector",
+    "expected_histogram": "datagen.detector",
+    "generate_scene": "datagen.scene",
+    "load_config": "datagen.config",
+    "simulate": "datagen.transport",
+}
+
+__all__ = [
+    "Accuracy",
+    "Capture",
+    "Exposure",
+    "Lambertian",
+    "Laser",
+    "Part",
+    "Scene",
+    "Sensor",
+    "Spad",
+    "TimeAxis",
+    "TransientDataset",
+    "__version__",
+    "build",
+    "capture_for",
+    "detect",
+    "expected_histogram",
+    "generate_scene",
+    "load_config",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'datagen' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,22 @@
+"""Configuration: frozen pydantic models ↔ YAML, with units in the key names."""
+
+from datagen.config.capture import CaptureConfig
+from datagen.config.dataset import DatasetConfig, config_from_mapping, json_schema, load_config
+from datagen.config.detector import DetectorConfig
+from datagen.config.labels import LabelsConfig
+from datagen.config.scene import SceneConfig
+from datagen.config.store import StoreConfig
+from datagen.config.transport import TransportConfig
+
+__all__ = [
+    "CaptureConfig",
+    "DatasetConfig",
+    "DetectorConfig",
+    "LabelsConfig",
+    "SceneConfig",
+    "StoreConfig",
+    "TransportConfig",
+    "config_from_mapping",
+    "json_schema",
+    "load_config",
+]

@@ -1,0 +1,98 @@
+"""The whole configuration of a dataset: YAML ↔ frozen models, fingerprint, JSON Schema."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pydantic
+from pydantic import Field
+
+from datagen.config.base import Settings, raise_input_error
+from datagen.config.capture import CaptureConfig
+from datagen.config.detector import DetectorConfig
+from datagen.config.labels import LabelsConfig
+from datagen.config.scene import SceneConfig
+from datagen.config.store import StoreConfig
+from datagen.config.transport import TransportConfig
+from datagen.config.yaml_text import parse_yaml
+from datagen.errors import InputError
+
+
+class DatasetConfig(Settings):
+    """One dataset: how many scenes, from which seed, and each stage's settings."""
+
+    schema_version: Literal[1] = 1
+    name: Annotated[str, Field(min_length=1, max_length=100)] = "unnamed"
+    """A short name for cards and pictures."""
+    description: str = ""
+    """What the dataset is for; stands on its card."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """The dataset seed: together with a scene's index it fixes everything about that scene."""
+    scenes: Annotated[int, Field(ge=1, le=100_000_000)] = 32
+    """How many scenes."""
+    scene: SceneConfig = SceneConfig()
+    capture: CaptureConfig = CaptureConfig()
+    transport: TransportConfig = TransportConfig()
+    detector: DetectorConfig = DetectorConfig()
+    labels: LabelsConfig = LabelsConfig()
+    store: StoreConfig = StoreConfig()
+
+    def fingerprint(self) -> str:
+        """Hex SHA-256 of everything that decides the samples' content: all settings but name, description and
+        number of scenes (a dataset may grow), and the bytes of every mesh file named.
+        """
+        settings = self.model_dump(mode="json", exclude={"name", "description", "scenes"})
+        settings["mesh_digests"] = self.scene.mesh_digests()
+        text = json.dumps(settings, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def with_scenes(self, scenes: int) -> DatasetConfig:
+        """The same dataset with another number of scenes (same seed, same first scenes)."""
+        if scenes < 1:
+            raise InputError(f"--scenes {scenes}: must be ≥ 1")
+        return self.model_copy(update={"scenes": scenes})
+
+
+def load_config(path: str | Path) -> DatasetConfig:
+    """Read a YAML file. Mesh files are named relative to it.
+
+    Raises `InputError`, one line, for a missing file, broken YAML, an unknown key or a value that is not allowed.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(
+            f"{path}: no such file; name a configuration such as configs/quickstart.yaml"
+        ) from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a directory; name a YAML file in it") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as UTF-8 text ({error})") from None
+    return config_from_mapping(parse_yaml(text, str(path)), source=str(path), base_directory=path.parent)
+
+
+def config_from_mapping(
+    values: dict[str, Any], source: str = "configuration", base_directory: str | Path = "."
+) -> DatasetConfig:
+    """The configuration that plain values describe; `base_directory` is where relative mesh paths start."""
+    try:
+        # JSON mode: strict about types, yet a list may stand for a tuple.
+        text = json.dumps(values)
+        return DatasetConfig.model_validate_json(text, context={"base_directory": str(base_directory)})
+    except pydantic.ValidationError as error:
+        raise_input_error(source, error, DatasetConfig)
+        raise
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{source}: holds a value that is no text, number, list or mapping ({error})"
+        ) from None
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of the configuration file, for editors."""
+    schema = DatasetConfig.model_json_schema(mode="validation")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -1,0 +1,31 @@
+"""The section `store`: which fields a dataset holds and how they are cut into shards."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from datagen.config.base import Settings
+
+StoredField = Literal["histogram", "transient", "transient_stderr", "depth", "normal", "albedo", "part_id"]
+
+
+class StoreConfig(Settings):
+    """What is written. Small fields (laser points, pixels, parameters) are always there."""
+
+    fields: Annotated[tuple[StoredField, ...], Field(min_length=1)] = ("histogram", "transient", "depth")
+    """The large fields to store."""
+    scenes_per_shard: Annotated[int, Field(ge=1, le=256)] | None = None
+    """A power of two; left out: chosen from the sample's size (8 to 256, shards of at most 256 MiB)."""
+    histogram_dtype: Literal["uint8", "uint16", "uint32"] = "uint16"
+    """Counts above its range are an error, never wrapped."""
+
+    @model_validator(mode="after")
+    def _valid(self) -> StoreConfig:
+        k = self.scenes_per_shard
+        if k is not None and k & (k - 1):
+            raise ValueError(f"scenes_per_shard = {k}: must be a power of two in 1 … 256")
+        if len(set(self.fields)) != len(self.fields):
+            raise ValueError(f"fields = {list(self.fields)}: a field is named twice")
+        return self

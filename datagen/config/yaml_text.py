@@ -1,0 +1,61 @@
+"""YAML text → plain values, safely: YAML 1.2 numbers (`1e6` is one), no repeated keys, the line named in errors."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import yaml
+
+from datagen.errors import InputError
+
+
+class _Loader(yaml.SafeLoader):
+    pass
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    list("-+0123456789."),
+)
+# A date is no number we know; without its resolver it stays text and is refused as such.
+_Loader.yaml_implicit_resolvers = {
+    first: [(t, r) for t, r in resolvers if t != "tag:yaml.org,2002:timestamp"]
+    for first, resolvers in _Loader.yaml_implicit_resolvers.items()
+}
+
+
+def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[str, Any]:
+    seen: dict[str, Any] = {}
+    for key_node, value_node in node.value:
+        key = loader.construct_object(key_node, deep=True)
+        if not isinstance(key, str):
+            raise yaml.constructor.ConstructorError(
+                None, None, f"key {key!r} is not text", key_node.start_mark
+            )
+        if key in seen:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"key {key!r} stands twice", key_node.start_mark
+            )
+        seen[key] = loader.construct_object(value_node, deep=True)
+    return seen
+
+
+_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
+
+
+def parse_yaml(text: str, source: str) -> dict[str, Any]:
+    """The mapping that `text` holds; raises `InputError` naming `source`, line and column for anything else."""
+    try:
+        values = yaml.load(text, _Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise InputError(f"{source}: {where}broken YAML: {error.problem}") from None
+    except (yaml.YAMLError, RecursionError) as error:
+        raise InputError(f"{source}: broken YAML: {str(error).splitlines()[0]}") from None
+    if not isinstance(values, dict):
+        what = "nothing" if values is None else f"a {type(values).__name__}"
+        raise InputError(f"{source}: a mapping of keys is needed at the top level, {what} found")
+    return values

@@ -1,0 +1,14 @@
+"""What goes wrong, told to the person who can mend it."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """Bad input of any kind: the message is one line naming key, value, allowed range and remedy.
+
+    The command line prints it without a traceback and exits with status 2.
+    """
+
+
+class CheckError(RuntimeError):
+    """A check that was asked for did not pass (exit status 1): a corrupt dataset, scenes that failed."""

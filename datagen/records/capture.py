@@ -1,0 +1,163 @@
+"""How a scene is looked at: laser, sensor, time axis, and which laser point goes with which pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from datagen.errors import InputError
+
+Origin = Literal["source", "wall"]
+Pairing = Literal["exhaustive", "confocal"]
+
+
+def _points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+    array = np.asarray(value, np.float64)
+    fits = array.ndim == len(shape) and all(
+        w is None or w == g for g, w in zip(array.shape, shape, strict=False)
+    )
+    if not fits or array.size == 0:
+        wanted = ", ".join("n" if s is None else str(s) for s in shape)
+        raise InputError(f"{name}: shape {array.shape} given, ({wanted}) needed with n ≥ 1")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name}: contains NaN or infinity; all coordinates must be finite metres")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, init=False)
+class Laser:
+    """A pulsed laser: each laser point is the first surface from `position` (3,) towards `targets` (L, 3), metres."""
+
+    position: NDArray[np.float64]
+    targets: NDArray[np.float64]
+
+    def __init__(self, position: ArrayLike, targets: ArrayLike) -> None:
+        object.__setattr__(self, "position", _points("Laser.position", np.array(position, np.float64), (3,)))
+        object.__setattr__(
+            self, "targets", _points("Laser.targets", np.array(targets, np.float64), (None, 3))
+        )
+        if (np.linalg.norm(self.targets - self.position, axis=1) == 0).any():
+            raise InputError("Laser.targets: a target equals the laser position; it gives no direction")
+
+
+@dataclass(frozen=True, init=False)
+class Sensor:
+    """A camera of `P` pixels with a small round aperture.
+
+    position : (3,) aperture centre, metres.
+    pixels : (P, 4, 3) corners, in order around, of each pixel's field of view on (or beyond) the wall as seen from
+        `position`: they fix four directions, the wall itself is found by rays.
+    aperture_radius_m : radius of the entrance aperture, > 0.
+    """
+
+    position: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    aperture_radius_m: float
+
+    def __init__(self, position: ArrayLike, pixels: ArrayLike, aperture_radius_m: float = 0.02) -> None:
+        object.__setattr__(self, "position", _points("Sensor.position", np.array(position, np.float64), (3,)))
+        object.__setattr__(
+            self, "pixels", _points("Sensor.pixels", np.array(pixels, np.float64), (None, 4, 3))
+        )
+        if not 0 < aperture_radius_m < np.inf:
+            raise InputError(
+                f"Sensor.aperture_radius_m = {aperture_radius_m}: must be a positive length in metres"
+            )
+        object.__setattr__(self, "aperture_radius_m", float(aperture_radius_m))
+
+    @classmethod
+    def grid(
+        cls,
+        position: ArrayLike,
+        center: ArrayLike,
+        right: ArrayLike,
+        up: ArrayLike,
+        rows: int,
+        cols: int,
+        aperture_radius_m: float = 0.02,
+    ) -> Sensor:
+        """rows × cols pixels that tile the rectangle `center ± right ± up`; row 0 at the top, column 0 at −right."""
+        if rows < 1 or cols < 1:
+            raise InputError(f"Sensor.grid: rows={rows}, cols={cols}; both must be ≥ 1")
+        c, r, u = (np.asarray(v, np.float64) for v in (center, right, up))
+        across = np.linspace(-1, 1, cols + 1)
+        upward = np.linspace(1, -1, rows + 1)
+        knots = c + across[None, :, None] * r + upward[:, None, None] * u
+        pixels = np.stack([knots[1:, :-1], knots[1:, 1:], knots[:-1, 1:], knots[:-1, :-1]], axis=2)
+        return cls(position, pixels.reshape(rows * cols, 4, 3), aperture_radius_m)
+
+    @property
+    def aperture_area_m2(self) -> float:
+        return float(np.pi * self.aperture_radius_m**2)
+
+
+@dataclass(frozen=True)
+class TimeAxis:
+    """Bin `i` covers `[start + i·width, start + (i+1)·width)` seconds.
+
+    origin : `source` counts from laser emission to detection (both device legs); `wall` counts from the laser point
+        to the FoV point only.
+    """
+
+    bins: int
+    width_s: float
+    start_s: float = 0.0
+    origin: Origin = "source"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.bins, (int, np.integer)) or self.bins < 1:
+            raise InputError(f"TimeAxis.bins = {self.bins!r}: must be an integer ≥ 1")
+        if not 0 < self.width_s < np.inf:
+            raise InputError(f"TimeAxis.width_s = {self.width_s}: must be a positive time in seconds")
+        if not np.isfinite(self.start_s):
+            raise InputError(f"TimeAxis.start_s = {self.start_s}: must be finite")
+        if self.origin not in get_args(Origin):
+            raise InputError(
+                f"TimeAxis.origin = {self.origin!r}: must be one of {', '.join(get_args(Origin))}"
+            )
+
+    @property
+    def edges_s(self) -> NDArray[np.float64]:
+        """(bins + 1,) bin edges, seconds."""
+        return self.start_s + self.width_s * np.arange(self.bins + 1)
+
+    @property
+    def centers_s(self) -> NDArray[np.float64]:
+        """(bins,) bin centres, seconds."""
+        return self.start_s + self.width_s * (np.arange(self.bins) + 0.5)
+
+    @property
+    def stop_s(self) -> float:
+        return self.start_s + self.width_s * self.bins
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Laser, sensor and time axis. `exhaustive`: every pixel for every laser point; `confocal`: pixel i for point i."""
+
+    laser: Laser
+    sensor: Sensor
+    time: TimeAxis
+    pairing: Pairing = "exhaustive"
+
+    def __post_init__(self) -> None:
+        if self.pairing not in get_args(Pairing):
+            raise InputError(
+                f"Capture.pairing = {self.pairing!r}: must be one of {', '.join(get_args(Pairing))}"
+            )
+        lasers, pixels = len(self.laser.targets), len(self.sensor.pixels)
+        if self.pairing == "confocal" and lasers != pixels:
+            raise InputError(
+                f"Capture.pairing = 'confocal' with {lasers} laser targets and {pixels} pixels: "
+                "a confocal scan needs exactly one pixel for each laser target"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(laser, pixel, bin): the shape of a transient; confocal has pixel = 1."""
+        pixels = 1 if self.pairing == "confocal" else len(self.sensor.pixels)
+        return len(self.laser.targets), pixels, self.time.bins

@@ -1,0 +1,181 @@
+"""A scene as it travels: triangles, the part each belongs to, the material of each part."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from datagen.errors import InputError
+from datagen.records.materials import Material
+
+if TYPE_CHECKING:
+    import trimesh
+
+Role = Literal["relay_wall", "structure", "object"]
+"""`structure` is walls, floor and ceiling; `object` is what a reconstruction would want to find."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A named surface with one material.
+
+    `mesh` is a `trimesh.Trimesh` in metres, or anything with `vertices` (V, 3) and `faces` (F, 3).
+    Triangles are shaded on both sides, so their winding does not matter.
+    """
+
+    name: str
+    mesh: trimesh.Trimesh
+    material: Material
+    role: Role = "object"
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A rectangle in space: `center ± right ± up` (half-extent vectors, metres), each (3,)."""
+
+    center: NDArray[np.float64]
+    right: NDArray[np.float64]
+    up: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, center: ArrayLike, right: ArrayLike, up: ArrayLike) -> Rectangle:
+        """Build from anything array-like; raises `InputError` when the half extents are not perpendicular."""
+        c, r, u = (np.asarray(v, np.float64) for v in (center, right, up))
+        if abs(float(r @ u)) > 1e-9 * float(np.linalg.norm(r) * np.linalg.norm(u)):
+            raise InputError("Rectangle: right and up must be perpendicular half-extent vectors")
+        return cls(c, r, u)
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """Unit normal right × up; for a relay wall it points into the room. Shape (3,)."""
+        n = np.cross(self.right, self.up)
+        return n / np.linalg.norm(n)
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """The four corners in order (−−, +−, ++, −+) of (right, up). Shape (4, 3), metres."""
+        signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
+        return self.center + signs[:, :1] * self.right + signs[:, 1:] * self.up
+
+    @property
+    def area_m2(self) -> float:
+        return 4.0 * float(np.linalg.norm(np.cross(self.right, self.up)))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Triangles with parts and materials, and what a capture and the labels need to know of the room.
+
+    Attributes
+    ----------
+    vertices : (V, 3) float64, metres; right-handed frame, z up.
+    triangles : (F, 3) int32 indices into `vertices`.
+    face_part : (F,) int32, index into `part_names`, `materials`, `roles`.
+    relay_wall : the rectangle of the relay wall that the device can see, or None if nobody said.
+    hidden_view : the rectangle in the plane of the relay wall from which the hidden part is looked at
+        (orthographically, along its normal) to make label images; None if nobody said.
+    hidden_bounds : (2, 3) corners of the box that holds the hidden part, for volume labels; or None.
+    device_position : (3,) where a generated room puts laser and sensor; or None.
+    parameters : every number drawn for this scene, by dotted name; stored with the sample.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    face_part: NDArray[np.int32]
+    part_names: tuple[str, ...]
+    materials: tuple[Material, ...]
+    roles: tuple[Role, ...]
+    relay_wall: Rectangle | None = None
+    hidden_view: Rectangle | None = None
+    hidden_bounds: NDArray[np.float64] | None = None
+    device_position: NDArray[np.float64] | None = None
+    parameters: Mapping[str, float | int | str | bool] = field(default_factory=dict)
+
+    @classmethod
+    def from_parts(
+        cls,
+        parts: Iterable[Part],
+        *,
+        relay_wall: Rectangle | None = None,
+        hidden_view: Rectangle | None = None,
+        hidden_bounds: ArrayLike | None = None,
+        device_position: ArrayLike | None = None,
+        parameters: Mapping[str, float | int | str | bool] | None = None,
+    ) -> Scene:
+        """Join parts into one scene. Zero-area triangles are dropped; parts keep their order.
+
+        Raises `InputError` for no parts, a repeated name, vertices that are not finite, indices out of range,
+        or a part left with no area.
+        """
+        parts = list(parts)
+        if not parts:
+            raise InputError("Scene.from_parts: no parts given; a scene needs at least one surface")
+        names = tuple(p.name for p in parts)
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"Scene.from_parts: part name {name!r} is used twice; names must be unique")
+        vertices, triangles, face_part, offset = [], [], [], 0
+        for index, part in enumerate(parts):
+            v, f = _checked_triangles(part)
+            vertices.append(v)
+            triangles.append(f + offset)
+            face_part.append(np.full(len(f), index, np.int32))
+            offset += len(v)
+        return cls(
+            vertices=np.concatenate(vertices),
+            triangles=np.concatenate(triangles).astype(np.int32),
+            face_part=np.concatenate(face_part),
+            part_names=names,
+            materials=tuple(p.material for p in parts),
+            roles=tuple(p.role for p in parts),
+            relay_wall=relay_wall,
+            hidden_view=hidden_view,
+            hidden_bounds=None if hidden_bounds is None else np.asarray(hidden_bounds, np.float64),
+            device_position=None if device_position is None else np.asarray(device_position, np.float64),
+            parameters=dict(parameters or {}),
+        )
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """(F, 3, 3): the three corners of every triangle, metres."""
+        return self.vertices[self.triangles]
+
+    def faces_of(self, *names: str) -> NDArray[np.int64]:
+        """Indices of the triangles of the named parts, ascending."""
+        unknown = [n for n in names if n not in self.part_names]
+        if unknown:
+            raise InputError(f"part {unknown[0]!r}: this scene has {', '.join(self.part_names)}")
+        return np.flatnonzero(np.isin(self.face_part, [self.part_names.index(n) for n in names]))
+
+
+def _checked_triangles(part: Part) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    vertices = np.asarray(part.mesh.vertices, np.float64)
+    faces = np.asarray(part.mesh.faces, np.int64)
+    if part.role not in get_args(Role):
+        raise InputError(f"part {part.name!r}: role {part.role!r} must be one of {', '.join(get_args(Role))}")
+    if (
+        vertices.ndim != 2
+        or vertices.shape[1] != 3
+        or faces.ndim != 2
+        or faces.shape[1] != 3
+        or len(faces) == 0
+    ):
+        raise InputError(f"part {part.name!r}: needs vertices (V, 3) and at least one triangle (F, 3)")
+    if not np.isfinite(vertices).all():
+        raise InputError(
+            f"part {part.name!r}: {np.count_nonzero(~np.isfinite(vertices))} vertex coordinates are NaN or infinite"
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(f"part {part.name!r}: triangle indices must lie in 0 … {len(vertices) - 1}")
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    extent = float(np.ptp(vertices, axis=0).max())
+    has_area = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-14 * extent**2
+    if not has_area.any():
+        raise InputError(
+            f"part {part.name!r}: all {len(faces)} triangles have zero area; nothing can scatter light"
+        )
+    return vertices, faces[has_area]
