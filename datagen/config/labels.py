@@ -4,13 +4,29 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
+
+Voxels = Annotated[int, Field(ge=1, le=1024)]
 
 
 class LabelsConfig(Settings):
     """Label images look from the plane of the relay wall into the hidden part, orthographically."""
 
     rows: Annotated[int, Field(ge=1, le=4096)] = 64
+    """Pixels of the label images from top to bottom."""
     columns: Annotated[int, Field(ge=1, le=4096)] = 64
+    """Pixels of the label images from left to right, as seen from the room."""
+    voxels: tuple[Voxels, Voxels, Voxels] = (32, 32, 32)
+    """Voxels of the volume labels: along depth (away from the wall), rows (downwards), columns."""
+
+    @model_validator(mode="after")
+    def _volume_fits(self) -> LabelsConfig:
+        depth, rows, columns = self.voxels
+        if depth * rows * columns > 2**26:
+            raise ValueError(
+                f"voxels = {list(self.voxels)}: {depth * rows * columns} voxels in all; at most {2**26} are allowed "
+                "(256 MiB of signed distances a scene)"
+            )
+        return self

@@ -1,0 +1,66 @@
+"""The frame of all labels: the rectangle `Scene.hidden_view` and the depth behind it.
+
+An image has row 0 at the top (+up) and column 0 at −right, the way `Sensor.grid` numbers its pixels, so a label image
+lies over the scan. Its values belong to pixel centres. A volume has the axes (depth, row, column): slice `[k]` is an
+image, `k` counts away from the wall.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.records import Scene
+
+
+@dataclass(frozen=True)
+class ViewFrame:
+    """An orthonormal, right-handed frame (right, up, normal) at the centre of a rectangle.
+
+    Attributes
+    ----------
+    center : (3,) centre of the rectangle, metres.
+    axes : (3, 3) unit vectors right, up, normal = right × up as rows.
+    half_width_m, half_height_m : half extents of the rectangle.
+    """
+
+    center: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    half_width_m: float
+    half_height_m: float
+
+    @classmethod
+    def of(cls, scene: Scene) -> ViewFrame:
+        """The frame of `scene.hidden_view`; raises `InputError` when the scene has none, or one without area."""
+        view = scene.hidden_view
+        if view is None:
+            raise InputError(
+                "labels: this scene has no hidden_view, the rectangle from which label images are seen; "
+                "give Scene.from_parts(..., hidden_view=Rectangle.of(center, right, up))"
+            )
+        width, height = float(np.linalg.norm(view.right)), float(np.linalg.norm(view.up))
+        if not (0 < width < np.inf and 0 < height < np.inf):
+            raise InputError(
+                f"Scene.hidden_view: half extents {width:g} m × {height:g} m; both must be positive and finite"
+            )
+        right, up = view.right / width, view.up / height
+        normal = np.cross(right, up)
+        axes = np.stack([right, up, normal / np.linalg.norm(normal)])
+        return cls(np.asarray(view.center, np.float64), axes, width, height)
+
+    def to_view(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(..., 3) world points → (..., 3) metres along right, up and depth, from the centre of the rectangle."""
+        return (points - self.center) @ self.axes.T
+
+    def to_world(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The inverse of `to_view`."""
+        return points @ self.axes + self.center
+
+    def to_pixels(self, in_view: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.float64]:
+        """(..., 3) view coordinates → (..., 3): column, row (both in pixels, centres at +½) and depth in metres."""
+        column = (in_view[..., 0] + self.half_width_m) * (columns / (2 * self.half_width_m))
+        row = (self.half_height_m - in_view[..., 1]) * (rows / (2 * self.half_height_m))
+        return np.stack([column, row, in_view[..., 2]], axis=-1)

@@ -1,0 +1,84 @@
+"""Label images: depth, normal, albedo and part of what stands behind the relay wall, as if that were a window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.labels.frame import ViewFrame
+from datagen.labels.raster import first_hits
+from datagen.records import Scene
+
+# Walls within this share of the view's size behind the wall's plane count as lying in it.
+_FLAT = 1e-6
+# A surface that touches the relay wall gets this depth, so that 0 keeps its one meaning, "nothing seen".
+_SMALLEST_DEPTH_M = 1e-6
+
+
+@dataclass(frozen=True)
+class HiddenSurface:
+    """What every pixel of the hidden view sees first.
+
+    face : (rows, columns) index of the triangle, −1 where the view is empty.
+    depth : (rows, columns) float64 metres from the plane of the relay wall along its normal; 0 where empty.
+    """
+
+    scene: Scene
+    frame: ViewFrame
+    face: NDArray[np.int64]
+    depth: NDArray[np.float64]
+
+
+def hidden_surface(scene: Scene, rows: int, columns: int) -> HiddenSurface:
+    """Look from the relay wall into the room, orthographically along the normal of `scene.hidden_view`.
+
+    The relay wall itself is a window: parts with the role `relay_wall` are left out, and so is structure that does
+    not come out of the plane of the view (the rest of the wall that the relay wall is part of). Objects are always
+    seen; one that touches the wall has the smallest positive depth, 1 µm.
+    """
+    frame = ViewFrame.of(scene)
+    in_view = frame.to_view(scene.vertices)[scene.triangles]
+    tolerance = _FLAT * max(frame.half_width_m, frame.half_height_m)
+    is_object = np.array([role == "object" for role in scene.roles])[scene.face_part]
+    is_structure = np.array([role == "structure" for role in scene.roles])[scene.face_part]
+    seen = np.flatnonzero(is_object | (is_structure & (in_view[:, :, 2].max(axis=1) > tolerance)))
+    hit, depth = first_hits(frame.to_pixels(in_view[seen], rows, columns), rows, columns, -tolerance)
+    empty = hit < 0
+    face = np.where(empty, -1, np.append(seen, -1)[hit])
+    return HiddenSurface(scene, frame, face, np.where(empty, 0.0, np.maximum(depth, _SMALLEST_DEPTH_M)))
+
+
+def depth_image(surface: HiddenSurface) -> NDArray[np.float32]:
+    """(rows, columns) metres from the plane of the relay wall; 0 where nothing is hit.
+
+    0 rather than NaN: a NaN under a mask still turns every gradient into NaN (0 · NaN = NaN), while `depth > 0` is a
+    mask at no cost, and the convention of the common depth data sets.
+    """
+    return surface.depth.astype(np.float32)
+
+
+def normal_image(surface: HiddenSurface) -> NDArray[np.float32]:
+    """(rows, columns, 3) unit normals as components along (right, up, normal) of the view; 0 where nothing is hit.
+
+    Surfaces are two-sided; their normal is the one on the side seen, so its third component is ≤ 0 (the view's normal
+    points away from the relay wall): a surface parallel to the wall has (0, 0, −1).
+    """
+    corners = surface.scene.vertices[surface.scene.triangles[surface.face]]
+    normals = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = normals @ surface.frame.axes.T
+    normals = np.where(normals[..., 2:] > 0, -normals, normals)
+    return np.where(surface.face[..., None] < 0, 0.0, normals).astype(np.float32)
+
+
+def albedo_image(surface: HiddenSurface) -> NDArray[np.float32]:
+    """(rows, columns) albedo of the surface seen; 0 where nothing is hit."""
+    albedos = np.array([material.albedo for material in surface.scene.materials])
+    return np.append(albedos[surface.scene.face_part], 0.0)[surface.face].astype(np.float32)
+
+
+def part_image(surface: HiddenSurface) -> NDArray[np.int16]:
+    """(rows, columns) index into `scene.part_names` of the surface seen; −1 where nothing is hit."""
+    return np.append(surface.scene.face_part, -1)[surface.face].astype(np.int16)

@@ -1,0 +1,62 @@
+"""All labels of a scene that a dataset asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from datagen.config import LabelsConfig
+from datagen.errors import InputError
+from datagen.labels.images import HiddenSurface, albedo_image, depth_image, hidden_surface, normal_image, part_image
+from datagen.labels.solids import Surface
+from datagen.labels.volumes import VoxelGrid, object_surfaces, occupancy, signed_distance
+from datagen.records import Scene
+
+Array = NDArray[Any]
+
+_IMAGES: dict[str, Callable[[HiddenSurface], Array]] = {
+    "depth": depth_image,
+    "normal": normal_image,
+    "albedo": albedo_image,
+    "part_id": part_image,
+}
+_VOLUMES: dict[str, Callable[[VoxelGrid, list[Surface]], Array]] = {"occupancy": occupancy, "sdf": signed_distance}
+
+IMAGE_FIELDS = tuple(_IMAGES)
+VOLUME_FIELDS = tuple(_VOLUMES)
+
+
+def make_labels(config: LabelsConfig, scene: Scene, fields: Sequence[str]) -> dict[str, Array]:
+    """Ground truth of one scene, aligned with the relay wall.
+
+    ============  =======================  =======  ==================================================================
+    field         shape                    dtype    meaning
+    ============  =======================  =======  ==================================================================
+    `depth`       (row, column)            float32  metres from the plane of the relay wall along its normal; 0: empty
+    `normal`      (row, column, 3)         float32  unit normal along (right, up, wall normal); third ≤ 0; 0: empty
+    `albedo`      (row, column)            float32  albedo of the surface seen; 0: empty
+    `part_id`     (row, column)            int16    index into `scene.part_names`; −1: empty
+    `occupancy`   (depth, row, column)     uint8    1 where an object is
+    `sdf`         (depth, row, column)     float32  metres to the nearest object surface, negative inside
+    ============  =======================  =======  ==================================================================
+
+    Images show `scene.hidden_view` orthographically along its normal, row 0 at the top, column 0 at −right, with the
+    relay wall taken as a window. Volumes fill the box along the same axes that holds `scene.hidden_bounds`.
+
+    Raises
+    ------
+    InputError : a field that is no label; a scene without `hidden_view` or `hidden_bounds`; `sdf` without open3d.
+    """
+    for field in fields:
+        if field not in _IMAGES and field not in _VOLUMES:
+            raise InputError(f"labels: {field!r} is no label; known are {', '.join(IMAGE_FIELDS + VOLUME_FIELDS)}")
+    labels: dict[str, Array] = {}
+    if any(field in _IMAGES for field in fields):
+        surface = hidden_surface(scene, config.rows, config.columns)
+        labels |= {field: make(surface) for field, make in _IMAGES.items() if field in fields}
+    if any(field in _VOLUMES for field in fields):
+        grid, found = VoxelGrid.of(scene, config.voxels), object_surfaces(scene)
+        labels |= {field: make(grid, found) for field, make in _VOLUMES.items() if field in fields}
+    return labels

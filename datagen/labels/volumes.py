@@ -1,0 +1,153 @@
+"""Volume labels of the hidden objects: occupancy and signed distance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.labels.frame import ViewFrame
+from datagen.labels.raster import cut_voxels, inside_columns
+from datagen.labels.solids import Surface, surfaces
+from datagen.records import Scene
+
+OPEN3D_SYSTEM_PACKAGES = ("libusb-1.0-0", "libgl1", "libegl1", "libx11-6", "libgomp1")
+"""What open3d needs of a bare Debian or Ubuntu; the same list as docker/system-packages.txt."""
+
+
+@dataclass(frozen=True)
+class VoxelGrid:
+    """A box of voxels along the axes of the label frame.
+
+    low, high : (3,) its corners along (right, up, depth) of the frame, metres.
+    shape : voxels along (depth, row, column); row 0 is at the top, column 0 at −right, layer 0 nearest the wall.
+    """
+
+    frame: ViewFrame
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    shape: tuple[int, int, int]
+
+    @classmethod
+    def of(cls, scene: Scene, voxels: tuple[int, int, int]) -> VoxelGrid:
+        """The box along the frame's axes that just holds `scene.hidden_bounds`."""
+        if scene.hidden_bounds is None:
+            raise InputError(
+                "labels 'occupancy' and 'sdf': this scene has no hidden_bounds, the box that holds the hidden part; "
+                "give Scene.from_parts(..., hidden_bounds=[[x0, y0, z0], [x1, y1, z1]])"
+            )
+        frame = ViewFrame.of(scene)
+        corner = np.stack(np.meshgrid(*scene.hidden_bounds.T, indexing="ij"), axis=-1).reshape(8, 3)
+        in_view = frame.to_view(corner)
+        low, high = in_view.min(axis=0), in_view.max(axis=0)
+        if not (high - low > 0).all() or not np.isfinite(high - low).all():
+            raise InputError(
+                f"Scene.hidden_bounds = {scene.hidden_bounds.tolist()}: must span a volume in all three directions"
+            )
+        return cls(frame, low, high, voxels)
+
+    @property
+    def voxel_m(self) -> NDArray[np.float64]:
+        """(3,) size of a voxel along (depth, row, column), metres."""
+        return (self.high - self.low)[[2, 1, 0]] / self.shape
+
+    def to_voxels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(..., 3) world points → (..., 3) column, row, depth in voxels; centres at +½."""
+        layers, rows, columns = self.shape
+        share = (self.frame.to_view(points) - self.low) / (self.high - self.low)
+        return np.stack([share[..., 0] * columns, (1 - share[..., 1]) * rows, share[..., 2] * layers], axis=-1)
+
+    @property
+    def centers(self) -> NDArray[np.float64]:
+        """(depth, row, column, 3) world positions of the voxel centres, metres."""
+        depth, row, column = ((np.arange(n) + 0.5) / n for n in self.shape)
+        z, y, x = np.meshgrid(depth, 1 - row, column, indexing="ij")
+        return self.frame.to_world(self.low + np.stack([x, y, z], axis=-1) * (self.high - self.low))
+
+
+def object_surfaces(scene: Scene) -> list[Surface]:
+    """The connected surfaces of all parts with the role `object`, part by part."""
+    found: list[Surface] = []
+    for part, role in enumerate(scene.roles):
+        if role == "object":
+            found += surfaces(scene.corners[scene.face_part == part])
+    return found
+
+
+def occupancy(grid: VoxelGrid, found: list[Surface]) -> NDArray[np.uint8]:
+    """(depth, row, column): 1 where an object is, else 0.
+
+    A voxel is taken when its centre lies inside a closed surface, so volumes come out right on average. Surfaces
+    that enclose nothing, or are thinner than a voxel (a panel, a letter) and would slip between the centres, take
+    every voxel that they touch.
+    """
+    taken = np.zeros(grid.shape, np.bool_)
+    thinnest = float(grid.voxel_m.min())
+    for surface in found:
+        if surface.closed:
+            taken |= _inside(grid, surface)
+        if surface.mean_thickness_m < thinnest:
+            taken |= cut_voxels(grid.to_voxels(surface.corners), grid.shape)
+    return taken.astype(np.uint8)
+
+
+def signed_distance(grid: VoxelGrid, found: list[Surface]) -> NDArray[np.float32]:
+    """(depth, row, column): metres from the voxel centre to the nearest object surface, negative inside a closed one.
+
+    Open surfaces enclose nothing; their distance has no sign. Where closed surfaces overlap, the smallest of their
+    signed distances is taken: exact outside, and inside never larger in magnitude than the true distance. Without
+    any object every distance is the diagonal of the grid, which is larger than any distance inside it could be.
+    """
+    smallest = np.full(grid.shape, np.linalg.norm(grid.high - grid.low))
+    if not found:
+        return smallest.astype(np.float32)
+    centers = grid.centers
+    for group in _apart(found):
+        distance = _distance(centers, np.concatenate([s.corners for s in group]))
+        for surface in group:
+            if surface.closed:
+                distance[_inside(grid, surface)] *= -1.0
+        smallest = np.minimum(smallest, distance)
+    return smallest.astype(np.float32)
+
+
+def _inside(grid: VoxelGrid, surface: Surface) -> NDArray[np.bool_]:
+    return inside_columns(grid.to_voxels(np.concatenate([surface.corners, surface.lid])), grid.shape)
+
+
+def _apart(found: list[Surface]) -> list[list[Surface]]:
+    """Groups of surfaces whose bounding boxes do not meet: within one, no surface is inside another."""
+    groups: list[list[tuple[Surface, NDArray[np.float64]]]] = []
+    for surface in found:
+        box = np.stack([surface.corners.min(axis=(0, 1)), surface.corners.max(axis=(0, 1))])
+        for group in groups:
+            if all((box[0] > other[1]).any() or (other[0] > box[1]).any() for _, other in group):
+                group.append((surface, box))
+                break
+        else:
+            groups.append([(surface, box)])
+    return [[surface for surface, _ in group] for group in groups]
+
+
+def _distance(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Metres from each point (..., 3) to the nearest of the triangles (F, 3, 3), by open3d's closest-point tree."""
+    try:
+        # Two seconds and a graphics library: only for those who ask for signed distances.
+        import open3d
+    except (ImportError, OSError) as error:
+        raise InputError(
+            f"label 'sdf': open3d cannot be loaded ({str(error).splitlines()[0]}); install the system packages "
+            f"{' '.join(OPEN3D_SYSTEM_PACKAGES)} (docker/system-packages.txt), or leave sdf out of store.fields"
+        ) from None
+    # open3d computes in float32: positions count from the middle of the points.
+    middle = points.reshape(-1, 3).mean(axis=0)
+    tensor = open3d.core.Tensor.from_numpy
+    caster = open3d.t.geometry.RaycastingScene(nthreads=1)
+    caster.add_triangles(
+        tensor((corners - middle).reshape(-1, 3).astype(np.float32)),
+        tensor(np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)),
+    )
+    query = tensor(np.ascontiguousarray(points - middle, dtype=np.float32))
+    return caster.compute_distance(query, nthreads=1).numpy().astype(np.float64)

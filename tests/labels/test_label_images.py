@@ -1,0 +1,153 @@
+"""Label images against scenes whose depth, normal, albedo and part are known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from handmade_rooms import DISTANCE_M, HEIGHT_M, box_mesh, l_corridor, rectangle_mesh, wall_view
+
+from datagen.config import LabelsConfig
+from datagen.errors import InputError
+from datagen.labels import IMAGE_FIELDS, make_labels
+from datagen.records import Lambertian, Part, Rectangle, Scene
+
+CONFIG = LabelsConfig(rows=50, columns=60)
+
+
+def free_space(*objects: Part, view: Rectangle | None = None) -> Scene:
+    """A relay wall that also spans the view, so that a label which does not look through it sees nothing else."""
+    wall = Rectangle.of((DISTANCE_M, 1.5, HEIGHT_M / 2), (0, -3, 0), (0, 0, HEIGHT_M / 2))
+    parts = [Part("relay_wall", rectangle_mesh(wall), Lambertian(0.8), "relay_wall"), *objects]
+    return Scene.from_parts(parts, hidden_view=wall_view() if view is None else view)
+
+
+def pixel_centers(config: LabelsConfig = CONFIG, side: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """World y and z of the pixel centres of `wall_view`: column 0 at −right, which is the larger y."""
+    y = side * 2.5 + 1.5 - 3.0 * (np.arange(config.columns) + 0.5) / config.columns
+    z = HEIGHT_M - HEIGHT_M * (np.arange(config.rows) + 0.5) / config.rows
+    return np.meshgrid(y, z)
+
+
+def test_box_has_its_front_depth_where_it_stands_and_zero_elsewhere() -> None:
+    scene = free_space(Part("box", box_mesh((0.6, 0.5, 0.8), (4.6, 3.2, 1.0)), Lambertian(0.4)))
+    labels = make_labels(CONFIG, scene, IMAGE_FIELDS)
+    y, z = pixel_centers()
+    covered = (abs(y - 3.2) < 0.25) & (abs(z - 1.0) < 0.4)
+    assert 0 < covered.sum() < covered.size
+    np.testing.assert_allclose(labels["depth"], np.where(covered, DISTANCE_M - 4.9, 0), rtol=1e-6)
+    np.testing.assert_array_equal(labels["part_id"], np.where(covered, 1, -1))
+    np.testing.assert_allclose(labels["albedo"], np.where(covered, 0.4, 0), rtol=1e-6)
+    np.testing.assert_allclose(labels["normal"], np.where(covered[..., None], [0, 0, -1.0], 0), atol=1e-7)
+    assert [labels[f].dtype for f in IMAGE_FIELDS] == [np.float32, np.float32, np.float32, np.int16]
+
+
+def test_sphere_depth_and_normal_follow_its_equation() -> None:
+    radius, center = 0.7, np.array([4.0, 2.2, 1.3])
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    ball.apply_translation(center)
+    labels = make_labels(CONFIG, free_space(Part("ball", ball, Lambertian(0.4))), ("depth", "normal"))
+    y, z = pixel_centers()
+    across = (y - center[1]) ** 2 + (z - center[2]) ** 2
+    inner = across < (0.9 * radius) ** 2
+    front = np.sqrt(np.maximum(radius**2 - across, 0))
+    assert abs(labels["depth"][inner] - (DISTANCE_M - center[0] - front[inner])).max() < 2e-3
+    outside = across > (1.001 * radius) ** 2
+    assert not labels["depth"][outside].any()
+    # Components along (right, up, wall normal) = (−y, z, −x) of the outward normal.
+    expected = np.stack([-(y - center[1]), z - center[2], -front], axis=-1) / radius
+    assert abs(labels["normal"] - expected)[inner].max() < 0.05
+    np.testing.assert_allclose(np.linalg.norm(labels["normal"][inner], axis=-1), 1, rtol=1e-6)
+
+
+def test_tilted_plane_is_exact_at_every_pixel_centre() -> None:
+    plane = Rectangle.of((4.0, 2.5, 1.25), (0.8, -3, 0), (0.5, 0.2 * 0.8 / 1.2, 2.0))
+    plane = Rectangle.of(plane.center, plane.right, np.cross(plane.normal, plane.right))
+    labels = make_labels(CONFIG, free_space(Part("plane", rectangle_mesh(plane), Lambertian(1.0))), IMAGE_FIELDS)
+    y, z = pixel_centers()
+    n = plane.normal
+    x = plane.center[0] - (n[1] * (y - plane.center[1]) + n[2] * (z - plane.center[2])) / n[0]
+    np.testing.assert_allclose(labels["depth"], DISTANCE_M - x, rtol=1e-6)
+    towards_wall = n if n[0] > 0 else -n
+    np.testing.assert_allclose(
+        labels["normal"],
+        np.broadcast_to([-towards_wall[1], towards_wall[2], -towards_wall[0]], (50, 60, 3)),
+        atol=1e-6,
+    )
+
+
+def test_rows_run_down_and_columns_run_right() -> None:
+    top_left = Part("box", box_mesh((0.2, 0.4, 0.4), (5, 3.7, 2.2)), Lambertian(0.5))
+    part = make_labels(CONFIG, free_space(top_left), ("part_id",))["part_id"]
+    rows, columns = np.nonzero(part == 1)
+    assert rows.max() < 15 and columns.max() < 15
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_room_is_watertight_and_walls_have_their_distance(side: int) -> None:
+    labels = make_labels(CONFIG, l_corridor(side), IMAGE_FIELDS)
+    assert (labels["part_id"] > 0).all(), "a ray slipped between triangles or saw the relay wall"
+    assert labels["depth"].max() == pytest.approx(3.0, rel=1e-6)
+    assert (labels["depth"] > 0).all()
+
+
+def test_mirrored_room_gives_the_mirrored_images() -> None:
+    left, right = (make_labels(CONFIG, l_corridor(side), IMAGE_FIELDS) for side in (1, -1))
+    np.testing.assert_allclose(left["depth"], right["depth"][:, ::-1], rtol=1e-6)
+    np.testing.assert_array_equal(left["part_id"], right["part_id"][:, ::-1])
+    flipped = right["normal"][:, ::-1] * np.array([-1, 1, 1], np.float32)
+    np.testing.assert_allclose(left["normal"], flipped, atol=1e-6)
+
+
+def test_moving_and_turning_everything_changes_nothing() -> None:
+    turn = trimesh.transformations.rotation_matrix(0.7, (1, 2, 3))[:3, :3]
+    away = np.array([8e3, -6e3, 10.0])
+    scene = l_corridor()
+    view = scene.hidden_view
+    assert view is not None
+    moved = Scene(
+        vertices=scene.vertices @ turn.T + away,
+        triangles=scene.triangles,
+        face_part=scene.face_part,
+        part_names=scene.part_names,
+        materials=scene.materials,
+        roles=scene.roles,
+        hidden_view=Rectangle(turn @ view.center + away, turn @ view.right, turn @ view.up),
+    )
+    here, there = (make_labels(CONFIG, s, IMAGE_FIELDS) for s in (scene, moved))
+    np.testing.assert_array_equal(here["part_id"], there["part_id"])
+    np.testing.assert_allclose(here["depth"], there["depth"], rtol=1e-6)
+    np.testing.assert_allclose(here["normal"], there["normal"], atol=1e-6)
+
+
+def test_object_touching_the_wall_is_seen_at_once() -> None:
+    scene = free_space(Part("box", box_mesh((1.0, 0.5, 0.5), (DISTANCE_M - 0.5, 2.5, 1.25)), Lambertian(0.5)))
+    labels = make_labels(CONFIG, scene, ("depth", "part_id"))
+    hit = labels["part_id"] == 1
+    assert hit.any()
+    assert ((labels["depth"] > 0) == hit).all()
+    assert labels["depth"].max() < 1e-5
+
+
+def test_empty_view_is_zero_everywhere() -> None:
+    labels = make_labels(CONFIG, free_space(), IMAGE_FIELDS)
+    assert all(not labels[f].any() for f in ("depth", "normal", "albedo"))
+    assert (labels["part_id"] == -1).all()
+
+
+def test_finer_images_agree_with_coarser_ones_at_shared_centres() -> None:
+    scene = l_corridor()
+    coarse = make_labels(LabelsConfig(rows=11, columns=13), scene, ("depth",))["depth"]
+    fine = make_labels(LabelsConfig(rows=33, columns=39), scene, ("depth",))["depth"]
+    np.testing.assert_allclose(coarse, fine[1::3, 1::3], rtol=1e-6)
+
+
+def test_unusable_requests_are_told_in_one_line() -> None:
+    with pytest.raises(InputError, match="'shade' is no label; known are depth"):
+        make_labels(CONFIG, l_corridor(), ("shade",))
+    wall = Part("wall", rectangle_mesh(wall_view()), Lambertian(0.5))
+    with pytest.raises(InputError, match="hidden_view"):
+        make_labels(CONFIG, Scene.from_parts([wall]), ("depth",))
+    flat = Rectangle.of((6, 0, 0), (0, 0, 0), (0, 0, 1))
+    with pytest.raises(InputError, match="positive and finite"):
+        make_labels(CONFIG, Scene.from_parts([wall], hidden_view=flat), ("depth",))

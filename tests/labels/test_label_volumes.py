@@ -1,0 +1,217 @@
+"""Occupancy and signed distance against shapes whose volume and distance are known."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from handmade_rooms import box_mesh, l_corridor
+
+from datagen.config import LabelsConfig
+from datagen.errors import InputError
+from datagen.labels import make_labels, volumes
+from datagen.labels.solids import surfaces
+from datagen.labels.volumes import VoxelGrid
+from datagen.records import Lambertian, Part, Rectangle, Scene
+
+BOUNDS = np.array([[3, 1, 0], [6, 4, 2.4]])
+CONFIG = LabelsConfig(voxels=(40, 36, 44))
+MESHES = Path(__file__).parents[3] / "shared" / "meshes"
+
+
+def scene_of(*meshes: trimesh.Trimesh) -> Scene:
+    wall = Rectangle.of((6, 2.5, 1.2), (0, -1.5, 0), (0, 0, 1.2))
+    wall_mesh = trimesh.Trimesh(wall.corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    parts = [Part("relay_wall", wall_mesh, Lambertian(0.8), "relay_wall")]
+    parts += [Part(f"object_{k}", mesh, Lambertian(0.5)) for k, mesh in enumerate(meshes)]
+    return Scene.from_parts(parts, hidden_view=wall, hidden_bounds=BOUNDS)
+
+
+def ball(radius: float = 0.8, center: tuple[float, float, float] = (4.5, 2.4, 1.2)) -> trimesh.Trimesh:
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=radius)
+    mesh.apply_translation(center)
+    return mesh
+
+
+def centers(scene: Scene) -> np.ndarray:
+    return VoxelGrid.of(scene, CONFIG.voxels).centers
+
+
+def box_distance(points: np.ndarray, size: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """Exact signed distance to an axis-aligned box."""
+    beyond = abs(points - center) - size / 2
+    return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)
+
+
+def test_box_is_exact() -> None:
+    size, center = np.array([0.9, 0.7, 1.1]), np.array([4.4, 2.6, 0.8])
+    scene = scene_of(box_mesh(tuple(size), tuple(center)))
+    labels = make_labels(CONFIG, scene, ("occupancy", "sdf"))
+    expected = box_distance(centers(scene), size, center)
+    np.testing.assert_allclose(labels["sdf"], expected, atol=1e-5)
+    np.testing.assert_array_equal(labels["occupancy"], expected < 0)
+    assert labels["occupancy"].dtype == np.uint8 and labels["sdf"].dtype == np.float32
+
+
+def test_ball_has_its_distance_and_its_volume() -> None:
+    scene = scene_of(ball())
+    labels = make_labels(CONFIG, scene, ("occupancy", "sdf"))
+    expected = np.linalg.norm(centers(scene) - [4.5, 2.4, 1.2], axis=-1) - 0.8
+    assert abs(labels["sdf"] - expected).max() < 5e-3
+    volume = labels["occupancy"].sum() * float(np.prod(VoxelGrid.of(scene, CONFIG.voxels).voxel_m))
+    assert volume == pytest.approx(4 / 3 * np.pi * 0.8**3, rel=0.02)
+
+
+def test_layers_count_away_from_the_wall_rows_down_columns_right() -> None:
+    scene = scene_of(box_mesh((0.5, 0.5, 0.5), (5.6, 3.6, 2.0)))
+    layer, row, column = np.nonzero(make_labels(CONFIG, scene, ("occupancy",))["occupancy"])
+    assert layer.max() < 10 and row.max() < 10 and column.max() < 12
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_volume_and_image_agree_about_what_is_in_front(side: int) -> None:
+    """The first occupied layer of a column stands at the depth that the image shows there."""
+    scene = l_corridor(side)
+    config = LabelsConfig(rows=32, columns=32, voxels=(96, 32, 32))
+    labels = make_labels(config, scene, ("depth", "part_id", "occupancy"))
+    names = np.array([*scene.part_names, "none"])[labels["part_id"]]
+    objects = (names == "pillar") | (names == "box")
+    np.testing.assert_array_equal(labels["occupancy"].any(axis=0), objects)
+    first = labels["occupancy"].argmax(axis=0) * 3.0 / 96
+    assert abs(first - labels["depth"])[objects].max() < 2 * 3.0 / 96
+
+
+def test_winding_does_not_matter() -> None:
+    mesh = ball()
+    flipped = trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
+    every_other = np.where(np.arange(len(mesh.faces))[:, None] % 2, mesh.faces[:, ::-1], mesh.faces)
+    mixed = trimesh.Trimesh(mesh.vertices, every_other, process=False)
+    soup = trimesh.Trimesh(
+        mesh.triangles.reshape(-1, 3), np.arange(3 * len(mesh.faces)).reshape(-1, 3), process=False
+    )
+    reference = make_labels(CONFIG, scene_of(mesh), ("sdf",))["sdf"]
+    assert (reference < 0).any()
+    for other in (flipped, mixed, soup):
+        np.testing.assert_allclose(make_labels(CONFIG, scene_of(other), ("sdf",))["sdf"], reference, atol=1e-6)
+
+
+def test_overlapping_solids_are_united() -> None:
+    one, two = ball(), ball(center=(4.0, 2.4, 1.2))
+    inner = ball(radius=0.3)
+    together = scene_of(trimesh.util.concatenate([one, two, inner]))
+    labels = make_labels(CONFIG, together, ("occupancy", "sdf"))
+    points = centers(together)
+    either = np.minimum(*(np.linalg.norm(points - c, axis=-1) - 0.8 for c in ((4.5, 2.4, 1.2), (4.0, 2.4, 1.2))))
+    certain = abs(either) > 5e-3
+    np.testing.assert_array_equal((labels["sdf"] < 0)[certain], (either < 0)[certain])
+    assert abs(labels["sdf"] - either)[either > 0].max() < 5e-3
+    assert (labels["sdf"] >= either - 5e-3).all(), "deeper inside than the union can be"
+    np.testing.assert_array_equal(labels["occupancy"], labels["sdf"] < 0)
+
+
+def test_sheet_is_unsigned_and_takes_the_voxels_it_touches() -> None:
+    sheet = trimesh.Trimesh(
+        [[4, 2, 0.5], [4, 3, 0.5], [4, 3, 1.5], [4, 2, 1.5]], [[0, 1, 2], [0, 2, 3]], process=False
+    )
+    scene = scene_of(sheet)
+    labels = make_labels(CONFIG, scene, ("occupancy", "sdf"))
+    flat = box_distance(centers(scene), np.array([0, 1.0, 1.0]), np.array([4, 2.5, 1.0]))
+    np.testing.assert_allclose(labels["sdf"], np.maximum(flat, 0), atol=1e-5)
+    half = VoxelGrid.of(scene, CONFIG.voxels).voxel_m / 2
+    gap = abs(centers(scene) - [4, 2.5, 1.0]) - [0, 0.5, 0.5]
+    np.testing.assert_array_equal(labels["occupancy"], (gap <= half[[0, 2, 1]] + 1e-12).all(axis=-1))
+
+
+def test_panel_thinner_than_a_voxel_is_not_lost() -> None:
+    labels = make_labels(CONFIG, scene_of(box_mesh((0.004, 1.0, 1.0), (4.03, 2.5, 1.2))), ("occupancy",))
+    column = labels["occupancy"].any(axis=0)
+    assert 0.9 < column.sum() / (44 / 3 * 36 / 2.4) < 1.3
+
+
+def test_small_holes_are_bridged_and_large_ones_are_not() -> None:
+    whole = ball()
+    order = np.argsort(whole.triangles_center[:, 2])
+    chipped = trimesh.Trimesh(whole.vertices, whole.faces[order[12:]], process=False)
+    bowl = trimesh.Trimesh(whole.vertices, whole.faces[order[: len(order) // 2]], process=False)
+    assert [s.closed for s in surfaces(chipped.triangles)] == [True]
+    assert [s.closed for s in surfaces(bowl.triangles)] == [False]
+    reference = make_labels(CONFIG, scene_of(whole), ("occupancy",))["occupancy"]
+    mended = make_labels(CONFIG, scene_of(chipped), ("occupancy",))["occupancy"]
+    assert (reference != mended).sum() < 0.01 * reference.sum()
+    assert (make_labels(CONFIG, scene_of(bowl), ("sdf",))["sdf"] >= 0).all()
+
+
+def test_inside_matches_the_winding_number_of_a_turned_box() -> None:
+    """Parity columns against an independent truth, with faces, edges and corners on the grid's own planes."""
+    mesh = trimesh.creation.box((1.2, 1.2, 1.2))
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 4, (0, 0, 1)))
+    mesh.apply_translation((4.5, 2.5, 1.2))
+    scene = scene_of(mesh)
+    turned = centers(scene) - [4.5, 2.5, 1.2]
+    diamond = abs(turned[..., 0]) + abs(turned[..., 1]) - 0.6 * np.sqrt(2)
+    certain = (abs(diamond) > 1e-9) & (abs(abs(turned[..., 2]) - 0.6) > 1e-9)
+    expected = (diamond < 0) & (abs(turned[..., 2]) < 0.6)
+    np.testing.assert_array_equal(make_labels(CONFIG, scene, ("occupancy",))["occupancy"][certain], expected[certain])
+
+
+def test_scene_without_objects_is_empty_and_far_from_everything() -> None:
+    labels = make_labels(CONFIG, scene_of(), ("occupancy", "sdf"))
+    assert not labels["occupancy"].any()
+    np.testing.assert_allclose(labels["sdf"], np.linalg.norm([3, 3, 2.4]), rtol=1e-6)
+
+
+@pytest.mark.skipif(not MESHES.is_dir(), reason="the real meshes stay out of the repository")
+def test_range_scan_with_holes_counts_as_solid() -> None:
+    mesh = trimesh.load(MESHES / "stanford-bunny.obj", force="mesh", process=False)
+    mesh.apply_scale(6)
+    mesh.apply_translation(np.array([4.5, 2.5, 1.2]) - mesh.bounds.mean(axis=0))
+    (surface,) = surfaces(mesh.triangles)
+    assert surface.closed
+    scene = scene_of(mesh)
+    fine = LabelsConfig(voxels=(120, 120, 96))
+    taken = make_labels(fine, scene, ("occupancy",))["occupancy"]
+    volume = taken.sum() * np.prod(VoxelGrid.of(scene, fine.voxels).voxel_m)
+    mended = trimesh.Trimesh(*_indexed(np.concatenate([surface.corners, surface.lid])), process=False)
+    assert volume == pytest.approx(abs(mended.volume), rel=0.01)
+
+
+def _indexed(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
+
+
+def test_scene_without_bounds_or_with_flat_ones_is_refused() -> None:
+    bare = scene_of(ball())
+    for bounds, message in ((None, "no hidden_bounds"), ([[3, 1, 0], [3, 4, 2]], "span a volume")):
+        scene = replace(bare, hidden_bounds=None if bounds is None else np.array(bounds, float))
+        with pytest.raises(InputError, match=message):
+            make_labels(CONFIG, scene, ("occupancy",))
+
+
+def test_open3d_is_asked_for_by_the_packages_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(InputError, match=r"libgl1.*docker/system-packages.txt"):
+        make_labels(CONFIG, scene_of(ball()), ("sdf",))
+    listed = (Path(__file__).parents[2] / "docker" / "system-packages.txt").read_text().split()
+    assert set(listed) == set(volumes.OPEN3D_SYSTEM_PACKAGES)
+
+
+def test_images_and_occupancy_do_not_load_open3d() -> None:
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from handmade_rooms import l_corridor\n"
+        "from datagen.config import LabelsConfig; from datagen.labels import make_labels\n"
+        "make_labels(LabelsConfig(), l_corridor(), ('depth', 'normal', 'occupancy'))\n"
+        "sys.exit('open3d' in sys.modules or 'torch' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(Path(__file__).parent)], check=True, timeout=120)
+
+
+def test_configuration_refuses_volumes_beyond_reason() -> None:
+    from datagen.config import config_from_mapping
+
+    with pytest.raises(InputError, match="at most 67108864"):
+        config_from_mapping({"labels": {"voxels": [1024, 1024, 1024]}})
