@@ -8,7 +8,9 @@ from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
 
-StoredField = Literal["histogram", "transient", "transient_stderr", "depth", "normal", "albedo", "part_id"]
+StoredField = Literal[
+    "histogram", "transient", "transient_stderr", "depth", "normal", "albedo", "part_id", "occupancy", "sdf"
+]
 
 
 class StoreConfig(Settings):
@@ -17,7 +19,8 @@ class StoreConfig(Settings):
     fields: Annotated[tuple[StoredField, ...], Field(min_length=1)] = ("histogram", "transient", "depth")
     """The large fields to store."""
     scenes_per_shard: Annotated[int, Field(ge=1, le=256)] | None = None
-    """A power of two; left out: chosen from the sample's size (8 to 256, shards of at most 256 MiB)."""
+    """A power of two; left out: chosen from the size of a sample and the number of scenes (8 to 256, shards of at
+    most 256 MiB)."""
     histogram_dtype: Literal["uint8", "uint16", "uint32"] = "uint16"
     """Counts above its range are an error, never wrapped."""
 

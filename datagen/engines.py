@@ -1,0 +1,173 @@
+"""Where shards are computed: local processes, or a Dask cluster. Both are a `submit` that gives futures."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+from datagen.errors import InputError
+
+SHARDS_PER_PROCESS = 16
+"""A worker process is replaced after so many shards, so that no leak in a library lasts."""
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+"""Workers are the parallelism, and a sum split over threads could round differently."""
+
+
+class Engine(Protocol):
+    """Runs jobs elsewhere.
+
+    capacity : how many jobs to have under way at once.
+    deaths : the exceptions that say that a worker died, as opposed to a job that failed.
+    """
+
+    capacity: int
+    deaths: tuple[type[BaseException], ...]
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]: ...
+
+    def close(self, kill: bool) -> None:
+        """Free the workers; with `kill` those that are busy die at once."""
+        ...
+
+
+class LocalProcesses:
+    """`workers` processes, each in its own pool: when one dies only its job is lost, and the blame is certain."""
+
+    deaths: tuple[type[BaseException], ...] = (BrokenExecutor,)
+
+    def __init__(self, workers: int) -> None:
+        self.capacity = workers
+        self._idle: list[_Process] = [_Process() for _ in range(workers)]
+        self._busy: dict[Future[Any], _Process] = {}
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Start a job; at most `capacity` may be under way, finished ones being those whose future is done."""
+        for future in [future for future in self._busy if future.done()]:
+            process = self._busy.pop(future)
+            died = isinstance(future.exception(), self.deaths)
+            if died or process.jobs >= SHARDS_PER_PROCESS:
+                process.stop(kill=died)
+                process = _Process()
+            self._idle.append(process)
+        process = self._idle.pop()
+        future = process.submit(function, *arguments)
+        self._busy[future] = process
+        return future
+
+    def close(self, kill: bool) -> None:
+        for process in [*self._idle, *self._busy.values()]:
+            process.stop(kill)
+
+
+class _Process:
+    """One worker process, started with its first job."""
+
+    def __init__(self) -> None:
+        self.jobs = 0
+        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _start_worker)
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        self.jobs += 1
+        with _environment(ONE_THREAD), _interrupt_blocked():
+            return self._pool.submit(function, *arguments)
+
+    def stop(self, kill: bool) -> None:
+        if kill:
+            for process in list((self._pool._processes or {}).values()):
+                process.kill()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _start_worker() -> None:
+    """Leave Ctrl-C to the parent, and die with it: an orphan must not go on writing into a dataset."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_die_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _die_with(sentinel: int) -> None:
+    from multiprocessing.connection import wait
+
+    wait([sentinel])
+    os._exit(1)
+
+
+@contextmanager
+def _environment(values: dict[str, str]) -> Iterator[None]:
+    """Variables that a process started inside inherits, and that are as before afterwards."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _interrupt_blocked() -> Iterator[None]:
+    """Ctrl-C goes to a terminal's whole process group: processes started inside never see it, we see it after."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class DaskCluster:
+    """The workers of a Dask cluster that see the same file system; `scheduler` None starts one on this machine."""
+
+    def __init__(self, workers: int, scheduler: str | None) -> None:
+        try:
+            from distributed import Client, KilledWorker, LocalCluster
+        except ImportError:
+            raise InputError(
+                "--engine dask: the package distributed is not installed; pip install nlos-datagen[cluster]"
+            ) from None
+        self.deaths: tuple[type[BaseException], ...] = (KilledWorker, BrokenExecutor)
+        self._cluster = None
+        if scheduler is None:
+            with _environment(ONE_THREAD):
+                self._cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+        try:
+            self._client = Client(self._cluster or scheduler, timeout=20)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InputError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from None
+        # One job in reserve for each worker, so that none waits for this process.
+        self.capacity = 2 * max(workers, len(self._client.nthreads()))
+        self._executor = self._client.get_executor(pure=False, retries=0)
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        return self._executor.submit(function, *arguments)
+
+    def close(self, kill: bool) -> None:
+        self._executor.shutdown(wait=not kill, cancel_futures=kill)
+        self._client.close()
+        if self._cluster is not None:
+            self._cluster.close()
+
+
+def start_engine(engine: str, workers: int, scheduler: str | None) -> Engine:
+    """`local` or `dask`; raises `InputError` for anything else, for no workers, and for a scheduler without Dask."""
+    if workers < 1:
+        raise InputError(f"--workers {workers}: must be ≥ 1")
+    if engine == "local":
+        if scheduler is not None:
+            raise InputError(f"--scheduler {scheduler}: only --engine dask has a scheduler; add it or leave this out")
+        return LocalProcesses(workers)
+    if engine == "dask":
+        return DaskCluster(workers, scheduler)
+    raise InputError(f"--engine {engine}: must be local or dask")

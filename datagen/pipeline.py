@@ -1,0 +1,109 @@
+"""The spine: scene spec → Scene → Capture → Transient → histogram → labels → Sample."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.capture import capture_for
+from datagen.config import DatasetConfig
+from datagen.detector import Exposure, Spad, detect, detector_for
+from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
+from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
+from datagen.scene import check_scene_config, generate_scene
+from datagen.seeding import Purpose, derived_seed
+from datagen.transport import simulate
+
+
+def simulate_sample(config: DatasetConfig, index: int) -> Sample:
+    """Scene number `index` of a dataset, from the room to the counts.
+
+    A function of (configuration, index) alone: every random stream is keyed by (`config.seed`, index, purpose).
+    """
+    seed, seconds = config.seed, dict[str, float]()
+    with _timed(seconds, "scene"):
+        scene = generate_scene(config.scene, seed, index)
+        capture = capture_for(config, scene)
+    with _timed(seconds, "transport"):
+        accuracy = config.transport.accuracy()
+        transient = simulate(scene, capture, accuracy, seed=derived_seed(seed, index, Purpose.TRANSPORT))
+    with _timed(seconds, "detector"):
+        spad, exposure = detector_for(config.detector, seed, index)
+        counts = detect(
+            transient.total, capture.time, spad, exposure, seed=derived_seed(seed, index, Purpose.DETECTOR)
+        )
+    with _timed(seconds, "labels"):
+        wanted = [field for field in config.store.fields if field in IMAGE_FIELDS + VOLUME_FIELDS]
+        labels = make_labels(config.labels, scene, wanted)
+    measured: dict[str, NDArray[Any]] = {
+        "histogram": counts,
+        "transient": transient.total,
+        "transient_stderr": transient.stderr,
+    }
+    arrays: dict[str, NDArray[np.generic]] = {
+        name: measured[name] for name in measured if name in config.store.fields
+    }
+    arrays |= labels | _geometry(scene, capture, transient)
+    return Sample(index, arrays, _parameters(scene, spad, exposure, transient, counts), seconds)
+
+
+def check_inputs(config: DatasetConfig) -> None:
+    """Raise `InputError` for whatever can be found wrong before a dataset is begun: mesh files, a room that cannot
+    be furnished (one trial scene is generated), a capture that does not fit it, an impossible detector.
+    """
+    check_scene_config(config.scene)
+    scene = generate_scene(config.scene, config.seed, 0)
+    capture_for(config, scene)
+    detector_for(config.detector, config.seed, 0)
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    seconds[stage] = time.perf_counter() - start
+
+
+def _geometry(scene: Scene, capture: Capture, transient: Transient) -> dict[str, NDArray[np.float64]]:
+    bounds = scene.hidden_bounds
+    return {
+        "laser_points": transient.laser_points,
+        "sensor_pixels": capture.sensor.pixels,
+        "laser_position": capture.laser.position,
+        "sensor_position": capture.sensor.position,
+        "relay_wall": _vectors(scene.relay_wall),
+        "hidden_view": _vectors(scene.hidden_view),
+        "hidden_bounds": np.full((2, 3), np.nan) if bounds is None else bounds,
+    }
+
+
+def _vectors(rectangle: Rectangle | None) -> NDArray[np.float64]:
+    if rectangle is None:
+        return np.full((3, 3), np.nan)
+    return np.stack([rectangle.center, rectangle.right, rectangle.up])
+
+
+def _parameters(
+    scene: Scene, spad: Spad, exposure: Exposure, transient: Transient, counts: NDArray[np.integer]
+) -> dict[str, Scalar]:
+    inside, outside = float(transient.total.sum()), float(transient.overflow.sum())
+    return {
+        **scene.parameters,
+        "scene.part_names": ",".join(scene.part_names),
+        **_scalars("detector", asdict(spad)),
+        **_scalars("exposure", asdict(exposure)),
+        "transient.energy": inside,
+        "transient.overflow": outside / (inside + outside) if inside + outside > 0 else 0.0,
+        "transient.relative_error": transient.relative_error,
+        "histogram.counts": int(counts.sum()),
+    }
+
+
+def _scalars(prefix: str, values: dict[str, object]) -> dict[str, Scalar]:
+    return {f"{prefix}.{name}": value for name, value in values.items() if isinstance(value, Scalar)}

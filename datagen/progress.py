@@ -1,0 +1,53 @@
+"""How far a build is: a bar on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+
+class Progress:
+    """Counts scenes: one tqdm when standard error is a terminal, else a line for every shard; nothing if not `shown`.
+
+    total, done : scenes of this build, and those found finished when it began.
+    """
+
+    def __init__(self, total: int, done: int, shown: bool) -> None:
+        self._total, self._done, self._shown = total, done, shown
+        self._at_start, self._started, self._failures = done, time.monotonic(), 0
+        self._bar: Any = None
+        if shown and sys.stderr.isatty():
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=total, initial=done, unit="scene", dynamic_ncols=True)
+
+    def under_way(self, scenes: int) -> None:
+        """Scenes finished in shards that are not."""
+        if self._bar is not None:
+            self._bar.n = min(self._total, self._done + scenes)
+            self._bar.refresh()
+
+    def shard_done(self, shard: int, scenes: int, failures: int) -> None:
+        self._done += scenes
+        self._failures += failures
+        if self._bar is not None:
+            self._bar.n = self._done
+            self._bar.set_postfix(failed=self._failures) if self._failures else self._bar.refresh()
+            return
+        rate = (self._done - self._at_start) / max(time.monotonic() - self._started, 1e-9)
+        failed = f", {self._failures} failed" if self._failures else ""
+        left = (self._total - self._done) / rate
+        self.say(
+            f"shard {shard}: {self._done} of {self._total} scenes{failed}, {rate:.2f} scenes/s, {left:.0f} s left"
+        )
+
+    def say(self, line: str) -> None:
+        if self._bar is not None:
+            self._bar.write(line, file=sys.stderr)
+        elif self._shown:
+            print(line, file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()

@@ -1,0 +1,211 @@
+"""`README.md`, the dataset card for people, and `croissant.json`, the same for machines (MLCommons Croissant 1.0)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from datagen.store.arrays import GROUP
+from datagen.store.files import json_bytes, sha256_of, write_atomically
+from datagen.store.manifest import Manifest
+from datagen.store.record import ShardRecord
+from datagen.store.table import TABLE, table_of
+
+CARD = "README.md"
+CROISSANT = "croissant.json"
+
+
+def write_card(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
+    """Write the card; it says how much of the dataset is there."""
+    write_atomically(root / CARD, card(manifest, records).encode())
+
+
+def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
+    """The card's text, from the manifest and the commit records alone: no date, no timing, no claim beyond them."""
+    schema, config = manifest.schema, manifest.config
+    failures = {scene: reason for record in records for scene, reason in record.failures.items()}
+    stored = sum(file.bytes for record in records for file in record.files.values())
+    whole = len(records) == schema.shards
+    names = ", ".join(f'"{field.name}"' for field in schema.fields if field.sharded)
+    lines = [
+        f"# {config['name']}",
+        "",
+        *([config["description"], ""] if config["description"] else []),
+        "Simulated non-line-of-sight measurements: a laser lights points on a relay wall, light is followed around",
+        "the corner and back, and a single-photon detector counts it. Made by datagen "
+        f"{manifest.versions['datagen']}; nothing here was measured.",
+        "",
+        "## State",
+        "",
+        f"Complete: {schema.scenes} scenes in {schema.shards} shards, {readable(stored)} on disk "
+        f"({readable(schema.scenes * schema.bytes_per_scene)} decoded)."
+        if whole
+        else f"**Incomplete**: {len(records)} of {schema.shards} shards are there; "
+        "run the same `datagen build` again to go on.",
+        "",
+        *_failure_lines(failures),
+        "## Fields",
+        "",
+        "Zarr v3 arrays in `data.zarr`, one scene along the first axis.",
+        "",
+        "| field | axes | shape | dtype | unit | meaning |",
+        "|---|---|---|---|---|---|",
+        *(
+            f"| `{f.name}` | {', '.join(f.dims)} | {', '.join(map(str, (schema.scenes, *f.shape)))} | {f.dtype} "
+            f"| {f.unit} | {f.meaning} |"
+            for f in schema.fields
+        ),
+        "",
+        *_time_lines(config["capture"]),
+        *(_parameter_lines(table_of(records, ())) if whole else []),
+        "## Reading it",
+        "",
+        "```python",
+        "import datagen as dg",
+        f'data = dg.TransientDataset("PATH", fields=[{names}])',
+        "```",
+        "",
+        "or with any Zarr v3 reader: `zarr.open_group('PATH/data.zarr', mode='r')`. Chunks end in a CRC-32C;",
+        "`datagen verify PATH` checks every file and every decoded value against the commit records in `build/`.",
+        "",
+        "## Provenance",
+        "",
+        f"- seed {manifest.seed}; each scene depends on (seed, scene index) only",
+        f"- configuration fingerprint `{manifest.fingerprint}`; the whole configuration stands in `dataset.json`",
+        *(f"- mesh `{mesh}`, SHA-256 `{sha}`" for mesh, sha in manifest.meshes.items()),
+        f"- code: commit {manifest.commit or 'unknown (not run from a checkout)'}",
+        f"- versions: {', '.join(f'{name} {version}' for name, version in manifest.versions.items())}",
+        f"- begun on: {manifest.hardware['processor']}, {manifest.hardware['system']}",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def readable(size: float) -> str:
+    """A number of bytes for people: `12.3 MB`."""
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if size < 1000:
+            break
+        size /= 1000
+    else:
+        unit = "TB"
+    return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.3g} {unit}"
+
+
+def _failure_lines(failures: dict[int, str]) -> list[str]:
+    if not failures:
+        return []
+    shown = [f"- scene {scene}: {reason}" for scene, reason in sorted(failures.items())[:20]]
+    more = [f"- and {len(failures) - 20} more, see `{TABLE}`"] if len(failures) > 20 else []
+    return [f"{len(failures)} scenes could not be made; their values are fill values:", "", *shown, *more, ""]
+
+
+def _time_lines(capture: dict[str, Any]) -> list[str]:
+    axis = capture["time"]
+    origin = "laser emission" if axis["origin"] == "source" else "the laser point (device legs left out)"
+    return [
+        f"Bin `i` covers [{axis['start_ns']:g} + i · {axis['bin_width_ps'] / 1000:g}, "
+        f"{axis['start_ns']:g} + (i + 1) · {axis['bin_width_ps'] / 1000:g}) ns, counted from {origin}. "
+        f"Pairing: {capture['pairing']}"
+        + (
+            " (pixel i looks at laser point i, so `pixel` has length 1)." if capture["pairing"] == "confocal" else "."
+        ),
+        "Lengths are metres, z up, right-handed.",
+        "",
+    ]
+
+
+def _parameter_lines(table: pa.Table) -> list[str]:
+    """What varies from scene to scene, and between which bounds."""
+    rows = []
+    for name in table.column_names:
+        column = table[name].drop_null()
+        if name in ("scene", "shard", "failure") or not pa.types.is_primitive(column.type):
+            continue
+        values = np.asarray(column.to_pylist(), np.float64)
+        if len(values) and values.min() < values.max():
+            rows.append(f"| `{name}` | {values.min():.4g} | {np.median(values):.4g} | {values.max():.4g} |")
+    if not rows:
+        return []
+    head = ["## What varies", "", f"From `{TABLE}`, which has a row for every scene.", ""]
+    return [*head, "| parameter | least | median | most |", "|---|---|---|---|", *rows, ""]
+
+
+def write_croissant(root: Path, manifest: Manifest) -> None:
+    """Write the machine-readable card; `samples.parquet` must be there."""
+    write_atomically(root / CROISSANT, json_bytes(croissant(root, manifest)))
+
+
+_CROISSANT_TYPES = {"string": "sc:Text", "double": "sc:Float", "bool": "sc:Boolean"}
+
+
+def croissant(root: Path, manifest: Manifest) -> dict[str, Any]:
+    """The Croissant 1.0 description: files, and a record set with the columns of the table."""
+    import pyarrow.parquet as pq
+
+    columns = pq.read_schema(root / TABLE)
+    return {
+        "@context": {
+            "@language": "en",
+            "@vocab": "https://schema.org/",
+            "sc": "https://schema.org/",
+            "cr": "http://mlcommons.org/croissant/",
+            "dct": "http://purl.org/dc/terms/",
+            "conformsTo": "dct:conformsTo",
+            "column": "cr:column",
+            "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+            "extract": "cr:extract",
+            "field": "cr:field",
+            "fileObject": "cr:fileObject",
+            "fileSet": "cr:fileSet",
+            "includes": "cr:includes",
+            "recordSet": "cr:recordSet",
+            "source": "cr:source",
+        },
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        "name": manifest.config["name"],
+        "description": manifest.config["description"] or "Simulated non-line-of-sight single-photon measurements.",
+        "version": manifest.fingerprint[:12],
+        "distribution": [
+            {
+                "@type": "cr:FileObject",
+                "@id": TABLE,
+                "name": TABLE,
+                "contentUrl": TABLE,
+                "encodingFormat": "application/vnd.apache.parquet",
+                "sha256": sha256_of(root / TABLE),
+            },
+            {
+                "@type": "cr:FileSet",
+                "@id": GROUP,
+                "name": GROUP,
+                "description": "Zarr v3 group: "
+                + "; ".join(f"{f.name} ({', '.join(f.dims)}) {f.dtype} {f.unit}" for f in manifest.schema.fields),
+                "encodingFormat": "application/vnd.zarr",
+                "includes": f"{GROUP}/**",
+            },
+        ],
+        "recordSet": [
+            {
+                "@type": "cr:RecordSet",
+                "@id": "scenes",
+                "name": "scenes",
+                "description": "One record a scene: what was drawn, error estimates, SHA-256 of the decoded fields.",
+                "field": [
+                    {
+                        "@type": "cr:Field",
+                        "@id": f"scenes/{column.name}",
+                        "name": column.name,
+                        "dataType": _CROISSANT_TYPES.get(str(column.type), "sc:Integer"),
+                        "source": {"fileObject": {"@id": TABLE}, "extract": {"column": column.name}},
+                    }
+                    for column in columns
+                ],
+            }
+        ],
+    }

@@ -1,0 +1,236 @@
+"""`dataset.json`: what a dataset is. It is the first file of a dataset, and says which folder is one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from datagen.config import DatasetConfig, config_from_mapping
+from datagen.errors import InputError
+from datagen.store.arrays import metadata_digests, metadata_files, shard_shape, write_metadata
+from datagen.store.environment import commit, environment, hardware
+from datagen.store.files import PARTIAL, json_bytes, read_json, write_atomically
+from datagen.store.record import BUILD
+from datagen.store.schema import SCHEMA_VERSION, Field, Schema, schema_of
+
+MANIFEST = "dataset.json"
+FORMAT = "datagen dataset"
+WHEN_COMPLETE = ("samples.parquet", "croissant.json")
+"""Files that are there only when all shards are."""
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The content of `dataset.json`.
+
+    config : the configuration as plain values; meshes : mesh file → digest of its bytes.
+    metadata : `zarr.json` files → SHA-256.
+    """
+
+    config: dict[str, Any]
+    meshes: dict[str, str]
+    fingerprint: str
+    schema: Schema
+    metadata: dict[str, str]
+    versions: dict[str, str]
+    commit: str | None
+    hardware: dict[str, Any]
+
+    @property
+    def seed(self) -> int:
+        return int(self.config["seed"])
+
+    def parsed_config(self) -> DatasetConfig:
+        """The configuration as models. Mesh files need not be there any more."""
+        return config_from_mapping(self.config, source=MANIFEST)
+
+    def to_bytes(self) -> bytes:
+        schema = self.schema
+        return json_bytes(
+            {
+                "format": FORMAT,
+                "schema_version": SCHEMA_VERSION,
+                "name": self.config["name"],
+                "description": self.config["description"],
+                "seed": self.seed,
+                "scenes": schema.scenes,
+                "scenes_per_shard": schema.scenes_per_shard,
+                "shards": schema.shards,
+                "fingerprint": self.fingerprint,
+                "fields": [_field_row(field, schema) for field in schema.fields],
+                "config": self.config,
+                "meshes": self.meshes,
+                "metadata": self.metadata,
+                "versions": self.versions,
+                "commit": self.commit,
+                "hardware": self.hardware,
+            }
+        )
+
+
+def describe(config: DatasetConfig, schema: Schema) -> Manifest:
+    """The manifest of a new dataset."""
+    return Manifest(
+        config=config.model_dump(mode="json"),
+        meshes=config.scene.mesh_digests(),
+        fingerprint=config.fingerprint(),
+        schema=schema,
+        metadata=metadata_digests(metadata_files(schema)),
+        versions=environment(),
+        commit=commit(),
+        hardware=hardware(),
+    )
+
+
+def read_manifest(root: str | Path) -> Manifest:
+    """Read `dataset.json`. Raises `InputError` when the folder is no dataset, or one of another schema version."""
+    root = Path(root)
+    path = root / MANIFEST
+    if not path.is_file():
+        what = "is no dataset: it has no dataset.json" if root.is_dir() else "no such dataset"
+        raise InputError(f"{root}: {what}; name a folder that `datagen build` made")
+    values = read_json(path)
+    if not isinstance(values, dict) or values.get("format") != FORMAT:
+        raise InputError(f"{path}: is not the manifest of a datagen dataset; name a folder that `datagen build` made")
+    if values.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(
+            f"{path}: schema_version = {values.get('schema_version')!r}, this datagen reads {SCHEMA_VERSION}; "
+            "use the version of datagen that made it"
+        )
+    try:
+        fields = tuple(_field_of(row) for row in values["fields"])
+        kept = ("config", "meshes", "fingerprint", "metadata", "versions", "commit", "hardware")
+        schema = Schema(fields, int(values["scenes"]), int(values["scenes_per_shard"]))
+        return Manifest(schema=schema, **{key: values[key] for key in kept})
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: damaged, {type(error).__name__}: {error}; build the dataset again") from None
+
+
+def is_fresh(root: Path) -> bool:
+    """Whether nothing is there yet: no folder, an empty one, or one where a build died over its very first file."""
+    if not root.exists():
+        return True
+    return root.is_dir() and all(
+        path.name.startswith(f"{MANIFEST}.") and path.name.endswith(PARTIAL) for path in root.iterdir()
+    )
+
+
+def prepare(root: Path, config: DatasetConfig) -> Manifest:
+    """Create a dataset, or take up one that exists; returns its manifest.
+
+    Only the parent of a build calls this. Every step can be repeated, so a build killed in the middle is taken up by
+    the next one. A dataset may grow (more `scenes`); nothing else of its content may change.
+    """
+    manifest = describe(config, schema_of(config)) if is_fresh(root) else _taken_up(root, config)
+    root.mkdir(parents=True, exist_ok=True)
+    if (root / MANIFEST).is_file() and read_manifest(root).schema != manifest.schema:
+        # It grows: what described the smaller dataset as complete goes before anything else changes.
+        for name in WHEN_COMPLETE:
+            (root / name).unlink(missing_ok=True)
+    _put(root / MANIFEST, manifest.to_bytes())
+    write_metadata(root, metadata_files(manifest.schema))
+    (root / BUILD).mkdir(exist_ok=True)
+    return manifest
+
+
+def check_output(root: Path, config: DatasetConfig) -> None:
+    """Raise `InputError` when `prepare` would: a foreign folder, another dataset, fewer scenes than there are."""
+    if not is_fresh(root):
+        _taken_up(root, config)
+
+
+def _taken_up(root: Path, config: DatasetConfig) -> Manifest:
+    if not (root / MANIFEST).is_file():
+        first = sorted(path.name for path in root.iterdir())[0]
+        raise InputError(
+            f"output {root}: holds {first!r} and no dataset.json, so it is no dataset; name a new or an empty folder"
+        )
+    old = read_manifest(root)
+    _check_same(root, old, config)
+    if config.scenes < old.schema.scenes:
+        raise InputError(
+            f"output {root}: holds a dataset of {old.schema.scenes} scenes, scenes = {config.scenes} is fewer; "
+            "a dataset may only grow: ask for at least as many, or name another folder"
+        )
+    schema = schema_of(config, old.schema.scenes_per_shard)
+    same_arrays = schema == old.schema
+    return replace(
+        old,
+        config=config.model_dump(mode="json"),
+        schema=schema,
+        metadata=old.metadata if same_arrays else metadata_digests(metadata_files(schema)),
+    )
+
+
+def _check_same(root: Path, old: Manifest, config: DatasetConfig) -> None:
+    if config.fingerprint() == old.fingerprint:
+        return
+    new = config.model_dump(mode="json", exclude={"name", "description", "scenes"})
+    for key, was, now in _differences(old.config, new):
+        raise InputError(
+            f"output {root}: holds a dataset made with {key} = {was}, this configuration has {now}; "
+            "name another folder, or change it back to resume"
+        )
+    for key, was, now in _differences(old.meshes, config.scene.mesh_digests()):
+        raise InputError(
+            f"output {root}: the mesh file {key} has changed since the dataset was begun (SHA-256 {str(was)[:12]} → "
+            f"{str(now)[:12]}); name another folder, or put the file back"
+        )
+    raise InputError(
+        f"output {root}: holds a dataset with the fingerprint {old.fingerprint[:12]}, this configuration has "
+        f"{config.fingerprint()[:12]}; name another folder"
+    )
+
+
+_MISSING = object()
+
+
+def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, str, str]]:
+    """(dotted key, old value, new value) of every difference, save top-level keys that only `old` has."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        names = list(new) if not key else [*new, *(name for name in old if name not in new)]
+        for name in names:
+            below = f"{key}.{name}" if key else str(name)
+            yield from _differences(old.get(name, _MISSING), new.get(name, _MISSING), below)
+    elif old != new:
+        yield key, _shown(old), _shown(new)
+
+
+def _shown(value: Any) -> str:
+    if value is _MISSING:
+        return "nothing"
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _put(path: Path, content: bytes) -> None:
+    if not path.is_file() or path.read_bytes() != content:
+        write_atomically(path, content)
+
+
+def _field_row(field: Field, schema: Schema) -> dict[str, Any]:
+    k = schema.scenes_per_shard
+    return {
+        "name": field.name,
+        "dims": list(field.dims),
+        "shape": [schema.scenes, *field.shape],
+        "dtype": field.dtype,
+        "unit": field.unit,
+        "meaning": field.meaning,
+        "chunk": [1, *field.chunk] if field.sharded else [k, *field.shape],
+        "shard": list(shard_shape(field, k)) if field.sharded else None,
+    }
+
+
+def _field_of(row: dict[str, Any]) -> Field:
+    return Field(
+        row["name"],
+        tuple(row["dims"]),
+        tuple(row["shape"][1:]),
+        row["dtype"],
+        row["unit"],
+        row["meaning"],
+        sharded=row["shard"] is not None,
+    )

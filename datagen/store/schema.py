@@ -1,0 +1,176 @@
+"""What a dataset holds, from its configuration alone: fields, their shapes and units, and how they are cut.
+
+Every shape is known before the first scene: a scene of `L` laser points, `P` pixels for each (1 when confocal) and
+`T` bins gives histograms of (L, P, T), and label images have the configured rows and columns.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from datagen.config import DatasetConfig
+from datagen.errors import InputError
+
+SCHEMA_VERSION = 1
+CHUNK_BYTES = 4 * 2**20
+"""A scene's chunk is cut (first along `laser`) when its raw bytes exceed this."""
+SHARD_BYTES = 256 * 2**20
+"""Raw bytes of one shard over all fields: what a worker holds in memory."""
+LARGEST_CHUNK_BYTES = 2**31 - 17
+"""Blosc's own limit."""
+
+_MEASURED = ("scene", "laser", "pixel", "bin")
+_IMAGE = ("scene", "row", "column")
+_VOLUME = ("scene", "depth", "row", "column")
+
+
+@dataclass(frozen=True)
+class Field:
+    """One array of a dataset.
+
+    Attributes
+    ----------
+    dims : dimension names; the first is `scene`.
+    shape : the shape of one scene's value, without the scene axis.
+    sharded : large fields have one chunk a scene in shards of K scenes; small ones one chunk of K scenes, no shard.
+    """
+
+    name: str
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    dtype: str
+    unit: str
+    meaning: str
+    sharded: bool = True
+
+    @property
+    def bytes_per_scene(self) -> int:
+        return math.prod(self.shape) * np.dtype(self.dtype).itemsize
+
+    @property
+    def chunk(self) -> tuple[int, ...]:
+        """The part of one scene that is compressed, and read, as a whole.
+
+        The leading axes are cut until it holds at most `CHUNK_BYTES`; the last axis (time, or an image row) never is.
+        """
+        cut = list(self.shape)
+        for axis in range(len(cut) - 1):
+            size = math.prod(cut) * np.dtype(self.dtype).itemsize
+            if size <= CHUNK_BYTES:
+                break
+            pieces = min(cut[axis], math.ceil(size / CHUNK_BYTES))
+            cut[axis] = math.ceil(cut[axis] / pieces)
+        return tuple(cut)
+
+
+@dataclass(frozen=True)
+class Schema:
+    """All fields of a dataset and its division into shards: shard s holds scenes s·K … min((s+1)·K, scenes) − 1."""
+
+    fields: tuple[Field, ...]
+    scenes: int
+    scenes_per_shard: int
+
+    @property
+    def shards(self) -> int:
+        return math.ceil(self.scenes / self.scenes_per_shard)
+
+    def scenes_of(self, shard: int) -> range:
+        """The scene indices that a shard holds."""
+        k = self.scenes_per_shard
+        return range(shard * k, min((shard + 1) * k, self.scenes))
+
+    @cached_property
+    def by_name(self) -> dict[str, Field]:
+        return {field.name: field for field in self.fields}
+
+    @property
+    def bytes_per_scene(self) -> int:
+        return sum(field.bytes_per_scene for field in self.fields)
+
+
+def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Schema:
+    """The schema that a configuration describes; a dataset that exists keeps its own `scenes_per_shard`.
+
+    Raises `InputError` when one time series is larger than a chunk can be.
+    """
+    fields = _large_fields(config) + _small_fields(config)
+    for field in fields:
+        chunk_bytes = math.prod(field.chunk) * np.dtype(field.dtype).itemsize
+        if chunk_bytes > LARGEST_CHUNK_BYTES:
+            raise InputError(
+                f"field {field.name!r}: {field.shape} values a scene need a chunk of {chunk_bytes} bytes, at most "
+                f"{LARGEST_CHUNK_BYTES} are possible; take fewer bins"
+            )
+    if scenes_per_shard is None:
+        scenes_per_shard = config.store.scenes_per_shard or _scenes_per_shard(fields, config.scenes)
+    return Schema(fields, config.scenes, scenes_per_shard)
+
+
+def _scenes_per_shard(fields: tuple[Field, ...], scenes: int) -> int:
+    """K: a power of two in 8 … 256 that leaves a small dataset at least eight shards (or as many as eights of
+    scenes), and below 8 only where eight scenes would exceed `SHARD_BYTES`. Workers do not enter, so neither do
+    they enter the bytes.
+    """
+    k = 256
+    while k > 8 and k * 8 > scenes:
+        k //= 2
+    while k > 1 and k * sum(field.bytes_per_scene for field in fields) > SHARD_BYTES:
+        k //= 2
+    return k
+
+
+def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
+    measured = measurement_shape(config)
+    image, volume = (config.labels.rows, config.labels.columns), config.labels.voxels
+    photons = "photons at the aperture per emitted photon"
+    known = (
+        Field("histogram", _MEASURED, measured, config.store.histogram_dtype, "counts",
+              "photons detected over the exposure"),
+        Field("transient", _MEASURED, measured, "float32", photons,
+              "expected impulse response of the scene, before the detector"),
+        Field("transient_stderr", _MEASURED, measured, "float32", photons,
+              "standard error of the transient from independent scramblings; NaN when there was only one"),
+        Field("depth", _IMAGE, image, "float32", "m",
+              "distance of the surface seen from the plane of the relay wall, along its normal; 0: empty"),
+        Field("normal", (*_IMAGE, "axis"), (*image, 3), "float32", "1",
+              "unit normal of the surface seen along (right, up, wall normal); 0: empty"),
+        Field("albedo", _IMAGE, image, "float32", "1", "albedo of the surface seen; 0: empty"),
+        Field("part_id", _IMAGE, image, "int16", "1",
+              "index of the part seen in the parameter scene.part_names; -1: empty"),
+        Field("occupancy", _VOLUME, volume, "uint8", "1", "1 where an object is"),
+        Field("sdf", _VOLUME, volume, "float32", "m", "distance to the nearest object surface, negative inside"),
+    )  # fmt: skip
+    return tuple(field for field in known if field.name in config.store.fields)
+
+
+def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
+    lasers, pixels, _ = measurement_shape(config)
+    all_pixels = lasers if config.capture.pairing == "confocal" else pixels
+    rectangle = ("scene", "vector", "axis")
+    small = (
+        ("laser_points", ("scene", "laser", "axis"), (lasers, 3),
+         "where each laser ray meets the scene; NaN where it meets nothing"),
+        ("sensor_pixels", ("scene", "sensor_pixel", "corner", "axis"), (all_pixels, 4, 3),
+         "corners, in order around, of each pixel's field of view on (or beyond) the relay wall"),
+        ("laser_position", ("scene", "axis"), (3,), "where the laser stands"),
+        ("sensor_position", ("scene", "axis"), (3,), "centre of the sensor's aperture"),
+        ("relay_wall", rectangle, (3, 3), "the visible wall: centre and half extents right, up; NaN when unknown"),
+        ("hidden_view", rectangle, (3, 3),
+         "the rectangle label images look from: centre and half extents right, up; NaN when unknown"),
+        ("hidden_bounds", ("scene", "corner", "axis"), (2, 3),
+         "two opposite corners of the box that holds the hidden part; NaN when unknown"),
+    )  # fmt: skip
+    return tuple(Field(name, dims, shape, "float64", "m", text, sharded=False) for name, dims, shape, text in small)
+
+
+def measurement_shape(config: DatasetConfig) -> tuple[int, int, int]:
+    """(laser, pixel, bin) of every histogram and transient; confocal has pixel = 1."""
+    capture = config.capture
+    confocal = capture.pairing == "confocal"
+    view = capture.field_of_view
+    return capture.scan.rows * capture.scan.columns, 1 if confocal else view.rows * view.columns, capture.time.bins

@@ -1,0 +1,151 @@
+"""One shard, written by one writer: stale files unlinked, values written whole, synced, and the record last."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.records import Sample, Scalar
+from datagen.store.arrays import open_array, shard_file
+from datagen.store.environment import environment
+from datagen.store.files import PARTIAL, sha256_of, sync_file, sync_folder, write_atomically
+from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, record_path
+from datagen.store.schema import Field, Schema
+
+
+def discard_shard(root: Path, schema: Schema, shard: int) -> None:
+    """Unlink the record and every file of a shard, finished or partial. The record goes first.
+
+    Zarr cannot rewrite a truncated shard in place, and a stale file must never stand beside a new record.
+    """
+    record = record_path(root, shard)
+    for partial in [*record.parent.glob(f"{record.name}.*{PARTIAL}"), record]:
+        partial.unlink(missing_ok=True)
+    for field in schema.fields:
+        path = root / shard_file(field, shard)
+        for partial in path.parent.glob(f"*{PARTIAL}"):
+            partial.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
+
+
+def encoded(field: Field, value: NDArray[np.generic]) -> NDArray[np.generic]:
+    """One scene's value in the dtype of its field.
+
+    Raises `InputError` for another shape than the configuration gives, counts beyond the dtype's range (nothing
+    wraps), and values that are not finite where the field has no use for them.
+    """
+    value = np.asarray(value)
+    if value.shape != field.shape:
+        raise InputError(
+            f"field {field.name!r}: shape {value.shape} made, {field.shape} follows from the configuration"
+        )
+    target = np.dtype(field.dtype)
+    if target.kind in "ui":
+        _check_range(field, value, np.iinfo(target))
+        return value.astype(target)
+    with np.errstate(over="ignore"):
+        stored = value.astype(target)
+    if field.name in ("transient", "depth", "normal", "albedo", "sdf") and not np.isfinite(stored).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(stored))[0])
+        raise InputError(f"field {field.name!r}: {value[where]} at {where} is not a finite {field.dtype}")
+    return stored
+
+
+def _check_range(field: Field, value: NDArray[np.generic], limits: np.iinfo) -> None:
+    if value.dtype.kind not in "uib":
+        raise InputError(f"field {field.name!r}: {value.dtype} made where whole numbers are stored")
+    if value.size and (int(value.min()) < limits.min or int(value.max()) > limits.max):
+        worst = int(value.max()) if int(value.max()) > limits.max else int(value.min())
+        remedy = (
+            "; set store.histogram_dtype to a wider type or shorten the exposure" if field.name == "histogram" else ""
+        )
+        raise InputError(
+            f"field {field.name!r}: {worst} lies outside {limits.min} … {limits.max} of {field.dtype}{remedy}"
+        )
+
+
+def digest(field: Field, value: NDArray[np.generic]) -> str:
+    """Hex SHA-256 of decoded values: little-endian, C order."""
+    plain = np.ascontiguousarray(value, np.dtype(field.dtype).newbyteorder("<"))
+    return hashlib.sha256(plain.data).hexdigest()
+
+
+def write_shard(
+    root: Path,
+    schema: Schema,
+    shard: int,
+    fingerprint: str,
+    samples: Iterable[tuple[int, Sample | str]],
+) -> ShardRecord:
+    """Write one shard and commit it.
+
+    samples : (index, sample) for each scene of the shard in order, or (index, reason) for one that could not be made.
+    """
+    started, scenes = time.time(), schema.scenes_of(shard)
+    discard_shard(root, schema, shard)
+    values = {field.name: _empty(field, len(scenes)) for field in schema.fields}
+    records = [_keep(schema, values, scenes.start, index, sample) for index, sample in samples]
+    begun_storing = time.perf_counter()
+    files = {}
+    for field in schema.fields:
+        open_array(root, field.name, "r+")[scenes.start : scenes.stop] = values[field.name]
+        files[shard_file(field, shard)] = _synced(root, shard_file(field, shard))
+    now = time.time()
+    record = ShardRecord(
+        shard=shard,
+        first_scene=scenes.start,
+        last_scene=scenes.stop - 1,
+        fingerprint=fingerprint,
+        files=files,
+        scenes=tuple(records),
+        seconds={"store": time.perf_counter() - begun_storing, "total": now - started},
+        started=started,
+        finished=now,
+        environment=environment(),
+    )
+    (root / BUILD).mkdir(exist_ok=True)
+    write_atomically(record_path(root, shard), record.to_bytes())
+    return record
+
+
+def _empty(field: Field, scenes: int) -> NDArray[np.generic]:
+    """What a scene that could not be made leaves behind: NaN, or 0 for whole numbers."""
+    dtype = np.dtype(field.dtype)
+    return np.full((scenes, *field.shape), np.nan if dtype.kind == "f" else 0, dtype)
+
+
+def _keep(
+    schema: Schema, values: Mapping[str, NDArray[np.generic]], first: int, index: int, sample: Sample | str
+) -> SceneRecord:
+    if isinstance(sample, str):
+        return SceneRecord(index, failure=sample)
+    try:
+        rows = {field.name: encoded(field, sample.arrays[field.name]) for field in schema.fields}
+    except InputError as error:
+        return SceneRecord(index, failure=str(error))
+    for name, row in rows.items():
+        values[name][index - first] = row
+    digests = {field.name: digest(field, rows[field.name]) for field in schema.fields}
+    parameters = {name: _plain(value) for name, value in sample.parameters.items()}
+    return SceneRecord(index, None, digests, parameters, dict(sample.seconds))
+
+
+def _plain(value: Scalar | np.generic) -> Scalar:
+    plain: Scalar = value.item() if isinstance(value, np.generic) else value
+    return plain
+
+
+def _synced(root: Path, name: str) -> FileRecord:
+    path = root / name
+    sync_file(path)
+    for folder in path.parents:
+        sync_folder(folder)
+        if folder == root:
+            break
+    return FileRecord(sha256_of(path), path.stat().st_size)

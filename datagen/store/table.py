@@ -1,0 +1,64 @@
+"""`samples.parquet`: one row a scene, made from the commit records when all of them are there."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from datagen.records import Scalar
+from datagen.store.files import write_atomically
+from datagen.store.record import SceneRecord, ShardRecord
+
+TABLE = "samples.parquet"
+_OWN = ("scene", "shard", "failure")
+
+
+def table_of(records: Sequence[ShardRecord], fields: Sequence[str]) -> pa.Table:
+    """Columns: `scene`, `shard`, `failure` (null when there is none), every parameter by its dotted name (null where
+    a scene has none of that name), and `sha256.FIELD`. No timings: the table depends on the configuration alone.
+    """
+    rows = [(record.shard, scene) for record in records for scene in record.scenes]
+    rows.sort(key=lambda row: row[1].index)
+    scenes = [scene for _, scene in rows]
+    columns: dict[str, pa.Array] = {
+        "scene": pa.array([scene.index for scene in scenes], pa.int64()),
+        "shard": pa.array([shard for shard, _ in rows], pa.int32()),
+        "failure": pa.array([scene.failure for scene in scenes], pa.string()),
+    }
+    names = dict.fromkeys(name for scene in scenes for name in scene.parameters)
+    for name in names:
+        columns[name if name not in _OWN else f"parameter.{name}"] = _column(scenes, name)
+    for field in fields:
+        columns[f"sha256.{field}"] = pa.array([scene.digests.get(field) for scene in scenes], pa.string())
+    return pa.table(columns)
+
+
+def table_bytes(table: pa.Table) -> bytes:
+    """The table as a Parquet file, the same bytes for the same table."""
+    sink = io.BytesIO()
+    pq.write_table(table, sink, compression="zstd")
+    return sink.getvalue()
+
+
+def write_table(root: Path, records: Sequence[ShardRecord], fields: Sequence[str]) -> None:
+    content = table_bytes(table_of(records, fields))
+    path = root / TABLE
+    if not path.is_file() or path.read_bytes() != content:
+        write_atomically(path, content)
+
+
+def _column(scenes: Sequence[SceneRecord], name: str) -> pa.Array:
+    values: list[Scalar | None] = [scene.parameters.get(name) for scene in scenes]
+    present = [value for value in values if value is not None]
+    kinds = {bool if isinstance(value, bool) else type(value) for value in present}
+    if kinds == {bool}:
+        return pa.array(values, pa.bool_())
+    if kinds == {int}:
+        return pa.array(values, pa.int64())
+    if kinds <= {int, float}:
+        return pa.array([None if value is None else float(value) for value in values], pa.float64())
+    return pa.array([None if value is None else str(value) for value in values], pa.string())

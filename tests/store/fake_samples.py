@@ -1,0 +1,76 @@
+"""Sample functions that stand in for the simulation: quick, a function of (seed, index), and some that misbehave."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from datagen.config import DatasetConfig, config_from_mapping
+from datagen.errors import InputError
+from datagen.records import Sample
+from datagen.seeding import Purpose, generator
+from datagen.store import schema_of
+
+
+def small_config(**changes: object) -> DatasetConfig:
+    """12 scenes of 2 × 2 laser points and 16 bins, shards of 4."""
+    values = {
+        "name": "small",
+        "seed": 3,
+        "scenes": 12,
+        "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 16}},
+        "labels": {"rows": 4, "columns": 5},
+        "store": {"fields": ["histogram", "transient", "depth"], "scenes_per_shard": 4},
+    }
+    return config_from_mapping(values | changes)
+
+
+def fake_sample(config: DatasetConfig, index: int) -> Sample:
+    rng = generator(config.seed, index, Purpose.SCENE)
+    arrays: dict[str, np.ndarray] = {}
+    for field in schema_of(config).fields:
+        counts = np.dtype(field.dtype).kind in "ui"
+        arrays[field.name] = rng.poisson(0.7, field.shape) if counts else rng.random(field.shape)
+    parameters = {"box.width_m": float(rng.random()), "kind": "box" if index % 2 else "mesh", "index": index}
+    return Sample(index, arrays, parameters, {"scene": 0.001 * index, "transport": 0.002})
+
+
+def slow_sample(config: DatasetConfig, index: int) -> Sample:
+    time.sleep(0.15)
+    return fake_sample(config, index)
+
+
+def fails_at_5(config: DatasetConfig, index: int) -> Sample:
+    if index == 5:
+        raise ValueError("no room\nfor the box")
+    return fake_sample(config, index)
+
+
+def always_fails(config: DatasetConfig, index: int) -> Sample:
+    raise InputError(f"scene {index}: impossible")
+
+
+def dies_at_5(config: DatasetConfig, index: int) -> Sample:
+    if index == 5:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return fake_sample(config, index)
+
+
+def dies_once_at_5(config: DatasetConfig, index: int) -> Sample:
+    """Dies over scene 5 the first time; the description of the configuration names the file that remembers."""
+    remembered = Path(config.description)
+    if index == 5 and not remembered.exists():
+        remembered.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return fake_sample(config, index)
+
+
+def too_many_counts(config: DatasetConfig, index: int) -> Sample:
+    sample = fake_sample(config, index)
+    if index == 2:
+        sample.arrays["histogram"][0, 0, 3] = 70000  # type: ignore[index]
+    return sample
