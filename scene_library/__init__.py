@@ -1,0 +1,1 @@
+"""Rooms, objects, materials and meshes as plain geometry; knows nothing of configuration, light or datasets."""

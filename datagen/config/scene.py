@@ -1,10 +1,90 @@
-"""The section `scene` (owned by the scene helper)."""
+"""The section `scene`: layout, contents and materials of the rooms, as distributions to draw from."""
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
 from datagen.config.base import Settings
+from datagen.config.distributions import Fraction, Uniform
+from datagen.config.scene_contents import Box, Content, Mesh, Pillar
+from datagen.config.scene_layouts import LCorridor
+from datagen.errors import InputError
+
+
+class Surface(Settings):
+    """The material of one part of the room, Lambertian."""
+
+    albedo: Fraction = Uniform(uniform=(0.5, 0.9))
+    """Share of light that the surface returns."""
+
+
+class Materials(Settings):
+    """The room's own surfaces; objects carry their material themselves."""
+
+    relay_wall: Surface = Surface(albedo=Uniform(uniform=(0.6, 0.9)))
+    walls: Surface = Surface()
+    floor: Surface = Surface(albedo=Uniform(uniform=(0.2, 0.7)))
+    ceiling: Surface = Surface(albedo=Uniform(uniform=(0.6, 0.9)))
 
 
 class SceneConfig(Settings):
+    """Random rooms: every dimension, pose and albedo is drawn from the distribution declared here."""
+
+    layout: LCorridor = LCorridor()
+    contents: Annotated[tuple[Content, ...], Field(max_length=100)] = (Pillar(), Box())
+    """The objects in the hidden part."""
+    materials: Materials = Materials()
+    clearance_m: Annotated[float, Field(ge=0.001, le=10)] = 0.02
+    """Smallest gap between objects, from an object to a wall, and to the device's line of sight."""
+    max_attempts: Annotated[int, Field(ge=1, le=100_000)] = 200
+    """Rooms drawn for one scene until one meets every constraint; then the scene is given up with the reason."""
+
+    @model_validator(mode="after")
+    def _possible(self) -> SceneConfig:
+        """Refuse what no draw can meet: an object whose smallest size exceeds the largest room."""
+        room = self.layout.largest_hidden_m()
+        height = self._highest_m()
+        for i, item in enumerate(self.contents):
+            footprint = item.smallest_footprint_m()
+            if footprint is not None and not _fits(footprint, room, self.clearance_m):
+                a, b = footprint
+                keys = " or ".join(f"contents[{i}].{k}" for k in item.plan_sizes())
+                raise ValueError(
+                    f"contents[{i}] ({item.part_name}): its footprint is at least {a:g} × {b:g} m and the hidden "
+                    f"part at most {room[0]:g} × {room[1]:g} m; lower {keys} or enlarge the room (layout)"
+                )
+            if item.smallest_height_m() > height:
+                raise ValueError(
+                    f"contents[{i}].height_m ≥ {item.smallest_height_m():g}: no room is higher than {height:g} m; "
+                    "lower it or raise layout.height_m"
+                )
+        return self
+
+    def _highest_m(self) -> float:
+        from datagen.config.distributions import support
+
+        return support(self.layout.height_m)[1]
+
     def mesh_digests(self) -> dict[str, str]:
-        return {}
+        """SHA-256 of every mesh file named: path as written → hex digest of the file's bytes."""
+        digests: dict[str, str] = {}
+        for i, item in enumerate(self.contents):
+            if isinstance(item, Mesh) and item.path not in digests:
+                try:
+                    digests[item.path] = item.digest()
+                except OSError as error:
+                    raise InputError(
+                        f"scene.contents[{i}].path = {item.path!r}: cannot be read "
+                        f"({error.strerror or error}); the file must stay where the configuration says"
+                    ) from None
+        return digests
+
+
+def _fits(sides: tuple[float, float], room: tuple[float, float], clearance_m: float) -> bool:
+    """Whether a rectangle can lie in another, turned as need be (necessary condition)."""
+    gap = 2 * clearance_m
+    short, long = sorted(room)
+    return sides[0] + gap <= short and sides[1] + gap <= float(np.hypot(short, long))

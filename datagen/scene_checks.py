@@ -1,0 +1,51 @@
+"""Why no room could be drawn, in one line: what failed how often, and which range to change."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from datagen.config.distributions import Distribution, support
+from datagen.config.scene import SceneConfig
+from datagen.config.scene_contents import Item
+
+
+def explain(spec: SceneConfig, seed: int, index: int, reasons: Counter[tuple[str, str]]) -> str:
+    """The message for a scene that was given up; `reasons` counts (where, what) over the attempts."""
+    told = [_told(spec, where, what, times) for (where, what), times in reasons.most_common(3)]
+    others = sum(reasons.values()) - sum(times for _, times in reasons.most_common(3))
+    more = f"; {others} × other reasons" if others else ""
+    return (
+        f"scene {index} (seed {seed}): no room met the constraints in {spec.max_attempts} attempts "
+        f"(scene.max_attempts): {'; '.join(told)}{more}"
+    )
+
+
+def _told(spec: SceneConfig, where: str, what: str, times: int) -> str:
+    if where == "layout":
+        return f"{times} × scene.layout: {what}"
+    i = int(where.removeprefix("contents[").removesuffix("]"))
+    item = spec.contents[i]
+    sizes = _sizes(i, item)
+    where_to = f"scene.{where}.across ({_range(item.across)}) or along ({_range(item.along)})"
+    told = {
+        "wall": f"did not fit between the walls: lower {sizes}, change {where_to}, or enlarge the hidden part "
+        "(scene.layout)",
+        "object": f"had no place beside the other objects: lower {sizes}, scene.{where}.count "
+        f"({_range(item.count)}) or scene.clearance_m ({spec.clearance_m:g})",
+        "sight": f"stood in sight of the device: change {where_to}, lower {sizes}, or enlarge the hidden part "
+        "(scene.layout)",
+        "height": f"did not fit between floor and ceiling: lower scene.{where}.height_m or elevation_m, "
+        f"or raise scene.layout.height_m ({_range(spec.layout.height_m)})",
+        "unseen": f"could not be seen from the visible part of the relay wall: change {where_to}, or remove what "
+        "stands before it",
+    }[what]
+    return f"{times} × scene.{where} ({item.part_name}) {told}"
+
+
+def _sizes(i: int, item: Item) -> str:
+    return " or ".join(f"scene.contents[{i}].{name} ({_range(getattr(item, name))})" for name in item.plan_sizes())
+
+
+def _range(value: Distribution) -> str:
+    low, high = support(value)
+    return f"{low:g}" if low == high else f"{low:g} … {high:g}"

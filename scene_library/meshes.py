@@ -1,0 +1,152 @@
+"""Mesh files as hidden objects: loading, repair, scaling, simplification, or a refusal that says why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene_library.solids import Solid
+
+SUFFIXES = (".obj", ".ply", ".stl", ".glb")
+
+_TURN_UP = {
+    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+    "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+}
+"""Rotations (rows) that turn the named axis of the file to +z."""
+
+
+class BadMesh(ValueError):
+    """A file that cannot be used: the message says what is wrong with it and what to do."""
+
+
+@dataclass(frozen=True)
+class MeshOptions:
+    """How a file is read. `up`: its upward axis; `max_triangles`: simplify above that number, None: never."""
+
+    up: str = "z"
+    max_triangles: int | None = None
+
+
+_cache: dict[tuple[str, int, int, MeshOptions], Solid] = {}
+
+
+def unit_mesh(path: Path, options: MeshOptions) -> Solid:
+    """The file's surface, repaired and simplified, turned z up, scaled to height 1, standing on the origin.
+
+    Kept in memory, by path, time of change, size and options. Raises `BadMesh`.
+    """
+    try:
+        state = path.stat()
+    except OSError as error:
+        raise BadMesh(f"cannot be read ({error.strerror or error})") from None
+    key = (str(path.resolve()), state.st_mtime_ns, state.st_size, options)
+    if key not in _cache:
+        _cache[key] = _unit(path, options)
+    return _cache[key]
+
+
+def _unit(path: Path, options: MeshOptions) -> Solid:
+    vertices, faces = cleaned(*_read(path))
+    if options.max_triangles is not None and len(faces) > options.max_triangles:
+        vertices, faces = cleaned(*simplified(vertices, faces, options.max_triangles))
+    vertices = vertices @ np.array(_TURN_UP[options.up], np.float64).T
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    if not high[2] - low[2] > 1e-9 * float((high - low).max()):
+        raise BadMesh(f"is flat along its upward axis {options.up}, so it has no height to scale; set another `up`")
+    vertices = (vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]) / (high[2] - low[2])
+    return Solid.of(vertices, faces)
+
+
+def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """All triangles of a file, the transforms of its scene graph applied."""
+    import trimesh
+
+    if path.suffix.lower() not in SUFFIXES:
+        raise BadMesh(f"is no mesh file that is known; convert it to one of {' '.join(SUFFIXES)}")
+    if path.stat().st_size == 0:
+        raise BadMesh("is empty (0 bytes); export it again")
+    try:
+        with np.errstate(all="ignore"):
+            loaded = trimesh.load_scene(path, process=False, skip_materials=True)
+            pieces = list(_pieces(loaded))
+    except Exception as error:
+        # Whatever a parser stumbles over in a broken file is the file's fault, and its message the best there is.
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise BadMesh(f"cannot be parsed ({reason}); export it again as one of {' '.join(SUFFIXES)}") from None
+    if not pieces:
+        if loaded.geometry:
+            raise BadMesh("is a point cloud or holds only lines, and has no triangles; reconstruct a surface first")
+        raise BadMesh("holds no triangles; export a surface mesh")
+    offsets = np.cumsum([0] + [len(v) for v, _ in pieces])
+    faces = np.concatenate([f + o for (_, f), o in zip(pieces, offsets, strict=False)])
+    return np.concatenate([v for v, _ in pieces]), faces
+
+
+def _pieces(loaded: Any) -> Any:
+    for node in loaded.graph.nodes_geometry:
+        transform, name = loaded.graph[node]
+        geometry = loaded.geometry[name]
+        faces = getattr(geometry, "faces", None)
+        if faces is not None and len(faces):
+            vertices = np.asarray(geometry.vertices, np.float64)
+            yield vertices @ transform[:3, :3].T + transform[:3, 3], np.asarray(faces, np.int64)
+
+
+def cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Merge vertices that coincide; drop triangles without area, repeated triangles and unused vertices."""
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise BadMesh(f"names vertices that it does not hold (1 … {len(vertices)} exist); export it again")
+    used, faces = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], faces.reshape(-1, 3)
+    bad = np.count_nonzero(~np.isfinite(vertices).all(axis=1))
+    if bad:
+        raise BadMesh(f"has {bad} vertices with NaN or infinite coordinates; remove them in a mesh editor")
+    extent = float(np.ptp(vertices, axis=0).max())
+    if extent == 0:
+        raise BadMesh("has no area: all its vertices are one point; export it again")
+    grid = np.round((vertices - vertices.min(axis=0)) / (1e-7 * extent)).astype(np.int64)
+    _, first, merged = np.unique(grid, axis=0, return_index=True, return_inverse=True)
+    faces = merged.reshape(-1)[faces]
+    vertices = vertices[first]
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    faces = faces[area > 1e-14 * extent**2]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    faces = faces[np.sort(first)]
+    if len(faces) == 0:
+        raise BadMesh("has no area: every triangle is degenerate; export it again")
+    used, faces = np.unique(faces, return_inverse=True)
+    return vertices[used], faces.reshape(-1, 3)
+
+
+def simplified(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], max_triangles: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """At most `max_triangles` triangles, by quadric edge collapse (Garland & Heckbert 1997, as in Open3D)."""
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise BadMesh(
+            f"has {len(faces)} triangles and simplifying to {max_triangles} needs Open3D, which cannot be loaded "
+            f"({' '.join(str(error).split())[:100]}): install libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 "
+            "(docker/system-packages.txt), or leave max_triangles out"
+        ) from None
+    mesh = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(vertices), open3d.utility.Vector3iVector(faces.astype(np.int32))
+    )
+    smaller = mesh.simplify_quadric_decimation(max_triangles)
+    left = np.asarray(smaller.triangles, np.int64)
+    if len(left) == 0:
+        raise BadMesh(f"falls apart when simplified to {max_triangles} triangles; raise max_triangles")
+    if len(left) > max_triangles:
+        raise BadMesh(f"cannot be simplified below {len(left)} triangles; raise max_triangles ({max_triangles})")
+    return np.asarray(smaller.vertices, np.float64), left

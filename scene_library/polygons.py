@@ -1,0 +1,167 @@
+"""Plane polygons: the little geometry that floor plans and footprints need.
+
+Every polygon is an (n, 2) float64 array of corners, counter-clockwise, without a repeated last corner.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Polygon = NDArray[np.float64]
+
+
+def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """z component of the cross product of plane vectors (…, 2)."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def following(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """For every corner the next one around."""
+    return np.concatenate([corners[1:], corners[:1]])
+
+
+def signed_area(polygon: Polygon) -> float:
+    """Area, positive when the corners run counter-clockwise (shoelace formula)."""
+    return 0.5 * float(cross(polygon, following(polygon)).sum())
+
+
+def rotation(angle_rad: float) -> NDArray[np.float64]:
+    """(2, 2) matrix that turns column vectors counter-clockwise."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+def convex_hull(points: ArrayLike) -> Polygon:
+    """Counter-clockwise convex hull of (n, 2) points (Qhull); the points must not lie on one line."""
+    p = np.asarray(points, np.float64)
+    if len(p) <= 4 and _is_convex(p):
+        return p if signed_area(p) > 0 else p[::-1]
+    from scipy.spatial import ConvexHull
+
+    return p[ConvexHull(p).vertices]
+
+
+def _is_convex(p: Polygon) -> bool:
+    edge = following(p) - p
+    turn = cross(edge, following(edge))
+    return bool(len(p) >= 3 and ((turn > 0).all() or (turn < 0).all()))
+
+
+def contains(polygon: Polygon, points: ArrayLike) -> NDArray[np.bool_]:
+    """Which of the (…, 2) points lie inside, by the parity of crossings."""
+    p = np.asarray(points, np.float64)[..., None, :]
+    a, b = polygon, following(polygon)
+    spans = (a[:, 1] > p[..., 1]) != (b[:, 1] > p[..., 1])
+    rise = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
+    crossing = a[:, 0] + (p[..., 1] - a[:, 1]) * (b[:, 0] - a[:, 0]) / rise
+    return np.asarray((spans & (p[..., 0] < crossing)).sum(axis=-1) % 2 == 1)
+
+
+def point_segment_distance(points: NDArray[np.float64], segments: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, m) distances from (n, 2) points to (m, 2, 2) segments."""
+    start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
+    offset = points[:, None] - start
+    length2 = np.maximum((along**2).sum(-1), 1e-300)
+    t = np.clip((offset * along).sum(-1) / length2, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(offset - t[..., None] * along, axis=-1))
+
+
+def segments_of(polygon: Polygon) -> NDArray[np.float64]:
+    """(n, 2, 2) edges."""
+    return np.stack([polygon, following(polygon)], axis=1)
+
+
+def boundary_distance(polygon: Polygon, segments: NDArray[np.float64]) -> float:
+    """Smallest distance between the boundary of `polygon` and (m, 2, 2) segments; 0 where they cross."""
+    edges = segments_of(polygon)
+    if segments_cross(edges, segments).any():
+        return 0.0
+    return float(
+        min(
+            point_segment_distance(polygon, segments).min(),
+            point_segment_distance(segments.reshape(-1, 2), edges).min(),
+        )
+    )
+
+
+def segments_cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n, m): whether segments (n, 2, 2) and (m, 2, 2) properly cross."""
+    a0, a1 = a[:, None, 0], a[:, None, 1]
+    b0, b1 = b[None, :, 0], b[None, :, 1]
+    over = cross(a1 - a0, b0 - a0) * cross(a1 - a0, b1 - a0) < 0
+    under = cross(b1 - b0, a0 - b0) * cross(b1 - b0, a1 - b0) < 0
+    return np.asarray(over & under)
+
+
+def convex_gap(a: Polygon, b: Polygon) -> float:
+    """How far apart two convex polygons are, along the best separating edge normal; negative if they overlap.
+
+    Never more than the true distance (separating-axis theorem), so asking for a gap is always on the safe side.
+    """
+    edges = np.concatenate([following(a) - a, following(b) - b])
+    length = np.linalg.norm(edges, axis=1)
+    keep = length > 0
+    normals = np.stack([edges[keep, 1], -edges[keep, 0]], axis=1) / length[keep, None]
+    pa, pb = normals @ a.T, normals @ b.T
+    return float(np.maximum(pb.min(axis=1) - pa.max(axis=1), pa.min(axis=1) - pb.max(axis=1)).max())
+
+
+def is_simple(polygon: Polygon) -> bool:
+    """Whether the polygon is counter-clockwise and no two edges cross."""
+    edges = segments_of(polygon)
+    return signed_area(polygon) > 0 and not bool(segments_cross(edges, edges).any())
+
+
+def triangulate(polygon: Polygon) -> NDArray[np.int64]:
+    """(n − 2, 3) counter-clockwise triangles of a simple polygon, by cutting ears.
+
+    Of the ears on offer the one with the widest smallest angle is cut, which keeps slivers rare.
+    Raises `ValueError` when the polygon is not simple.
+    """
+    corners = [(float(x), float(y)) for x, y in polygon]
+    left = list(range(len(corners)))
+    triangles: list[tuple[int, int, int]] = []
+    while len(left) > 3:
+        best, chosen = 0.0, -1
+        for i in range(len(left)):
+            before, here, after = left[i - 1], left[i], left[(i + 1) % len(left)]
+            quality = _quality(corners[before], corners[here], corners[after])
+            if quality > best and not _covers_another(corners, left, before, here, after):
+                best, chosen = quality, i
+        if chosen < 0:
+            raise ValueError("the polygon is not simple: no ear can be cut")
+        triangles.append((left[chosen - 1], left[chosen], left[(chosen + 1) % len(left)]))
+        del left[chosen]
+    triangles.append((left[0], left[1], left[2]))
+    return np.array(triangles, np.int64)
+
+
+_Point = tuple[float, float]
+
+
+def _turn(a: _Point, b: _Point, c: _Point) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _quality(a: _Point, b: _Point, c: _Point) -> float:
+    """Area over squared size; 0 for a corner that turns the wrong way or is straight."""
+    size = (
+        abs(b[0] - a[0])
+        + abs(b[1] - a[1])
+        + abs(c[0] - b[0])
+        + abs(c[1] - b[1])
+        + abs(a[0] - c[0])
+        + abs(a[1] - c[1])
+    )
+    quality = _turn(a, b, c) / size**2 if size > 0 else 0.0
+    return quality if quality > 1e-12 else 0.0
+
+
+def _covers_another(corners: list[_Point], left: list[int], i: int, j: int, k: int) -> bool:
+    """Whether triangle (i, j, k) holds another corner; one that lies on its boundary counts."""
+    a, b, c = corners[i], corners[j], corners[k]
+    return any(
+        _turn(a, b, p) >= 0 and _turn(b, c, p) >= 0 and _turn(c, a, p) >= 0
+        for p in (corners[m] for m in left if m not in (i, j, k))
+    )

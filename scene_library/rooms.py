@@ -1,0 +1,172 @@
+"""A floor plan with heights, and the closed surface it stands for.
+
+Conventions: right-handed, z up, metres; the device stands at x = y = 0 and looks along +x at the relay wall, which
+lies in a plane x = constant. Layouts are drawn with the hidden part at y > 0 and mirrored as a whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene_library.polygons import Polygon, cross, is_simple, segments_of, triangulate
+
+Surface = tuple[NDArray[np.float64], NDArray[np.int64]]
+"""Vertices (V, 3) in metres and triangles (F, 3)."""
+
+
+class RoomDoesNotClose(ValueError):
+    """These dimensions give no room: the message says which of them to change."""
+
+
+@dataclass(frozen=True)
+class Doorway:
+    """An opening through a wall: jambs from corner `a` to `b` and from `c` to `d` of the outline, and a lintel."""
+
+    a: int
+    b: int
+    c: int
+    d: int
+    height_m: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A room in plan.
+
+    Attributes
+    ----------
+    outline : (n, 2) corners, counter-clockwise.
+    relay_edge : the edge `outline[i] → outline[i + 1]` that is the relay wall.
+    height_m : floor to ceiling.
+    device : (3,) position of laser and sensor, inside.
+    hidden : (2, 2) low and high corner of the box, in plan, that holds the hidden part.
+    across_from_low : whether the hidden part is entered at its low-y side (else at its high-y side).
+    doorway : an opening lower than the room, or None.
+    """
+
+    outline: Polygon
+    relay_edge: int
+    height_m: float
+    device: NDArray[np.float64]
+    hidden: NDArray[np.float64]
+    across_from_low: bool = True
+    doorway: Doorway | None = None
+
+    @property
+    def walls(self) -> NDArray[np.float64]:
+        """(n, 2, 2) the vertical surfaces in plan."""
+        return segments_of(self.outline)
+
+    @property
+    def relay_segment(self) -> NDArray[np.float64]:
+        """(2, 2) the relay wall in plan, from right to left as seen from the room."""
+        return self.walls[self.relay_edge]
+
+
+def mirrored(plan: Plan) -> Plan:
+    """The plan reflected in y = 0; it stays counter-clockwise."""
+    n = len(plan.outline)
+    outline = (plan.outline * [1.0, -1.0])[::-1]
+    door = plan.doorway
+    if door is not None:
+        a, b, c, d = (n - 1 - i for i in (door.a, door.b, door.c, door.d))
+        door = Doorway(d, c, b, a, door.height_m)
+    low, high = plan.hidden
+    return replace(
+        plan,
+        outline=outline,
+        relay_edge=(n - 2 - plan.relay_edge) % n,
+        device=plan.device * [1.0, -1.0, 1.0],
+        hidden=np.array([[low[0], -high[1]], [high[0], -low[1]]]),
+        across_from_low=not plan.across_from_low,
+        doorway=door,
+    )
+
+
+def out_of_square(plan: Plan, angles_rad: NDArray[np.float64]) -> Plan:
+    """Turn every wall but the relay wall about its middle by `angles_rad` (n,); the corners move along.
+
+    Raises `RoomDoesNotClose` when walls would cross or the device would be left outside.
+    """
+    edges = plan.walls
+    middle = edges.mean(axis=1)
+    angles = np.where(np.arange(len(edges)) == plan.relay_edge, 0.0, angles_rad)
+    c, s = np.cos(angles), np.sin(angles)
+    along = edges[:, 1] - edges[:, 0]
+    along = np.stack([c * along[:, 0] - s * along[:, 1], s * along[:, 0] + c * along[:, 1]], axis=1)
+    before, before_along = np.roll(middle, 1, axis=0), np.roll(along, 1, axis=0)
+    turn = cross(before_along, along)
+    length = np.linalg.norm(along, axis=1) * np.linalg.norm(before_along, axis=1)
+    if (np.abs(turn) < 0.1 * length).any():
+        raise RoomDoesNotClose("two neighbouring walls come out nearly parallel; lower out_of_square_deg")
+    outline = before + (cross(middle - before, along) / turn)[:, None] * before_along
+    back = np.einsum("ij,ij->i", np.roll(outline, -1, axis=0) - outline, along)
+    if not is_simple(outline) or (back <= 0).any():
+        raise RoomDoesNotClose("walls cross each other; lower out_of_square_deg")
+    return replace(plan, outline=outline)
+
+
+def surfaces(plan: Plan, *, floor: bool = True, ceiling: bool = True) -> dict[str, Surface]:
+    """The plan as surfaces `relay_wall`, `walls`, `floor`, `ceiling`: closed, triangles meeting edge to edge."""
+    n, door, height = len(plan.outline), plan.doorway, plan.height_m
+    levels = {i: [0.0, height] for i in range(n)}
+    jambs: set[int] = set()
+    if door is not None:
+        jambs = {door.a, door.c}
+        for i in (door.a, door.b, door.c, door.d):
+            levels[i] = [0.0, door.height_m, height]
+    walls = []
+    for i in range(n):
+        if i != plan.relay_edge:
+            top = door.height_m if door is not None and i in jambs else height
+            walls.append(_wall(plan.outline, i, (i + 1) % n, levels, 0.0, top))
+    if door is not None:
+        for i, j in ((door.a, door.d), (door.c, door.b)):
+            walls.append(_wall(plan.outline, i, j, levels, door.height_m, height))
+    i = plan.relay_edge
+    result = {"relay_wall": _wall(plan.outline, i, (i + 1) % n, levels, 0.0, height), "walls": joined(walls)}
+    if floor:
+        result["floor"] = _slab(plan.outline, 0.0)
+    if ceiling:
+        result["ceiling"] = joined([_slab(piece, z) for piece, z in _ceiling_pieces(plan)])
+    return result
+
+
+def _ceiling_pieces(plan: Plan) -> list[tuple[Polygon, float]]:
+    door, n = plan.doorway, len(plan.outline)
+    if door is None:
+        return [(plan.outline, plan.height_m)]
+
+    def around(start: int, stop: int) -> Polygon:
+        return plan.outline[[(start + k) % n for k in range((stop - start) % n + 1)]]
+
+    quad = plan.outline[[door.a, door.b, door.c, door.d]]
+    return [
+        (around(door.b, door.c), plan.height_m),
+        (around(door.d, door.a), plan.height_m),
+        (quad, door.height_m),
+    ]
+
+
+def _slab(polygon: Polygon, z: float) -> Surface:
+    return np.column_stack([polygon, np.full(len(polygon), z)]), triangulate(polygon)
+
+
+def _wall(outline: Polygon, i: int, j: int, levels: dict[int, list[float]], bottom: float, top: float) -> Surface:
+    """The wall over the edge i → j, with a corner wherever a neighbour has one."""
+    length = float(np.linalg.norm(outline[j] - outline[i]))
+    right = [(length, z) for z in levels[j] if bottom <= z <= top]
+    left = [(0.0, z) for z in reversed(levels[i]) if bottom <= z <= top]
+    flat = np.array(right + left)
+    on_plan = np.where(flat[:, :1] > 0, outline[j], outline[i])
+    return np.column_stack([on_plan, flat[:, 1]]), triangulate(flat)
+
+
+def joined(pieces: list[Surface]) -> Surface:
+    """Several surfaces as one."""
+    offsets = np.cumsum([0] + [len(v) for v, _ in pieces])
+    faces = [f + o for (_, f), o in zip(pieces, offsets, strict=False)]
+    return np.concatenate([v for v, _ in pieces]), np.concatenate(faces)
