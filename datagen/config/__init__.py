@@ -1,7 +1,7 @@
 """Configuration: frozen pydantic models ↔ YAML, with units in the key names."""
 
 from datagen.config.capture import CaptureConfig
-from datagen.config.dataset import DatasetConfig, config_from_mapping, json_schema, load_config
+from datagen.config.dataset import DatasetConfig, config_from_mapping, fingerprint_of, json_schema, load_config
 from datagen.config.detector import DetectorConfig
 from datagen.config.labels import LabelsConfig
 from datagen.config.scene import SceneConfig
@@ -17,6 +17,7 @@ __all__ = [
     "StoreConfig",
     "TransportConfig",
     "config_from_mapping",
+    "fingerprint_of",
     "json_schema",
     "load_config",
 ]

@@ -44,16 +44,20 @@ class DatasetConfig(Settings):
         """Hex SHA-256 of everything that decides the samples' content: all settings but name, description and
         number of scenes (a dataset may grow), and the bytes of every mesh file named.
         """
-        settings = self.model_dump(mode="json", exclude={"name", "description", "scenes"})
-        settings["mesh_digests"] = self.scene.mesh_digests()
-        text = json.dumps(settings, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return fingerprint_of(self.model_dump(mode="json"), self.scene.mesh_digests())
 
     def with_scenes(self, scenes: int) -> DatasetConfig:
         """The same dataset with another number of scenes (same seed, same first scenes)."""
         if scenes < 1:
             raise InputError(f"--scenes {scenes}: must be ≥ 1")
         return self.model_copy(update={"scenes": scenes})
+
+
+def fingerprint_of(settings: dict[str, Any], mesh_digests: dict[str, str]) -> str:
+    """The fingerprint of a configuration given as plain values, such as a dataset keeps of its own."""
+    kept = {key: value for key, value in settings.items() if key not in ("name", "description", "scenes")}
+    text = json.dumps(kept | {"mesh_digests": mesh_digests}, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def load_config(path: str | Path) -> DatasetConfig:
@@ -65,9 +69,7 @@ def load_config(path: str | Path) -> DatasetConfig:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise InputError(
-            f"{path}: no such file; name a configuration such as configs/quickstart.yaml"
-        ) from None
+        raise InputError(f"{path}: no such file; name a configuration such as configs/quickstart.yaml") from None
     except IsADirectoryError:
         raise InputError(f"{path}: is a directory; name a YAML file in it") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -87,9 +89,7 @@ def config_from_mapping(
         raise_input_error(source, error, DatasetConfig)
         raise
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{source}: holds a value that is no text, number, list or mapping ({error})"
-        ) from None
+        raise InputError(f"{source}: holds a value that is no text, number, list or mapping ({error})") from None
 
 
 def json_schema() -> dict[str, Any]:
