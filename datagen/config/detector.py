@@ -1,9 +1,88 @@
-"""The section `detector` (owned by the detector helper)."""
+"""The section `detector`: which SPAD, and the conditions of the exposure."""
 
 from __future__ import annotations
 
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
 from datagen.config.base import Settings
+from datagen.config.distributions import Distribution, Fraction, support, within
+
+NotNegative = Annotated[Distribution, within(0)]
+DetectorClass = Literal["lab_si", "si_array", "ingaas", "consumer_dtof", "any"]
+
+
+class GateConfig(Settings):
+    """The detector is on only within a gate; times on the histogram's time axis."""
+
+    start_ns: Distribution
+    """When the gate begins to open."""
+    width_ns: Annotated[Distribution, within(0, open_low=True)]
+    """From the start of opening to the end of closing."""
+    rise_ps: NotNegative = 0.0
+    """The sensitivity climbs and falls linearly within this time at either end."""
+
+    @model_validator(mode="after")
+    def _rise_fits(self) -> GateConfig:
+        rise, width = support(self.rise_ps)[1], support(self.width_ns)[0]
+        if 2e-3 * rise > width:
+            raise ValueError(f"rise_ps = {rise:g}: must be at most half of width_ns = {width:g} ns")
+        return self
 
 
 class DetectorConfig(Settings):
-    pass
+    """A SPAD and its exposure. Each number may be a distribution, drawn anew for every scene.
+
+    With `detector_class` the numbers left out are drawn from that class's ranges, which keeps them correlated;
+    without it they are those of a silicon SPAD in a laboratory.
+    """
+
+    detector_class: DetectorClass | None = None
+    """Draw what is left out from a class of real detectors; `any` draws the class too, for every scene."""
+    mode: Literal["ideal", "synchronous", "free_running"] = "ideal"
+    """`ideal`: every event is counted; `synchronous`: armed at each laser pulse; `free_running`: dead time only."""
+    pde: Fraction | None = None
+    """Photon detection efficiency × fill factor. Left out: 0.3."""
+    dark_count_rate_hz: NotNegative | None = None
+    """Left out: 100."""
+    dead_time_ns: NotNegative | None = None
+    """Left out: 50."""
+    paralyzable: bool = False
+    """A photon within the dead time restarts it."""
+    jitter_fwhm_ps: NotNegative | None = None
+    """Gaussian jitter of avalanche build-up and TDC. Left out: 60."""
+    jitter_tail_ps: NotNegative | None = None
+    """Exponential delay of carriers that diffuse to the junction. Left out: none."""
+    jitter_tail_fraction: Fraction | None = None
+    """Share of the photons that is so delayed. Left out: 0.2."""
+    afterpulse_probability: Annotated[Distribution, within(0, 0.5)] | None = None
+    """Left out: none."""
+    afterpulse_time_ns: Annotated[Distribution, within(0, open_low=True)] | None = None
+    """Release time of the traps. Left out: 50."""
+    crosstalk_probability: Annotated[Distribution, within(0, 0.2)] | None = None
+    """Chance that an avalanche sets off one given nearest neighbour. Left out: none."""
+    array_columns: Annotated[int, Field(ge=1, le=65536)] | None = None
+    """Pixels in a row of the array, for crosstalk. Left out: one row."""
+    hot_pixel_fraction: Fraction | None = None
+    """Share of pixels with far more dark counts. Left out: none."""
+    hot_pixel_factor: Annotated[Distribution, within(1)] | None = None
+    """Dark counts of a hot pixel over those of the others. Left out: 100."""
+    gate: GateConfig | None = None
+    """Left out: always on."""
+    repetition_rate_mhz: Annotated[Distribution, within(0, open_low=True)] | None = None
+    """Laser pulses per microsecond. Left out: 10."""
+    cycles: Annotated[Distribution, within(1, 2**53)] = 1e6
+    """Laser pulses in one exposure; rounded to a whole number."""
+    photons_per_pulse: NotNegative = 1e9
+    """Photons that leave the laser in one pulse."""
+    pulse_fwhm_ps: NotNegative = 50.0
+    """Width of the laser pulse."""
+    ambient_rate_hz: NotNegative = 0.0
+    """Background photons per second at one pixel's aperture."""
+    counter_max: Annotated[int, Field(ge=1, le=2**62)] | None = None
+    """Counts at which a bin's counter stays. Left out: counters do not saturate."""
+    tolerance: Annotated[float, Field(ge=0, le=1)] = 1e-3
+    """Relative bias that a cheaper sampler may cause; 0 demands the exact one."""
+    approximate: bool = False
+    """Allow approximations where the exact sampler or mean cannot be had."""

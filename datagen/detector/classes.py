@@ -1,0 +1,114 @@
+"""Classes of real detectors: a class is drawn first, then its parameters, so that they stay correlated.
+
+Every range has its source; `estimate` marks those without one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Range:
+    """Values of one parameter, uniform between `low` and `high`, in the logarithm if `log`, and where they are from."""
+
+    low: float
+    high: float
+    source: str
+    log: bool = False
+
+    def at(self, u: float) -> float:
+        """The value below which a share `u` of this range lies."""
+        return self.low * (self.high / self.low) ** u if self.log else self.low + (self.high - self.low) * u
+
+
+ESTIMATE = "estimate"
+
+_CLASSES: dict[str, dict[str, Range]] = {
+    "lab_si": {
+        "pde": Range(0.2, 0.5, "SwissSPAD3: 50 % peak PDP; SPAD512S: 50 % at 520 nm"),
+        "dark_count_rate_hz": Range(
+            10, 500, "SwissSPAD3: under 10 Hz; SPAD512S: under 25 Hz; upper end estimate", True
+        ),
+        "dead_time_s": Range(20e-9, 100e-9, "Straka et al., JLT 2020: 24 ns; PicoHarp 300: 95 ns"),
+        "jitter_fwhm_s": Range(25e-12, 80e-12, "Instruments 4, 14: under 50 ps; ends estimate"),
+        "jitter_tail_s": Range(50e-12, 150e-12, "61 and 129 ps fitted to a published 20 µm CMOS response"),
+        "jitter_tail_fraction": Range(0.05, 0.3, ESTIMATE),
+        "afterpulse_probability": Range(0.001, 0.03, "Straka et al., JLT 2020: 1.71 %; ends estimate", True),
+        "afterpulse_time_s": Range(20e-9, 200e-9, ESTIMATE, True),
+        "repetition_rate_hz": Range(1e6, 40e6, "WISC single-photon 3D data: 10 MHz; Instruments 4, 14: 40 MHz", True),
+    },
+    "si_array": {
+        "pde": Range(0.02, 0.5, "8 µm pixel, TED 2015: 39.5 % at 480 nm; SwissSPAD3: 50 %; lower end estimate", True),
+        "dark_count_rate_hz": Range(
+            1, 1e4, "8 µm pixel, TED 2015: 47 Hz; SPAD512S: under 25 Hz; ends estimate", True
+        ),
+        "dead_time_s": Range(5e-9, 150e-9, "WISC single-photon 3D data: 50 ns; ends estimate", True),
+        "jitter_fwhm_s": Range(50e-12, 150e-12, "Instruments 4, 14: under 50 ps (16×1 array); upper end estimate"),
+        "jitter_tail_s": Range(
+            50e-12, 300e-12, "61 and 129 ps fitted to a published 20 µm CMOS response; end estimate"
+        ),
+        "jitter_tail_fraction": Range(0.05, 0.3, ESTIMATE),
+        "afterpulse_probability": Range(1e-4, 0.02, ESTIMATE, True),
+        "afterpulse_time_s": Range(10e-9, 200e-9, ESTIMATE, True),
+        "hot_pixel_fraction": Range(0.01, 0.01, ESTIMATE),
+        "hot_pixel_factor": Range(30, 300, ESTIMATE, True),
+        "crosstalk_probability": Range(1e-4, 0.01, ESTIMATE, True),
+        "repetition_rate_hz": Range(
+            10e6, 40e6, "WISC single-photon 3D data: 10 MHz; Instruments 4, 14: 40 MHz", True
+        ),
+    },
+    "ingaas": {
+        "pde": Range(0.1, 0.3, "arXiv 1204.4594: 10 %; Photonics 2025, 12, 534: 30 %"),
+        "dark_count_rate_hz": Range(500, 1e4, "arXiv 1204.4594: 600 Hz at 10 %; upper end estimate", True),
+        "dead_time_s": Range(0.2e-6, 10e-6, ESTIMATE, True),
+        "jitter_fwhm_s": Range(150e-12, 300e-12, ESTIMATE),
+        "jitter_tail_s": Range(100e-12, 500e-12, ESTIMATE),
+        "jitter_tail_fraction": Range(0.05, 0.3, ESTIMATE),
+        "afterpulse_probability": Range(0.01, 0.1, ESTIMATE, True),
+        "afterpulse_time_s": Range(1.1e-6, 2.4e-6, "arXiv 2106.05599: decay of 1.1–2.4 µs"),
+        "repetition_rate_hz": Range(0.5e6, 5e6, ESTIMATE, True),
+    },
+    "consumer_dtof": {
+        "pde": Range(0.02, 0.05, ESTIMATE),
+        "dark_count_rate_hz": Range(1e3, 3e4, ESTIMATE, True),
+        "dead_time_s": Range(5e-9, 20e-9, ESTIMATE),
+        "jitter_fwhm_s": Range(100e-12, 300e-12, ESTIMATE),
+        "afterpulse_probability": Range(1e-4, 0.02, ESTIMATE, True),
+        "afterpulse_time_s": Range(10e-9, 100e-9, ESTIMATE, True),
+        "repetition_rate_hz": Range(5e6, 20e6, ESTIMATE, True),
+    },
+}
+
+DETECTOR_CLASSES: Mapping[str, Mapping[str, Range]] = MappingProxyType(
+    {name: MappingProxyType(ranges) for name, ranges in _CLASSES.items()}
+)
+"""Class name → parameter name (those of `Spad` and `Exposure`, SI units) → range with its source."""
+
+_WITH_PDE = frozenset({"dark_count_rate_hz", "afterpulse_probability", "crosstalk_probability"})
+"""A higher overvoltage raises the PDE and these alike: within a class they are drawn together."""
+
+_LONG_DEAD_TIME_QUIETS = "afterpulse_probability"
+"""A longer hold-off empties the traps: it is what the dead time of a real detector is chosen for."""
+
+
+def draw_class_parameters(name: str, rng: np.random.Generator) -> dict[str, float]:
+    """One detector of the class: parameter name → value in SI units.
+
+    A common number, the overvoltage, moves PDE, dark counts, afterpulses and crosstalk up together (half of each
+    number's place in its range; the other half is its own); afterpulses also fall with the dead time's place.
+    Every value stays in its range.
+    """
+    ranges = DETECTOR_CLASSES[name]
+    overvoltage = rng.random()
+    place = {key: rng.random() for key in ranges}
+    for key in ranges:
+        if key == "pde" or key in _WITH_PDE:
+            place[key] = 0.5 * (place[key] + overvoltage)
+    if _LONG_DEAD_TIME_QUIETS in ranges:
+        place[_LONG_DEAD_TIME_QUIETS] = 0.5 * (place[_LONG_DEAD_TIME_QUIETS] + 1.0 - place["dead_time_s"])
+    return {key: r.at(place[key]) for key, r in ranges.items()}

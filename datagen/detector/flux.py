@@ -1,0 +1,226 @@
+"""From transient to flux: expected avalanche-capable events per laser cycle, over the whole laser period.
+
+    λ_i = gate_i · [PDE · (signal_i + ambient · w_i) + dark · w_i]
+
+Bins outside the recorded window count too: what happens there keeps the detector dead inside. Where nothing but
+background happens, far from the window, they are merged into long ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import ArrayLike, NDArray
+
+from datagen.detector.irf import Kernel, response_kernel, spread
+from datagen.detector.spad import Exposure, Spad
+from datagen.errors import InputError
+from datagen.records import TimeAxis
+
+_MAX_PERIOD_BINS = 8_000_000
+_RAMP_PIECES = 16
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One laser period cut into bins; phase 0 is the start of the time axis.
+
+    Attributes
+    ----------
+    edges_s : (n + 1,) bin edges from 0 to the period. The first `front` bins are the recorded window and a margin on
+        the TDC's lattice; then long background bins, if any; the last `back` bins are on the lattice before phase 0.
+    gate : (n,) mean sensitivity of each bin, 0 … 1.
+    window : recorded bins; a time axis longer than the period leaves the bins beyond it empty.
+    bins : bins of the time axis.
+    before_avalanche, after_avalanche : displacement of photons (pulse, carrier diffusion) and of records (TDC).
+    """
+
+    period_s: float
+    width_s: float
+    edges_s: NDArray[np.float64]
+    gate: NDArray[np.float64]
+    front: int
+    back: int
+    window: int
+    bins: int
+    before_avalanche: Kernel
+    after_avalanche: Kernel
+
+    @property
+    def widths_s(self) -> NDArray[np.float64]:
+        return np.diff(self.edges_s)
+
+
+def cycle_of(time: TimeAxis, spad: Spad, exposure: Exposure) -> Cycle:
+    """Lay out the laser period for a time axis.
+
+    A time axis longer than the period is folded: light that comes later than a period is recorded, like any real TDC
+    would, in the bins after the next pulse, and the bins beyond the period stay empty. In mode `ideal` such pulses
+    are taken as isolated instead (nothing is folded).
+
+    Raises `InputError` for a gate that is not within the period and for bins longer than it.
+    """
+    width, bins, period = time.width_s, time.bins, exposure.period_s
+    pulse = response_kernel(width, exposure.pulse_fwhm_s, spad.jitter_tail_s, spad.jitter_tail_fraction)
+    jitter = response_kernel(width, spad.jitter_fwhm_s)
+    after, before = pulse.after + jitter.before, pulse.before + jitter.after
+    if spad.mode == "ideal" and bins * width > period * (1 + 1e-9):
+        period = (bins + after + before) * width
+    whole = int(np.floor(period / width * (1 + 1e-12) + 1e-9))
+    if whole < 1:
+        raise InputError(
+            f"bin width {width:g} s with a laser period of {period:g} s: a bin must not be longer than the period; "
+            "use narrower bins or a lower repetition_rate_hz"
+        )
+    lattice = width * np.arange(min(whole, bins + after) + 1)
+    if whole > bins + after + before + 1:
+        start, stop = lattice[-1], period - before * width
+        knots = [t for t in _gate_knots(time, spad, period) if start < t < stop]
+        tail = period - width * np.arange(before, -1, -1)
+        edges = np.concatenate([lattice, np.array(knots), tail])
+        front, back = bins + after, before
+    else:
+        lattice = width * np.arange(whole + 1)
+        rest = period - whole * width
+        edges = np.append(lattice, period) if rest > 1e-6 * width else lattice
+        edges[-1] = period
+        front, back = len(edges) - 1, 0
+    if len(edges) > _MAX_PERIOD_BINS:
+        raise InputError(
+            f"laser period {period:g} s in bins of {width:g} s: {len(edges)} bins, at most {_MAX_PERIOD_BINS} are "
+            "handled; check repetition_rate_hz, the bin width and the jitter"
+        )
+    gate = _gate(edges, time, spad, period)
+    return Cycle(period, width, edges, gate, front, back, min(bins, len(edges) - 1), bins, pulse, jitter)
+
+
+def _gate_span(time: TimeAxis, spad: Spad, period_s: float) -> tuple[float, float] | None:
+    """Phases at which the gate opens and is shut again; None without a gate."""
+    if spad.gate_start_s is None or spad.gate_width_s is None:
+        return None
+    start = spad.gate_start_s - time.start_s
+    stop = start + spad.gate_width_s
+    slack = 1e-9 * period_s
+    if start < -slack or stop > period_s + slack:
+        low, high = time.start_s, time.start_s + period_s
+        raise InputError(
+            f"Spad.gate_start_s = {spad.gate_start_s:g}, gate_width_s = {spad.gate_width_s:g}: the gate must lie in "
+            f"the laser period, {low:g} … {high:g} s on the time axis; move or narrow it"
+        )
+    return max(start, 0.0), min(stop, period_s)
+
+
+def _gate_knots(time: TimeAxis, spad: Spad, period_s: float) -> list[float]:
+    """Phases at which the gate's slope changes, ramps cut into short pieces; ascending."""
+    span = _gate_span(time, spad, period_s)
+    if span is None:
+        return []
+    start, stop = span
+    ramp = spad.gate_rise_s * np.linspace(0, 1, _RAMP_PIECES + 1)
+    knots = np.unique(np.concatenate([start + ramp, stop - ramp]))
+    keep = np.append(True, np.diff(knots) > 1e-12 * period_s)
+    return [float(t) for t in knots[keep]]
+
+
+def _gate(edges_s: NDArray[np.float64], time: TimeAxis, spad: Spad, period_s: float) -> NDArray[np.float64]:
+    """(n,) mean over each bin of the trapezoid 0 → 1 → 0."""
+    span = _gate_span(time, spad, period_s)
+    if span is None:
+        return np.ones(len(edges_s) - 1)
+    start, stop = span
+    rise = spad.gate_rise_s
+
+    def ramp_integral(t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """∫ of a ramp from 0 at 0 to 1 at `rise` and 1 ever after."""
+        return np.where(t < rise, 0.5 * t**2 / rise if rise > 0 else 0.0, t - 0.5 * rise) * (t > 0)
+
+    opened = ramp_integral(edges_s - start) - ramp_integral(edges_s - (stop - rise))
+    gate = np.diff(opened) / np.diff(edges_s)
+    gate = np.where(np.abs(gate - 1) < 1e-6, 1.0, np.where(np.abs(gate) < 1e-9, 0.0, gate))
+    return np.clip(gate, 0.0, 1.0)
+
+
+def fold_matrix(first: int, count: int, width_s: float, edges_s: NDArray[np.float64]) -> scipy.sparse.csr_matrix:
+    """(count, n) share of each lattice bin `first … first + count − 1` that falls into each bin of the period."""
+    period, bins = edges_s[-1], len(edges_s) - 1
+    number = np.arange(first, first + count)
+    # A bin that coincides with one of the period is copied whole; only the others need their overlaps worked out.
+    safe = np.clip(number, 0, bins - 1)
+    aligned = (number >= 0) & (number < bins)
+    aligned &= np.abs(edges_s[safe] - number * width_s) < 1e-6 * width_s
+    aligned &= np.abs(edges_s[safe + 1] - (number + 1) * width_s) < 1e-6 * width_s
+    rows, columns = list(np.flatnonzero(aligned)), list(number[aligned])
+    shares = [1.0] * len(rows)
+    for row in np.flatnonzero(~aligned):
+        start = float(number[row] * width_s % period)
+        pieces = [(start, min(start + width_s, period))]
+        if start + width_s > period:
+            pieces.append((0.0, start + width_s - period))
+        for low, high in pieces:
+            left = max(int(np.searchsorted(edges_s, low, side="right")) - 1, 0)
+            right = min(int(np.searchsorted(edges_s, high, side="left")), bins)
+            for column in range(left, right):
+                share = (min(high, edges_s[column + 1]) - max(low, edges_s[column])) / width_s
+                if share > 1e-6:
+                    rows.append(row)
+                    columns.append(column)
+                    shares.append(share)
+    matrix = scipy.sparse.csr_matrix((shares, (rows, columns)), shape=(count, bins))
+    sums = np.asarray(matrix.sum(axis=1)).ravel()
+    return scipy.sparse.csr_matrix(scipy.sparse.diags(1.0 / sums) @ matrix)
+
+
+def flux_per_cycle(
+    transient: NDArray[np.float64], cycle: Cycle, spad: Spad, exposure: Exposure, first_pixel: int = 0
+) -> NDArray[np.float64]:
+    """(laser, pixel, n) λ: expected avalanche-capable events per cycle in each bin of the period."""
+    signal = spread(transient * exposure.photons_per_pulse, cycle.before_avalanche)
+    fold = fold_matrix(-cycle.before_avalanche.before, signal.shape[-1], cycle.width_s, cycle.edges_s)
+    lasers, pixels = signal.shape[:2]
+    signal = (fold.T @ signal.reshape(lasers * pixels, -1).T).T.reshape(lasers, pixels, -1)
+    background = spad.pde * exposure.ambient_rate_hz + dark_count_rates(spad, pixels, first_pixel)
+    return cycle.gate * (spad.pde * signal + background[:, None] * cycle.widths_s)
+
+
+def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> NDArray[np.float64]:
+    """(pixels,) dark counts per second of pixels `first_pixel`, …; some of them hot."""
+    rates = np.full(pixels, float(spad.dark_count_rate_hz))
+    if spad.hot_pixel_fraction > 0:
+        rates[hot_pixels(spad, pixels, first_pixel)] *= spad.hot_pixel_factor
+    return rates
+
+
+def hot_pixels(spad: Spad, pixels: int, first_pixel: int = 0) -> NDArray[np.bool_]:
+    """(pixels,) which pixels are hot: a property of the array, the same for every laser point and block."""
+    # One random word a pixel from a counter-based generator, so that a block needs no words of other pixels.
+    key = np.random.SeedSequence(spad.hot_pixel_seed).generate_state(2, np.uint64)
+    bits = np.random.Philox(key=key, counter=first_pixel // 4)
+    words = bits.random_raw(pixels + first_pixel % 4)[first_pixel % 4 :]
+    return (words >> np.uint64(11)) * 2.0**-53 < spad.hot_pixel_fraction
+
+
+def checked_transient(transient: ArrayLike, time: TimeAxis, photons_per_pulse: float) -> NDArray[np.float64]:
+    """(laser, pixel, bin) float64 view of a transient, refused with its first offending entry named."""
+    try:
+        values = np.asarray(transient, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("transient: an array of real numbers (laser, pixel, bin) is needed") from None
+    if values.ndim not in (1, 3):
+        raise InputError(f"transient: shape {values.shape} given; (laser, pixel, bin) or (bin,) is needed")
+    if values.shape[-1] != time.bins or values.size == 0:
+        raise InputError(
+            f"transient: shape {values.shape} with a time axis of {time.bins} bins; the last axis must be the bins "
+            "and no axis may be empty"
+        )
+    values = values.reshape((1, 1, -1)) if values.ndim == 1 else values
+    # One pass for the usual case: a NaN fails both comparisons.
+    if not (values.min() >= 0 and values.max() * max(photons_per_pulse, 1.0) < 1e300):
+        bad = ~((values >= 0) & (values * max(photons_per_pulse, 1.0) < 1e300))
+        laser, pixel, bin_ = (int(i) for i in np.argwhere(bad)[0])
+        raise InputError(
+            f"transient[laser {laser}, pixel {pixel}, bin {bin_}] = {values[laser, pixel, bin_]:g}: must be a finite "
+            f"number ≥ 0 ({np.count_nonzero(bad)} such entries)"
+        )
+    return values

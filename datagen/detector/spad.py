@@ -1,0 +1,186 @@
+"""What a measurement is made with: the detector (`Spad`) and the conditions it works under (`Exposure`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from datagen.errors import InputError
+
+Mode = Literal["ideal", "synchronous", "free_running"]
+"""`ideal`: every avalanche-capable event is counted. `synchronous`: armed afresh at the start of each laser cycle.
+`free_running`: armed whenever the dead time is over, whatever the laser does."""
+
+MAX_CYCLES = 2**53
+"""Above this a cycle number is no longer an exact float64."""
+
+
+@dataclass(frozen=True)
+class Spad:
+    """A single-photon avalanche diode, or an array of equal ones, with its time-to-digital converter (TDC).
+
+    Times are on the axis of the `TimeAxis` that goes with the transient; its bin width is the TDC's.
+
+    Attributes
+    ----------
+    pde : photon detection efficiency × fill factor, 0 … 1.
+    dark_count_rate_hz : thermally generated avalanches per second, of a pixel that is not hot.
+    hot_pixel_fraction : share of hot pixels, 0 … 1; whether pixel `p` is hot depends on `hot_pixel_seed` and `p` only.
+    hot_pixel_factor : dark-count rate of a hot pixel, in units of `dark_count_rate_hz`; ≥ 1.
+    hot_pixel_seed : which pixels of the array are the hot ones; ≥ 0.
+    dead_time_s : time after an avalanche during which no other can start; ≥ 0, may exceed the laser period.
+    paralyzable : a photon that falls into the dead time restarts it (a passively quenched diode).
+    gate_start_s, gate_width_s : the diode is on in `[start, start + width]` of every laser period; both None: always.
+    gate_rise_s : the sensitivity climbs from 0 to 1 within this time from the gate's start, and falls likewise before
+        its end; 0 … width / 2.
+    jitter_fwhm_s : Gaussian timing jitter of avalanche build-up and TDC. It displaces *recorded events*.
+    jitter_tail_s : mean delay of carriers that diffuse to the junction. It displaces photons *before* the avalanche.
+    jitter_tail_fraction : share of the photons that is so delayed, 0 … 1.
+    afterpulse_probability : probability that an avalanche is followed by an afterpulse once the diode is armed again.
+    afterpulse_times_s : release times of the traps; one number or several.
+    afterpulse_weights : each trap's share; empty: equal shares.
+    crosstalk_probability : probability that an avalanche sets off one in a given nearest neighbour (up to four).
+    array_columns : pixels in a row of the array (the pixel axis is row-major); None: one row, as in a line sensor.
+    counter_max : counts at which a bin's counter stays; None: counters never saturate.
+    mode : see `Mode`; `ideal` counts every event, so dead time, afterpulsing and crosstalk play no part in it.
+
+    Not modelled: recovery of the PDE after the dead time, twilight pulses, gate memory, TDC nonlinearity.
+    """
+
+    pde: float = 0.3
+    dark_count_rate_hz: float = 0.0
+    dead_time_s: float = 0.0
+    jitter_fwhm_s: float = 0.0
+    jitter_tail_s: float = 0.0
+    jitter_tail_fraction: float = 1.0
+    afterpulse_probability: float = 0.0
+    afterpulse_times_s: tuple[float, ...] = (50e-9,)
+    afterpulse_weights: tuple[float, ...] = ()
+    mode: Mode = "free_running"
+    paralyzable: bool = False
+    gate_start_s: float | None = None
+    gate_width_s: float | None = None
+    gate_rise_s: float = 0.0
+    hot_pixel_fraction: float = 0.0
+    hot_pixel_factor: float = 100.0
+    hot_pixel_seed: int = 0
+    crosstalk_probability: float = 0.0
+    array_columns: int | None = None
+    counter_max: int | None = None
+
+    def __post_init__(self) -> None:
+        times = self.afterpulse_times_s
+        times = tuple(times) if isinstance(times, (tuple, list, np.ndarray)) else (times,)
+        object.__setattr__(self, "afterpulse_times_s", times)
+        object.__setattr__(self, "afterpulse_weights", tuple(self.afterpulse_weights))
+        for name, low, high, remedy in (
+            ("pde", 0.0, 1.0, "it is a probability; give 0.3 for 30 %"),
+            ("dark_count_rate_hz", 0.0, 1e12, "counts per second"),
+            ("dead_time_s", 0.0, 1.0, "seconds; 50 ns is 50e-9, 0 switches dead time off"),
+            ("jitter_fwhm_s", 0.0, 1.0, "seconds; 60 ps is 60e-12, 0 switches jitter off"),
+            ("jitter_tail_s", 0.0, 1.0, "seconds; 0 switches the tail off"),
+            ("jitter_tail_fraction", 0.0, 1.0, "it is the share of delayed photons"),
+            ("afterpulse_probability", 0.0, 0.5, "above it afterpulses would run away"),
+            ("gate_rise_s", 0.0, 1.0, "seconds"),
+            ("hot_pixel_fraction", 0.0, 1.0, "it is a share of the pixels"),
+            ("hot_pixel_factor", 1.0, 1e9, "a hot pixel has more dark counts than others"),
+            ("crosstalk_probability", 0.0, 0.2, "per neighbour; above it avalanches would run away"),
+        ):
+            check_number("Spad", name, getattr(self, name), low, high, remedy)
+        check_integer("Spad", "hot_pixel_seed", self.hot_pixel_seed, 0, 2**63 - 1)
+        for name in ("array_columns", "counter_max"):
+            if getattr(self, name) is not None:
+                check_integer("Spad", name, getattr(self, name), 1, 2**62)
+        if self.mode not in get_args(Mode):
+            raise InputError(f"Spad.mode = {self.mode!r}: must be one of {', '.join(get_args(Mode))}")
+        if not isinstance(self.paralyzable, bool):
+            raise InputError(f"Spad.paralyzable = {self.paralyzable!r}: must be True or False")
+        if self.paralyzable and (self.afterpulse_probability > 0 or self.crosstalk_probability > 0):
+            raise InputError(
+                "Spad.paralyzable = True with afterpulsing or crosstalk: a model of the three together is not offered; "
+                "set afterpulse_probability and crosstalk_probability to 0"
+            )
+        self._check_traps()
+        self._check_gate()
+
+    def _check_traps(self) -> None:
+        times, weights = self.afterpulse_times_s, self.afterpulse_weights
+        if not times:
+            raise InputError("Spad.afterpulse_times_s = (): at least one release time in seconds is needed")
+        for value in times:
+            check_number("Spad", "afterpulse_times_s", value, 1e-15, 1.0, "release times in seconds, such as 50e-9")
+        for value in weights:
+            check_number("Spad", "afterpulse_weights", value, 0.0, 1e12, "relative shares of the traps")
+        if weights and (len(weights) != len(times) or sum(weights) <= 0):
+            raise InputError(
+                f"Spad.afterpulse_weights = {weights}: {len(times)} weights with a positive sum are needed, one for "
+                "each of afterpulse_times_s; leave them out for equal shares"
+            )
+
+    def _check_gate(self) -> None:
+        start, width = self.gate_start_s, self.gate_width_s
+        if (start is None) != (width is None):
+            raise InputError(
+                f"Spad.gate_start_s = {start}, gate_width_s = {width}: give both, or leave both out for no gate"
+            )
+        if start is None or width is None:
+            return
+        check_number("Spad", "gate_start_s", start, -1.0, 1.0, "seconds on the time axis")
+        check_number("Spad", "gate_width_s", width, 1e-15, 1.0, "seconds; a gate needs a positive width")
+        if 2 * self.gate_rise_s > width:
+            raise InputError(
+                f"Spad.gate_rise_s = {self.gate_rise_s:g}: must be at most half of gate_width_s = {width:g}; "
+                "rise and fall lie within the gate"
+            )
+
+    @property
+    def trap_loads(self) -> tuple[float, ...]:
+        """Expected releases that an avalanche leaves in each trap: w_k μ with μ = −ln(1 − p_ap)."""
+        weights = np.asarray(self.afterpulse_weights or np.ones(len(self.afterpulse_times_s)))
+        return tuple(float(w) for w in -np.log1p(-self.afterpulse_probability) * weights / weights.sum())
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """How long, how bright, how often.
+
+    Attributes
+    ----------
+    repetition_rate_hz : laser pulses per second; the laser period is its inverse.
+    cycles : number of laser pulses in the exposure.
+    photons_per_pulse : photons that leave the laser in one pulse; signal per cycle = transient × photons_per_pulse.
+    ambient_rate_hz : background photons per second at one pixel's aperture, before the PDE.
+    pulse_fwhm_s : width of the Gaussian laser pulse; it displaces photons before the avalanche.
+    """
+
+    repetition_rate_hz: float = 10e6
+    cycles: int = 10**6
+    photons_per_pulse: float = 1e9
+    ambient_rate_hz: float = 0.0
+    pulse_fwhm_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_number("Exposure", "repetition_rate_hz", self.repetition_rate_hz, 1e-3, 1e13, "pulses per second")
+        check_integer("Exposure", "cycles", self.cycles, 1, MAX_CYCLES)
+        check_number("Exposure", "photons_per_pulse", self.photons_per_pulse, 0.0, 1e30, "photons")
+        check_number("Exposure", "ambient_rate_hz", self.ambient_rate_hz, 0.0, 1e15, "photons per second")
+        check_number("Exposure", "pulse_fwhm_s", self.pulse_fwhm_s, 0.0, 1.0, "seconds; 50 ps is 50e-12")
+
+    @property
+    def period_s(self) -> float:
+        return 1.0 / self.repetition_rate_hz
+
+
+def check_number(record: str, name: str, value: object, low: float, high: float, remedy: str) -> None:
+    """Raise `InputError` unless `value` is a real number in low … high."""
+    is_number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    if not is_number or not low <= value <= high:  # type: ignore[operator]
+        raise InputError(f"{record}.{name} = {value!r}: must be a number in {low:g} … {high:g} ({remedy})")
+
+
+def check_integer(record: str, name: str, value: object, low: int, high: int) -> None:
+    """Raise `InputError` unless `value` is an integer in low … high."""
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not low <= value <= high:
+        raise InputError(f"{record}.{name} = {value!r}: must be an integer in {low} … {high}")

@@ -1,0 +1,126 @@
+"""The time-to-digital converter: jitter of recorded events, the recorded window, counters that saturate."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.detector.flux import Cycle, fold_matrix
+from datagen.detector.irf import spread
+
+N = TypeVar("N", bound=np.generic)
+
+
+class Tdc:
+    """Moves detections from the bins of the laser period to those of the recorded histogram.
+
+    A detection in bin i is written down in bin i + k with the probability that the bin-integrated jitter gives to k.
+    Displacements across the ends of the period come out at its other end; records outside the window are lost.
+    """
+
+    def __init__(self, cycle: Cycle) -> None:
+        self._cycle = cycle
+        jitter = cycle.after_avalanche
+        self._merged = cycle.front < len(cycle.gate)
+        lattice = cycle.back + cycle.front
+        self._first = -cycle.back - jitter.before
+        self._length = lattice + len(jitter.weights) - 1
+        if jitter.is_identity or self._merged:
+            return
+        fold = fold_matrix(self._first, self._length, cycle.width_s, cycle.edges_s)[:, : cycle.window].tocsr()
+        self._fold = fold
+        self._fold_rows = fold.indptr.astype(np.int64)
+        self._fold_columns = fold.indices.astype(np.int64)
+        self._fold_shares = fold.data
+
+    def mean(self, detections: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(…, n) expected detections per bin of the period → (…, bins) expected records."""
+        cycle, jitter = self._cycle, self._cycle.after_avalanche
+        out = np.zeros((*detections.shape[:-1], cycle.bins))
+        if jitter.is_identity:
+            out[..., : cycle.window] = detections[..., : cycle.window]
+            return out
+        scattered = spread(self._on_lattice(detections), jitter)
+        if self._merged:
+            out[...] = scattered[..., -self._first : -self._first + cycle.bins]
+        else:
+            flat = scattered.reshape(-1, scattered.shape[-1])
+            out[..., : cycle.window] = (self._fold.T @ flat.T).T.reshape(*out.shape[:-1], -1)
+        return out
+
+    def draw(self, detections: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
+        """(n,) detections → (bins,) records: a multinomial for each bin."""
+        cycle, jitter = self._cycle, self._cycle.after_avalanche
+        out = np.zeros(cycle.bins, np.int64)
+        if jitter.is_identity:
+            out[: cycle.window] = detections[: cycle.window]
+            return out
+        # Displacements are handed out from the likeliest on, so that few are left to draw for the long wings.
+        order = np.argsort(-jitter.weights, kind="stable")
+        scattered = _scatter(self._on_lattice(detections), jitter.weights[order], order, rng)
+        if self._merged:
+            out[:] = scattered[-self._first : -self._first + cycle.bins]
+        else:
+            _fold_counts(scattered, self._fold_rows, self._fold_columns, self._fold_shares, out, rng)
+        return out
+
+    def _on_lattice(self, detections: NDArray[N]) -> NDArray[N]:
+        cycle = self._cycle
+        n = detections.shape[-1]
+        if cycle.back == 0:
+            return detections[..., : cycle.front]
+        return np.concatenate([detections[..., n - cycle.back :], detections[..., : cycle.front]], axis=-1)
+
+
+@numba.njit(cache=True)
+def _scatter(
+    counts: NDArray[np.int64], weights: NDArray[np.float64], offsets: NDArray[np.int64], rng: np.random.Generator
+) -> NDArray[np.int64]:
+    """Each of `counts` goes `offsets[k]` bins on with probability `weights[k]`; weights descend and sum to 1."""
+    taps = len(weights)
+    out = np.zeros(len(counts) + taps - 1, np.int64)
+    cumulative = np.cumsum(weights)
+    for i in range(len(counts)):
+        left = counts[i]
+        if left == 0:
+            continue
+        if left <= 2 * taps:
+            for _ in range(left):
+                k = min(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"), taps - 1)
+                out[i + offsets[k]] += 1
+            continue
+        rest = 1.0
+        for k in range(taps):
+            if left == 0:
+                break
+            share = weights[k] / rest
+            moved = left if k == taps - 1 or share >= 1.0 else rng.binomial(left, share)
+            out[i + offsets[k]] += moved
+            left -= moved
+            rest -= weights[k]
+    return out
+
+
+@numba.njit(cache=True)
+def _fold_counts(
+    counts: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    shares: NDArray[np.float64],
+    out: NDArray[np.int64],
+    rng: np.random.Generator,
+) -> None:
+    """Add `counts` to `out`, bin r split over its columns by its shares; what no column takes is lost."""
+    for r in range(len(counts)):
+        left, rest = counts[r], 1.0
+        for e in range(rows[r], rows[r + 1]):
+            if left == 0:
+                break
+            share = shares[e] / rest
+            moved = left if share >= 1.0 - 1e-9 else rng.binomial(left, share)
+            out[columns[e]] += moved
+            left -= moved
+            rest -= shares[e]
