@@ -14,7 +14,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Range:
-    """Values of one parameter, uniform between `low` and `high`, in the logarithm if `log`, and where they are from."""
+    """Values of one parameter, uniform in low … high (in the logarithm if `log`), and where they are from."""
 
     low: float
     high: float

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from datagen.config.detector import DetectorConfig
 from datagen.config.distributions import Distribution, draw
 from datagen.detector.classes import DETECTOR_CLASSES, draw_class_parameters
@@ -72,21 +74,22 @@ def detector_for(
         ambient_rate_hz=draw(config.ambient_rate_hz, rng),
         pulse_fwhm_s=draw(config.pulse_fwhm_ps, rng) * 1e-12,
     )
-    gate = {}
+    gate: dict[str, Any] = {}
     if config.gate is not None:
         gate = {
             "gate_start_s": draw(config.gate.start_ns, rng) * 1e-9,
             "gate_width_s": draw(config.gate.width_ns, rng) * 1e-9,
             "gate_rise_s": draw(config.gate.rise_ps, rng) * 1e-12,
         }
+    numbers: dict[str, Any] = dict(values)
     spad = Spad(
-        afterpulse_times_s=(values.pop("afterpulse_time_s"),),
+        afterpulse_times_s=(numbers.pop("afterpulse_time_s"),),
         mode=config.mode,
         paralyzable=config.paralyzable,
         hot_pixel_seed=int(rng.integers(2**62)),
         array_columns=config.array_columns,
         counter_max=config.counter_max,
-        **values,
+        **numbers,
         **gate,
     )
     return spad, exposure

@@ -81,7 +81,7 @@ def response_kernel(width_s: float, fwhm_s: float, tail_s: float = 0.0, tail_fra
             f"timing response of {fwhm_s:g} s FWHM and {tail:g} s tail on bins of {width_s:g} s: longer than "
             f"{LONGEST_KERNEL} bins; check the units of jitter_fwhm_s, jitter_tail_s, pulse_fwhm_s and the bin width"
         )
-    edges = (np.arange(-before, after + 2) - 0.5) * width_s
+    edges = (np.arange(-before, after + 2, dtype=np.float64) - 0.5) * width_s
     weights = np.maximum(np.diff(response_cdf(edges, sigma, tail, tail_fraction)), 0.0)
     return Kernel(weights / weights.sum(), before)
 

@@ -27,7 +27,7 @@ class Spad:
     ----------
     pde : photon detection efficiency × fill factor, 0 … 1.
     dark_count_rate_hz : thermally generated avalanches per second, of a pixel that is not hot.
-    hot_pixel_fraction : share of hot pixels, 0 … 1; whether pixel `p` is hot depends on `hot_pixel_seed` and `p` only.
+    hot_pixel_fraction : share of hot pixels, 0 … 1; which they are depends on `hot_pixel_seed` only.
     hot_pixel_factor : dark-count rate of a hot pixel, in units of `dark_count_rate_hz`; ≥ 1.
     hot_pixel_seed : which pixels of the array are the hot ones; ≥ 0.
     dead_time_s : time after an avalanche during which no other can start; ≥ 0, may exceed the laser period.
@@ -99,7 +99,7 @@ class Spad:
             raise InputError(f"Spad.paralyzable = {self.paralyzable!r}: must be True or False")
         if self.paralyzable and (self.afterpulse_probability > 0 or self.crosstalk_probability > 0):
             raise InputError(
-                "Spad.paralyzable = True with afterpulsing or crosstalk: a model of the three together is not offered; "
+                "Spad.paralyzable = True with afterpulsing or crosstalk: the three together are not modelled; "
                 "set afterpulse_probability and crosstalk_probability to 0"
             )
         self._check_traps()
