@@ -58,6 +58,15 @@ class BuildResult:
     failures: dict[int, str]
     seconds: float
 
+    def summary(self) -> str:
+        """One line for people."""
+        did = f"{self.built} shards built in {self.seconds:.1f} s" if self.built else "nothing left to build"
+        found = f", {self.kept} were there" if self.kept else ""
+        state = (
+            f"complete with {self.scenes} scenes" if self.complete else "not complete yet: other shards are missing"
+        )
+        return f"{self.path}: {did}{found}; {state}"
+
 
 def build(
     config: DatasetConfig,

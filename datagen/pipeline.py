@@ -34,7 +34,7 @@ def simulate_sample(config: DatasetConfig, index: int) -> Sample:
         accuracy = config.transport.accuracy()
         transient = simulate(scene, capture, accuracy, seed=derived_seed(seed, index, Purpose.TRANSPORT))
     with _timed(seconds, "detector"):
-        spad, exposure = detector_for(config.detector, seed, index)
+        spad, exposure = detector_for(config.detector, seed, index, capture.time)
         counts = detect(
             transient.total, capture.time, spad, exposure, seed=derived_seed(seed, index, Purpose.DETECTOR)
         )
@@ -59,8 +59,9 @@ def check_inputs(config: DatasetConfig) -> None:
     """
     check_scene_config(config.scene)
     scene = generate_scene(config.scene, config.seed, 0)
-    capture_for(config, scene)
-    detector_for(config.detector, config.seed, 0)
+    time_axis = capture_for(config, scene).time
+    spad, exposure = detector_for(config.detector, config.seed, 0, time_axis)
+    detect(np.zeros((1, 1, time_axis.bins)), time_axis, spad, exposure, seed=0)
 
 
 @contextmanager

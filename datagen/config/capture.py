@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
+from datagen.records import TimeAxis
 
 Count = Annotated[int, Field(ge=1, le=65536)]
 Metres = Annotated[float, Field(gt=0, le=1e5)]
@@ -53,6 +54,10 @@ class TimeConfig(Settings):
     origin: Literal["source", "wall"] = "wall"
     """`source` counts from laser emission (both device legs included), `wall` from laser point to FoV point."""
 
+    def axis(self) -> TimeAxis:
+        """The time axis in seconds."""
+        return TimeAxis(self.bins, self.bin_width_ps * 1e-12, self.start_ns * 1e-9, self.origin)
+
 
 class CaptureConfig(Settings):
     """How each scene is measured."""
@@ -72,7 +77,7 @@ class CaptureConfig(Settings):
         view = self.field_of_view
         if self.pairing == "confocal" and view.rows * view.columns != 1:
             raise ValueError(
-                f"field_of_view: {view.rows} × {view.columns} pixels with pairing 'confocal', which has one pixel for "
-                "each laser point; leave rows and columns out or set pairing: exhaustive"
+                f"field_of_view: {view.rows} × {view.columns} pixels with pairing 'confocal', which has one pixel "
+                "a laser point; leave rows and columns out or set pairing: exhaustive"
             )
         return self

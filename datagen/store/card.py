@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -87,13 +88,8 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
 
 def readable(size: float) -> str:
     """A number of bytes for people: `12.3 MB`."""
-    for unit in ("bytes", "kB", "MB", "GB"):
-        if size < 1000:
-            break
-        size /= 1000
-    else:
-        unit = "TB"
-    return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.3g} {unit}"
+    power = min(int(math.log(max(size, 1.0), 1000)), 4)
+    return f"{size / 1000**power:.{3 if power else 12}g} {('bytes', 'kB', 'MB', 'GB', 'TB')[power]}"
 
 
 def _failure_lines(failures: dict[int, str]) -> list[str]:

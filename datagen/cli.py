@@ -1,0 +1,170 @@
+"""The command line: every command parses, calls one function, prints. Heavy imports happen inside the commands.
+
+Exit status: 0 success, 1 a check failed, 2 bad input (one line on standard error), 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NoReturn
+
+import click
+
+from datagen._version import __version__
+from datagen.errors import CheckError, InputError
+
+INTERRUPTED = 130
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(__version__, message="datagen %(version)s")
+def cli() -> None:
+    """Datasets for machine learning on non-line-of-sight single-photon data."""
+
+
+@cli.command()
+@click.argument("config")
+@click.option("--scenes", type=int, help="Instead of the configuration's number of scenes.")
+def plan(config: str, scenes: int | None) -> None:
+    """Check CONFIG and say what building it would make."""
+    from datagen.config import load_config
+    from datagen.plan import plan_text
+
+    settings = load_config(config)
+    click.echo(plan_text(settings if scenes is None else settings.with_scenes(scenes)))
+
+
+@cli.command()
+@click.argument("config")
+@click.argument("out")
+@click.option("--scenes", type=int, help="Instead of the configuration's number; a dataset may grow.")
+@click.option("--workers", type=int, default=1, show_default=True, help="Processes, one core each.")
+@click.option("--shards", help="Only these shards, such as 0-99 or 3,7-9 (for job arrays).")
+@click.option("--engine", default="local", show_default=True, help="local or dask.")
+@click.option("--scheduler", help="Address of a Dask scheduler; left out: a cluster on this machine.")
+@click.option("--quiet", is_flag=True, help="No progress.")
+def build(
+    config: str,
+    out: str,
+    scenes: int | None,
+    workers: int,
+    shards: str | None,
+    engine: str,
+    scheduler: str | None,
+    quiet: bool,
+) -> None:
+    """Build the dataset that CONFIG describes in the folder OUT. Running it again resumes."""
+    from datagen.builder import build as build_dataset
+    from datagen.config import load_config
+
+    result = build_dataset(
+        load_config(config),
+        out,
+        workers,
+        scenes=scenes,
+        shards=shards,
+        engine=engine,
+        scheduler=scheduler,
+        progress=not quiet,
+    )
+    click.echo(result.summary())
+
+
+@cli.command()
+@click.argument("dataset")
+def verify(dataset: str) -> None:
+    """Check every file and every decoded value of DATASET."""
+    from datagen.store import verify as verify_dataset
+    from datagen.store.card import readable
+
+    found = verify_dataset(dataset)
+    for problem in found.problems:
+        click.echo(problem)
+    if found.problems:
+        raise CheckError(
+            f"{dataset}: {len(found.problems)} problems; delete what is damaged and build again to mend it"
+        )
+    click.echo(f"{dataset}: {found.scenes} scenes in {found.shards} shards, {readable(found.bytes)}: all as written")
+
+
+@cli.command()
+@click.argument("dataset")
+def info(dataset: str) -> None:
+    """Say what DATASET holds and how its build went."""
+    from datagen.store.info import info as describe
+
+    click.echo(describe(dataset))
+
+
+@cli.command()
+@click.argument("dataset")
+@click.argument("index", type=int)
+@click.option("--out", default=None, help="Folder for the pictures; left out: DATASET's name with -pictures.")
+def show(dataset: str, index: int, out: str | None) -> None:
+    """Draw scene INDEX of DATASET: room, transient, histogram, depth."""
+    from pathlib import Path
+
+    from datagen.report.show import show as draw
+    from datagen.store import read_manifest
+
+    scenes = read_manifest(dataset).schema.scenes
+    if not 0 <= index < scenes:
+        raise InputError(f"INDEX {index}: {dataset} has the scenes 0-{scenes - 1}")
+    folder = Path(out) if out else Path(dataset).resolve().with_suffix("").with_name(Path(dataset).stem + "-pictures")
+    for picture in draw(Path(dataset), index, folder):
+        click.echo(picture)
+
+
+@cli.command()
+def schema() -> None:
+    """Print the JSON Schema of configuration files, for editors."""
+    import json
+
+    from datagen.config import json_schema
+
+    click.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Entry point: run a command and exit with its status."""
+    sys.exit(run(arguments))
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; errors of the user's become one line on standard error. Returns the exit status."""
+    try:
+        status = cli.main(arguments, prog_name="datagen", standalone_mode=False)
+        sys.stdout.flush()
+        return status if isinstance(status, int) else 0
+    except click.ClickException as error:
+        return _complain(_one_line(error), 2)
+    except InputError as error:
+        return _complain(str(error), 2)
+    except CheckError as error:
+        return _complain(str(error), 1)
+    except (KeyboardInterrupt, click.Abort):
+        return _complain("interrupted; what is committed stays, run the same command again to go on", INTERRUPTED)
+    except BrokenPipeError:
+        # The reader of our output (such as `head`) has seen enough. Nothing more may be written, not even at exit.
+        _silence(sys.stdout)
+        return 0
+
+
+def _one_line(error: click.ClickException) -> str:
+    command = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else "datagen"
+    text = " ".join(error.format_message().split()).rstrip(".")
+    return f"{text[:1].lower()}{text[1:]}; see `{command} --help`"
+
+
+def _complain(message: str, status: int) -> int:
+    with suppress(BrokenPipeError):
+        print(f"datagen: {' '.join(message.split())}", file=sys.stderr, flush=True)
+    return status
+
+
+def _silence(stream: object) -> None:
+    with suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # type: ignore[attr-defined]

@@ -1,0 +1,96 @@
+"""What a dataset is and how its build went, as text."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from datagen.store.card import readable
+from datagen.store.manifest import read_manifest
+from datagen.store.record import ShardRecord
+from datagen.store.verify import committed
+
+STAGES = ("scene", "transport", "detector", "labels", "store")
+
+
+def info(path: str | Path) -> str:
+    """What, shapes, sizes, seconds per scene by stage, scenes per second, decisions. Hashes are left to `verify`."""
+    root = Path(path)
+    manifest = read_manifest(root)
+    schema, config = manifest.schema, manifest.config
+    records = committed(root, manifest)
+    scenes = sum(len(record.scenes) for record in records)
+    stored = {field.name: 0 for field in schema.fields}
+    for record in records:
+        for name, file in record.files.items():
+            stored[name.split("/")[1]] += file.bytes
+    lines = [f"{config['name']}: {config['description']}".rstrip(": "), ""]
+    whole = len(records) == schema.shards
+    lines += [
+        f"scenes       {scenes} of {schema.scenes}{'' if whole else ' (incomplete: build again to go on)'}",
+        f"shards       {len(records)} of {schema.shards}, {schema.scenes_per_shard} scenes each",
+        f"seed         {manifest.seed}",
+        f"fingerprint  {manifest.fingerprint[:12]}",
+        f"made by      datagen {manifest.versions['datagen']}, commit {(manifest.commit or 'unknown')[:12]}, "
+        f"on {manifest.hardware['processor']}, {manifest.hardware['cores']} cores",
+        "",
+        f"{'field':18}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
+    ]
+    for field in schema.fields:
+        shape = " × ".join(map(str, (schema.scenes, *field.shape)))
+        decoded = readable(scenes * field.bytes_per_scene)
+        lines.append(
+            f"{field.name:18}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
+        )
+    lines += ["", *_times(records), *_decisions(records), *_failures(records)]
+    return "\n".join(lines)
+
+
+def _times(records: Sequence[ShardRecord]) -> Iterator[str]:
+    made = [scene for record in records for scene in record.scenes if scene.failure is None]
+    if not made:
+        return
+    yield "seconds per scene (median; store: shard's share)"
+    store = statistics.median(record.seconds["store"] / len(record.scenes) for record in records)
+    for stage in STAGES:
+        taken = [scene.seconds[stage] for scene in made if stage in scene.seconds]
+        if stage == "store" or taken:
+            yield f"  {stage:11}{store if stage == 'store' else statistics.median(taken):9.4f}"
+    working = _covered([(record.started, record.finished) for record in records])
+    at_once = sum(record.finished - record.started for record in records) / working if working > 0 else 0.0
+    yield f"{len(made) / max(working, 1e-9):.2f} scenes/s, with {at_once:.1f} shards under way at a time"
+    yield ""
+
+
+def _covered(intervals: list[tuple[float, float]]) -> float:
+    """The length of the union of intervals: time when something was being made, interruptions left out."""
+    total, reached = 0.0, float("-inf")
+    for start, stop in sorted(intervals):
+        total += max(0.0, stop - max(start, reached))
+        reached = max(reached, stop)
+    return total
+
+
+def _decisions(records: Sequence[ShardRecord]) -> Iterator[str]:
+    """What was decided for each scene: parameters under `decision.`, and how many scenes have each value."""
+    counted: dict[str, dict[str, int]] = {}
+    for record in records:
+        for scene in record.scenes:
+            for name, value in scene.parameters.items():
+                if name.startswith("decision."):
+                    values = counted.setdefault(name.removeprefix("decision."), {})
+                    values[str(value)] = values.get(str(value), 0) + 1
+    if counted:
+        yield "decisions (scenes)"
+        for name, values in counted.items():
+            yield f"  {name:18}" + ", ".join(f"{value} ({count})" for value, count in sorted(values.items()))
+        yield ""
+
+
+def _failures(records: Sequence[ShardRecord]) -> Iterator[str]:
+    failures = {scene: reason for record in records for scene, reason in record.failures.items()}
+    if failures:
+        yield f"{len(failures)} scenes could not be made"
+        for scene, reason in sorted(failures.items())[:10]:
+            yield f"  scene {scene}: {reason}"
