@@ -1,0 +1,62 @@
+"""Random scene settings: every range drawn anew, so that the laws are met by more than the defaults."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from datagen.config import SceneConfig, config_from_mapping
+
+
+def _range(rng: np.random.Generator, low: float, high: float) -> dict[str, Any]:
+    a, b = sorted(rng.uniform(low, high, 2))
+    kind = rng.integers(4)
+    if kind == 0:
+        return {"uniform": [a, b]}
+    if kind == 1 and low > 0:
+        return {"log_uniform": [a, b]}
+    if kind == 2:
+        return {"normal": {"mean": (a + b) / 2, "std": (b - a) / 3 + 1e-3, "low": a, "high": b}}
+    return {"choice": [a, b, (a + b) / 2]}
+
+
+def _layout(rng: np.random.Generator, kind: str) -> dict[str, Any]:
+    common = {
+        "kind": kind,
+        "turn": str(rng.choice(["left", "right", "random"])),
+        "height_m": _range(rng, 2.2, 4.0),
+        "device_height_m": _range(rng, 0.3, 2.0),
+        "device_offset": _range(rng, 0.1, 0.9),
+    }
+    own = {
+        "l_corridor": {
+            "relay_distance_m": (5.0, 9.0),
+            "corridor_width_m": (1.0, 2.5),
+            "corridor_behind_m": (0.2, 3.0),
+            "room_length_m": (2.0, 4.5),
+            "room_width_m": (2.5, 6.0),
+        },
+    }[kind]
+    return common | {name: _range(rng, *bounds) for name, bounds in own.items()}
+
+
+def _item(rng: np.random.Generator) -> dict[str, Any]:
+    kind = str(rng.choice(["pillar", "box"]))
+    item = {"kind": kind, "count": int(rng.integers(1, 3)), "albedo": _range(rng, 0.0, 1.0)}
+    item["width_m"] = _range(rng, 0.1, 0.6)
+    if rng.random() < 0.7 or kind == "box":
+        item["depth_m"] = _range(rng, 0.1, 0.6)
+    if kind == "box":
+        item["height_m"] = _range(rng, 0.1, 1.0)
+        if rng.random() < 0.3:
+            item |= {"elevation_m": _range(rng, 0.0, 0.8), "hanging": bool(rng.random() < 0.5)}
+    return item
+
+
+def random_spec(rng: np.random.Generator, kind: str) -> SceneConfig:
+    contents = [_item(rng) for _ in range(int(rng.integers(1, 4)))]
+    materials = {name: {"albedo": _range(rng, 0.0, 1.0)} for name in ("relay_wall", "walls", "floor", "ceiling")}
+    clearance = float(rng.choice([0.001, 0.02, 0.1]))
+    scene = {"layout": _layout(rng, kind), "contents": contents, "materials": materials, "clearance_m": clearance}
+    return config_from_mapping({"scene": scene}).scene

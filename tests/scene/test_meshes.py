@@ -1,0 +1,252 @@
+"""Mesh files: every format gives the same object, and every bad file one line."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from room_laws import assert_room_laws
+from scipy.spatial import cKDTree
+
+from datagen.config import DatasetConfig, config_from_mapping
+from datagen.errors import InputError
+from datagen.records import Scene
+from datagen.scene import check_scene_config, generate_scene
+from scene_library import meshes
+from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
+
+REAL = Path(__file__).resolve().parents[3] / "shared" / "meshes"
+
+
+def spec_with(path: str, base: Path, **keys: object) -> DatasetConfig:
+    item = {"kind": "mesh", "path": path, "height_m": 1.0, **keys}
+    return config_from_mapping({"scene": {"contents": [item]}}, base_directory=base)
+
+
+def object_corners(scene: Scene) -> np.ndarray:
+    return scene.corners[scene.faces_of(scene.part_names[-1])]
+
+
+def lump() -> trimesh.Trimesh:
+    """A closed, lopsided shape that shows any wrong axis: a box with a cone to one side."""
+    cone = trimesh.creation.cone(radius=0.3, height=1.1)
+    cone.apply_translation([0.2, 0.1, 0.9])
+    return trimesh.util.concatenate([trimesh.creation.box(extents=[0.5, 0.8, 1.0]), cone])
+
+
+@pytest.mark.parametrize("suffix", meshes.SUFFIXES)
+def test_every_format_gives_the_same_object(tmp_path: Path, suffix: str) -> None:
+    lump().export(tmp_path / f"lump{suffix}")
+    lump().export(tmp_path / "reference.ply")
+    scene = generate_scene(spec_with(f"lump{suffix}", tmp_path).scene, 0, 0)
+    reference = generate_scene(spec_with("reference.ply", tmp_path).scene, 0, 0)
+    corners, expected = object_corners(scene), object_corners(reference)
+    assert len(corners) == len(expected) == len(lump().faces)
+    nearest, _ = cKDTree(corners.mean(axis=1)).query(expected.mean(axis=1))
+    assert nearest.max() < 1e-5
+    np.testing.assert_allclose(np.ptp(corners[..., 2]), 1.0)
+
+
+def test_scene_graphs_are_flattened_with_their_transforms(tmp_path: Path) -> None:
+    box = trimesh.creation.box(extents=[1, 1, 1])
+    graph = trimesh.Scene()
+    graph.add_geometry(box, node_name="low")
+    graph.add_geometry(box, node_name="high", transform=trimesh.transformations.translation_matrix([3, 0, 2]))
+    graph.export(tmp_path / "two.glb")
+    unit = unit_mesh(tmp_path / "two.glb", MeshOptions())
+    assert len(unit.triangles) == 24
+    np.testing.assert_allclose(np.ptp(unit.vertices, axis=0), [4 / 3, 1 / 3, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize("up", ["x", "-x", "y", "-y", "z", "-z"])
+def test_up_turns_the_file_and_never_mirrors_it(tmp_path: Path, up: str) -> None:
+    lump().export(tmp_path / "lump.ply")
+    unit = unit_mesh(tmp_path / "lump.ply", MeshOptions(up=up))
+    axis = "xyz".index(up[-1])
+    height = np.ptp(lump().vertices[:, axis])
+    turned = trimesh.Trimesh(unit.vertices, unit.triangles)
+    # Volume is signed: a reflection would change its sign.
+    np.testing.assert_allclose(turned.volume * height**3, lump().volume, rtol=1e-5)
+    # What pointed along `up` now points to +z: the lump's profile along that axis is the profile in z.
+    along = lump().vertices[:, axis] * (-1 if up.startswith("-") else 1)
+    expected = np.unique(np.round((along - along.min()) / height, 4))
+    np.testing.assert_allclose(np.unique(np.round(unit.vertices[:, 2], 4)), expected, atol=2e-4)
+
+
+def test_unit_of_the_file_does_not_matter(tmp_path: Path) -> None:
+    for name, scale in (("metres", 1.0), ("millimetres", 1e3), ("kilometres", 1e-3)):
+        lump().apply_scale(scale).export(tmp_path / f"{name}.ply")
+    corners = [object_corners(generate_scene(spec_with(f"{n}.ply", tmp_path).scene, 0, 0)) for n in
+               ("metres", "millimetres", "kilometres")]  # fmt: skip
+    np.testing.assert_allclose(corners[0], corners[1], atol=1e-5)
+    np.testing.assert_allclose(corners[0], corners[2], atol=1e-5)
+
+
+def test_seams_duplicates_degenerate_and_inverted_faces_are_repaired(tmp_path: Path) -> None:
+    clean = lump()
+    soup = trimesh.Trimesh(
+        clean.triangles.reshape(-1, 3), np.arange(3 * len(clean.faces)).reshape(-1, 3), process=False
+    )
+    faces = np.concatenate([soup.faces, soup.faces[:5], soup.faces[:3, ::-1], [[0, 0, 1], [2, 2, 2]]])
+    trimesh.Trimesh(soup.vertices, faces, process=False).export(tmp_path / "soup.ply")
+    unit = unit_mesh(tmp_path / "soup.ply", MeshOptions())
+    assert len(unit.triangles) == len(clean.faces)
+    assert len(unit.vertices) == len(np.unique(clean.vertices, axis=0))
+
+
+def test_simplification_keeps_the_budget_and_the_shape(tmp_path: Path) -> None:
+    trimesh.creation.icosphere(subdivisions=4).export(tmp_path / "ball.ply")
+    config = spec_with("ball.ply", tmp_path, max_triangles=400)
+    scene = generate_scene(config.scene, 0, 0)
+    corners = object_corners(scene)
+    assert 300 <= len(corners) <= 400
+    middle = (corners.reshape(-1, 3).min(axis=0) + corners.reshape(-1, 3).max(axis=0)) / 2
+    radius = np.linalg.norm(corners.reshape(-1, 3) - middle, axis=1)
+    np.testing.assert_allclose(radius, 0.5, rtol=0.05)
+
+
+def test_meshes_stand_in_the_room_by_every_law(tmp_path: Path) -> None:
+    lump().export(tmp_path / "lump.obj")
+    items = [
+        {"kind": "mesh", "path": "lump.obj", "count": 2, "height_m": {"uniform": [0.3, 1.2]}},
+        {"kind": "mesh", "path": "lump.obj", "name": "hung", "hanging": True, "height_m": 0.4, "elevation_m": 0.05},
+        {"kind": "box"},
+    ]
+    spec = config_from_mapping({"scene": {"contents": items}}, base_directory=tmp_path).scene
+    for index in range(20):
+        assert_room_laws(generate_scene(spec, 0, index), np.random.default_rng(index))
+
+
+def _write(tmp_path: Path, name: str, content: str | bytes) -> None:
+    (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+BAD_FILES = {
+    "empty.obj": ("", "is empty"),
+    "no_faces.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no triangles"),
+    "line.obj": ("v 0 0 0\nv 1 0 0\nv 2 0 0\nv 3 0 1\nf 1 2 3\n", "no area"),
+    "point.obj": ("v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "no area"),
+    "nan.obj": ("v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\n", "NaN"),
+    "flat.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "flat along its upward axis"),
+    "outside.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 9\n", ""),
+    "noise.ply": (b"ply\nformat binary_little_endian 1.0\nelement vertex 9\x00\xff\xfe", "cannot be parsed"),
+    "noise.glb": (bytes(range(256)), "cannot be parsed"),
+    "noise.stl": (b"\x00" * 84 + b"\x07", ""),
+    "text.stl": ("this is no mesh\n", ""),
+    "cloud.ply": (
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+        "0 0 0\n1 0 0\n0 1 0\n",
+        "point cloud",
+    ),
+    "mesh.fbx": ("anything", "convert it"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_bad_files_are_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    content, reason = BAD_FILES[name]
+    _write(tmp_path, name, content)
+    with pytest.raises(InputError) as told:
+        check_scene_config(spec_with(name, tmp_path).scene)
+    message = str(told.value)
+    assert message.startswith(f"scene.contents[0].path = '{name}': ")
+    assert reason in message
+    assert "\n" not in message
+
+
+def test_nan_in_a_binary_stl_is_refused(tmp_path: Path) -> None:
+    mesh = lump()
+    mesh.export(tmp_path / "nan.stl")
+    data = bytearray((tmp_path / "nan.stl").read_bytes())
+    data[84 + 12 : 84 + 16] = np.float32(np.nan).tobytes()
+    (tmp_path / "nan.stl").write_bytes(data)
+    with pytest.raises(InputError, match="NaN"):
+        check_scene_config(spec_with("nan.stl", tmp_path).scene)
+
+
+def test_missing_file_and_folder_are_refused_when_the_configuration_is_read(tmp_path: Path) -> None:
+    (tmp_path / "folder.obj").mkdir()
+    for name, reason in (("absent.obj", "no such file"), ("folder.obj", "is a directory")):
+        with pytest.raises(InputError, match=rf"scene\.contents\[0\]\.path: '{name}': {reason}"):
+            spec_with(name, tmp_path)
+
+
+def test_missing_open3d_names_the_system_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    trimesh.creation.icosphere(subdivisions=3).export(tmp_path / "ball.ply")
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(InputError, match=r"docker/system-packages\.txt") as told:
+        check_scene_config(spec_with("ball.ply", tmp_path, max_triangles=100).scene)
+    packages = (Path(__file__).parents[2] / "docker" / "system-packages.txt").read_text().split()
+    assert all(package in str(told.value) for package in packages)
+
+
+def test_a_file_is_read_once_and_again_when_it_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reads: list[Path] = []
+    original = meshes._read
+    monkeypatch.setattr(meshes, "_read", lambda path: reads.append(path) or original(path))
+    lump().export(tmp_path / "lump.ply")
+    spec = spec_with("lump.ply", tmp_path).scene
+    for index in range(3):
+        generate_scene(spec, 0, index)
+    assert len(reads) == 1
+    trimesh.creation.box().export(tmp_path / "lump.ply")
+    os.utime(tmp_path / "lump.ply", ns=(1, 1))
+    assert len(object_corners(generate_scene(spec, 0, 0))) == 12
+    assert len(reads) == 2
+
+
+def test_paths_survive_dumping_and_pickling(tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    lump().export(tmp_path / "sub" / "lump.ply")
+    config = spec_with("sub/lump.ply", tmp_path)
+    again = DatasetConfig.model_validate_json(config.model_dump_json(), context={"base_directory": str(tmp_path)})
+    sent = pickle.loads(pickle.dumps(config))
+    expected = object_corners(generate_scene(config.scene, 0, 0))
+    for other in (again, sent):
+        assert other.fingerprint() == config.fingerprint()
+        np.testing.assert_array_equal(object_corners(generate_scene(other.scene, 0, 0)), expected)
+    assert config.scene.contents[0].path == "sub/lump.ply"
+
+
+def test_fingerprint_follows_the_bytes_not_the_place(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        lump().export(tmp_path / name / "lump.ply")
+    a, b = (spec_with("lump.ply", tmp_path / n) for n in "ab")
+    assert a.fingerprint() == b.fingerprint()
+    trimesh.creation.box().export(tmp_path / "b" / "lump.ply")
+    assert a.fingerprint() != b.fingerprint()
+    (tmp_path / "b" / "lump.ply").unlink()
+    with pytest.raises(InputError, match=r"scene\.contents\[0\]\.path = 'lump.ply'"):
+        b.fingerprint()
+
+
+def test_old_configurations_open_without_their_meshes(tmp_path: Path) -> None:
+    """A dataset that was moved is still read; only building it again needs the files."""
+    lump().export(tmp_path / "lump.ply")
+    text = spec_with("lump.ply", tmp_path).model_dump_json()
+    (tmp_path / "lump.ply").unlink()
+    DatasetConfig.model_validate_json(text)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real meshes are not part of the repository")
+@pytest.mark.parametrize(("name", "triangles"), [("stanford-bunny", 69451), ("spot", 5856), ("teapot", 6320)])
+def test_real_meshes(name: str, triangles: int) -> None:
+    spec = spec_with(f"{name}.obj", REAL, up="y", height_m={"uniform": [0.5, 1.2]}).scene
+    check_scene_config(spec)
+    scene = generate_scene(spec, 0, 0)
+    assert 0.99 * triangles <= len(object_corners(scene)) <= triangles
+    small = spec_with(f"{name}.obj", REAL, up="y", height_m={"uniform": [0.5, 1.2]}, max_triangles=1500).scene
+    for index in range(5):
+        assert_room_laws(generate_scene(small, 0, index), np.random.default_rng(index))
+    if name == "spot":
+        with pytest.raises(BadMesh):
+            unit_mesh(REAL / "ORIGIN.md", MeshOptions())
+        solid = unit_mesh(REAL / "spot.obj", MeshOptions(up="y"))
+        assert trimesh.Trimesh(solid.vertices, solid.triangles, process=False).is_watertight

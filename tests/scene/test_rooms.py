@@ -1,0 +1,215 @@
+"""Laws of generated rooms, over settings that are random themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from random_specs import random_spec
+from room_laws import (
+    assert_closed_surface,
+    assert_hidden,
+    assert_nothing_intersects,
+    assert_room_laws,
+    crossings,
+    object_names,
+)
+from scipy import stats
+
+from datagen.config import config_from_mapping
+from datagen.config.distributions import support
+from datagen.records import Part, Scene
+from datagen.scene import generate_scene
+
+LAYOUTS = ("l_corridor",)
+
+
+@pytest.mark.parametrize("kind", LAYOUTS)
+@pytest.mark.parametrize("block", range(4))
+def test_random_specs_meet_every_law(kind: str, block: int) -> None:
+    for trial in range(40):
+        rng = np.random.default_rng([block, trial])
+        spec = random_spec(rng, kind)
+        assert_room_laws(generate_scene(spec, seed=block, index=trial), rng)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", LAYOUTS)
+def test_ten_thousand_specs_meet_every_law(kind: str) -> None:
+    for trial in range(10_000):
+        rng = np.random.default_rng([99, trial])
+        spec = random_spec(rng, kind)
+        assert_room_laws(generate_scene(spec, seed=99, index=trial), rng)
+
+
+def test_the_laws_notice_a_violation() -> None:
+    """The oracle itself: a box moved into the wall, into the pillar, into sight; a room with a hole."""
+    rng = np.random.default_rng(0)
+    scene = generate_scene(config_from_mapping({}).scene, 0, 0)
+
+    def moved(to: np.ndarray) -> Scene:
+        corners = scene.corners.copy()
+        box = scene.faces_of("box")
+        corners[box] += to - corners[box].reshape(-1, 3).mean(axis=0)
+        return _rebuilt(scene, corners)
+
+    assert_nothing_intersects(scene)
+    pillar = scene.corners[scene.faces_of("pillar")].reshape(-1, 3).mean(axis=0)
+    for place in (pillar, np.array([scene.relay_wall.center[0], 0.0, 1.0]), np.array([-50.0, 0.0, 1.0])):
+        with pytest.raises(AssertionError):
+            assert_nothing_intersects(moved(place))
+    with pytest.raises(AssertionError):
+        assert_hidden(moved(np.array([2.0, 0.0, 1.0])), rng)
+    with pytest.raises(AssertionError):
+        assert_closed_surface(_rebuilt(scene, np.delete(scene.corners, 3, axis=0), np.delete(scene.face_part, 3)))
+
+
+def _rebuilt(scene: Scene, corners: np.ndarray, face_part: np.ndarray | None = None) -> Scene:
+    face_part = scene.face_part if face_part is None else face_part
+
+    class Soup:
+        def __init__(self, triangles: np.ndarray) -> None:
+            self.vertices = triangles.reshape(-1, 3)
+            self.faces = np.arange(len(self.vertices)).reshape(-1, 3)
+
+    parts = [
+        Part(n, Soup(corners[face_part == i]), scene.materials[i], scene.roles[i])
+        for i, n in enumerate(scene.part_names)
+    ]
+    return Scene.from_parts(parts, relay_wall=scene.relay_wall, device_position=scene.device_position)
+
+
+def test_same_arguments_same_scene_and_order_does_not_matter() -> None:
+    spec = config_from_mapping({}).scene
+    ahead = [generate_scene(spec, 5, i) for i in (0, 1, 2)]
+    back = [generate_scene(spec, 5, i) for i in (2, 1, 0)][::-1]
+    for a, b in zip(ahead, back, strict=True):
+        assert a.parameters == b.parameters
+        np.testing.assert_array_equal(a.vertices, b.vertices)
+        np.testing.assert_array_equal(a.triangles, b.triangles)
+    assert ahead[0].parameters != ahead[1].parameters
+    assert generate_scene(spec, 6, 0).parameters != ahead[0].parameters
+
+
+def test_left_and_right_are_mirror_images() -> None:
+    left, right = (config_from_mapping({"scene": {"layout": _kind(turn)}}).scene for turn in ("left", "right"))
+    for index in range(20):
+        a, b = generate_scene(left, 3, index), generate_scene(right, 3, index)
+        flip = np.array([1.0, -1.0, 1.0])
+        structure = [i for i, r in enumerate(a.roles) if r != "object"]
+        points_a = a.corners[np.isin(a.face_part, structure)].reshape(-1, 3) * flip
+        points_b = b.corners[np.isin(b.face_part, structure)].reshape(-1, 3)
+        assert {tuple(p) for p in points_a} == {tuple(p) for p in points_b}
+        np.testing.assert_allclose(a.relay_wall.center * flip, b.relay_wall.center)
+        np.testing.assert_allclose(a.hidden_view.center * flip, b.hidden_view.center)
+        for room in (a, b):
+            np.testing.assert_allclose(room.relay_wall.normal, [-1, 0, 0], atol=1e-12)
+            np.testing.assert_allclose(room.hidden_view.normal, [-1, 0, 0], atol=1e-12)
+
+
+def _kind(turn: str) -> dict[str, str]:
+    return {"kind": "l_corridor", "turn": turn}
+
+
+def test_random_turn_goes_both_ways() -> None:
+    spec = config_from_mapping({}).scene
+    lefts = sum(generate_scene(spec, 8, i).parameters["layout.turn"] == "left" for i in range(200))
+    assert stats.binomtest(lefts, 200, 0.5).pvalue > 1e-3
+
+
+def test_views_and_bounds_hold_the_objects() -> None:
+    spec = config_from_mapping({}).scene
+    for index in range(50):
+        scene = generate_scene(spec, 4, index)
+        low, high = scene.hidden_bounds
+        for name in object_names(scene):
+            corners = scene.corners[scene.faces_of(name)].reshape(-1, 3)
+            assert (corners >= low - 1e-9).all()
+            assert (corners <= high + 1e-9).all()
+            across = (corners - scene.hidden_view.center) @ scene.hidden_view.right
+            assert (np.abs(across) <= scene.hidden_view.right @ scene.hidden_view.right * (1 + 1e-9)).all()
+        # Both rectangles lie on the relay wall's plane.
+        wall = scene.corners[scene.faces_of("relay_wall")]
+        assert np.ptp(wall[..., 0]) == 0
+        np.testing.assert_allclose(scene.relay_wall.corners[:, 0], wall[0, 0, 0])
+        np.testing.assert_allclose(scene.hidden_view.corners[:, 0], wall[0, 0, 0])
+
+
+def test_the_visible_part_is_all_that_is_visible() -> None:
+    """Just beyond the rectangle's inner edge the wall is out of sight (or ends)."""
+    spec = config_from_mapping({}).scene
+    for index in range(50):
+        scene = generate_scene(spec, 2, index)
+        wall = scene.relay_wall
+        for side in (-1, 1):
+            edge = wall.center + side * 1.001 * wall.right
+            before = edge + 1e-4 * (scene.device_position - edge)
+            assert crossings(scene.corners, scene.device_position[None], before[None]).any()
+
+
+def test_parameters_lie_in_their_ranges_and_are_what_was_built() -> None:
+    for trial in range(40):
+        rng = np.random.default_rng([7, trial])
+        spec = random_spec(rng, "l_corridor")
+        scene = generate_scene(spec, 1, trial)
+        p = scene.parameters
+        for name, distribution in spec.layout.dimensions().items():
+            low, high = support(distribution)
+            assert low <= p[f"layout.{name}"] <= high
+        for name, material in zip(scene.part_names, scene.materials, strict=True):
+            assert p[f"{name}.albedo"] == material.albedo
+        assert np.ptp(scene.vertices[:, 2]) == p["layout.height_m"]
+        for name in object_names(scene):
+            corners = scene.corners[scene.faces_of(name)].reshape(-1, 3)
+            np.testing.assert_allclose(np.ptp(corners[:, 2]), p[f"{name}.height_m"], rtol=1e-9)
+            middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+            np.testing.assert_allclose(middle[:2], [p[f"{name}.x_m"], p[f"{name}.y_m"]], atol=1e-9)
+            # Along its own axes the object is as wide and deep as was drawn.
+            turn = np.radians(p[f"{name}.rotation_deg"])
+            axis = np.array([np.cos(turn), np.sin(turn)])
+            np.testing.assert_allclose(np.ptp(corners[:, :2] @ axis), p[f"{name}.width_m"], rtol=1e-9)
+            np.testing.assert_allclose(np.ptp(corners[:, :2] @ [-axis[1], axis[0]]), p[f"{name}.depth_m"], rtol=1e-9)
+
+
+def test_drawn_parameters_follow_what_was_declared() -> None:
+    """KS tests of room dimensions, sizes and albedos; 8 tests, family-wise level 1e-3 (Bonferroni)."""
+    spec = config_from_mapping({}).scene
+    drawn = [generate_scene(spec, 11, i).parameters for i in range(400)]
+    declared = {
+        "layout.relay_distance_m": (5.0, 7.0),
+        "layout.corridor_width_m": (1.6, 2.4),
+        "layout.room_length_m": (2.5, 4.0),
+        "layout.room_width_m": (3.0, 5.0),
+        "pillar.width_m": (0.25, 0.6),
+        "pillar.rotation_deg": (0.0, 360.0),
+        "box.albedo": (0.3, 0.9),
+        "walls.albedo": (0.5, 0.9),
+    }
+    for name, (low, high) in declared.items():
+        values = [p[name] for p in drawn]
+        assert stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-3 / len(declared), name
+
+
+def test_objects_of_one_name_are_numbered() -> None:
+    contents = [{"kind": "box", "count": 2, "width_m": 0.2, "depth_m": 0.2}, {"kind": "box", "width_m": 0.2}]
+    spec = config_from_mapping({"scene": {"contents": contents}}).scene
+    assert object_names(generate_scene(spec, 0, 0)) == ["box", "box_2", "box_3"]
+
+
+def test_counts_are_even_over_their_range() -> None:
+    contents = [{"kind": "box", "count": {"uniform": [0, 3]}, "width_m": 0.1, "depth_m": 0.1}]
+    spec = config_from_mapping({"scene": {"contents": contents}}).scene
+    counts = [generate_scene(spec, 1, i).parameters["objects"] for i in range(400)]
+    assert stats.chisquare(np.bincount(counts, minlength=4)).pvalue > 1e-3
+
+
+def test_hanging_and_raised_objects_are_where_they_were_put() -> None:
+    contents = [
+        {"kind": "box", "name": "lamp", "hanging": True, "elevation_m": 0.1, "height_m": 0.3},
+        {"kind": "box", "name": "shelf", "elevation_m": 1.0, "height_m": 0.2},
+    ]
+    spec = config_from_mapping({"scene": {"contents": contents}}).scene
+    for index in range(10):
+        scene = generate_scene(spec, 0, index)
+        lamp, shelf = (scene.corners[scene.faces_of(n)][..., 2] for n in ("lamp", "shelf"))
+        np.testing.assert_allclose(lamp.max(), scene.parameters["layout.height_m"] - 0.1)
+        np.testing.assert_allclose([shelf.min(), shelf.max()], [1.0, 1.2])
