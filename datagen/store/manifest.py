@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from datagen.config import DatasetConfig, config_from_mapping
+from datagen.config.scene_contents import Mesh
 from datagen.errors import InputError
 from datagen.store.arrays import metadata_digests, metadata_files, shard_shape, write_metadata
 from datagen.store.environment import commit, environment, hardware
@@ -26,11 +27,13 @@ class Manifest:
     """The content of `dataset.json`.
 
     config : the configuration as plain values; meshes : mesh file → digest of its bytes.
+    mesh_folder : where relative mesh paths start; None when there are none, so that it tells nothing of a machine.
     metadata : `zarr.json` files → SHA-256.
     """
 
     config: dict[str, Any]
     meshes: dict[str, str]
+    mesh_folder: str | None
     fingerprint: str
     schema: Schema
     metadata: dict[str, str]
@@ -43,8 +46,11 @@ class Manifest:
         return int(self.config["seed"])
 
     def parsed_config(self) -> DatasetConfig:
-        """The configuration as models. Mesh files need not be there any more."""
-        return config_from_mapping(self.config, source=MANIFEST)
+        """The configuration as models, able to generate the scenes again.
+
+        Raises `InputError` when a mesh file is no longer where it was.
+        """
+        return config_from_mapping(self.config, source=MANIFEST, base_directory=self.mesh_folder or ".")
 
     def to_bytes(self) -> bytes:
         schema = self.schema
@@ -62,6 +68,7 @@ class Manifest:
                 "fields": [_field_row(field, schema) for field in schema.fields],
                 "config": self.config,
                 "meshes": self.meshes,
+                "mesh_folder": self.mesh_folder,
                 "metadata": self.metadata,
                 "versions": self.versions,
                 "commit": self.commit,
@@ -75,6 +82,7 @@ def describe(config: DatasetConfig, schema: Schema) -> Manifest:
     return Manifest(
         config=config.model_dump(mode="json"),
         meshes=config.scene.mesh_digests(),
+        mesh_folder=_mesh_folder(config),
         fingerprint=config.fingerprint(),
         schema=schema,
         metadata=metadata_digests(metadata_files(schema)),
@@ -101,7 +109,7 @@ def read_manifest(root: str | Path) -> Manifest:
         )
     try:
         fields = tuple(_field_of(row) for row in values["fields"])
-        kept = ("config", "meshes", "fingerprint", "metadata", "versions", "commit", "hardware")
+        kept = ("config", "meshes", "mesh_folder", "fingerprint", "metadata", "versions", "commit", "hardware")
         schema = Schema(fields, int(values["scenes"]), int(values["scenes_per_shard"]))
         return Manifest(schema=schema, **{key: values[key] for key in kept})
     except (KeyError, TypeError, ValueError) as error:
@@ -159,9 +167,17 @@ def _taken_up(root: Path, config: DatasetConfig) -> Manifest:
     return replace(
         old,
         config=config.model_dump(mode="json"),
+        mesh_folder=_mesh_folder(config),
         schema=schema,
         metadata=old.metadata if same_arrays else metadata_digests(metadata_files(schema)),
     )
+
+
+def _mesh_folder(config: DatasetConfig) -> str | None:
+    for item in config.scene.contents:
+        if isinstance(item, Mesh) and not Path(item.path).is_absolute():
+            return str(item.file)[: -len(item.path)]
+    return None
 
 
 def _check_same(root: Path, old: Manifest, config: DatasetConfig) -> None:

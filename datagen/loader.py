@@ -1,0 +1,235 @@
+"""Datasets as torch sees them. Nothing else in datagen imports torch.
+
+data = TransientDataset("out/rooms.zarr", fields=("histogram", "depth"))
+order = EpochSampler(data, seed=0)
+loader = DataLoader(data, batch_size=16, sampler=order, num_workers=2)
+for epoch in range(10):
+    order.set_epoch(epoch)
+    for batch in loader:
+        batch["histogram"]          # (16, laser, pixel, bin) float32
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Iterator, Sequence, Sized
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import Dataset, Sampler
+
+from datagen.config import CaptureConfig, DetectorConfig
+from datagen.errors import InputError
+from datagen.seeding import Purpose, generator, seed_sequence
+from datagen.store import Manifest, committed, read_manifest
+from datagen.store.arrays import open_array
+from datagen.store.reader import ShardReader
+
+MEMORY_BYTES = 64 * 2**20
+"""Fields that decode to no more than this in all are read once and kept in memory."""
+COUNT_TYPES = ("float32", "float64", "int32", "int64")
+
+
+class TransientDataset(Dataset[dict[str, torch.Tensor]]):
+    """A dataset on disk as a map-style torch `Dataset`; an item maps each field, and `"scene"`, to a tensor.
+
+    Parameters
+    ----------
+    fields : any of the dataset's fields; `data.fields` lists all.
+    counts : dtype that histograms are handed over in, since torch lacks operations for uint16 and uint32. float32 is
+        exact up to 2²⁴ counts a bin. Other fields keep their dtype.
+    redraw_noise : draw histograms anew from the stored transient, with the scene's own detector, every epoch: a
+        function of (`seed`, epoch, scene). Call `set_epoch` (or `EpochSampler.set_epoch`) before each epoch.
+    seed : of the redrawn noise.
+
+    Files are opened by each process for itself, at the first read; a dataset can be handed to loader workers started
+    in any way. Scenes whose simulation failed are left out, with a warning.
+
+    Raises
+    ------
+    InputError : the folder is no dataset, shards are not committed, or an unknown field.
+    CheckError : while reading, for a chunk that is missing or damaged.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        fields: Sequence[str] = ("histogram", "depth"),
+        *,
+        counts: str = "float32",
+        redraw_noise: bool = False,
+        seed: int = 0,
+    ) -> None:
+        self.path = Path(path).resolve()
+        manifest = read_manifest(path)
+        self._schema = manifest.schema
+        self.fields = tuple(self._schema.by_name)
+        self.selected = (fields,) if isinstance(fields, str) else tuple(fields)
+        for name in self.selected:
+            if name not in self.fields and not (name == "histogram" and redraw_noise):
+                raise InputError(f"fields: {name!r} is not in {path}; it has {', '.join(self.fields)}")
+        if counts not in COUNT_TYPES:
+            raise InputError(f"counts = {counts!r}: must be one of {', '.join(COUNT_TYPES)}")
+        self._counts = np.dtype(counts)
+        if redraw_noise and "transient" not in self.fields:
+            raise InputError(
+                f"redraw_noise: {path} has no field transient to draw from; build it with one (store.fields)"
+            )
+        self._noise = _NoiseSource(manifest) if redraw_noise else None
+        self.scenes = self._scenes_there(manifest)
+        self.seed = seed
+        # Shared memory, so that workers that outlive an epoch see the next one begin.
+        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
+        self._pid = -1
+        self._readers: dict[str, ShardReader] = {}
+        self._memory: dict[str, NDArray[np.generic]] = {}
+
+    def __len__(self) -> int:
+        return len(self.scenes)
+
+    def __getitem__(self, item: int) -> dict[str, torch.Tensor]:
+        return self.__getitems__([item])[0]
+
+    def __getitems__(self, items: Sequence[int]) -> list[dict[str, torch.Tensor]]:
+        """Several items in one read each field; the batch that a `DataLoader` asks for."""
+        scenes = [int(self.scenes[self._checked(int(item))]) for item in items]
+        self._open()
+        batch = {name: torch.from_numpy(self._values(name, scenes)) for name in self.selected}
+        return [
+            {name: values[row] for name, values in batch.items()} | {"scene": torch.tensor(scene)}
+            for row, scene in enumerate(scenes)
+        ]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Open files stay with the process that opened them."""
+        return self.__dict__ | {"_pid": -1, "_readers": {}, "_memory": {}}
+
+    def set_epoch(self, epoch: int) -> None:
+        """The epoch that redrawn noise belongs to, also in workers that are running."""
+        if epoch < 0:
+            raise InputError(f"epoch = {epoch}: must be ≥ 0")
+        self._epoch.fill_(epoch)
+
+    def shape(self, field: str) -> tuple[int, ...]:
+        """The shape of one scene's value of a field."""
+        stored = "transient" if field == "histogram" and self._noise else field
+        return self._schema.by_name[stored].shape
+
+    def parameters(self, name: str) -> NDArray[np.generic]:
+        """A column of `samples.parquet` (scene parameters, error estimates) in the order of the items."""
+        import pyarrow.parquet as pq
+
+        table = self.path / "samples.parquet"
+        known = pq.read_schema(table).names
+        if name not in known:
+            raise InputError(f"parameters: {name!r} is no column of {table}; it has {', '.join(known)}")
+        column: NDArray[np.generic] = pq.read_table(table, columns=[name])[name].to_numpy()
+        return column[self.scenes]
+
+    def _scenes_there(self, manifest: Manifest) -> NDArray[np.int64]:
+        records = committed(self.path, manifest)
+        missing = sorted(set(range(self._schema.shards)) - {record.shard for record in records})
+        if missing:
+            raise InputError(
+                f"{self.path}: {len(missing)} of {self._schema.shards} shards are not committed, the first is "
+                f"{missing[0]}; run the same `datagen build` again to finish it"
+            )
+        failed = {scene for record in records for scene in record.failures}
+        if failed:
+            warnings.warn(f"{self.path}: {len(failed)} scenes could not be made and are left out", stacklevel=3)
+        return np.array([scene for scene in range(self._schema.scenes) if scene not in failed], np.int64)
+
+    def _checked(self, item: int) -> int:
+        if not -len(self) <= item < len(self):
+            raise IndexError(f"item {item}: this dataset has {len(self)} items")
+        return item
+
+    def _open(self) -> None:
+        """Open files in this process; what a fork inherited is not used."""
+        if self._pid == os.getpid():
+            return
+        self._readers, self._memory = {}, {}
+        wanted = set(self.selected) | ({"transient"} if self._noise and "histogram" in self.selected else set())
+        for name in sorted(wanted):
+            field = self._schema.by_name[name]
+            if not field.sharded or self._schema.scenes * field.bytes_per_scene <= MEMORY_BYTES:
+                self._memory[name] = np.asarray(open_array(self.path, name)[:])
+            else:
+                self._readers[name] = ShardReader(self.path, field, self._schema)
+        self._pid = os.getpid()
+
+    def _stored(self, name: str, scenes: Sequence[int]) -> NDArray[np.generic]:
+        if name in self._memory:
+            return self._memory[name][list(scenes)]
+        return self._readers[name].read(scenes)
+
+    def _values(self, name: str, scenes: Sequence[int]) -> NDArray[np.generic]:
+        if name == "histogram":
+            return self._as_counts(self._drawn(scenes) if self._noise else self._stored(name, scenes))
+        return self._stored(name, scenes)
+
+    def _drawn(self, scenes: Sequence[int]) -> NDArray[np.generic]:
+        assert self._noise is not None
+        transients, epoch = self._stored("transient", scenes), int(self._epoch)
+        return np.stack([self._noise.draw(t, s, self.seed, epoch) for t, s in zip(transients, scenes, strict=True)])
+
+    def _as_counts(self, counts: NDArray[np.generic]) -> NDArray[np.generic]:
+        if self._counts.kind == "i" and counts.size and int(counts.max()) > np.iinfo(self._counts).max:
+            raise InputError(f"counts = {self._counts}: {int(counts.max())} counts do not fit; use counts='int64'")
+        return counts.astype(self._counts)
+
+
+class _NoiseSource:
+    """Counts from a stored transient, with the detector that the scene was given."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        # Only the sections needed: the scene's mesh files may be gone.
+        self._detector = DetectorConfig.model_validate_json(json.dumps(manifest.config["detector"]))
+        self._time = CaptureConfig.model_validate_json(json.dumps(manifest.config["capture"])).time.axis()
+        self._seed = manifest.seed
+
+    def draw(self, transient: NDArray[np.generic], scene: int, seed: int, epoch: int) -> NDArray[np.int64]:
+        from datagen.detector import detect, detector_for
+
+        spad, exposure = detector_for(self._detector, self._seed, scene, self._time)
+        stream = seed_sequence(seed, scene, Purpose.LOADER, attempt=epoch)
+        noise_seed = int(stream.generate_state(1, np.uint64)[0])
+        return detect(transient.astype(np.float64), self._time, spad, exposure, seed=noise_seed)
+
+
+class EpochSampler(Sampler[int]):
+    """The order of an epoch, a function of (seed, epoch): shuffled, then dealt out to `world` ranks.
+
+    With several ranks every rank gets the same number of items: the order is continued from its start where the
+    items do not divide evenly. Also tells the dataset the epoch, so that redrawn noise follows.
+    """
+
+    def __init__(self, data: Sized, seed: int = 0, *, shuffle: bool = True, rank: int = 0, world: int = 1) -> None:
+        if world < 1 or not 0 <= rank < world:
+            raise InputError(f"rank = {rank}, world = {world}: rank must lie in 0 … world − 1")
+        self._data, self._seed, self._shuffle = data, seed, shuffle
+        self._rank, self._world, self._epoch = rank, world, 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch; call it before iterating."""
+        self._epoch = epoch
+        if isinstance(self._data, TransientDataset):
+            self._data.set_epoch(epoch)
+
+    def __len__(self) -> int:
+        return -(-len(self._data) // self._world)
+
+    def __iter__(self) -> Iterator[int]:
+        order = np.arange(len(self._data))
+        if self._shuffle:
+            order = generator(self._seed, self._epoch, Purpose.LOADER, part=1).permutation(order)
+        dealt = np.resize(order, len(self) * self._world)
+        return iter(dealt[self._rank :: self._world].tolist())
+
+
+__all__ = ["EpochSampler", "TransientDataset"]
