@@ -16,9 +16,7 @@ Pairing = Literal["exhaustive", "confocal"]
 
 def _points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     array = np.asarray(value, np.float64)
-    fits = array.ndim == len(shape) and all(
-        w is None or w == g for g, w in zip(array.shape, shape, strict=False)
-    )
+    fits = array.ndim == len(shape) and all(w is None or w == g for g, w in zip(array.shape, shape, strict=False))
     if not fits or array.size == 0:
         wanted = ", ".join("n" if s is None else str(s) for s in shape)
         raise InputError(f"{name}: shape {array.shape} given, ({wanted}) needed with n ≥ 1")
@@ -37,9 +35,7 @@ class Laser:
 
     def __init__(self, position: ArrayLike, targets: ArrayLike) -> None:
         object.__setattr__(self, "position", _points("Laser.position", np.array(position, np.float64), (3,)))
-        object.__setattr__(
-            self, "targets", _points("Laser.targets", np.array(targets, np.float64), (None, 3))
-        )
+        object.__setattr__(self, "targets", _points("Laser.targets", np.array(targets, np.float64), (None, 3)))
         if (np.linalg.norm(self.targets - self.position, axis=1) == 0).any():
             raise InputError("Laser.targets: a target equals the laser position; it gives no direction")
 
@@ -60,13 +56,9 @@ class Sensor:
 
     def __init__(self, position: ArrayLike, pixels: ArrayLike, aperture_radius_m: float = 0.02) -> None:
         object.__setattr__(self, "position", _points("Sensor.position", np.array(position, np.float64), (3,)))
-        object.__setattr__(
-            self, "pixels", _points("Sensor.pixels", np.array(pixels, np.float64), (None, 4, 3))
-        )
+        object.__setattr__(self, "pixels", _points("Sensor.pixels", np.array(pixels, np.float64), (None, 4, 3)))
         if not 0 < aperture_radius_m < np.inf:
-            raise InputError(
-                f"Sensor.aperture_radius_m = {aperture_radius_m}: must be a positive length in metres"
-            )
+            raise InputError(f"Sensor.aperture_radius_m = {aperture_radius_m}: must be a positive length in metres")
         object.__setattr__(self, "aperture_radius_m", float(aperture_radius_m))
 
     @classmethod
@@ -116,19 +108,17 @@ class TimeAxis:
         if not np.isfinite(self.start_s):
             raise InputError(f"TimeAxis.start_s = {self.start_s}: must be finite")
         if self.origin not in get_args(Origin):
-            raise InputError(
-                f"TimeAxis.origin = {self.origin!r}: must be one of {', '.join(get_args(Origin))}"
-            )
+            raise InputError(f"TimeAxis.origin = {self.origin!r}: must be one of {', '.join(get_args(Origin))}")
 
     @property
     def edges_s(self) -> NDArray[np.float64]:
         """(bins + 1,) bin edges, seconds."""
-        return self.start_s + self.width_s * np.arange(self.bins + 1)
+        return self.start_s + self.width_s * np.arange(self.bins + 1, dtype=np.float64)
 
     @property
     def centers_s(self) -> NDArray[np.float64]:
         """(bins,) bin centres, seconds."""
-        return self.start_s + self.width_s * (np.arange(self.bins) + 0.5)
+        return self.start_s + self.width_s * (np.arange(self.bins, dtype=np.float64) + 0.5)
 
     @property
     def stop_s(self) -> float:
@@ -137,7 +127,7 @@ class TimeAxis:
 
 @dataclass(frozen=True)
 class Capture:
-    """Laser, sensor and time axis. `exhaustive`: every pixel for every laser point; `confocal`: pixel i for point i."""
+    """Laser, sensor, time axis. `exhaustive`: every pixel for every laser point; `confocal`: pixel i for point i."""
 
     laser: Laser
     sensor: Sensor
@@ -146,9 +136,7 @@ class Capture:
 
     def __post_init__(self) -> None:
         if self.pairing not in get_args(Pairing):
-            raise InputError(
-                f"Capture.pairing = {self.pairing!r}: must be one of {', '.join(get_args(Pairing))}"
-            )
+            raise InputError(f"Capture.pairing = {self.pairing!r}: must be one of {', '.join(get_args(Pairing))}")
         lasers, pixels = len(self.laser.targets), len(self.sensor.pixels)
         if self.pairing == "confocal" and lasers != pixels:
             raise InputError(

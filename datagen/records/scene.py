@@ -157,13 +157,7 @@ def _checked_triangles(part: Part) -> tuple[NDArray[np.float64], NDArray[np.int6
     faces = np.asarray(part.mesh.faces, np.int64)
     if part.role not in get_args(Role):
         raise InputError(f"part {part.name!r}: role {part.role!r} must be one of {', '.join(get_args(Role))}")
-    if (
-        vertices.ndim != 2
-        or vertices.shape[1] != 3
-        or faces.ndim != 2
-        or faces.shape[1] != 3
-        or len(faces) == 0
-    ):
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
         raise InputError(f"part {part.name!r}: needs vertices (V, 3) and at least one triangle (F, 3)")
     if not np.isfinite(vertices).all():
         raise InputError(
@@ -175,7 +169,5 @@ def _checked_triangles(part: Part) -> tuple[NDArray[np.float64], NDArray[np.int6
     extent = float(np.ptp(vertices, axis=0).max())
     has_area = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-14 * extent**2
     if not has_area.any():
-        raise InputError(
-            f"part {part.name!r}: all {len(faces)} triangles have zero area; nothing can scatter light"
-        )
+        raise InputError(f"part {part.name!r}: all {len(faces)} triangles have zero area; nothing can scatter light")
     return vertices, faces[has_area]

@@ -1,0 +1,181 @@
+"""FoV points: where a pixel's lines of sight first meet the scene, and what each is worth.
+
+A FoV point drawn uniformly on the pixel's quadrilateral stands for the solid angle J = dΩ/(du dv) of the sensor, so
+the photons it sends into an aperture of area A are f₃ E₃ · A J / M for M points a pixel (DESIGN, sec. 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.records import Scene, Sensor
+from datagen.transport.raycast import Raycaster
+from datagen.transport.sampling import scrambled_sobol
+
+
+@dataclass(frozen=True)
+class FovPool:
+    """Q FoV points for each of P pixels, grouped in blocks of M that each cover the whole pixel.
+
+    position, normal, to_sensor : (P, Q, 3) point in metres, unit normal facing the sensor, unit direction to it.
+    part : (P, Q) part index, −1 where the line of sight meets nothing.
+    weight : (P, Q) A J / M in m² sr.
+    footprint : (P, Q) wall area that one of M points stands for, m².
+    leg : (P, Q) length of the last leg that counts for the time axis, m (0 for origin `wall`).
+    """
+
+    position: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    to_sensor: NDArray[np.float64]
+    part: NDArray[np.int64]
+    weight: NDArray[np.float64]
+    footprint: NDArray[np.float64]
+    leg: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PixelCones:
+    """The pixels as cones of directions from the sensor.
+
+    planes : (P, 4, 3) inward normals of the four side planes; a direction inside has all four products ≥ 0.
+    solid_angle : (P,) sr.
+    """
+
+    planes: NDArray[np.float64]
+    solid_angle: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> PixelCones:
+        """Raises `InputError` for a pixel that, seen from the sensor, is no convex quadrilateral with an area."""
+        w = sensor.pixels - sensor.position
+        length = np.linalg.norm(w, axis=2)
+        if (length == 0).any():
+            pixel = int(np.argwhere(length == 0)[0][0])
+            raise InputError(f"Sensor.pixels[{pixel}]: a corner equals the sensor's position; it gives no direction")
+        w = w / length[:, :, None]
+        signed = [_triangle_solid_angle(w[:, 0], w[:, a], w[:, b]) for a, b in ((1, 2), (2, 3))]
+        solid_angle = signed[0] + signed[1]
+        orientation = np.where(solid_angle < 0, -1.0, 1.0)
+        planes = orientation[:, None, None] * np.cross(w, np.roll(w, -1, axis=1))
+        # Convex: each corner lies on the inner side of the two sides it does not touch.
+        for side in range(4):
+            for corner in ((side + 2) % 4, (side + 3) % 4):
+                inner = np.einsum("pk,pk->p", planes[:, side], w[:, corner])
+                bad = np.flatnonzero((inner < -1e-14) | (solid_angle == 0))
+                if len(bad):
+                    raise InputError(
+                        f"Sensor.pixels[{bad[0]}]: seen from the sensor its four corners, in order, must outline a "
+                        "convex quadrilateral with an area; reorder or move the corners"
+                    )
+        return cls(planes, np.abs(solid_angle))
+
+    def take(self, pixels: NDArray[np.int64]) -> PixelCones:
+        return PixelCones(self.planes[pixels], self.solid_angle[pixels])
+
+
+NEGLIGIBLE_SHARE = 0.05
+"""Largest share of a FoV point's footprint that one connection may fill before followed rays take part."""
+
+
+@dataclass(frozen=True)
+class PixelPatches:
+    """Roughly where each pixel's patch of wall lies, from a fixed 3 × 3 grid of lines of sight.
+
+    center : (P, 3) and radius : (P,) a ball about the patch, metres (infinite where a line of sight meets nothing).
+    reach : (P,) lookins nearer to the centre than this could overfill a footprint, so they follow rays too. A fixed
+        rule of position alone: whatever it says, the mean is the same.
+    """
+
+    center: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    reach: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, caster: Raycaster, sensor: Sensor, cones: PixelCones, points_per_lookin: int) -> PixelPatches:
+        knots = np.array([0.0, 0.5, 1.0])
+        u, v = np.tile(knots, 3)[:, None], np.repeat(knots, 3)[:, None]
+        corner = sensor.pixels - sensor.position
+        a, b, c, d = (corner[:, None, k] for k in range(4))
+        # A hair inside, so that a patch that ends with the wall still finds it.
+        w = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+        w = w + 1e-3 * (w[:, 4:5] - w)
+        hits = caster.closest(sensor.position, w.reshape(-1, 3))
+        valid = hits.valid.reshape(w.shape[:2])
+        position = np.where(valid[..., None], hits.position.reshape(w.shape), np.inf)
+        distance = np.linalg.norm(position - sensor.position, axis=2)
+        direction = w / np.linalg.norm(w, axis=2, keepdims=True)
+        cosine = np.abs(np.einsum("pqk,pqk->pq", hits.normal.reshape(w.shape), direction))
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            center = position.mean(axis=1)
+            radius = np.linalg.norm(position - center[:, None], axis=2).max(axis=1)
+            footprint = (cones.solid_angle[:, None] * distance**2 / (cosine * points_per_lookin)).max(axis=1)
+        complete = valid.all(axis=1) & np.isfinite(radius) & np.isfinite(footprint)
+        reach = radius + np.sqrt(footprint / (np.pi * NEGLIGIBLE_SHARE))
+        return cls(
+            np.where(complete[:, None], center, 0.0),
+            np.where(complete, radius, np.inf),
+            np.where(complete, reach, np.inf),
+        )
+
+    def take(self, pixels: NDArray[np.int64]) -> PixelPatches:
+        return PixelPatches(self.center[pixels], self.radius[pixels], self.reach[pixels])
+
+
+def _triangle_solid_angle(
+    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Signed solid angle of triangles of unit vectors (van Oosterom & Strackee, IEEE TBME 30 (1983)).
+
+    The triple product is taken of differences, which keeps its digits for a pixel far smaller than its distance.
+    """
+    triple = np.einsum("pk,pk->p", a, np.cross(b - a, c - a))
+    dots = 1 + sum(np.einsum("pk,pk->p", x, y) for x, y in ((a, b), (b, c), (c, a)))
+    return 2 * np.arctan2(triple, dots)
+
+
+def fov_pool(
+    caster: Raycaster,
+    scene: Scene,
+    sensor: Sensor,
+    cones: PixelCones,
+    pixels: NDArray[np.int64],
+    points_per_lookin: int,
+    blocks: int,
+    seeds: NDArray[np.uint64],
+    count_last_leg: bool,
+) -> FovPool:
+    """Draw `blocks` × `points_per_lookin` FoV points for each of `pixels`, with one scrambling seed a pixel."""
+    uv = scrambled_sobol(seeds, blocks * points_per_lookin, 2)
+    corner = sensor.pixels[pixels] - sensor.position
+    a, b, c, d = (corner[:, None, k] for k in range(4))
+    u, v = uv[..., :1], uv[..., 1:]
+    w = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+    along_u = (1 - v) * (b - a) + v * (c - d)
+    along_v = (1 - u) * (d - a) + u * (c - b)
+    length = np.linalg.norm(w, axis=2)
+    jacobian = np.abs(np.einsum("pqk,pqk->pq", w, np.cross(along_u, along_v))) / length**3
+    direction = w / length[..., None]
+
+    shape = jacobian.shape
+    hits = caster.closest(sensor.position, direction.reshape(-1, 3))
+    valid = hits.valid.reshape(shape)
+    position = np.where(valid[..., None], hits.position.reshape(*shape, 3), 0.0)
+    normal = hits.normal.reshape(*shape, 3)
+    distance = np.linalg.norm(position - sensor.position, axis=2)
+    cosine = -np.einsum("pqk,pqk->pq", normal, direction)
+    valid &= cosine > 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        footprint = cones.solid_angle[pixels][:, None] * distance**2 / (cosine * points_per_lookin)
+    return FovPool(
+        position=position,
+        normal=np.ascontiguousarray(normal),
+        to_sensor=-direction,
+        part=np.where(valid, scene.face_part[hits.face].reshape(shape), -1).astype(np.int64),
+        weight=np.where(valid, sensor.aperture_area_m2 * jacobian / points_per_lookin, 0.0),
+        footprint=np.where(valid, footprint, 1.0),
+        leg=distance if count_last_leg else np.zeros(shape),
+    )
