@@ -20,18 +20,18 @@ from datagen.engines import Engine, start_engine
 from datagen.errors import CheckError, InputError
 from datagen.progress import Progress
 from datagen.records import Sample
-from datagen.shard_job import ShardJob, run_shard, scene_at
+from datagen.shard_job import ShardJob, abandon_shard, run_shard, scene_at
 from datagen.store import (
     Manifest,
     Schema,
     check_output,
     check_writable,
     committed,
-    discard_shard,
     finish,
     is_fresh,
     prepare,
     read_manifest,
+    running_path,
     schema_of,
     write_card,
 )
@@ -162,6 +162,8 @@ class _Build:
         """Make the wanted shards that are not there; returns how many were."""
         wanted = list(wanted)
         kept = {record.shard for record in committed(self.root, self.manifest, hashes=True) if not record.failures}
+        for shard in kept:
+            running_path(self.root, shard).unlink(missing_ok=True)
         waiting = deque(shard for shard in wanted if shard not in kept)
         if not waiting:
             return len(wanted)
@@ -224,6 +226,7 @@ class _Build:
             failures: dict[int, str] = future.result()
             return failures
         if not isinstance(error, self.engine.deaths):
+            self._clear(shard)
             if isinstance(error, OSError):
                 raise CheckError(f"{self.root}: shard {shard} cannot be written ({error}); build again to resume")
             raise error
@@ -241,8 +244,10 @@ class _Build:
 
     def _clear(self, shard: int) -> None:
         """Remove what an unfinished shard left, unless it was committed at the last moment."""
-        if shard not in {record.shard for record in committed(self.root, self.manifest, [shard])}:
-            discard_shard(self.root, self.schema, shard)
+        if committed(self.root, self.manifest, [shard]):
+            running_path(self.root, shard).unlink(missing_ok=True)
+        else:
+            abandon_shard(self.root, self.schema, shard)
 
 
 def parse_shards(text: str | None, shards: int) -> list[int]:

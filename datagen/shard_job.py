@@ -13,7 +13,7 @@ from pathlib import Path
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
-from datagen.store import Schema, running_path, write_shard
+from datagen.store import Schema, discard_shard, running_path, write_shard
 
 LOCK_PATIENCE_S = 10.0
 """How long to wait for another writer of the same shard, such as an orphan of a killed build about to notice."""
@@ -36,10 +36,18 @@ def run_shard(job: ShardJob) -> dict[int, str]:
     """Make one shard and commit it; returns its failures, scene → reason."""
     _one_thread()
     path = running_path(job.root, job.shard)
-    with _sole_writer(path) as running:
+    with _sole_writer(path, LOCK_PATIENCE_S) as running:
         record = write_shard(job.root, job.schema, job.shard, job.fingerprint, _samples(job, running))
         path.unlink(missing_ok=True)
     return record.failures
+
+
+def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
+    """Remove what a writer that is no more left of a shard; one that another writer is at is left alone."""
+    path = running_path(root, shard)
+    with suppress(CheckError), _sole_writer(path, patience_s=0.0):
+        discard_shard(root, schema, shard)
+        path.unlink(missing_ok=True)
 
 
 def scene_at(root: Path, shard: int) -> int | None:
@@ -81,9 +89,9 @@ def _last_line_of(error: Exception) -> str:
 
 
 @contextmanager
-def _sole_writer(path: Path) -> Iterator[int]:
+def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
     """Hold a lock that the kernel releases with the process: two writers in one shard would lose data silently."""
-    deadline = time.monotonic() + LOCK_PATIENCE_S
+    deadline = time.monotonic() + patience_s
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         if _locked(handle) and os.fstat(handle).st_nlink > 0:

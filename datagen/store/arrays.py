@@ -12,7 +12,7 @@ import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec
 from zarr.storage import MemoryStore
 
-from datagen.store.files import write_atomically
+from datagen.store.files import write_if_changed
 from datagen.store.schema import Field, Schema
 
 GROUP = "data.zarr"
@@ -36,9 +36,8 @@ def write_metadata(root: Path, files: dict[str, bytes]) -> None:
     """Put metadata files that are missing or differ in their place, each in one step."""
     for name, content in files.items():
         path = root / name
-        if not path.is_file() or path.read_bytes() != content:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, content)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_if_changed(path, content)
 
 
 def metadata_digests(files: dict[str, bytes]) -> dict[str, str]:

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from datagen.store.arrays import GROUP
-from datagen.store.files import json_bytes, sha256_of, write_atomically
+from datagen.store.files import json_bytes, sha256_of, write_if_changed
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
 from datagen.store.table import TABLE, table_of
@@ -22,7 +22,7 @@ CROISSANT = "croissant.json"
 
 def write_card(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
     """Write the card; it says how much of the dataset is there."""
-    write_atomically(root / CARD, card(manifest, records).encode())
+    write_if_changed(root / CARD, card(manifest, records).encode())
 
 
 def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
@@ -133,7 +133,7 @@ def _parameter_lines(table: pa.Table) -> list[str]:
 
 def write_croissant(root: Path, manifest: Manifest) -> None:
     """Write the machine-readable card; `samples.parquet` must be there."""
-    write_atomically(root / CROISSANT, json_bytes(croissant(root, manifest)))
+    write_if_changed(root / CROISSANT, json_bytes(croissant(root, manifest)))
 
 
 _CROISSANT_TYPES = {"string": "sc:Text", "double": "sc:Float", "bool": "sc:Boolean"}

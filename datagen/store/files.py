@@ -31,6 +31,12 @@ def write_atomically(path: Path, content: bytes) -> None:
     sync_folder(path.parent)
 
 
+def write_if_changed(path: Path, content: bytes) -> None:
+    """`write_atomically`, unless the file holds just that already."""
+    if not path.is_file() or path.read_bytes() != content:
+        write_atomically(path, content)
+
+
 def json_bytes(value: Any) -> bytes:
     """JSON as every file of a dataset holds it: keys in the order given, floats that round-trip, a final newline."""
     return (json.dumps(value, indent=2, ensure_ascii=False) + "\n").encode()

@@ -12,7 +12,7 @@ from datagen.config.scene_contents import Mesh
 from datagen.errors import InputError
 from datagen.store.arrays import metadata_digests, metadata_files, shard_shape, write_metadata
 from datagen.store.environment import commit, environment, hardware
-from datagen.store.files import PARTIAL, json_bytes, read_json, write_atomically
+from datagen.store.files import PARTIAL, json_bytes, read_json, write_if_changed
 from datagen.store.record import BUILD
 from datagen.store.schema import SCHEMA_VERSION, Field, Schema, schema_of
 
@@ -137,7 +137,7 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
         # It grows: what described the smaller dataset as complete goes before anything else changes.
         for name in WHEN_COMPLETE:
             (root / name).unlink(missing_ok=True)
-    _put(root / MANIFEST, manifest.to_bytes())
+    write_if_changed(root / MANIFEST, manifest.to_bytes())
     write_metadata(root, metadata_files(manifest.schema))
     (root / BUILD).mkdir(exist_ok=True)
     return manifest
@@ -219,11 +219,6 @@ def _shown(value: Any) -> str:
         return "nothing"
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
-
-
-def _put(path: Path, content: bytes) -> None:
-    if not path.is_file() or path.read_bytes() != content:
-        write_atomically(path, content)
 
 
 def _field_row(field: Field, schema: Schema) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from datagen.records import Scalar
-from datagen.store.files import write_atomically
+from datagen.store.files import write_if_changed
 from datagen.store.record import SceneRecord, ShardRecord
 
 TABLE = "samples.parquet"
@@ -45,10 +45,7 @@ def table_bytes(table: pa.Table) -> bytes:
 
 
 def write_table(root: Path, records: Sequence[ShardRecord], fields: Sequence[str]) -> None:
-    content = table_bytes(table_of(records, fields))
-    path = root / TABLE
-    if not path.is_file() or path.read_bytes() != content:
-        write_atomically(path, content)
+    write_if_changed(root / TABLE, table_bytes(table_of(records, fields)))
 
 
 def _column(scenes: Sequence[SceneRecord], name: str) -> pa.Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +10,9 @@ import numpy as np
 
 from datagen.config import fingerprint_of
 from datagen.errors import InputError
-from datagen.store.arrays import open_array
+from datagen.store.arrays import GROUP, open_array
 from datagen.store.card import CARD, CROISSANT, card, croissant, write_card, write_croissant
-from datagen.store.files import json_bytes
+from datagen.store.files import json_bytes, sha256_of
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.record import ShardRecord, read_record, recorded_shards
 from datagen.store.shard import digest
@@ -75,8 +74,7 @@ def verify(path: str | Path) -> Verification:
             problems.append(f"shard {shard}: not there (no commit record); build again to make it")
             continue
         records.append(record)
-        found = list(_shard_problems(root, manifest, record))
-        problems += found
+        problems += _shard_problems(root, manifest, record)
         scenes, shards = scenes + len(record.scenes), shards + 1
         size += sum(file.bytes for file in record.files.values())
     problems += [
@@ -90,14 +88,20 @@ def verify(path: str | Path) -> Verification:
 
 
 def _metadata_problems(root: Path, manifest: Manifest) -> Iterator[str]:
-    for name, sha in manifest.metadata.items():
-        path = root / name
-        if not path.is_file():
-            yield f"{name}: missing"
-        elif hashlib.sha256(path.read_bytes()).hexdigest() != sha:
-            yield f"{name}: its bytes have changed since they were written (SHA-256 differs)"
+    for name in manifest.metadata:
+        problem = _metadata_problem(root, manifest, name)
+        if problem is not None:
+            yield problem
     if fingerprint_of(manifest.config, manifest.meshes) != manifest.fingerprint:
         yield "dataset.json: its configuration is not the one its fingerprint was taken of"
+
+
+def _metadata_problem(root: Path, manifest: Manifest, name: str) -> str | None:
+    if not (root / name).is_file():
+        return f"{name}: missing"
+    if sha256_of(root / name) != manifest.metadata.get(name):
+        return f"{name}: its bytes have changed since they were written (SHA-256 differs)"
+    return None
 
 
 def _mismatch(record: ShardRecord, manifest: Manifest) -> str | None:
@@ -121,11 +125,14 @@ def _shard_problems(root: Path, manifest: Manifest, record: ShardRecord) -> Iter
             yield f"scene {scene.index}: could not be made: {scene.failure}"
     start = record.first_scene
     for field in manifest.schema.fields:
+        if _metadata_problem(root, manifest, f"{GROUP}/{field.name}/zarr.json"):
+            continue
         try:
             values = np.asarray(open_array(root, field.name)[start : record.last_scene + 1])
         except Exception as error:
             # Whatever a decoder raises over damaged bytes is a finding here, not an accident.
-            yield f"shard {record.shard}: field {field.name} cannot be decoded ({type(error).__name__}: {error})"
+            what = " ".join(f"{type(error).__name__}: {error}".split())
+            yield f"shard {record.shard}: field {field.name} cannot be decoded ({what})"
             continue
         for scene in record.scenes:
             if scene.failure is None and digest(field, values[scene.index - start]) != scene.digests[field.name]:
@@ -139,6 +146,7 @@ def _summary_problems(root: Path, manifest: Manifest, records: Sequence[ShardRec
         return
     if (root / TABLE).read_bytes() != table:
         yield f"{TABLE}: differs from what the commit records say"
+        return
     if not (root / CROISSANT).is_file() or (root / CROISSANT).read_bytes() != json_bytes(croissant(root, manifest)):
         yield f"{CROISSANT}: missing, or differs from what the dataset holds"
     if not (root / CARD).is_file() or (root / CARD).read_text() != card(manifest, records):

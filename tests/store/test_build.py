@@ -1,0 +1,292 @@
+"""Builds: the same bytes whatever happens on the way, and nothing touched that is not the build's own."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from fake_samples import (
+    always_fails,
+    dies_at_5,
+    dies_once_at_5,
+    fails_at_5,
+    fake_sample,
+    small_config,
+    too_many_counts,
+)
+
+from datagen.builder import build, parse_shards
+from datagen.config import DatasetConfig
+from datagen.errors import CheckError, InputError
+from datagen.store import running_path, verify
+
+CHILD = """
+import sys
+from fake_samples import fake_sample, slow_sample, small_config
+from datagen.builder import build
+if __name__ == "__main__":
+    build(small_config(), sys.argv[1], 2, sample_function=slow_sample)
+"""
+
+
+def content(root: Path) -> dict[str, bytes]:
+    """Every file's bytes; of commit records all but times."""
+    files = {}
+    for path in sorted(root.rglob("*")):
+        if path.is_file():
+            data = path.read_bytes()
+            if path.parent.name == "build":
+                record = json.loads(data)
+                for key in ("seconds", "started", "finished"):
+                    del record[key]
+                data = json.dumps(record).encode()
+            # The code may be committed while its tests run.
+            files[str(path.relative_to(root))] = re.sub(rb"\b[0-9a-f]{40}(\+changes)?(?![0-9a-f])", b"COMMIT", data)
+    return files
+
+
+def quiet_build(config: DatasetConfig, root: Path, workers: int = 1, **options: object) -> object:
+    return build(config, root, workers, progress=False, **{"sample_function": fake_sample} | options)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """What an uninterrupted build with one worker leaves."""
+    root = tmp_path_factory.mktemp("whole") / "set"
+    result = quiet_build(small_config(), root)
+    assert (result.built, result.kept, result.complete) == (3, 0, True)  # type: ignore[attr-defined]
+    assert verify(root).problems == ()
+    return content(root)
+
+
+def test_two_workers_write_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
+    quiet_build(small_config(), tmp_path / "set", 2)
+    assert content(tmp_path / "set") == whole
+
+
+def test_shards_built_one_by_one_make_the_same_dataset(whole: dict[str, bytes], tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    result = quiet_build(small_config(), root, shards="2")
+    assert not result.complete and not (root / "samples.parquet").exists()  # type: ignore[attr-defined]
+    assert "Incomplete" in (root / "README.md").read_text()
+    quiet_build(small_config(), root, shards="0-1")
+    assert content(root) == whole
+
+
+def start_slow_build(root: Path, script: Path) -> subprocess.Popen[bytes]:
+    """A build in a process of its own, stopped by the caller while shards are under way."""
+    script.write_text(CHILD)
+    here = str(Path(__file__).parent)
+    child = subprocess.Popen(
+        [sys.executable, str(script), str(root)],
+        env=os.environ | {"PYTHONPATH": here},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 60
+    while not list(root.glob("build/shard-*.json")):
+        assert time.monotonic() < deadline and child.poll() is None, "the build did not get going"
+        time.sleep(0.02)
+    return child
+
+
+def test_a_build_killed_in_the_middle_resumes_to_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    child = start_slow_build(root, tmp_path / "child.py")
+    child.kill()
+    child.communicate()
+    assert len(list(root.glob("build/shard-*.json"))) < 3, "nothing was left to interrupt"
+    assert not (root / "samples.parquet").exists()
+    quiet_build(small_config(), root, 2)
+    assert content(root) == whole
+
+
+def test_interrupted_build_leaves_whole_shards_only_and_resumes(whole: dict[str, bytes], tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    child = start_slow_build(root, tmp_path / "child.py")
+    os.killpg(child.pid, signal.SIGINT)
+    _, errors = child.communicate(timeout=60)
+    assert child.returncode != 0
+    # One traceback, the parent's own KeyboardInterrupt: the workers say nothing.
+    assert errors.decode().count("Traceback") == 1 and "KeyboardInterrupt" in errors.decode()
+    left = content(root)
+    shards = {name.split("/")[3] for name in left if "/c/" in name}
+    assert shards == {str(int(name[12:18])) for name in left if name.startswith("build/")}
+    quiet_build(small_config(), root)
+    assert content(root) == whole
+
+
+def test_building_again_changes_nothing(whole: dict[str, bytes], tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    quiet_build(small_config(), root)
+    times = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
+    result = quiet_build(small_config(), root)
+    assert (result.built, result.kept) == (0, 3)  # type: ignore[attr-defined]
+    assert {path: path.stat().st_mtime_ns for path in root.rglob("*") if path.is_file()}.items() <= times.items()
+
+
+@pytest.mark.parametrize("damage", ["flip", "truncate", "unlink", "record"])
+def test_damage_is_mended_by_building_again(whole: dict[str, bytes], tmp_path: Path, damage: str) -> None:
+    root = tmp_path / "set"
+    quiet_build(small_config(), root)
+    shard = root / "data.zarr/transient/c/1/0/0/0"
+    if damage == "flip":
+        data = bytearray(shard.read_bytes())
+        data[20] ^= 1
+        shard.write_bytes(data)
+    elif damage == "truncate":
+        shard.write_bytes(shard.read_bytes()[:-50])
+    elif damage == "unlink":
+        shard.unlink()
+    else:
+        (root / "build/shard-000001.json").write_text('{"shard": 1')
+    shard.with_name("0.0123.partial").write_bytes(b"half")
+    result = quiet_build(small_config(), root)
+    assert (result.built, result.kept) == (1, 2)  # type: ignore[attr-defined]
+    assert content(root) == whole
+
+
+def test_a_dataset_grows_and_keeps_its_scenes(tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    quiet_build(small_config(scenes=6), root)
+    before = content(root)
+    result = quiet_build(small_config(), root)
+    assert (result.built, result.kept) == (2, 1)  # type: ignore[attr-defined]
+    quiet_build(small_config(), tmp_path / "at once")
+    grown = content(root)
+    assert grown == content(tmp_path / "at once")
+    assert all(grown[name] == data for name, data in before.items() if "/c/0/" in name)
+    with pytest.raises(InputError, match=r"12 scenes, scenes = 6 is fewer"):
+        quiet_build(small_config(scenes=6), root)
+
+
+def test_another_configuration_is_refused_and_nothing_changes(whole: dict[str, bytes], tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    quiet_build(small_config(), root)
+    with pytest.raises(InputError, match=r"capture\.time\.bins = 16, this configuration has 17"):
+        quiet_build(small_config(capture={"scan": {"rows": 2, "columns": 2}, "time": {"bins": 17}}), root)
+    with pytest.raises(InputError, match=r"seed = 3, this configuration has 4"):
+        quiet_build(small_config(seed=4), root)
+    assert content(root) == whole
+
+
+def test_foreign_folders_are_refused_and_stay_as_they_are(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match=r"thesis\.tex.*no dataset\.json"):
+        quiet_build(small_config(), tmp_path)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/dataset.json").write_text('{"format": "another tool"}')
+    with pytest.raises(InputError, match="not the manifest of a datagen dataset"):
+        quiet_build(small_config(), tmp_path / "other")
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["dataset.json", "other", "thesis.tex"]
+
+
+def test_outputs_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(InputError, match="is a file, not a folder"):
+        quiet_build(small_config(), file)
+    with pytest.raises(InputError, match="is a file, not a folder"):
+        quiet_build(small_config(), file / "below" / "set")
+    with pytest.raises(InputError, match="cannot be written"):
+        quiet_build(small_config(), Path("/proc/datagen-test"))
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_refused_input_creates_nothing(tmp_path: Path) -> None:
+    def refuse(config: DatasetConfig) -> None:
+        raise InputError("scene: no such room")
+
+    with pytest.raises(InputError, match="no such room"):
+        quiet_build(small_config(), tmp_path / "a/b", input_check=refuse)
+    for workers, options, message in (
+        (0, {}, "--workers 0: must be ≥ 1"),
+        (1, {"engine": "slurm"}, "--engine slurm: must be local or dask"),
+        (1, {"scheduler": "tcp://host:1"}, "only --engine dask has a scheduler"),
+        (1, {"shards": "2-3"}, "has the shards 0-2"),
+        (1, {"scenes": 0}, "--scenes 0: must be ≥ 1"),
+    ):
+        with pytest.raises(InputError, match=message):
+            quiet_build(small_config(), tmp_path / "a/b", workers, **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_where_a_build_died_over_its_first_file_is_taken(whole: dict[str, bytes], tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    root.mkdir()
+    (root / "dataset.json.123.partial").write_text("{")
+    quiet_build(small_config(), root)
+    (root / "dataset.json.123.partial").unlink(missing_ok=True)
+    assert content(root) == whole
+
+
+def test_a_failing_scene_is_recorded_and_the_others_are_built(tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    with pytest.raises(CheckError, match=r"1 of 12 scenes.*scene 5: ValueError: no room for the box"):
+        quiet_build(small_config(), root, sample_function=fails_at_5)
+    problems = verify(root).problems
+    assert len(problems) == 1 and problems[0].startswith("scene 5: could not be made: ValueError")
+    assert "no room for the box" in (root / "README.md").read_text()
+    result = quiet_build(small_config(), root)
+    assert result.built == 1 and verify(root).problems == ()  # type: ignore[attr-defined]
+
+
+def test_counts_beyond_the_dtype_are_an_error_not_a_wrap(tmp_path: Path) -> None:
+    with pytest.raises(CheckError, match=r"scene 2: field 'histogram': 70000 lies outside 0 … 65535 of uint16"):
+        quiet_build(small_config(), tmp_path / "set", sample_function=too_many_counts)
+
+
+def test_a_build_where_every_scene_fails_stops_early(tmp_path: Path) -> None:
+    with pytest.raises(CheckError, match=r"all of the first 8 scenes failed.*scene 4: impossible"):
+        quiet_build(small_config(scenes=400), tmp_path / "set", sample_function=always_fails)
+
+
+def test_a_worker_that_dies_is_replaced(whole: dict[str, bytes], tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    config = small_config(description=str(tmp_path / "remembered"))
+    quiet_build(config, root, 2, sample_function=dies_once_at_5)
+    assert (tmp_path / "remembered").exists()
+    described = ("dataset.json", "README.md", "croissant.json")
+    got, wanted = content(root), dict(whole)
+    assert {k: v for k, v in got.items() if k not in described} == {
+        k: v for k, v in wanted.items() if k not in described
+    }
+
+
+def test_a_scene_that_kills_its_workers_is_given_up(tmp_path: Path) -> None:
+    with pytest.raises(CheckError, match=r"1 of 12 scenes.*scene 5: 2 worker processes died over it"):
+        quiet_build(small_config(), tmp_path / "set", 2, sample_function=dies_at_5)
+    assert len(verify(tmp_path / "set").problems) == 1
+
+
+def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import fcntl
+
+    from datagen import shard_job
+    from datagen.store import prepare
+
+    monkeypatch.setattr(shard_job, "LOCK_PATIENCE_S", 0.1)
+    root, config = tmp_path / "set", small_config()
+    manifest = prepare(root, config)
+    job = shard_job.ShardJob(root, config, manifest.schema, manifest.fingerprint, 0, fake_sample, {})
+    with running_path(root, 0).open("w") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        with pytest.raises(CheckError, match="another build is writing this shard"):
+            shard_job.run_shard(job)
+    assert shard_job.run_shard(job) == {}
+
+
+def test_shard_numbers() -> None:
+    assert parse_shards(None, 3) == [0, 1, 2]
+    assert parse_shards("7-9,3,8", 10) == [3, 7, 8, 9]
+    for bad in ("", "a", "3-1", "-1", "0-10", "1,,2"):
+        with pytest.raises(InputError, match="--shards"):
+            parse_shards(bad, 10)

@@ -1,0 +1,151 @@
+"""The torch dataset: what is read, in which order, from which process, and what is refused."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import zarr
+from fake_samples import fails_at_5, fake_sample, small_config
+from torch.utils.data import DataLoader
+
+from datagen.builder import build
+from datagen.errors import CheckError, InputError
+from datagen.loader import EpochSampler, TransientDataset
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("loader") / "set"
+    config = small_config(detector={"mode": "ideal", "photons_per_pulse": 100.0, "cycles": 100})
+    build(config, root, progress=False, sample_function=fake_sample)
+    return root
+
+
+@pytest.fixture(params=["in memory", "from shards"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if request.param == "from shards":
+        monkeypatch.setattr("datagen.loader.MEMORY_BYTES", 0)
+
+
+@pytest.mark.usefixtures("way")
+def test_items_are_the_stored_values(dataset: Path) -> None:
+    data = TransientDataset(dataset, fields=("histogram", "depth", "laser_points"))
+    stored = {name: np.asarray(zarr.open_array(dataset / "data.zarr" / name, mode="r")[:]) for name in data.selected}
+    assert len(data) == 12 and stored["histogram"].max() > 0
+    for item in data.__getitems__([3, 11, 0]):
+        scene = int(item["scene"])
+        for name in data.selected:
+            assert np.array_equal(item[name].numpy(), stored[name][scene])
+    assert data[3]["histogram"].dtype == torch.float32 and data[3]["depth"].dtype == torch.float32
+    assert torch.equal(data[-1]["depth"], data[11]["depth"])
+    assert TransientDataset(dataset, ("histogram",), counts="int32")[0]["histogram"].dtype == torch.int32
+    with pytest.raises(IndexError):
+        data[12]
+
+
+@pytest.mark.parametrize(("start", "workers"), [("fork", 2), ("spawn", 1)])
+def test_loader_workers_give_the_same_batches(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch, start: str, workers: int
+) -> None:
+    monkeypatch.setattr("datagen.loader.MEMORY_BYTES", 0)
+    data = TransientDataset(dataset)
+    data[0]
+    here = list(DataLoader(data, batch_size=5))
+    there = list(DataLoader(data, batch_size=5, num_workers=workers, multiprocessing_context=start))
+    assert [batch["histogram"].shape for batch in here] == [(5, 4, 1, 16), (5, 4, 1, 16), (2, 4, 1, 16)]
+    for a, b in zip(here, there, strict=True):
+        assert all(torch.equal(a[name], b[name]) for name in a)
+
+
+def test_a_pickled_dataset_carries_no_open_files(dataset: Path) -> None:
+    data = TransientDataset(dataset)
+    data[0]
+    assert torch.equal(pickle.loads(pickle.dumps(data))[4]["histogram"], data[4]["histogram"])
+    assert len(pickle.dumps(data)) < 20_000
+
+
+def test_what_cannot_be_loaded_is_refused(dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"fields: 'albedo' is not in .*; it has histogram, transient, depth"):
+        TransientDataset(dataset, ("albedo",))
+    with pytest.raises(InputError, match="counts = 'uint16': must be one of"):
+        TransientDataset(dataset, counts="uint16")
+    with pytest.raises(InputError, match="no such dataset"):
+        TransientDataset(tmp_path / "nothing")
+    shutil.copytree(dataset, tmp_path / "set")
+    (tmp_path / "set/build/shard-000001.json").unlink()
+    with pytest.raises(InputError, match=r"1 of 3 shards are not committed, the first is 1"):
+        TransientDataset(tmp_path / "set")
+
+
+def test_scenes_that_failed_are_left_out(tmp_path: Path) -> None:
+    with pytest.raises(CheckError):
+        build(small_config(), tmp_path / "set", progress=False, sample_function=fails_at_5)
+    with pytest.warns(UserWarning, match="1 scenes could not be made"):
+        data = TransientDataset(tmp_path / "set")
+    assert [int(item["scene"]) for item in data.__getitems__(range(11))] == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11]
+    assert data.parameters("index").tolist() == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11]
+
+
+def test_the_order_is_a_function_of_seed_and_epoch() -> None:
+    def order(seed: int, epoch: int, **options: int | bool) -> list[int]:
+        sampler = EpochSampler(range(10), seed, **options)  # type: ignore[arg-type]
+        sampler.set_epoch(epoch)
+        return list(sampler)
+
+    assert order(1, 0) == order(1, 0) and sorted(order(1, 0)) == list(range(10))
+    assert len({tuple(order(seed, epoch)) for seed in range(3) for epoch in range(3)}) == 9
+    assert order(1, 0, shuffle=False) == list(range(10))
+    ranks = [order(1, 4, rank=rank, world=3) for rank in range(3)]
+    assert {len(rank) for rank in ranks} == {4} and set().union(*ranks) == set(range(10))
+    assert [i for together in zip(*ranks, strict=True) for i in together][:10] == order(1, 4)
+    with pytest.raises(InputError, match="rank"):
+        EpochSampler(range(10), rank=3, world=3)
+
+
+def test_noise_is_redrawn_from_seed_epoch_and_scene(dataset: Path) -> None:
+    def histograms(epoch: int, seed: int = 0, workers: int = 0) -> torch.Tensor:
+        data = TransientDataset(dataset, ("histogram",), redraw_noise=True, seed=seed)
+        order = EpochSampler(data, shuffle=False)
+        order.set_epoch(epoch)
+        return torch.cat([batch["histogram"] for batch in DataLoader(data, 5, sampler=order, num_workers=workers)])
+
+    first = histograms(0)
+    assert torch.equal(first, histograms(0)) and torch.equal(first, histograms(0, workers=2))
+    assert not torch.equal(first, histograms(1)) and not torch.equal(first, histograms(0, seed=1))
+
+
+def test_workers_that_outlive_an_epoch_see_the_next(dataset: Path) -> None:
+    data = TransientDataset(dataset, ("histogram",), redraw_noise=True)
+    loader = DataLoader(data, 12, num_workers=1, persistent_workers=True, multiprocessing_context="fork")
+    epochs = []
+    for epoch in (0, 1, 0):
+        data.set_epoch(epoch)
+        (batch,) = loader
+        epochs.append(batch["histogram"])
+    assert torch.equal(epochs[0], epochs[2]) and not torch.equal(epochs[0], epochs[1])
+
+
+def test_redrawn_noise_has_the_detectors_mean(dataset: Path) -> None:
+    """χ² over all bins of the sum of 200 epochs against the exact mean, at a significance level of 10⁻⁶."""
+    from scipy.stats import chi2
+
+    from datagen.detector import detector_for, expected_histogram
+    from datagen.store import read_manifest
+
+    data = TransientDataset(dataset, ("histogram", "transient"), redraw_noise=True)
+    config = read_manifest(dataset).parsed_config()
+    total = np.zeros(data.shape("histogram"))
+    for epoch in range(200):
+        data.set_epoch(epoch)
+        total += data[2]["histogram"].numpy()
+    axis = config.capture.time.axis()
+    spad, exposure = detector_for(config.detector, config.seed, 2, axis)
+    mean = 200 * expected_histogram(data[2]["transient"].numpy().astype(float), axis, spad, exposure)
+    used = mean > 10
+    statistic = float((((total - mean) ** 2) / np.where(used, mean, 1))[used].sum())
+    assert used.sum() > 30 and statistic < chi2.isf(1e-6, used.sum())

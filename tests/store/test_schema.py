@@ -1,0 +1,95 @@
+"""How a dataset is cut, from its configuration alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from fake_samples import small_config
+from hypothesis import given
+from hypothesis import strategies as st
+
+from datagen.config import DatasetConfig, config_from_mapping
+from datagen.errors import InputError
+from datagen.store import schema_of
+from datagen.store.arrays import metadata_files
+from datagen.store.schema import CHUNK_BYTES, SHARD_BYTES, Field
+from datagen.store.shard import encoded
+
+
+def scan(rows: int, columns: int, bins: int, scenes: int, pixels: int = 1) -> DatasetConfig:
+    capture = {
+        "pairing": "exhaustive",
+        "scan": {"rows": rows, "columns": columns},
+        "field_of_view": {"rows": pixels, "columns": 1},
+        "time": {"bins": bins},
+    }
+    return config_from_mapping({"scenes": scenes, "capture": capture})
+
+
+@given(st.integers(1, 64), st.integers(1, 64), st.integers(1, 2048), st.integers(1, 10**6))
+def test_shards_are_a_power_of_two_of_scenes_and_fit_in_memory(
+    rows: int, bins: int, pixels: int, scenes: int
+) -> None:
+    schema = schema_of(scan(rows, 4, bins, scenes, pixels))
+    k = schema.scenes_per_shard
+    assert k in (1, 2, 4, 8, 16, 32, 64, 128, 256)
+    assert k == 1 or k * schema.bytes_per_scene <= SHARD_BYTES
+    assert sum(len(schema.scenes_of(shard)) for shard in range(schema.shards)) == scenes
+    assert schema.scenes_of(schema.shards - 1).stop == scenes
+
+
+def test_small_builds_have_shards_for_several_workers() -> None:
+    assert schema_of(scan(16, 16, 512, 32)).shards == 4
+    assert schema_of(scan(16, 16, 512, 1000)).shards >= 8
+    assert schema_of(scan(4, 4, 64, 10**6)).scenes_per_shard == 256
+
+
+@given(st.lists(st.integers(1, 300), min_size=2, max_size=4), st.sampled_from(["uint8", "uint16", "float32"]))
+def test_chunks_are_cut_only_above_their_limit(shape: list[int], dtype: str) -> None:
+    field = Field("f", ("scene", *"abcd"[: len(shape)]), tuple(shape), dtype, "1", "")
+    size = math.prod(field.chunk) * np.dtype(dtype).itemsize
+    assert field.chunk[-1] == shape[-1]
+    assert all(1 <= c <= s for c, s in zip(field.chunk, shape, strict=True))
+    assert size <= CHUNK_BYTES
+    if field.bytes_per_scene <= CHUNK_BYTES:
+        assert field.chunk == field.shape
+    else:
+        assert field.chunk[0] < shape[0], "the laser axis is cut first"
+
+
+def test_metadata_follows_the_store_layout() -> None:
+    import json
+
+    config = small_config()
+    files = metadata_files(schema_of(config))
+    histogram = json.loads(files["data.zarr/histogram/zarr.json"])
+    assert histogram["dimension_names"] == ["scene", "laser", "pixel", "bin"]
+    assert histogram["shape"] == [12, 4, 1, 16] and histogram["chunk_grid"]["configuration"]["chunk_shape"][0] == 4
+    inner = histogram["codecs"][0]["configuration"]
+    assert inner["chunk_shape"] == [1, 4, 1, 16]
+    assert [codec["name"] for codec in inner["codecs"]] == ["bytes", "blosc", "crc32c"]
+    blosc = inner["codecs"][1]["configuration"]
+    assert (blosc["cname"], blosc["clevel"], blosc["shuffle"]) == ("zstd", 5, "bitshuffle")
+    points = json.loads(files["data.zarr/laser_points/zarr.json"])
+    assert [codec["name"] for codec in points["codecs"]] == ["bytes", "blosc", "crc32c"]
+
+
+HISTOGRAM = Field("histogram", ("scene", "laser", "pixel", "bin"), (1, 1, 3), "uint8", "counts", "")
+TRANSIENT = Field("transient", ("scene", "laser", "pixel", "bin"), (1, 1, 3), "float32", "1", "")
+
+
+def test_values_are_stored_as_they_are_or_not_at_all() -> None:
+    assert encoded(HISTOGRAM, np.array([[[0, 7, 255]]])).tolist() == [[[0, 7, 255]]]
+    for bad, message in (
+        (np.array([[[0, 7, 256]]]), "256 lies outside 0 … 255 of uint8; set store.histogram_dtype"),
+        (np.array([[[0, 7, -1]]]), "-1 lies outside 0 … 255"),
+        (np.array([[[0.0, 7.0, 1.0]]]), "float64 made where whole numbers are stored"),
+        (np.array([[0, 7, 1]]), r"shape \(1, 3\) made, \(1, 1, 3\) follows"),
+    ):
+        with pytest.raises(InputError, match=message):
+            encoded(HISTOGRAM, bad)
+    for bad in (np.nan, np.inf, 1e300):
+        with pytest.raises(InputError, match=r"at \(0, 0, 1\) is not a finite float32"):
+            encoded(TRANSIENT, np.array([[[0.0, bad, 1.0]]]))

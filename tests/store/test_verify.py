@@ -1,0 +1,160 @@
+"""`verify` finds every kind of damage, and says where."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import zarr
+from fake_samples import fake_sample, small_config
+
+from datagen.builder import build
+from datagen.errors import InputError
+from datagen.store import read_manifest, verify
+from datagen.store.card import croissant, readable
+from datagen.store.info import info
+from datagen.store.reader import ShardReader
+
+SHARD = "data.zarr/histogram/c/1/0/0/0"
+
+
+@pytest.fixture(scope="module")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("pristine") / "set"
+    build(small_config(), root, progress=False, sample_function=fake_sample)
+    return root
+
+
+@pytest.fixture
+def dataset(pristine: Path, tmp_path: Path) -> Path:
+    shutil.copytree(pristine, tmp_path / "set")
+    return tmp_path / "set"
+
+
+def the_problem(dataset: Path) -> str:
+    problems = verify(dataset).problems
+    assert len(problems) == 1, problems
+    return problems[0]
+
+
+def test_a_sound_dataset_has_no_problems(dataset: Path) -> None:
+    found = verify(dataset)
+    assert (found.scenes, found.shards, found.problems) == (12, 3, ())
+
+
+@pytest.mark.parametrize("name", [SHARD, "data.zarr/depth/c/0/0/0", "data.zarr/laser_points/c/2/0/0"])
+def test_every_flipped_bit_is_found(dataset: Path, name: str) -> None:
+    sound = (dataset / name).read_bytes()
+    rng = np.random.default_rng(1)
+    for bit in rng.choice(8 * len(sound), 12, replace=False):
+        data = bytearray(sound)
+        data[bit // 8] ^= 1 << (bit % 8)
+        (dataset / name).write_bytes(data)
+        assert "SHA-256 differs" in the_problem(dataset)
+
+
+def test_a_flip_that_hashes_do_not_guard_is_found_by_the_checksum(dataset: Path) -> None:
+    """Also without commit records, by any Zarr reader: the codec chain ends in a CRC-32C."""
+    field = read_manifest(dataset).schema.by_name["histogram"]
+    sound = (dataset / SHARD).read_bytes()
+    values = zarr.open_array(dataset / "data.zarr/histogram", mode="r")[4:8]
+    for place in range(0, len(sound), 7):
+        data = bytearray(sound)
+        data[place] ^= 0x10
+        (dataset / SHARD).write_bytes(data)
+        for read in (
+            lambda: zarr.open_array(dataset / "data.zarr/histogram", mode="r")[4:8],
+            lambda: ShardReader(dataset, field, read_manifest(dataset).schema).read(range(4, 8)),
+        ):
+            try:
+                unnoticed = np.array_equal(read(), values)
+            except Exception:
+                continue
+            assert unnoticed, f"byte {place}: another value was read without an error"
+
+
+def test_damage_is_named(dataset: Path) -> None:
+    (dataset / SHARD).write_bytes((dataset / SHARD).read_bytes()[:-9])
+    assert the_problem(dataset).startswith(f"shard 1: {SHARD}:") and "were written" in the_problem(dataset)
+    (dataset / SHARD).unlink()
+    assert the_problem(dataset) == f"shard 1: {SHARD}: missing"
+    (dataset / "build/shard-000001.json").unlink()
+    assert the_problem(dataset).startswith("shard 1: not there (no commit record)")
+
+
+def test_values_that_differ_from_their_digests_are_found(dataset: Path) -> None:
+    record = dataset / "build/shard-000001.json"
+    values = json.loads(record.read_text())
+    values["scenes"][2]["digests"]["depth"] = "0" * 64
+    record.write_text(json.dumps(values))
+    assert "scene 6: field depth decodes to other values than were written" in verify(dataset).problems
+
+
+def test_damaged_metadata_and_tables_are_found(dataset: Path, pristine: Path) -> None:
+    for name in (
+        "data.zarr/zarr.json",
+        "data.zarr/depth/zarr.json",
+        "samples.parquet",
+        "croissant.json",
+        "README.md",
+    ):
+        (dataset / name).write_bytes((dataset / name).read_bytes().replace(b"e", b"a", 1) + b" ")
+        assert the_problem(dataset).startswith(name)
+        (dataset / name).unlink()
+        assert the_problem(dataset).startswith(f"{name}: missing")
+        shutil.copy(pristine / name, dataset / name)
+    assert verify(dataset).problems == ()
+
+
+def test_a_changed_configuration_is_found(dataset: Path) -> None:
+    manifest = dataset / "dataset.json"
+    values = json.loads(manifest.read_text())
+    values["config"]["seed"] += 1
+    manifest.write_text(json.dumps(values))
+    assert any("fingerprint" in problem for problem in verify(dataset).problems)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "datagen dataset"}', '{"schema_version": 1}'])
+def test_a_damaged_manifest_is_bad_input(dataset: Path, text: str) -> None:
+    (dataset / "dataset.json").write_text(text)
+    with pytest.raises(InputError, match=r"dataset\.json"):
+        verify(dataset)
+
+
+def test_the_table_has_a_row_for_every_scene(dataset: Path) -> None:
+    table = pq.read_table(dataset / "samples.parquet")
+    assert table["scene"].to_pylist() == list(range(12))
+    assert table["index"].to_pylist() == list(range(12))
+    assert table["kind"].to_pylist() == ["mesh", "box"] * 6
+    assert table["failure"].null_count == 12
+    assert {len(digest) for digest in table["sha256.histogram"].to_pylist()} == {64}
+    assert not any("second" in name for name in table.column_names)
+
+
+def test_cards_agree_with_the_dataset(dataset: Path) -> None:
+    card = (dataset / "README.md").read_text()
+    assert "Complete: 12 scenes in 3 shards" in card and "| `depth` | scene, row, column | 12, 4, 5 |" in card
+    described = croissant(dataset, read_manifest(dataset))
+    columns = [field["source"]["extract"]["column"] for field in described["recordSet"][0]["field"]]
+    assert columns == pq.read_schema(dataset / "samples.parquet").names
+
+
+def test_info_sums_up(dataset: Path) -> None:
+    text = info(dataset)
+    for piece in ("scenes       12 of 12", "histogram         12 × 4 × 1 × 16", "transport     0.0020", "scenes/s"):
+        assert piece in text
+
+
+def test_sizes_for_people() -> None:
+    assert [readable(n) for n in (0, 999, 1000, 1.5e6, 2.345e9, 7e15)] == [
+        "0 bytes",
+        "999 bytes",
+        "1 kB",
+        "1.5 MB",
+        "2.35 GB",
+        "7e+03 TB",
+    ]
