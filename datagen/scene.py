@@ -88,16 +88,16 @@ def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene
     except RoomDoesNotClose as error:
         raise Unmet("layout", str(error)) from None
     parameters.update({f"layout.{name}": value for name, value in drawn.items()})
-    fan = visible_fan(plan.walls, plan.device[:2])
+    fan = visible_fan(plan.limits, plan.device[:2])
     relay_wall = _visible_relay_wall(plan, fan)
 
     parts = _Parts()
-    for name, (vertices, faces) in surfaces(plan).items():
+    for name, (vertices, faces) in surfaces(plan, floor=spec.layout.floor, ceiling=spec.layout.ceiling).items():
         albedo = draw(getattr(spec.materials, name).albedo, rng)
         parameters[f"{name}.albedo"] = albedo
         parts.add(name, "relay_wall" if name == "relay_wall" else "structure", albedo, vertices, faces)
 
-    space = FreeSpace(plan.outline, plan.walls, plan.height_m, fan, spec.clearance_m)
+    space = FreeSpace(plan.outline, plan.hidden, plan.walls, plan.height_m, fan, spec.clearance_m)
     objects: list[tuple[int, str]] = []
     for i, name, item in _objects(spec, rng):
         solid, drawn = draw_solid(item, plan.height_m, rng)
@@ -185,7 +185,7 @@ def _visible_relay_wall(plan: Plan, fan: NDArray[np.float64]) -> Rectangle:
     if seen is None or seen[1] - seen[0] < SMALLEST_VIEW_M:
         raise Unmet("layout", f"the device sees less than {SMALLEST_VIEW_M} m of the relay wall: widen the corridor")
     unit = (end - start) / np.linalg.norm(end - start)
-    return _upright(start + seen[0] * unit, start + seen[1] * unit, plan.height_m)
+    return _upright(start + seen[0] * unit, start + seen[1] * unit, plan.visible_top_m)
 
 
 def _hidden_view(plan: Plan) -> Rectangle:

@@ -76,7 +76,7 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         raise BadMesh("is empty (0 bytes); export it again")
     try:
         with np.errstate(all="ignore"):
-            loaded = trimesh.load_scene(path, process=False, skip_materials=True)
+            loaded: Any = trimesh.load(path, force="scene", process=False, skip_materials=True)
             pieces = list(_pieces(loaded))
     except Exception as error:
         # Whatever a parser stumbles over in a broken file is the file's fault, and its message the best there is.

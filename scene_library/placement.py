@@ -27,14 +27,16 @@ class Occupied:
 class FreeSpace:
     """The room left over while it is being furnished.
 
-    outline : the plan; walls : (n, 2, 2) vertical surfaces to keep clear of; fan : (m, 3, 2) what the device sees,
-    or None if nothing need be hidden; clearance_m : kept to walls, to other objects and to the sight line.
+    outline : the plan; zone : (2, 2) low and high corner of the part of it that may be furnished; walls : (n, 2, 2)
+    vertical surfaces to keep clear of; fan : (m, 3, 2) what the device sees; clearance_m : kept to walls, to other
+    objects and to the sight line.
     """
 
     outline: Polygon
+    zone: NDArray[np.float64]
     walls: NDArray[np.float64]
     height_m: float
-    fan: NDArray[np.float64] | None
+    fan: NDArray[np.float64]
     clearance_m: float
     taken: list[Occupied] = field(default_factory=list)
 
@@ -45,9 +47,11 @@ class FreeSpace:
         """
         if candidate.bottom_m < -1e-9 or candidate.top_m > self.height_m + 1e-9:
             return "height"
+        if (candidate.footprint < self.zone[0]).any() or (candidate.footprint > self.zone[1]).any():
+            return "wall"
         if not contains(self.outline, candidate.footprint).all():
             return "wall"
-        if self.fan is not None and not is_hidden(candidate.footprint, self.fan, self.clearance_m):
+        if not is_hidden(candidate.footprint, self.fan, self.clearance_m):
             return "sight"
         if boundary_distance(candidate.footprint, self.walls) < self.clearance_m:
             return "wall"

@@ -11,7 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scene_library.polygons import Polygon, cross, is_simple, segments_of, triangulate
+from scene_library.polygons import (
+    Polygon,
+    contains,
+    cross,
+    is_simple,
+    point_segment_distance,
+    segments_of,
+    triangulate,
+)
 
 Surface = tuple[NDArray[np.float64], NDArray[np.int64]]
 """Vertices (V, 3) in metres and triangles (F, 3)."""
@@ -42,47 +50,80 @@ class Plan:
     relay_edge : the edge `outline[i] → outline[i + 1]` that is the relay wall.
     height_m : floor to ceiling.
     device : (3,) position of laser and sensor, inside.
-    hidden : (2, 2) low and high corner of the box, in plan, that holds the hidden part.
+    hidden_corners : those corners of the outline whose bounding box, in plan, holds the hidden part (with the far
+        end of the screen, where there is one).
     across_from_low : whether the hidden part is entered at its low-y side (else at its high-y side).
     doorway : an opening lower than the room, or None.
+    open_air : the outline only limits where objects stand; of its edges the relay wall alone is a surface.
+    screen : (2, 2) a free-standing upright screen in plan, as high as the room, or None.
     """
 
     outline: Polygon
     relay_edge: int
     height_m: float
     device: NDArray[np.float64]
-    hidden: NDArray[np.float64]
+    hidden_corners: tuple[int, ...]
     across_from_low: bool = True
     doorway: Doorway | None = None
+    open_air: bool = False
+    screen: NDArray[np.float64] | None = None
+
+    @property
+    def edges(self) -> NDArray[np.float64]:
+        """(n, 2, 2) the edges of the outline."""
+        return segments_of(self.outline)
 
     @property
     def walls(self) -> NDArray[np.float64]:
-        """(n, 2, 2) the vertical surfaces in plan."""
-        return segments_of(self.outline)
+        """(m, 2, 2) the vertical surfaces in plan."""
+        walls = self.relay_segment[None] if self.open_air else self.edges
+        return walls if self.screen is None else np.concatenate([walls, self.screen[None]])
+
+    @property
+    def limits(self) -> NDArray[np.float64]:
+        """(m, 2, 2) walls and, in the open, the limits of sight."""
+        return self.edges if self.screen is None else np.concatenate([self.edges, self.screen[None]])
 
     @property
     def relay_segment(self) -> NDArray[np.float64]:
         """(2, 2) the relay wall in plan, from right to left as seen from the room."""
-        return self.walls[self.relay_edge]
+        return self.edges[self.relay_edge]
+
+    @property
+    def hidden(self) -> NDArray[np.float64]:
+        """(2, 2) low and high corner of the box, in plan, that holds the hidden part before the relay wall."""
+        corners = self.outline[list(self.hidden_corners)]
+        if self.screen is not None:
+            corners = np.concatenate([corners, self.screen[1:]])
+        high = corners.max(axis=0)
+        return np.array([corners.min(axis=0), [min(high[0], self.relay_segment[0, 0]), high[1]]])
+
+    @property
+    def visible_top_m(self) -> float:
+        """How high up the relay wall the device sees: to the ceiling, or to what a lintel leaves free."""
+        if self.doorway is None:
+            return self.height_m
+        lintel_x = self.outline[[self.doorway.b, self.doorway.c], 0].max()
+        rise = (self.doorway.height_m - self.device[2]) * self.relay_segment[0, 0] / lintel_x
+        return float(min(self.height_m, self.device[2] + rise))
 
 
 def mirrored(plan: Plan) -> Plan:
     """The plan reflected in y = 0; it stays counter-clockwise."""
     n = len(plan.outline)
-    outline = (plan.outline * [1.0, -1.0])[::-1]
     door = plan.doorway
     if door is not None:
         a, b, c, d = (n - 1 - i for i in (door.a, door.b, door.c, door.d))
         door = Doorway(d, c, b, a, door.height_m)
-    low, high = plan.hidden
     return replace(
         plan,
-        outline=outline,
+        outline=(plan.outline * [1.0, -1.0])[::-1],
         relay_edge=(n - 2 - plan.relay_edge) % n,
         device=plan.device * [1.0, -1.0, 1.0],
-        hidden=np.array([[low[0], -high[1]], [high[0], -low[1]]]),
+        hidden_corners=tuple(n - 1 - i for i in plan.hidden_corners),
         across_from_low=not plan.across_from_low,
         doorway=door,
+        screen=None if plan.screen is None else plan.screen * [1.0, -1.0],
     )
 
 
@@ -91,7 +132,7 @@ def out_of_square(plan: Plan, angles_rad: NDArray[np.float64]) -> Plan:
 
     Raises `RoomDoesNotClose` when walls would cross or the device would be left outside.
     """
-    edges = plan.walls
+    edges = plan.edges
     middle = edges.mean(axis=1)
     angles = np.where(np.arange(len(edges)) == plan.relay_edge, 0.0, angles_rad)
     c, s = np.cos(angles), np.sin(angles)
@@ -103,36 +144,53 @@ def out_of_square(plan: Plan, angles_rad: NDArray[np.float64]) -> Plan:
     if (np.abs(turn) < 0.1 * length).any():
         raise RoomDoesNotClose("two neighbouring walls come out nearly parallel; lower out_of_square_deg")
     outline = before + (cross(middle - before, along) / turn)[:, None] * before_along
+    # The relay wall stays in its plane to the last bit.
+    outline[[plan.relay_edge, (plan.relay_edge + 1) % len(outline)], 0] = plan.relay_segment[:, 0]
     back = np.einsum("ij,ij->i", np.roll(outline, -1, axis=0) - outline, along)
     if not is_simple(outline) or (back <= 0).any():
         raise RoomDoesNotClose("walls cross each other; lower out_of_square_deg")
+    if (
+        not contains(outline, plan.device[:2])
+        or point_segment_distance(plan.device[None, :2], segments_of(outline)).min() < 0.05
+    ):
+        raise RoomDoesNotClose("the device comes to stand in a wall; lower out_of_square_deg")
     return replace(plan, outline=outline)
 
 
 def surfaces(plan: Plan, *, floor: bool = True, ceiling: bool = True) -> dict[str, Surface]:
-    """The plan as surfaces `relay_wall`, `walls`, `floor`, `ceiling`: closed, triangles meeting edge to edge."""
+    """The plan as surfaces `relay_wall`, `walls`, `floor`, `ceiling`: closed, triangles meeting edge to edge.
+
+    In the open there are no `walls`, and a `screen` where the plan has one.
+    """
     n, door, height = len(plan.outline), plan.doorway, plan.height_m
     levels = {i: [0.0, height] for i in range(n)}
-    jambs: set[int] = set()
     if door is not None:
-        jambs = {door.a, door.c}
         for i in (door.a, door.b, door.c, door.d):
             levels[i] = [0.0, door.height_m, height]
-    walls = []
-    for i in range(n):
-        if i != plan.relay_edge:
-            top = door.height_m if door is not None and i in jambs else height
-            walls.append(_wall(plan.outline, i, (i + 1) % n, levels, 0.0, top))
-    if door is not None:
-        for i, j in ((door.a, door.d), (door.c, door.b)):
-            walls.append(_wall(plan.outline, i, j, levels, door.height_m, height))
     i = plan.relay_edge
-    result = {"relay_wall": _wall(plan.outline, i, (i + 1) % n, levels, 0.0, height), "walls": joined(walls)}
+    result = {"relay_wall": _wall(plan.outline, i, (i + 1) % n, levels, 0.0, height)}
+    if not plan.open_air:
+        result["walls"] = _other_walls(plan, levels)
+    if plan.screen is not None:
+        result["screen"] = _wall(plan.screen, 0, 1, {0: [0.0, height], 1: [0.0, height]}, 0.0, height)
     if floor:
         result["floor"] = _slab(plan.outline, 0.0)
     if ceiling:
         result["ceiling"] = joined([_slab(piece, z) for piece, z in _ceiling_pieces(plan)])
     return result
+
+
+def _other_walls(plan: Plan, levels: dict[int, list[float]]) -> Surface:
+    n, door, height = len(plan.outline), plan.doorway, plan.height_m
+    walls = []
+    for i in range(n):
+        if i != plan.relay_edge:
+            top = door.height_m if door is not None and i in (door.a, door.c) else height
+            walls.append(_wall(plan.outline, i, (i + 1) % n, levels, 0.0, top))
+    if door is not None:
+        for i, j in ((door.a, door.d), (door.c, door.b)):
+            walls.append(_wall(plan.outline, i, j, levels, door.height_m, height))
+    return joined(walls)
 
 
 def _ceiling_pieces(plan: Plan) -> list[tuple[Polygon, float]]:

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from datagen.config.base import Settings
 from datagen.config.distributions import Fraction, Uniform
 from datagen.config.scene_contents import Box, Content, Mesh, Pillar
-from datagen.config.scene_layouts import LCorridor
+from datagen.config.scene_layouts import AnyLayout, LCorridor
 from datagen.errors import InputError
 
 
@@ -28,12 +28,14 @@ class Materials(Settings):
     walls: Surface = Surface()
     floor: Surface = Surface(albedo=Uniform(uniform=(0.2, 0.7)))
     ceiling: Surface = Surface(albedo=Uniform(uniform=(0.6, 0.9)))
+    screen: Surface = Surface(albedo=Uniform(uniform=(0.05, 0.2)))
+    """The screen that hides the objects in the layout `isolated_wall`."""
 
 
 class SceneConfig(Settings):
     """Random rooms: every dimension, pose and albedo is drawn from the distribution declared here."""
 
-    layout: LCorridor = LCorridor()
+    layout: AnyLayout = LCorridor()
     contents: Annotated[tuple[Content, ...], Field(max_length=100)] = (Pillar(), Box())
     """The objects in the hidden part."""
     materials: Materials = Materials()

@@ -88,6 +88,8 @@ def assert_nothing_intersects(scene: Scene) -> None:
                 far = middle + np.array([0.3, 0.4, 50.0])
                 inside = crossings(theirs, start[:1], far[None]).sum() % 2
                 assert inside == 0, f"{name} inside {other}"
+        if scene.parameters["layout.kind"] == "isolated_wall":
+            continue
         # Inside the room: straight up from the object there is a ceiling, straight down a floor.
         up = crossings(structure, middle[None], middle[None] + [0.0, 0.0, 100.0]).sum()
         down = crossings(structure, middle[None], middle[None] - [0.0, 0.0, 100.0]).sum()
@@ -95,7 +97,7 @@ def assert_nothing_intersects(scene: Scene) -> None:
         assert down % 2 == 1
 
 
-def assert_hidden(scene: Scene, rng: np.random.Generator, points: int = 200) -> None:
+def assert_hidden(scene: Scene, rng: np.random.Generator, points: int = 100) -> None:
     """No point of an object, corners included, is in sight of the device; objects do not help to hide each other."""
     structure = triangles_of(scene, "relay_wall", "structure")
     for name in object_names(scene):
@@ -105,7 +107,7 @@ def assert_hidden(scene: Scene, rng: np.random.Generator, points: int = 200) -> 
         assert blocked.all(), name
 
 
-def assert_seen_from_wall(scene: Scene, rng: np.random.Generator, points: int = 400) -> None:
+def assert_seen_from_wall(scene: Scene, rng: np.random.Generator, points: int = 200) -> None:
     """The device sees the relay wall's rectangle, and points of it see some of every object."""
     wall = scene.relay_wall
     across, up = rng.uniform(-1, 1, (2, points, 1))
@@ -120,8 +122,9 @@ def assert_seen_from_wall(scene: Scene, rng: np.random.Generator, points: int = 
 
 
 def assert_room_laws(scene: Scene, rng: np.random.Generator) -> None:
-    assert_closed_surface(scene)
-    assert_light_stays_inside(scene, rng)
+    if scene.parameters["layout.kind"] != "isolated_wall":
+        assert_closed_surface(scene)
+        assert_light_stays_inside(scene, rng)
     assert_nothing_intersects(scene)
     assert_hidden(scene, rng)
     assert_seen_from_wall(scene, rng)
