@@ -107,8 +107,8 @@ def build(
     root = Path(path)
     workers_engine = start_engine(engine, workers, scheduler)
     try:
-        check_writable(root)
         check_output(root, config)
+        check_writable(root)
         schema = schema_of(config, None if is_fresh(root) else read_manifest(root).schema.scenes_per_shard)
         wanted = parse_shards(shards, schema.shards)
         if sample_function is None:

@@ -145,7 +145,7 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
 
 def check_output(root: Path, config: DatasetConfig) -> None:
     """Raise `InputError` when `prepare` would: a foreign folder, another dataset, fewer scenes than there are."""
-    if not is_fresh(root):
+    if root.is_dir() and not is_fresh(root):
         _taken_up(root, config)
 
 

@@ -1,0 +1,129 @@
+"""Bad input: one line on standard error, exit status 2, no traceback, nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from datagen.cli import run
+
+SMALL = """
+scenes: 2
+capture: {scan: {rows: 2, columns: 2}, time: {bins: 16}}
+detector: {mode: ideal}
+"""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("config.yaml").write_text(SMALL)
+    return tmp_path
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Run a command that must be refused; returns its one line."""
+    before = snapshot(Path())
+    assert run(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("datagen: ") and err.count("\n") == 1, err
+    assert snapshot(Path()) == before, "something was left behind"
+    return err
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() if path.is_file() else b"" for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize(
+    ("text", "pieces"),
+    [
+        ("scene: {contents: [}", ["broken YAML", "line 1"]),
+        ("seed: 1\nseed: 2", ["stands twice"]),
+        ("just text", ["mapping"]),
+        ("", ["nothing found"]),
+        ("sceens: 3", ["sceens", "unknown key", "did you mean 'scenes'"]),
+        ("capture: {time: {bin_width_ns: 1}}", ["capture.time.bin_width_ns", "did you mean 'bin_width_ps'"]),
+        ("scenes: many", ["scenes = 'many'", "integer"]),
+        ("scenes: 2.5", ["scenes = 2.5", "integer"]),
+        ("scenes: 0", ["scenes = 0", "greater than or equal to 1"]),
+        ("seed: -1", ["seed = -1"]),
+        ("scene: {layout: {kind: l_corridor, height_m: {uniform: [3, 2]}}}", ["height_m", "upside down"]),
+        ("scene: {materials: {walls: {albedo: -0.1}}}", ["albedo", "-0.1", "≥ 0"]),
+        ("scene: {materials: {walls: {albedo: 1.5}}}", ["albedo", "1.5", "≤ 1"]),
+        ("scene: {materials: {walls: {albedo: {uniform: [0.5, 1.2]}}}}", ["albedo", "≤ 1"]),
+        ("scene: {contents: [{kind: box, width_m: 90, depth_m: 90, height_m: 1}]}", ["contents[0]", "width_m"]),
+        ("scene: {contents: [{kind: mesh, path: nowhere.obj}]}", ["nowhere.obj", "no such file"]),
+        ("scene: {contents: [{kind: mesh, path: empty.obj}]}", ["empty.obj"]),
+        ("scene: {contents: [{kind: mesh, path: flat.obj}]}", ["flat.obj", "area"]),
+        ("scene: {contents: [{kind: mesh, path: noise.stl}]}", ["noise.stl"]),
+        ("store: {scenes_per_shard: 6}", ["scenes_per_shard = 6", "power of two"]),
+        ("store: {fields: [histogram, histogram]}", ["named twice"]),
+        ("store: {fields: [histogramm]}", ["fields"]),
+        ("labels: {rows: 0}", ["labels.rows = 0"]),
+    ],
+)
+def test_configurations(here: Path, capsys: pytest.CaptureFixture[str], text: str, pieces: list[str]) -> None:
+    Path("bad.yaml").write_text(text)
+    Path("empty.obj").write_text("")
+    Path("flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    Path("noise.stl").write_bytes(bytes(range(256)))
+    line = refused(capsys, "build", "bad.yaml", "out/set")
+    for piece in pieces:
+        assert piece in line
+
+
+def test_a_room_that_no_draw_can_meet(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    boxes = ", ".join(["{kind: box, width_m: 1.2, depth_m: 1.2, height_m: 1}"] * 12)
+    Path("bad.yaml").write_text(f"scene: {{max_attempts: 3, contents: [{boxes}]}}")
+    assert "scene" in refused(capsys, "build", "bad.yaml", "out/set")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "piece"),
+    [
+        (["build", "nothing.yaml", "out"], "nothing.yaml: no such file"),
+        (["build", ".", "out"], "is a directory"),
+        (["build", "config.yaml", "out", "--workers", "0"], "--workers 0: must be ≥ 1"),
+        (["build", "config.yaml", "out", "--workers", "-3"], "--workers -3: must be ≥ 1"),
+        (["build", "config.yaml", "out", "--workers", "two"], "'two' is not a valid integer"),
+        (["build", "config.yaml", "out", "--scenes", "0"], "--scenes 0: must be ≥ 1"),
+        (["build", "config.yaml", "out", "--shards", "7"], "--shards 7"),
+        (["build", "config.yaml", "out", "--engine", "spark"], "--engine spark: must be local or dask"),
+        (["build", "config.yaml", "config.yaml"], "is a file, not a folder"),
+        (["build", "config.yaml", "config.yaml/below"], "is a file, not a folder"),
+        (["build", "config.yaml", "/proc/set"], "cannot be written"),
+        (["build", "config.yaml", "."], "no dataset.json"),
+        (["build", "config.yaml"], "missing argument 'OUT'"),
+        (["build", "config.yaml", "out", "--wrokers", "2"], "--wrokers"),
+        (["biuld", "config.yaml", "out"], "no such command 'biuld'"),
+        (["plan", "nothing.yaml"], "no such file"),
+        (["verify", "nothing"], "no such dataset"),
+        (["verify", "."], "is no dataset"),
+        (["info", "config.yaml"], "no such dataset"),
+        (["show", "nothing", "0"], "no such dataset"),
+        (["show", "nothing", "first"], "'first' is not a valid integer"),
+    ],
+)
+def test_arguments(here: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], piece: str) -> None:
+    assert piece in refused(capsys, *arguments)
+
+
+def test_an_engine_whose_package_is_missing_says_what_to_install(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    line = refused(capsys, "build", "config.yaml", "out", "--engine", "dask")
+    assert "pip install nlos-datagen[cluster]" in line
+
+
+def test_no_traceback_from_the_real_command(here: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "datagen", "build", "nothing.yaml", "out"], capture_output=True, text=True
+    )
+    assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
+    assert os.listdir() == ["config.yaml"]

@@ -1,0 +1,142 @@
+"""The commands on a real dataset: plan, build, verify, info, schema, and how they end."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from datagen.cli import run
+
+ROOT = Path(__file__).parents[2]
+CONFIG = """
+name: tiny
+scenes: 3
+capture: {scan: {rows: 2, columns: 2}, time: {bins: 64, bin_width_ps: 800}}
+transport: {lookins: 64, fov_samples: 1}
+detector: {mode: ideal, photons_per_pulse: 1000.0}
+labels: {rows: 8, columns: 8}
+store: {fields: [histogram, transient, transient_stderr, depth, part_id], scenes_per_shard: 2}
+"""
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset simulated for real, by the command."""
+    folder = tmp_path_factory.mktemp("cli")
+    (folder / "tiny.yaml").write_text(CONFIG)
+    assert run(["build", str(folder / "tiny.yaml"), str(folder / "out/tiny.zarr"), "--quiet"]) == 0
+    return folder
+
+
+def test_the_whole_chain(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dataset = str(built / "out/tiny.zarr")
+    assert run(["verify", dataset]) == 0
+    assert "3 scenes in 2 shards" in capsys.readouterr().out
+    assert run(["info", dataset]) == 0
+    text = capsys.readouterr().out
+    for piece in ("tiny", "3 of 3", "histogram", "3 × 4 × 1 × 64", "transport", "detector", "store", "scenes/s"):
+        assert piece in text
+    assert run(["build", str(built / "tiny.yaml"), dataset]) == 0
+    assert "nothing left to build, 2 were there; complete with 3 scenes" in capsys.readouterr().out
+
+
+def test_two_workers_simulate_the_same_bytes(built: Path, tmp_path: Path) -> None:
+    assert run(["build", str(built / "tiny.yaml"), str(tmp_path / "two"), "--workers", "2", "--quiet"]) == 0
+    for path in (built / "out/tiny.zarr").rglob("*"):
+        inside = path.relative_to(built / "out/tiny.zarr")
+        if path.is_file() and inside.parts[0] in ("data.zarr", "samples.parquet", "croissant.json"):
+            assert path.read_bytes() == (tmp_path / "two" / inside).read_bytes(), inside
+
+
+def test_a_sample_depends_on_seed_and_index_only(built: Path) -> None:
+    """Scene 2 alone, simulated here, equals what the build stored."""
+    import numpy as np
+    import zarr
+
+    from datagen.config import load_config
+    from datagen.pipeline import simulate_sample
+
+    sample = simulate_sample(load_config(built / "tiny.yaml"), 2)
+    for name in ("histogram", "transient", "depth", "part_id", "laser_points"):
+        stored = zarr.open_array(built / "out/tiny.zarr/data.zarr" / name, mode="r")[2]
+        assert np.array_equal(stored, sample.arrays[name].astype(stored.dtype), equal_nan=name != "part_id"), name
+
+
+def test_a_damaged_dataset_fails_its_check(built: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import shutil
+
+    shutil.copytree(built / "out/tiny.zarr", tmp_path / "set")
+    (tmp_path / "set/data.zarr/depth/c/1/0/0").unlink()
+    assert run(["verify", str(tmp_path / "set")]) == 1
+    out, err = capsys.readouterr()
+    assert out == "shard 1: data.zarr/depth/c/1/0/0: missing\n"
+    assert err.startswith("datagen: ") and err.count("\n") == 1
+
+
+def test_another_dataset_in_the_output_is_refused(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (built / "other.yaml").write_text(CONFIG.replace("bins: 64", "bins: 65"))
+    before = {path: path.stat().st_mtime_ns for path in (built / "out").rglob("*")}
+    assert run(["build", str(built / "other.yaml"), str(built / "out/tiny.zarr")]) == 2
+    err = capsys.readouterr().err
+    assert "capture.time.bins = 64, this configuration has 65" in err and err.count("\n") == 1
+    assert {path: path.stat().st_mtime_ns for path in (built / "out").rglob("*")} == before
+
+
+def test_show_names_the_scenes_there_are(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["show", str(built / "out/tiny.zarr"), "3"]) == 2
+    assert "has the scenes 0-2" in capsys.readouterr().err
+
+
+def test_plan_says_what_will_be_built(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plan", str(built / "tiny.yaml"), "--scenes", "10"]) == 0
+    text = capsys.readouterr().out
+    assert "4 laser points × 1 pixels × 64 bins of 800 ps" in text and "shards       5 of 2 scenes" in text
+    assert "5.12 kB" in text, "10 scenes of 4 × 64 counts of two bytes"
+
+
+def test_the_schema_in_the_repository_is_the_one_the_code_has(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["schema"]) == 0
+    assert (ROOT / "configs/schema.json").read_text() == capsys.readouterr().out, (
+        "configs/schema.json is stale: run `datagen schema > configs/schema.json`"
+    )
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "configs").glob("*.yaml")), ids=lambda path: path.name)
+def test_shipped_configurations_fit_the_schema(path: Path) -> None:
+    schema = json.loads((ROOT / "configs/schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.Draft202012Validator(schema).validate(yaml.safe_load(path.read_text()))
+
+
+def test_help_is_quick() -> None:
+    """Below half a second, best of three: another process may be in the way."""
+    taken = []
+    for _ in range(3):
+        started = time.perf_counter()
+        done = subprocess.run([sys.executable, "-m", "datagen", "--help"], capture_output=True, text=True, check=True)
+        taken.append(time.perf_counter() - started)
+    assert "build" in done.stdout and min(taken) < 0.5
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = "import sys, datagen.cli; print([m for m in ('numpy', 'torch', 'zarr', 'numba') if m in sys.modules])"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+
+
+def test_a_reader_that_leaves_early_is_no_error() -> None:
+    pipe = subprocess.Popen(
+        [sys.executable, "-m", "datagen", "schema"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert pipe.stdout is not None and pipe.stderr is not None
+    pipe.stdout.read(1)
+    pipe.stdout.close()
+    assert pipe.stderr.read() == ""
+    pipe.wait(timeout=30)
+    pipe.stderr.close()
