@@ -1,0 +1,69 @@
+# make demo   set everything up, build the quickstart dataset and show a scene of it
+# make test   set everything up and run the checks and the tests
+# make help   the other targets
+
+SHELL := /bin/sh
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.ready
+# The first interpreter of a supported version.
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
+	command -v $$p >/dev/null 2>&1 && $$p -c 'import sys; sys.exit(not (3,11) <= sys.version_info[:2] <= (3,13))' \
+	&& echo $$p && break; done)
+JOBS ?= 2
+CONFIG ?= configs/quickstart.yaml
+OUT ?= out/quickstart.zarr
+
+.PHONY: help setup demo test tests check lint types format schema bench fuzz wheel clean
+
+help:
+	@sed -n '1,3p' Makefile | cut -c3-
+	@echo "make setup   the virtual environment .venv and nothing else"
+	@echo "make tests   the tests alone;  make check   lint, format and types alone"
+	@echo "make format  rewrite the sources in house style;  make schema   regenerate configs/schema.json"
+	@echo "make bench   the tables of the README;  make wheel   a wheel in dist/;  make clean   remove what was made"
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt docker/system-packages.txt
+	@test -n "$(PYTHON)" || { echo "datagen: Python 3.11, 3.12 or 3.13 is needed; none was found on PATH" >&2; exit 2; }
+	@sh docker/install-system-packages.sh
+	@$(PYTHON) -m venv $(VENV) || { echo "datagen: $(PYTHON) -m venv failed; on Debian install python3-venv" >&2; exit 2; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[tests]'
+	@touch $@
+
+demo: setup
+	$(BIN)/datagen build $(CONFIG) $(OUT) --workers 2
+	$(BIN)/datagen info $(OUT)
+	$(BIN)/datagen show $(OUT) 0
+
+test: check tests
+
+check: lint types
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: setup
+	$(BIN)/mypy
+
+tests: setup
+	$(BIN)/python -m pytest -n $(JOBS)
+
+format: setup
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+schema: setup
+	$(BIN)/datagen schema > configs/schema.json
+
+bench: setup
+	$(BIN)/python -m datagen.bench.stages $(CONFIG)
+	$(BIN)/python -m datagen.bench.detector
+
+wheel: setup
+	$(BIN)/python -m pip wheel --quiet --no-deps -w dist .
+
+clean:
+	rm -rf $(VENV) out dist build *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

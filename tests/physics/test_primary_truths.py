@@ -1,0 +1,177 @@
+"""The primary against three truths: a small patch (closed form), a rectangle (quadrature), the inside of a sphere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from rooms import bins_of_path, one_point_capture, rectangle, square_pixels
+from scipy import stats
+
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen.transport.fov import PixelCones
+from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
+
+APERTURE_M2 = np.pi * 0.02**2
+
+
+def wall_and(plate: trimesh.Trimesh, albedo: float = 0.6) -> Scene:
+    wall = rectangle((0, 0, 0), (0, 3, 0), (0, 0, 3))
+    return Scene.from_parts(
+        [Part("wall", wall, Lambertian(0.8), "relay_wall"), Part("plate", plate, Lambertian(albedo))]
+    )
+
+
+@pytest.mark.parametrize("origin", ["wall", "source"])
+def test_small_patch_amplitude_and_arrival_time(origin: str) -> None:
+    """L = (ρ₁/π) cosθ₁cosθ₂ a/R₁₂² · (ρ₂/π) cosθ₂′cosθ₃/R₂₃² · (ρ₃/π) A Ω, at one time."""
+    side, h = 1e-3, 5e-4
+    x2, n2 = np.array([1.2, 0.5, -0.3]), np.array([-1.0, 0, 0])
+    x1, x3, device = np.array([0, -0.4, 0.2]), np.array([0, 0.9, 0.1]), np.array([2.0, -1.0, 0.4])
+    scene = wall_and(rectangle(x2, (0, side / 2, 0), (0, 0, side / 2)))
+    start = 0.0 if origin == "wall" else 4.0
+    capture = Capture(
+        Laser(device, [x1]), Sensor(device, square_pixels([x3], h)), bins_of_path(400, 0.01, start, origin)
+    )
+    result = simulate(scene, capture, Accuracy(256, 4, 3, 2), seed=3)
+
+    r12, r23 = np.linalg.norm(x2 - x1), np.linalg.norm(x3 - x2)
+    cos1, cos2 = (x2 - x1)[0] / r12, n2 @ (x1 - x2) / r12
+    cos2_out, cos3 = n2 @ (x3 - x2) / r23, -(x3 - x2)[0] / r23
+    r3s = np.linalg.norm(device - x3)
+    omega = (2 * h) ** 2 * (device - x3)[0] / r3s**3
+    patch = 0.8 / np.pi * cos1 * cos2 / r12**2 * side**2
+    expected = patch * 0.6 / np.pi * cos2_out * cos3 / r23**2 * 0.8 / np.pi * APERTURE_M2 * omega
+    assert result.total.sum() == pytest.approx(expected, rel=1e-5)
+    assert np.count_nonzero(result.total) <= 2
+    path = r12 + r23 + (r3s + np.linalg.norm(device - x1) if origin == "source" else 0.0)
+    mean_time = (result.total[0, 0] * capture.time.centers_s).sum() / result.total.sum()
+    assert mean_time == pytest.approx(path / C, abs=1e-5 / C)
+
+
+def test_rectangle_against_quadrature_per_3_mm_bin() -> None:
+    """An unoccluded plate, 16 × 16 confocal points, 300 bins of 3 mm: relative L1 under 1 % (DESIGN, sec. 2)."""
+    center, right, up = np.array([1, 0.1, 0.05]), np.array([0.05, 0.13, 0]), np.array([0, 0, 0.13])
+    scene = wall_and(rectangle(center, right, up))
+    knots = np.linspace(-0.35, 0.35, 16)
+    points = np.array([[0, y, z] for z in knots for y in knots])
+    h, device = 1e-4, np.array([0.5, 0, 0])
+    capture = Capture(
+        Laser(device, points), Sensor(device, square_pixels(points, h)), bins_of_path(300, 0.003, 1.75), "confocal"
+    )
+    n = 400
+    knots = (np.arange(n) + 0.5) / n * 2 - 1
+    u, v = (k.ravel()[:, None] for k in np.meshgrid(knots, knots))
+    surface = center + u * right + v * up
+    normal = np.cross(right, up)
+    area, normal = 4 * np.linalg.norm(normal) / n**2, normal / np.linalg.norm(normal)
+    truth = np.zeros((256, 300))
+    for row, x in zip(truth, points, strict=True):
+        d = surface - x
+        r = np.linalg.norm(d, axis=1)
+        omega = (2 * h) ** 2 * device[0] / np.linalg.norm(device - x) ** 3
+        energy = 0.8**2 * 0.6 / np.pi**3 * (d[:, 0] * np.abs(d @ normal)) ** 2 / r**8 * area * APERTURE_M2 * omega
+        position = (2 * r - 1.75) / 0.003 - 0.5
+        low = np.floor(position).astype(int)
+        row += np.bincount(low, energy * (1 - position + low), 300) + np.bincount(
+            low + 1, energy * (position - low), 300
+        )
+    result = simulate(scene, capture, Accuracy(1 << 16, 1, 3, 1), seed=5, split_parts=False)
+    assert np.abs(result.total[:, 0] - truth).sum() / truth.sum() < 0.01
+    assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4)
+
+
+def sphere_capture(bins: int = 60) -> Capture:
+    quad = np.array([[[0.1, -0.5, -1], [0.5, 0.3, -1], [0, 0.5, -1], [-0.4, -0.2, -1.0]]])
+    return Capture(
+        Laser((0, 0, 0.0), [[1.0, 0.1, 0.2]]), Sensor((0, 0, 0.0), quad), bins_of_path(bins, 4.0 / bins, 0.0)
+    )
+
+
+@pytest.fixture(scope="module")
+def ball() -> trimesh.Trimesh:
+    mesh = trimesh.creation.icosphere(subdivisions=6)
+    # Scaled so that the polyhedron has the unit sphere's area: its energy is then right to second order.
+    mesh.apply_scale(np.sqrt(4 * np.pi / mesh.area))
+    return mesh
+
+
+@pytest.mark.parametrize("albedo", [0.3, 0.8, 1.0])
+def test_inside_of_a_sphere_energy(ball: trimesh.Trimesh, albedo: float) -> None:
+    """Every vertex after a bounce is uniform on the sphere, so L = ρ³/π · A Ω / (4π r²) whatever the geometry."""
+    scene = Scene.from_parts([Part("sphere", ball, Lambertian(albedo), "structure")])
+    capture = sphere_capture()
+    result = simulate(scene, capture, Accuracy(1 << 16, 16, 3, 4), seed=2)
+    omega = PixelCones.of(capture.sensor).solid_angle[0]
+    expected = albedo**3 / np.pi / (4 * np.pi) * APERTURE_M2 * omega
+    assert (result.total.sum() + result.overflow.sum()) == pytest.approx(expected, rel=5e-4)
+
+
+def test_inside_of_a_sphere_shape(ball: trimesh.Trimesh) -> None:
+    """The total chord length through uniform points, by bin: squared deviations over their standard errors, level 10⁻³, 16 runs."""
+    scene = Scene.from_parts([Part("sphere", ball, Lambertian(0.8), "structure")])
+    capture = sphere_capture()
+    runs = np.array([simulate(scene, capture, Accuracy(4096, 8, 3, 1), seed=s).total[0, 0] for s in range(16)])
+    measured, stderr = runs.mean(axis=0), runs.std(axis=0, ddof=1) / np.sqrt(len(runs))
+
+    # A chord between uniform points of the unit sphere has density c/2 on 0…2; x₃ lies in the pixel's cone and x₁ is
+    # fixed, but x₂ alone is uniform: both chords end in it, so their sum is integrated over x₂.
+    rng = np.random.default_rng(1)
+    n = 2_000_000
+    x2 = rng.normal(size=(n, 3))
+    x2 /= np.linalg.norm(x2, axis=1, keepdims=True)
+    x1 = np.array([1.0, 0.1, 0.2]) / np.linalg.norm([1.0, 0.1, 0.2])
+    weights = rng.random((n, 2))
+    q = capture.sensor.pixels[0]
+    u, v = weights[:, :1], weights[:, 1:]
+    x3 = (1 - v) * ((1 - u) * q[0] + u * q[1]) + v * ((1 - u) * q[3] + u * q[2])
+    jacobian = (
+        np.abs(
+            np.einsum(
+                "ij,ij->i",
+                x3,
+                np.cross((1 - v) * (q[1] - q[0]) + v * (q[2] - q[3]), (1 - u) * (q[3] - q[0]) + u * (q[2] - q[1])),
+            )
+        )
+        / np.linalg.norm(x3, axis=1) ** 3
+    )
+    x3 /= np.linalg.norm(x3, axis=1, keepdims=True)
+    path = np.linalg.norm(x2 - x1, axis=1) + np.linalg.norm(x3 - x2, axis=1)
+    width = 4.0 / 60
+    position = path / width - 0.5
+    low = np.floor(position).astype(int)
+    energy = 0.8**3 / np.pi / (4 * np.pi) * APERTURE_M2 * jacobian / n
+    expected = np.zeros(62)
+    np.add.at(expected, low + 1, energy * (1 - position + low))
+    np.add.at(expected, low + 2, energy * (position - low))
+    expected = expected[1:61]
+
+    filled = measured > 1e-3 * measured.max()
+    noise = stderr[filled] ** 2 + (expected[filled] * np.sqrt(60 / n)) ** 2
+    t2 = (measured[filled] - expected[filled]) ** 2 / noise
+    # With 16 runs each term is about F(1, 15): mean 15/13, variance 2·15²·14 / (13²·11). Level 10⁻³, one-sided.
+    mean, variance = 15 / 13, 2 * 15**2 * 14 / (13**2 * 11)
+    z = (t2.sum() - filled.sum() * mean) / np.sqrt(filled.sum() * variance)
+    assert z < stats.norm.ppf(1 - 1e-3)
+    assert np.abs(measured - expected).sum() / expected.sum() < 0.01
+
+
+def test_reciprocity() -> None:
+    """Swapping laser point and FoV point leaves the transient between them as it was."""
+    from rooms import furnished_box
+
+    scene = furnished_box()
+    a, b, device, h = np.array([0, -0.8, 1.4]), np.array([0, 0.5, 0.9]), np.array([1.5, 0.1, 1.3]), 1e-3
+    there, back = (
+        simulate(scene, one_point_capture(p, q, h, device=device), Accuracy(1 << 16, 1, 3, 8), seed=s)
+        for p, q, s in ((a, b, 1), (b, a, 2))
+    )
+    # The solid angle of the pixel differs with the place of the FoV point; E₃ per photon does not.
+    solid = [h**2 * 4 * device[0] / np.linalg.norm(device - p) ** 3 for p in (b, a)]
+    e_there, e_back = there.total / solid[0], back.total / solid[1]
+    assert e_there.sum() == pytest.approx(e_back.sum(), rel=2e-3)
+    sigma = np.hypot(there.stderr / solid[0], back.stderr / solid[1])
+    filled = sigma > 0
+    z = np.abs(e_there - e_back)[filled] / sigma[filled]
+    # Two estimates of 8 scramblings each: Student's t with about 14 degrees, Bonferroni over the bins at 10⁻³.
+    assert z.max() < stats.t.ppf(1 - 0.5e-3 / filled.sum(), 14)
