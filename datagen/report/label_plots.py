@@ -1,0 +1,116 @@
+"""Label images and volumes, with their axes in metres on the plane of the relay wall."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.labels import ViewFrame
+from datagen.labels.volumes import VoxelGrid
+from datagen.records import Scene
+from datagen.report.style import empty_note, part_colors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+
+TITLES = {
+    "depth": "Depth behind the relay wall's plane",
+    "normal": "Surface normal (colour = direction)",
+    "albedo": "Albedo",
+    "part_id": "Part",
+    "occupancy": "Occupancy: voxels taken along depth",
+    "sdf": "Signed distance, slice",
+}
+
+
+def draw_label(figure: Figure, axes: Axes, scene: Scene, field: str, values: NDArray[Any]) -> None:
+    """Draw one label of `datagen.labels`; `field` picks the manner."""
+    axes.set_title(TITLES[field])
+    axes.set(xlabel="right (m)", ylabel="up (m)")
+    _DRAW[field](figure, axes, scene, values)
+
+
+def _image_extent(scene: Scene) -> tuple[float, float, float, float]:
+    frame = ViewFrame.of(scene)
+    return -frame.half_width_m, frame.half_width_m, -frame.half_height_m, frame.half_height_m
+
+
+def _draw_depth(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
+    """Near is bright; 0 means empty and stays white."""
+    shown = np.ma.masked_where(values <= 0, values)
+    image = axes.imshow(shown, extent=_image_extent(scene), cmap="viridis_r", interpolation="nearest")
+    if shown.count() == 0:
+        empty_note(axes, "nothing stands behind the view")
+        return
+    label = "depth (m); white: empty" if shown.count() < shown.size else "depth (m)"
+    _color_bar(figure, axes, image, label)
+
+
+def _draw_albedo(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
+    image = axes.imshow(values, extent=_image_extent(scene), cmap="gray", interpolation="nearest", vmin=0.0, vmax=1.0)
+    _color_bar(figure, axes, image, "albedo (0: empty)")
+
+
+def _draw_normal(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
+    """Red: facing right, green: up, blue: facing the wall (half intensity: perpendicular to that)."""
+    towards = values * np.array([1.0, 1.0, -1.0])
+    color = np.where(np.linalg.norm(values, axis=-1, keepdims=True) > 0, (towards + 1) / 2, 1.0)
+    axes.imshow(np.clip(color, 0, 1), extent=_image_extent(scene), interpolation="nearest")
+
+
+def _draw_parts(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
+    from matplotlib.colors import to_rgb
+    from matplotlib.patches import Patch
+
+    colors = part_colors(scene)
+    table = np.array([to_rgb(colors[name]) for name in scene.part_names] + [(1.0, 1.0, 1.0)])
+    axes.imshow(table[values], extent=_image_extent(scene), interpolation="nearest")
+    seen = [scene.part_names[k] for k in np.unique(values) if k >= 0]
+    handles = [Patch(facecolor=colors[name], edgecolor="#555555", linewidth=0.5, label=name) for name in seen[:12]]
+    axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+def _draw_occupancy(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
+    """Metres of taken voxels behind each point of the view."""
+    grid = VoxelGrid.of(scene, values.shape)
+    extent = (grid.low[0], grid.high[0], grid.low[1], grid.high[1])
+    thickness = values.sum(axis=0, dtype=np.float64) * grid.voxel_m[0]
+    image = axes.imshow(thickness, extent=extent, cmap="cividis", interpolation="nearest", vmin=0.0)
+    _color_bar(figure, axes, image, "taken depth (m)")
+
+
+def _draw_sdf(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
+    """A horizontal slice from above: right across, depth upwards, the surface (distance 0) as a line."""
+    grid = VoxelGrid.of(scene, values.shape)
+    row = int(np.argmin(values.mean(axis=(0, 2))))
+    layer = values[:, row, :]
+    # Half the range to the far side of the surface, so that the inside is told from the outside by colour.
+    reach = max(3 * float(-layer.min()), 0.4 * float(abs(layer).max())) or 1.0
+    extent = (grid.low[0], grid.high[0], grid.low[2], grid.high[2])
+    image = axes.imshow(layer, extent=extent, origin="lower", cmap="RdBu", vmin=-reach, vmax=reach)
+    if layer.min() < 0 < layer.max() and min(layer.shape) > 1:
+        axes.contour(layer, levels=[0.0], extent=extent, colors="black", linewidths=0.9)
+    up = grid.high[1] - (row + 0.5) * grid.voxel_m[1]
+    axes.set_title(f"{TITLES['sdf']} at {up:.2f} m up".replace("-", "\N{MINUS SIGN}"))
+    axes.set(ylabel="depth (m)")
+    _color_bar(figure, axes, image, "distance (m), inside negative")
+
+
+def _color_bar(figure: Figure, axes: Axes, image: AxesImage, label: str) -> None:
+    """A colour bar as high as the picture beside it."""
+    figure.colorbar(image, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label=label)
+
+
+_DRAW: dict[str, Callable[[Figure, Axes, Scene, NDArray[Any]], None]] = {
+    "depth": _draw_depth,
+    "normal": _draw_normal,
+    "albedo": _draw_albedo,
+    "part_id": _draw_parts,
+    "occupancy": _draw_occupancy,
+    "sdf": _draw_sdf,
+}

@@ -1,0 +1,277 @@
+"""The pictures of one scene, each a figure with a title, axes with units, and a caption that explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, ViewFrame
+from datagen.report.histogram_plots import draw_counts, draw_residuals, mean_square_residual
+from datagen.report.label_plots import draw_label
+from datagen.report.replay import REPRODUCED, Replay, StoredScene
+from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
+from datagen.report.scan_plots import clear_row, draw_moment, draw_time_slice, moments, scan_of, time_limits
+from datagen.report.style import caption, caption_height, new_figure
+from datagen.report.transient_plots import (
+    busy_window,
+    clear_channel,
+    draw_stack,
+    raster_of,
+    stacking_order,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_MOMENTS = 4
+
+
+def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
+    """The room in plan and in 3D."""
+    lasers, pixels, _ = again.capture.shape
+    looks = (
+        "each seen by its own pixel (confocal)" if again.capture.pairing == "confocal" else f"{_n(pixels, 'pixel')}"
+    )
+    text = (
+        f"The room of this scene. Light goes from the laser to {_n(lasers, 'laser point')} on the relay wall, around "
+        f"the corner to the objects, back to the relay wall and into the sensor, {looks}. In the 3D picture the "
+        "ceiling and the walls in the way are taken off (dashed edges). The green rectangle is the window that the "
+        "label images look through, along the arrow."
+    )
+    entries = len(again.scene.part_names) + 4
+    legend_in = 0.2 * np.ceil(entries / 6) + 0.1
+    figure = new_figure(12, 5.6 + legend_in + caption_height(12, text))
+    grid = figure.add_gridspec(3, 2, height_ratios=[5.6, legend_in, caption_height(12, text)], width_ratios=[1, 1.15])
+    figure.suptitle(f"{stored.title}: the room", fontweight="bold")
+    plan, opened = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
+    draw_plan(plan, room)
+    plan.set_title("Plan, from above")
+    draw_opened(opened, room)
+    opened.set_title("Opened, without perspective")
+    draw_legend(figure, figure.add_subplot(grid[1, :]), room)
+    caption(figure, figure.add_subplot(grid[2, :]), text)
+    return figure
+
+
+def transient_page(stored: StoredScene, again: Replay) -> Figure:
+    """The transient stacked by part: one channel, and the sum over the scan."""
+    laser, pixel = clear_channel(again.scene, again.transient)
+    text = (
+        "Expected light at the aperture before the detector, split by the part of the room that sent it back to the "
+        "relay wall. Layers lie on top of each other, objects lowest; the upper edge is the total. On the "
+        "logarithmic axis an upper layer looks thinner than it is: read a layer as the difference of its two "
+        f"edges. {_provenance(again)}"
+    )
+    figure = new_figure(12, 4.6 + caption_height(12, text))
+    grid = figure.add_gridspec(2, 2, height_ratios=[4.6, caption_height(12, text)])
+    figure.suptitle(f"{stored.title}: the transient by part", fontweight="bold")
+    one, whole = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
+    draw_stack(one, again.scene, _curves(again, (laser, pixel)), again.capture.time)
+    one.set_title(_channel_name(again, laser, pixel))
+    draw_stack(whole, again.scene, _curves(again, None), again.capture.time)
+    whole.set_title(_whole_name(again))
+    handles, labels = one.get_legend_handles_labels()
+    if not handles:
+        handles, labels = whole.get_legend_handles_labels()
+    if handles:
+        whole.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.0, 0.5), title="top to bottom")
+    caption(figure, figure.add_subplot(grid[1, :]), text)
+    return figure
+
+
+def histogram_page(stored: StoredScene, again: Replay) -> Figure:
+    """Counts over their expectation with residuals: one channel, and the sum over the scan."""
+    laser, pixel = clear_channel(again.scene, again.transient)
+    text = _histogram_caption(stored, again)
+    figure = new_figure(12, 5.4 + caption_height(12, text))
+    grid = figure.add_gridspec(3, 2, height_ratios=[3.6, 1.8, caption_height(12, text)])
+    figure.suptitle(f"{stored.title}: photon counts and their expectation", fontweight="bold")
+    time = again.capture.time
+    for column, (title, counts, expected) in enumerate(
+        (
+            (_channel_name(again, laser, pixel), again.counts[laser, pixel], again.expected[laser, pixel]),
+            (_whole_name(again), again.counts.sum(axis=(0, 1), dtype=np.int64), again.expected.sum(axis=(0, 1))),
+        )
+    ):
+        upper, lower = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
+        draw_counts(upper, counts, expected, time)
+        upper.set(title=title, xlabel="")
+        draw_residuals(lower, counts, expected, time)
+        for axes in (upper, lower):
+            axes.set_xlim(*busy_window(expected if expected.any() else counts, time))
+    caption(figure, figure.add_subplot(grid[2, :]), text)
+    return figure
+
+
+def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray[Any]]) -> Figure:
+    """Every label there is, two or three in a row."""
+    text = (
+        "Ground truth, seen from the plane of the relay wall through the green window of the room picture, "
+        "orthographically along the wall's normal; up is up, and right is right as seen from the device facing the "
+        "wall, so images lie over the scan. The relay wall itself is taken as a window."
+    )
+    if "normal" in labels:
+        text += " Normals: red grows to the right, green upwards, blue towards the wall."
+    if "sdf" in labels:
+        text += " Signed distance: seen from above, the black line is the objects' surface."
+    absent = [name for name in labels if name not in stored.arrays]
+    if absent:
+        text += f" Not stored in this dataset, computed for this picture: {', '.join(absent)}."
+    columns = min(3, len(labels))
+    rows = -(-len(labels) // columns)
+    width = 4.6 * columns if columns > 1 else 7.0
+    frame = ViewFrame.of(again.scene)
+    high = float(np.clip(0.7 * width / columns * frame.half_height_m / frame.half_width_m, 1.5, 5.0)) + 1.0
+    figure = new_figure(width, high * rows + caption_height(width, text))
+    grid = figure.add_gridspec(rows + 1, columns, height_ratios=[high] * rows + [caption_height(width, text)])
+    figure.suptitle(f"{stored.title}: labels", fontweight="bold")
+    for number, (field, values) in enumerate(labels.items()):
+        draw_label(figure, figure.add_subplot(grid[divmod(number, columns)]), again.scene, field, values)
+    caption(figure, figure.add_subplot(grid[rows, :]), text)
+    return figure
+
+
+def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
+    """Slices of the scan, all light above and the objects' alone below; None when the channels make no grid."""
+    raster = raster_of(again.capture, clear_channel(again.scene, again.transient))
+    if raster is None:
+        return None
+    whole = scan_of(again.transient.total, raster)
+    objects = scan_of(_objects(again), raster)
+    text = (
+        f"The transient of the scan's {raster.what} ({len(raster.z_m)} rows of {len(raster.x_m)}). Left: along the "
+        "row that objects reach most; a point of the hidden scene draws a curve that is earliest where the wall is "
+        "nearest to it. Right: the whole wall at four moments; wavefronts travel over it (brightness: square root of "
+        "the signal, each on its own scale). Above all light, below only what objects scattered. "
+        f"{_provenance(again)}"
+    )
+    figure = new_figure(14, 6.0 + caption_height(14, text))
+    grid = figure.add_gridspec(2, 2, height_ratios=[6.0, caption_height(14, text)], width_ratios=[1, 2.4])
+    figure.suptitle(f"{stored.title}: slices of the scan", fontweight="bold")
+    # Subfigures, so that the colour bars of one take no room from the columns of the other.
+    left, right = figure.add_subfigure(grid[0, 0]), figure.add_subfigure(grid[0, 1])
+    row = clear_row(objects if objects.any() else whole)
+    at = moments(objects if objects.any() else whole, _MOMENTS)
+    time = again.capture.time
+    limits, edges = time_limits(whole, objects, time), time.edges_s * 1e9
+    for line, (what, scan) in enumerate((("all light", whole), ("objects only", objects))):
+        along = left.add_subplot(2, 1, line + 1)
+        draw_time_slice(left, along, scan, row, raster, time, limits)
+        along.set_title(f"Row {row + 1} from the top, {what}")
+        for number, bins in enumerate(at):
+            axes = right.add_subplot(2, _MOMENTS, line * _MOMENTS + number + 1)
+            draw_moment(axes, scan, bins, raster)
+            axes.set_title(f"{edges[bins.start]:.4g} – {edges[bins.stop]:.4g} ns")
+            axes.set_ylabel("" if number else f"{what}: up (m)")
+    caption(figure, figure.add_subplot(grid[1, :]), text)
+    return figure
+
+
+def overview_page(
+    stored: StoredScene, again: Replay, room: RoomPicture, labels: Mapping[str, NDArray[Any]]
+) -> Figure:
+    """One picture of everything: room, transient by part, counts, depth, scan."""
+    time, channel = again.capture.time, clear_channel(again.scene, again.transient)
+    text = (
+        "Above: the room from above and opened, with laser points on the relay wall; the green window is where the "
+        "depth label looks from. Below: the expected light of the whole scan split by part (stacked, logarithmic), "
+        f"photon counts over their exact mean in one channel, and the depth label. {_provenance(again)}"
+    )
+    entries = len(again.scene.part_names) + 4
+    legend_in = 0.2 * np.ceil(entries / 8) + 0.1
+    figure = new_figure(15, 9.2 + legend_in + caption_height(15, text))
+    grid = figure.add_gridspec(4, 6, height_ratios=[4.9, legend_in, 4.0, caption_height(15, text)])
+    figure.suptitle(f"{stored.title}: overview", fontweight="bold")
+    raster = raster_of(again.capture, channel)
+    plan, opened = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:4] if raster else grid[0, 2:])
+    draw_plan(plan, room)
+    plan.set_title("Plan, from above")
+    draw_opened(opened, room)
+    opened.set_title("Opened: ceiling and near walls off")
+    if raster is not None:
+        scan, objects = scan_of(again.transient.total, raster), scan_of(_objects(again), raster)
+        row = clear_row(objects if objects.any() else scan)
+        sliced = figure.add_subplot(grid[0, 4:])
+        draw_time_slice(figure, sliced, scan, row, raster, time, time_limits(scan, objects, time))
+        sliced.set_title(f"Scan: time along row {row + 1} from the top")
+    draw_legend(figure, figure.add_subplot(grid[1, :]), room, columns=8)
+    stack, counted, depth = (figure.add_subplot(grid[2, 2 * k : 2 * k + 2]) for k in range(3))
+    draw_stack(stack, again.scene, _curves(again, None), time)
+    stack.set_title(f"Transient, {_whole_name(again).lower()}")
+    draw_counts(counted, again.counts[channel], again.expected[channel], time)
+    counted.set_xlim(*busy_window(again.expected[channel], time))
+    counted.set_title(f"Counts, {_channel_name(again, *channel).lower()}")
+    draw_label(figure, depth, again.scene, "depth", labels["depth"])
+    caption(figure, figure.add_subplot(grid[3, :]), text)
+    return figure
+
+
+def labels_of(stored: StoredScene) -> list[str]:
+    """The labels to draw: those stored, and depth in any case, in the order of `datagen.labels`."""
+    return [name for name in IMAGE_FIELDS + VOLUME_FIELDS if name in stored.arrays or name == "depth"]
+
+
+def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, NDArray[np.float64]]]:
+    """(part, (bin,) curve) in stacking order, of one channel or summed over all; parts without light left out."""
+    parts = again.transient.parts
+    pick = {name: values.sum(axis=(0, 1)) if channel is None else values[channel] for name, values in parts.items()}
+    curves = [(name, pick[name]) for name in stacking_order(again.scene) if name in pick]
+    return [(name, curve) for name, curve in curves if parts[name].any()]
+
+
+def _objects(again: Replay) -> NDArray[np.float64]:
+    """(laser, pixel, bin) light that objects scattered."""
+    total = np.zeros(again.capture.shape)
+    for name, role in zip(again.scene.part_names, again.scene.roles, strict=True):
+        if role == "object" and name in again.transient.parts:
+            total = total + again.transient.parts[name]
+    return total
+
+
+def _provenance(again: Replay) -> str:
+    """Where the curves come from, and whether they are the stored ones."""
+    start = "Parts are not stored; they come from simulating this scene again from its stored configuration and seed"
+    if again.difference is None:
+        return start + "."
+    if again.difference <= REPRODUCED:
+        return start + f", which reproduces the stored transient (relative difference {again.difference:.0e})."
+    return start + (
+        f". CAUTION: the result differs from the stored transient by {again.difference:.2g} (relative L2); that was "
+        "made with another version or machine."
+    )
+
+
+def _histogram_caption(stored: StoredScene, again: Replay) -> str:
+    source = "Stored photon counts" if "histogram" in stored.arrays else "Photon counts, drawn again (none stored),"
+    text = (
+        f"{source} over the exact mean of the detector model. Below, what is left in units of the Poisson spread; "
+        "the band is ± 2, which holds about 95 % where counts are high (where few are expected, residuals jump "
+        "between 0 and 1 counts and are lopsided)."
+    )
+    found = mean_square_residual(again.counts, again.expected)
+    if found is not None:
+        text += (
+            f" Over all {found[2]} bins with any expectation, the mean square residual is {found[0]:.3f}; "
+            f"Poisson counts give 1 ± {found[1]:.2g}."
+        )
+    return text
+
+
+def _n(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _channel_name(again: Replay, laser: int, pixel: int) -> str:
+    lasers, pixels, _ = again.capture.shape
+    if again.capture.pairing == "confocal":
+        return f"Laser point {laser} of {lasers}, where objects stand out"
+    return f"Laser point {laser} of {lasers}, pixel {pixel} of {pixels}"
+
+
+def _whole_name(again: Replay) -> str:
+    lasers, pixels, _ = again.capture.shape
+    over = _n(lasers, "laser point") if pixels == 1 else f"{_n(lasers, 'laser point')} × {_n(pixels, 'pixel')}"
+    return f"Sum over {over}"

@@ -1,0 +1,106 @@
+"""A stored scene, and the same scene simulated again for what was not stored: its geometry, the split by part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.capture import capture_for
+from datagen.config import DatasetConfig
+from datagen.detector import detect, detector_for, expected_histogram
+from datagen.errors import InputError
+from datagen.records import Capture, Scene, Transient
+from datagen.scene import generate_scene
+from datagen.seeding import Purpose, derived_seed
+from datagen.store import Manifest, read_manifest
+from datagen.store.arrays import open_array
+from datagen.store.record import read_record
+from datagen.transport import simulate
+
+REPRODUCED = 1e-5
+"""Relative L2 difference up to which a transient counts as reproduced (storage in float32 costs 1e-7)."""
+
+
+@dataclass(frozen=True)
+class StoredScene:
+    """What a dataset holds of one scene. arrays : field → values of the scene."""
+
+    manifest: Manifest
+    config: DatasetConfig
+    index: int
+    arrays: Mapping[str, NDArray[Any]]
+
+    @property
+    def title(self) -> str:
+        return f"{self.config.name}, scene {self.index}"
+
+
+@dataclass(frozen=True)
+class Replay:
+    """One scene simulated again.
+
+    counts : (laser, pixel, bin) of the stored histogram, or drawn again where none is stored.
+    expected : (laser, pixel, bin) its exact mean.
+    difference : relative L2 distance of the new transient from the stored one; None where none is stored.
+    """
+
+    scene: Scene
+    capture: Capture
+    transient: Transient
+    counts: NDArray[Any]
+    expected: NDArray[np.float64]
+    difference: float | None
+
+
+def read_scene(dataset: str | Path, index: int) -> StoredScene:
+    """Read everything stored of scene `index`.
+
+    Raises `InputError` when the folder is no dataset, has no such scene, its shard is not committed, or the scene
+    could not be made when the dataset was built.
+    """
+    root = Path(dataset)
+    manifest = read_manifest(root)
+    scenes = manifest.schema.scenes
+    if not 0 <= index < scenes:
+        raise InputError(f"INDEX {index}: {dataset} has the scenes 0 … {scenes - 1}; name one of them")
+    shard = index // manifest.schema.scenes_per_shard
+    record = read_record(root, shard)
+    if record is None:
+        raise InputError(
+            f"INDEX {index}: shard {shard} of {dataset} is not there yet; run `datagen build` again, or name a scene "
+            "that is"
+        )
+    failure = record.failures.get(index)
+    if failure is not None:
+        raise InputError(f"INDEX {index}: this scene of {dataset} could not be made ({failure}); name another one")
+    arrays = {field.name: np.asarray(open_array(root, field.name)[index]) for field in manifest.schema.fields}
+    return StoredScene(manifest, manifest.parsed_config(), index, arrays)
+
+
+def replay(stored: StoredScene) -> Replay:
+    """Simulate a stored scene again: a scene depends on (configuration, seed, index) alone."""
+    config, index = stored.config, stored.index
+    scene = generate_scene(config.scene, config.seed, index)
+    capture = capture_for(config, scene)
+    accuracy = config.transport.accuracy()
+    transient = simulate(scene, capture, accuracy, seed=derived_seed(config.seed, index, Purpose.TRANSPORT))
+    spad, exposure = detector_for(config.detector, config.seed, index, capture.time)
+    expected = expected_histogram(transient.total, capture.time, spad, exposure)
+    counts = stored.arrays.get("histogram")
+    if counts is None:
+        seed = derived_seed(config.seed, index, Purpose.DETECTOR)
+        counts = detect(transient.total, capture.time, spad, exposure, seed=seed)
+    return Replay(scene, capture, transient, counts, expected, _difference(stored, transient.total))
+
+
+def _difference(stored: StoredScene, total: NDArray[np.float64]) -> float | None:
+    kept = stored.arrays.get("transient")
+    if kept is None:
+        return None
+    norm = float(np.linalg.norm(kept))
+    return float(np.linalg.norm(total - kept)) / norm if norm > 0 else float(np.linalg.norm(total) > 0)

@@ -1,0 +1,290 @@
+"""The room in plan and opened in 3D, with device, laser points, field of view and the hidden view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.labels.raster import first_hits
+from datagen.records import Capture, Scene
+from datagen.report.cutaway import (
+    Camera,
+    Cutaway,
+    Extent,
+    Shaded,
+    cut_open,
+    flat_groups,
+    room_faces,
+    shaded,
+    to_pixels,
+)
+from datagen.report.style import FIELD_OF_VIEW, INK, LASER, part_colors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
+
+_ELEVATION_DEG = 42.0
+_TURNS_DEG = (-55.0, -30.0, 30.0, 55.0)
+_MANY_PIXELS = 400
+HIDDEN_VIEW = "#117733"
+
+
+@dataclass(frozen=True)
+class RoomPicture:
+    """What the pictures of a room show besides the room.
+
+    laser_points : (L, 3) where the laser rays met the scene; NaN where they met nothing.
+    """
+
+    scene: Scene
+    capture: Capture | None = None
+    laser_points: NDArray[np.float64] | None = None
+
+    @cached_property
+    def opened(self) -> tuple[Camera, Cutaway, Shaded]:
+        """Direction, what is left of the walls, and the shaded picture in 3D."""
+        camera, cut = best_view(self.scene)
+        return camera, cut, shaded(self.scene, camera, cut.faces, part_colors(self.scene))
+
+    @cached_property
+    def plan(self) -> Shaded:
+        """The shaded picture from above: no ceiling, and walls have no width."""
+        walls, _, ceiling = room_faces(self.scene)
+        faces = np.setdiff1d(np.arange(len(self.scene.triangles)), np.concatenate([walls, ceiling]))
+        return shaded(self.scene, Camera.from_above(), faces, part_colors(self.scene))
+
+    @property
+    def devices(self) -> dict[str, NDArray[np.float64]]:
+        """Label → position of laser and sensor, one entry where they stand together."""
+        if self.capture is None:
+            here = self.scene.device_position
+            return {} if here is None else {"laser and sensor": here}
+        laser, sensor = self.capture.laser.position, self.capture.sensor.position
+        if np.linalg.norm(laser - sensor) < 1e-9:
+            return {"laser and sensor": laser}
+        return {"laser": laser, "sensor": sensor}
+
+
+def draw_plan(axes: Axes, room: RoomPicture, marks: bool = True) -> None:
+    """From above, x to the right and y up, ceiling off; walls are lines. Axes in metres."""
+    scene, camera = room.scene, Camera.from_above()
+    _show(axes, room.plan)
+    walls = room_faces(scene)[0]
+    if len(walls):
+        border = np.concatenate(flat_groups(scene, walls)[1])
+        _lines(axes, border[..., :2], color="#555555", linewidth=1.6, zorder=3)
+    relay = np.array([role == "relay_wall" for role in scene.roles])[scene.face_part]
+    if relay.any():
+        corners = scene.corners[relay][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
+        _lines(axes, corners[..., :2], color=_relay_color(scene), linewidth=4.5, zorder=4)
+    if marks:
+        _mark_hidden_view(axes, scene, camera)
+        _mark_capture(axes, room, camera, beams=True)
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    axes.set_aspect("equal")
+    axes.margins(0.03)
+
+
+def draw_opened(axes: Axes, room: RoomPicture, marks: bool = True) -> None:
+    """In 3D without perspective, from the relay wall's front side; ceiling and walls in the way taken off."""
+    scene = room.scene
+    camera, cut, picture = room.opened
+    _show(axes, picture)
+    _lines(
+        axes, camera.project(cut.outlines)[..., :2], color="#777777", linewidth=0.8, linestyle=(0, (4, 3)), zorder=5
+    )
+    if marks:
+        _mark_hidden_view(axes, scene, camera)
+        _mark_capture(axes, room, camera, beams=True)
+    _mark_axes(axes, camera, scene, *picture)
+    axes.set_aspect("equal")
+    axes.margins(0.03)
+    axes.set_axis_off()
+
+
+def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
+    """The one of a few directions in front of the relay wall from which most of the objects and that wall is seen."""
+    normal = np.array([-1.0, 0.0, 0.0]) if scene.relay_wall is None else scene.relay_wall.normal
+    front = float(np.degrees(np.arctan2(normal[1], normal[0])))
+    wanted = np.flatnonzero([role != "structure" for role in scene.roles])
+    best: tuple[float, Camera, Cutaway] | None = None
+    for turn in _TURNS_DEG:
+        camera = Camera.looking(front + turn, _ELEVATION_DEG)
+        cut = cut_open(scene, camera)
+        share = _seen_share(scene, camera, cut, wanted)
+        if best is None or share > best[0] + 1e-6:
+            best = (share, camera, cut)
+    assert best is not None
+    return best[1], best[2]
+
+
+def _seen_share(scene: Scene, camera: Camera, cut: Cutaway, wanted: NDArray[np.int64]) -> float:
+    """Sum over the wanted parts of the share of their outline that is not hidden."""
+    triangles, rows, columns, _ = to_pixels(scene, camera, cut.faces, 200)
+    part = scene.face_part[cut.faces]
+    together = first_hits(triangles, rows, columns, -np.inf)[0]
+    shown = np.where(together < 0, -1, part[together])
+    share = 0.0
+    for p in wanted:
+        alone = first_hits(triangles[part == p], rows, columns, -np.inf)[0] >= 0
+        share += float((shown == p).sum()) / max(float(alone.sum()), 1.0)
+    return share
+
+
+def draw_legend(figure: Figure, axes: Axes, room: RoomPicture, columns: int = 6) -> Legend:
+    """A legend of all parts and marks, filling `axes`."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    scene = room.scene
+    handles: list[Patch | Line2D] = [
+        Patch(facecolor=color, edgecolor="#555555", linewidth=0.5, label=name)
+        for name, color in part_colors(scene).items()
+    ]
+    for label in room.devices:
+        handles.append(Line2D([], [], marker=_marker(label), color="black", linestyle="", markersize=8, label=label))
+    if room.laser_points is not None:
+        handles.append(Line2D([], [], marker="o", color=LASER, linestyle="", markersize=4, label="laser points"))
+    if room.capture is not None:
+        handles.append(
+            Patch(facecolor="none", edgecolor=FIELD_OF_VIEW, linewidth=1.2, label="field of view of the pixels")
+        )
+    if scene.hidden_view is not None:
+        handles.append(
+            Line2D(
+                [],
+                [],
+                color=HIDDEN_VIEW,
+                linewidth=1.6,
+                linestyle=(0, (5, 2)),
+                label="hidden view (window of the labels)",
+            )
+        )
+    axes.set_axis_off()
+    legend = axes.legend(handles=handles, loc="upper left", ncols=columns, borderaxespad=0, handlelength=1.6)
+    legend.set_in_layout(False)
+    return legend
+
+
+def _marker(label: str) -> str:
+    return {"laser": "^", "sensor": "s"}.get(label, "D")
+
+
+def _relay_color(scene: Scene) -> str:
+    return next(
+        c for (_, c), role in zip(part_colors(scene).items(), scene.roles, strict=True) if role == "relay_wall"
+    )
+
+
+def _show(axes: Axes, picture: Shaded) -> None:
+    axes.imshow(picture[0], extent=picture[1], interpolation="bilinear", zorder=2)
+
+
+def _lines(axes: Axes, segments: NDArray[np.float64], **style: object) -> None:
+    from matplotlib.collections import LineCollection
+
+    if len(segments):
+        axes.add_collection(LineCollection(list(segments), capstyle="round", **style), autolim=True)  # type: ignore[arg-type]
+
+
+def _mark_hidden_view(axes: Axes, scene: Scene, camera: Camera) -> None:
+    view = scene.hidden_view
+    if view is None:
+        return
+    corners = camera.project(view.corners)[:, :2]
+    loop = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    _lines(axes, loop, color=HIDDEN_VIEW, linewidth=1.6, linestyle=(0, (5, 2)), zorder=6)
+    reach = 0.35 * float(np.linalg.norm(view.right))
+    start, end = camera.project(np.stack([view.center, view.center + reach * view.normal]))[:, :2]
+    style = {"arrowstyle": "-|>", "color": HIDDEN_VIEW, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", xy=tuple(end), xytext=tuple(start), arrowprops=style, zorder=7)
+
+
+def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera, beams: bool) -> None:
+    from matplotlib.collections import PolyCollection
+    from scipy.spatial import ConvexHull, QhullError
+
+    if room.capture is not None:
+        pixels = camera.project(room.capture.sensor.pixels)[..., :2]
+        if len(pixels) > _MANY_PIXELS:
+            try:
+                flat = pixels.reshape(-1, 2)
+                pixels = flat[ConvexHull(flat).vertices][None]
+            except QhullError:
+                pixels = pixels[:1]
+        style = {"facecolors": "none", "edgecolors": FIELD_OF_VIEW, "linewidths": 0.9}
+        axes.add_collection(PolyCollection(list(pixels), zorder=8, **style), autolim=True)  # type: ignore[arg-type]
+    points = np.empty((0, 2))
+    if room.laser_points is not None:
+        seen = room.laser_points[np.isfinite(room.laser_points).all(axis=1)]
+        points = camera.project(seen)[:, :2]
+        _dots(axes, points, float(np.ptp(room.scene.vertices, axis=0).max()))
+    for label, position in room.devices.items():
+        here = camera.project(position)[:2]
+        if beams and len(points) and label.startswith("laser"):
+            spread = points[
+                [points[:, 0].argmin(), points[:, 0].argmax(), points[:, 1].argmin(), points[:, 1].argmax()]
+            ]
+            beam = np.stack([np.broadcast_to(here, spread.shape), spread], axis=1)
+            _lines(axes, beam, color=LASER, linewidth=0.6, alpha=0.7, zorder=8)
+        axes.scatter(
+            here[0],
+            here[1],
+            s=55,
+            marker=_marker(label),
+            color="black",
+            edgecolors="white",
+            linewidths=0.8,
+            zorder=10,
+        )
+
+
+def _dots(axes: Axes, points: NDArray[np.float64], extent: float) -> None:
+    """Dots that grow with the picture, and leave gaps where points are dense."""
+    from matplotlib.collections import EllipseCollection
+    from scipy.spatial import KDTree
+
+    places = np.unique(np.round(points / (1e-6 * extent)), axis=0) * (1e-6 * extent)
+    if len(places) == 0:
+        return
+    apart = np.median(KDTree(places).query(places, k=2)[0][:, 1]) if len(places) > 1 else np.inf
+    size = np.full(len(places), float(np.clip(0.55 * apart, 0.002 * extent, 0.014 * extent)))
+    style = {"facecolors": LASER, "edgecolors": "none", "zorder": 9}
+    at = {"units": "xy", "offsets": places, "offset_transform": axes.transData}
+    axes.add_collection(EllipseCollection(size, size, np.zeros(len(places)), **at, **style), autolim=True)  # type: ignore[arg-type]
+
+
+def _mark_axes(axes: Axes, camera: Camera, scene: Scene, picture: NDArray[np.float64], extent: Extent) -> None:
+    """The directions x, y, z, 1 m long (or the power of ten that suits the scene), in the emptier lower corner."""
+    size = float(np.ptp(scene.vertices, axis=0).max())
+    length = 10.0 ** np.floor(np.log10(max(size, 1e-9) / 3))
+    unit = camera.axes[:2].T * length
+    low, high = 1.3 * unit.min(axis=0).clip(max=0), 1.3 * unit.max(axis=0).clip(min=0)
+    left, right, bottom, top = extent
+    rows, columns = picture.shape[:2]
+    high_px = max(1, int(rows * (high - low)[1] / (top - bottom)))
+    wide_px = max(1, int(columns * (high - low)[0] / (right - left)))
+    strip = picture[-high_px:, :, 3]
+    at_left = strip[:, :wide_px].mean() <= strip[:, -wide_px:].mean()
+    origin = np.array([left - low[0] if at_left else right - high[0], bottom - low[1]])
+    for name, arrow in zip("xyz", unit, strict=True):
+        style = {"arrowstyle": "-|>", "color": INK, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", xy=tuple(origin + arrow), xytext=tuple(origin), arrowprops=style, zorder=11)
+        x, y = origin + 1.22 * arrow
+        axes.text(x, y, name, ha="center", va="center", fontsize=8, color=INK, zorder=11)
+    note = (left if at_left else right, bottom - 0.01 * (top - bottom))
+    axes.text(
+        note[0],
+        note[1],
+        f"arrows: {length:g} m",
+        ha="left" if at_left else "right",
+        va="top",
+        fontsize=7.5,
+        color=INK,
+    )

@@ -1,0 +1,71 @@
+"""`datagen show`: the pictures of one stored scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from datagen.labels import make_labels
+from datagen.report.pages import (
+    histogram_page,
+    labels_of,
+    labels_page,
+    overview_page,
+    room_page,
+    scan_page,
+    transient_page,
+)
+from datagen.report.replay import Replay, StoredScene, read_scene, replay
+from datagen.report.room_plots import RoomPicture
+from datagen.report.style import house_style, save_png
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list[Path]:
+    """Draw scene `index` of a dataset as PNGs and return their paths, the overview first.
+
+    The room in plan and opened in 3D, the transient stacked by part, counts over their expectation, the labels, and
+    slices of the scan where its channels make a grid. The scene is simulated again from the stored configuration and
+    seed for what a dataset does not hold (geometry, the split by part); counts and labels are the stored ones.
+
+    Parameters
+    ----------
+    out : folder for the pictures; default `DATASET.show` beside the dataset, never inside it.
+
+    Raises
+    ------
+    InputError : no dataset, no such scene, a shard not committed, a scene that failed, an output that cannot be
+        written.
+    """
+    stored = read_scene(dataset, index)
+    folder = default_folder(dataset) if out is None else Path(out)
+    again = replay(stored)
+    stem = f"scene-{index:06d}"
+    with house_style():
+        return [save_png(figure, folder / f"{stem}-{name}.png") for name, figure in pages(stored, again).items()]
+
+
+def default_folder(dataset: str | Path) -> Path:
+    """`DATASET.show` beside the dataset."""
+    root = Path(dataset).resolve()
+    return root.with_name(root.name + ".show")
+
+
+def pages(stored: StoredScene, again: Replay) -> dict[str, Figure]:
+    """Name → figure of every picture of a scene. Call it within `house_style()`."""
+    wanted = labels_of(stored)
+    kept = {name: stored.arrays[name] for name in wanted if name in stored.arrays}
+    made = make_labels(stored.config.labels, again.scene, [name for name in wanted if name not in kept])
+    labels = {name: (kept | made)[name] for name in wanted}
+    room = RoomPicture(again.scene, again.capture, again.transient.laser_points)
+    figures = {
+        "overview": overview_page(stored, again, room, labels),
+        "room": room_page(stored, again, room),
+        "transient": transient_page(stored, again),
+        "histogram": histogram_page(stored, again),
+        "labels": labels_page(stored, again, labels),
+        "scan": scan_page(stored, again),
+    }
+    return {name: figure for name, figure in figures.items() if figure is not None}

@@ -1,0 +1,118 @@
+"""How all pictures look: fonts, colours that colour-blind readers can tell apart, captions, the PNG writer.
+
+Figures are made through matplotlib's objects with the Agg canvas: no window, no global figure, and no setting of the
+caller's is changed or obeyed, so the same data give the same picture everywhere.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from datagen.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from datagen.records import Scene
+
+DPI = 110
+INK = "#222222"
+LASER = "#D55E00"
+FIELD_OF_VIEW = "#332288"
+EXPECTED = "#0072B2"
+_RELAY_WALL = "#8DB4DE"
+# Okabe & Ito's palette, then Paul Tol's "muted", without the colours used for laser points, FoV and relay wall.
+_OBJECTS = (
+    "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442", "#882255", "#44AA99", "#999933", "#AA4499", "#117733",
+)  # fmt: skip
+_WALLS = ("#B4B4B8", "#9AA0A6", "#C8C4BC", "#868C94", "#D2D2D6")
+_FLOOR, _CEILING = "#E6DDC8", "#C6D3DD"
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Matplotlib's own defaults with our fonts, whatever the user's settings are; restored afterwards."""
+    import matplotlib
+
+    defaults: dict[Any, Any] = {
+        key: value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith("backend")
+    }
+    ours: dict[Any, Any] = {
+        "font.family": ["DejaVu Sans"],
+        "font.size": 9.0,
+        "axes.titlesize": 10.0,
+        "axes.titleweight": "bold",
+        "axes.titlelocation": "left",
+        "axes.labelcolor": INK,
+        "axes.edgecolor": "#666666",
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "legend.fontsize": 8.0,
+        "legend.frameon": False,
+        "svg.hashsalt": "datagen",
+    }
+    with matplotlib.rc_context({**defaults, **ours}):
+        yield
+
+
+def part_colors(scene: Scene) -> dict[str, str]:
+    """Part name → colour: bright ones for objects, greys for the room, light blue for the relay wall."""
+    colors, objects, walls = {}, 0, 0
+    for name, role in zip(scene.part_names, scene.roles, strict=True):
+        if role == "relay_wall":
+            colors[name] = _RELAY_WALL
+        elif role == "object":
+            colors[name] = _OBJECTS[objects % len(_OBJECTS)]
+            objects += 1
+        elif "floor" in name or "ceiling" in name:
+            colors[name] = _FLOOR if "floor" in name else _CEILING
+        else:
+            colors[name] = _WALLS[walls % len(_WALLS)]
+            walls += 1
+    return colors
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """An empty figure with constrained layout on an Agg canvas."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def caption(figure: Figure, axes: Axes, text: str) -> None:
+    """Fill `axes`, the bottom row of a figure, with a caption wrapped to the figure's width."""
+    axes.set_axis_off()
+    lines = textwrap.wrap(text, width=int(figure.get_figwidth() * 15.5))
+    written = axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8.5, color="#444444", linespacing=1.35)
+    # Its row is high enough already; counted in, long lines would take room from the pictures beside it.
+    written.set_in_layout(False)
+
+
+def caption_height(width_in: float, text: str) -> float:
+    """Inches that `caption` needs for a text in a figure of this width."""
+    return 0.17 * len(textwrap.wrap(text, width=int(width_in * 15.5))) + 0.12
+
+
+def empty_note(axes: Axes, text: str) -> None:
+    """Say in the middle of an axes why it is empty."""
+    axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes, color="#777777", wrap=True)
+
+
+def save_png(figure: Figure, path: Path) -> Path:
+    """Write the figure; the file depends on the picture alone (no time, no version). Returns `path`."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, format="png", metadata={"Software": None})
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror or error}); name another output folder"
+        ) from None
+    return path
