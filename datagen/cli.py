@@ -134,9 +134,14 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; errors of the user's become one line on standard error. Returns the exit status."""
+    """Run a `datagen` command; returns the exit status."""
+    return guarded(cli, arguments, "datagen")
+
+
+def guarded(command: click.Command, arguments: Sequence[str] | None = None, name: str | None = None) -> int:
+    """Run any click command; errors of the user's become one line on standard error. Returns the exit status."""
     try:
-        status = cli.main(arguments, prog_name="datagen", standalone_mode=False)
+        status = command.main(arguments, prog_name=name, standalone_mode=False)
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except click.ClickException as error:

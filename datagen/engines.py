@@ -5,7 +5,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -15,6 +17,8 @@ from datagen.errors import InputError
 
 SHARDS_PER_PROCESS = 16
 """A worker process is replaced after so many shards, so that no leak in a library lasts."""
+PATIENCE_S = 3.0
+"""How long a worker that is told to end may take to do so in order."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """Workers are the parallelism, and a sum split over threads could round differently."""
 
@@ -78,15 +82,22 @@ class _Process:
             return self._pool.submit(function, *arguments)
 
     def stop(self, kill: bool) -> None:
-        if kill:
-            for process in list((self._pool._processes or {}).values()):
-                process.kill()
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        processes = list((self._pool._processes or {}).values()) if kill else []
+        for process in processes:
+            process.terminate()
+        self._pool.shutdown(wait=not kill, cancel_futures=True)
+        for process in processes:
+            process.join(PATIENCE_S)
+            process.kill()
+        self._pool.shutdown(wait=True)
 
 
 def _start_worker() -> None:
-    """Leave Ctrl-C to the parent, and die with it: an orphan must not go on writing into a dataset."""
+    """Leave Ctrl-C to the parent, end in order when told to, and die with the parent: an orphan must not go on
+    writing into a dataset.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_die_with, args=(parent.sentinel,), daemon=True).start()
@@ -96,6 +107,10 @@ def _die_with(sentinel: int) -> None:
     from multiprocessing.connection import wait
 
     wait([sentinel])
+    main = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main is not None:
+        signal.pthread_kill(main, signal.SIGTERM)
+    time.sleep(PATIENCE_S)
     os._exit(1)
 
 
