@@ -92,10 +92,11 @@ def write_shard(
     values = {field.name: _empty(field, len(scenes)) for field in schema.fields}
     records = [_keep(schema, values, scenes.start, index, sample) for index, sample in samples]
     begun_storing = time.perf_counter()
-    files = {}
+    names = [shard_file(field, shard) for field in schema.fields]
     for field in schema.fields:
         open_array(root, field.name, "r+")[scenes.start : scenes.stop] = values[field.name]
-        files[shard_file(field, shard)] = _synced(root, shard_file(field, shard))
+    _sync(root, names)
+    files = {name: FileRecord(sha256_of(root / name), (root / name).stat().st_size) for name in names}
     now = time.time()
     record = ShardRecord(
         shard=shard,
@@ -141,11 +142,12 @@ def _plain(value: Scalar | np.generic) -> Scalar:
     return plain
 
 
-def _synced(root: Path, name: str) -> FileRecord:
-    path = root / name
-    sync_file(path)
-    for folder in path.parents:
+def _sync(root: Path, names: Iterable[str]) -> None:
+    """Have the disk hold the files and the folders above them, each once."""
+    folders: dict[Path, None] = {}
+    for name in names:
+        path = root / name
+        sync_file(path)
+        folders |= dict.fromkeys(folder for folder in path.parents if folder.is_relative_to(root))
+    for folder in folders:
         sync_folder(folder)
-        if folder == root:
-            break
-    return FileRecord(sha256_of(path), path.stat().st_size)
