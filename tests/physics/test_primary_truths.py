@@ -108,7 +108,7 @@ def test_inside_of_a_sphere_energy(ball: trimesh.Trimesh, albedo: float) -> None
 
 
 def test_inside_of_a_sphere_shape(ball: trimesh.Trimesh) -> None:
-    """The total chord length through uniform points, by bin: squared deviations over their standard errors, level 10⁻³, 16 runs."""
+    """The total chord length through a uniform point, by bin: 16 runs, level 10⁻³."""
     scene = Scene.from_parts([Part("sphere", ball, Lambertian(0.8), "structure")])
     capture = sphere_capture()
     runs = np.array([simulate(scene, capture, Accuracy(4096, 8, 3, 1), seed=s).total[0, 0] for s in range(16)])
