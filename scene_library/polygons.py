@@ -45,7 +45,9 @@ def convex_hull(points: ArrayLike) -> Polygon:
 def _is_convex(p: Polygon) -> bool:
     edge = following(p) - p
     turn = cross(edge, following(edge))
-    return bool(len(p) >= 3 and ((turn > 0).all() or (turn < 0).all()))
+    # Turning one way only is not enough: a star may wind round twice.
+    total = np.arctan2(turn, (edge * following(edge)).sum(axis=1)).sum()
+    return bool(len(p) >= 3 and ((turn > 0).all() or (turn < 0).all()) and abs(total) < 7)
 
 
 def contains(polygon: Polygon, points: ArrayLike) -> NDArray[np.bool_]:
@@ -116,9 +118,12 @@ def is_simple(polygon: Polygon) -> bool:
 def triangulate(polygon: Polygon) -> NDArray[np.int64]:
     """(n − 2, 3) counter-clockwise triangles of a simple polygon, by cutting ears.
 
-    Of the ears on offer the one with the widest smallest angle is cut, which keeps slivers rare.
+    Of the ears on offer the one that is fattest is cut, which keeps slivers rare; a convex polygon becomes a fan.
     Raises `ValueError` when the polygon is not simple.
     """
+    if len(polygon) > 4 and _is_convex(polygon):
+        k = np.arange(1, len(polygon) - 1)
+        return np.stack([np.zeros_like(k), k, k + 1], axis=1)
     corners = [(float(x), float(y)) for x, y in polygon]
     left = list(range(len(corners)))
     triangles: list[tuple[int, int, int]] = []

@@ -20,9 +20,7 @@ from scene_library.polygons import (
     segments_of,
     triangulate,
 )
-
-Surface = tuple[NDArray[np.float64], NDArray[np.int64]]
-"""Vertices (V, 3) in metres and triangles (F, 3)."""
+from scene_library.solids import Surface, joined
 
 
 class RoomDoesNotClose(ValueError):
@@ -221,10 +219,3 @@ def _wall(outline: Polygon, i: int, j: int, levels: dict[int, list[float]], bott
     flat = np.array(right + left)
     on_plan = np.where(flat[:, :1] > 0, outline[j], outline[i])
     return np.column_stack([on_plan, flat[:, 1]]), triangulate(flat)
-
-
-def joined(pieces: list[Surface]) -> Surface:
-    """Several surfaces as one."""
-    offsets = np.cumsum([0] + [len(v) for v, _ in pieces])
-    faces = [f + o for (_, f), o in zip(pieces, offsets, strict=False)]
-    return np.concatenate([v for v, _ in pieces]), np.concatenate(faces)
