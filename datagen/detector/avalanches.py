@@ -1,0 +1,173 @@
+"""Everything at once, avalanche by avalanche: afterpulsing (case e), crosstalk between pixels, paralyzable dead time.
+
+Between avalanches a pixel's next one is the earlier of the next photon, where Λ(t) = Λ(s) + Exp(1), and the next
+release of each trap: a trap expected to release A more carriers releases its next at −t_t ln(1 − E/A) if E < A, with
+E ~ Exp(1). An avalanche leaves A ← A exp(−Δt/t_t) + μ for the moment the pixel is armed again; what is released
+before is lost, and what is released while the gate is shut too.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.detector.flux import Cycle
+from datagen.detector.spad import Spad
+
+Array = NDArray[np.float64]
+
+_BURN_IN_CYCLES = 24
+_BURN_IN_TIMES = 8.0
+
+
+def burn_in_cycles(spad: Spad, period_s: float) -> int:
+    """Cycles simulated before the exposure, in which dead time and traps forget that they started empty."""
+    longest = max(spad.dead_time_s, *(spad.afterpulse_times_s if spad.afterpulse_probability > 0 else (0.0,)))
+    return _BURN_IN_CYCLES + int(np.ceil(_BURN_IN_TIMES * longest / period_s))
+
+
+def draw_avalanches(
+    flux: Array, cycle: Cycle, spad: Spad, cycles: int, rng: np.random.Generator
+) -> NDArray[np.int64]:
+    """(pixel, n) detections in `cycles` periods of pixels with flux (pixel, n), coupled by crosstalk."""
+    pixels = len(flux)
+    cumulative = np.concatenate([np.zeros((pixels, 1)), np.cumsum(flux, axis=1)], axis=1)
+    loads = np.array(spad.trap_loads) if spad.afterpulse_probability > 0 else np.zeros(0)
+    times = np.array(spad.afterpulse_times_s) if spad.afterpulse_probability > 0 else np.zeros(0)
+    return _run(
+        cumulative, cycle.edges_s, cycle.gate, spad.dead_time_s, spad.mode == "synchronous", spad.paralyzable,
+        loads, times, spad.crosstalk_probability, spad.array_columns or pixels,
+        burn_in_cycles(spad, cycle.period_s), cycles, rng,
+    )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def _run(
+    cumulative: Array,
+    edges: Array,
+    gate: Array,
+    dead_time: float,
+    synchronous: bool,
+    paralyzable: bool,
+    loads: Array,
+    times: Array,
+    crosstalk: float,
+    columns: int,
+    burn_in: int,
+    cycles: int,
+    rng: np.random.Generator,
+) -> NDArray[np.int64]:
+    pixels, n = cumulative.shape[0], cumulative.shape[1] - 1
+    period = edges[n]
+    counts = np.zeros((pixels, n), np.int64)
+    # The moment from which each pixel is armed, and its next avalanche.
+    armed_cycle, armed_phase = np.full(pixels, -burn_in, np.int64), np.zeros(pixels)
+    next_cycle, next_phase = np.zeros(pixels, np.int64), np.zeros(pixels)
+    # Releases still expected of each trap from the moment its pixel is armed.
+    level = np.zeros((pixels, len(loads)))
+    stack = np.empty(4 * pixels + 8, np.int64)
+    for p in range(pixels):
+        next_cycle[p], next_phase[p] = _next(cumulative[p], edges, gate, level[p], times, -burn_in, 0.0, cycles, rng)
+    while True:
+        p = 0
+        for other in range(1, pixels):
+            if next_cycle[other] < next_cycle[p] or (
+                next_cycle[other] == next_cycle[p] and next_phase[other] < next_phase[p]
+            ):
+                p = other
+        now, phase = next_cycle[p], next_phase[p]
+        if now >= cycles:
+            return counts
+        j = min(max(int(np.searchsorted(edges, phase, side="right")) - 1, 0), n - 1)
+        stack[0] = p
+        waiting = 1
+        while waiting > 0:
+            waiting -= 1
+            p = stack[waiting]
+            is_armed = armed_cycle[p] < now or (armed_cycle[p] == now and armed_phase[p] <= phase)
+            if not is_armed and not paralyzable:
+                continue
+            if is_armed and now >= 0:
+                counts[p, j] += 1
+            new_cycle, new_phase = now, phase + dead_time
+            if synchronous and new_phase >= period:
+                new_cycle, new_phase = now + 1, 0.0
+            elif new_phase >= period:
+                laps = np.floor(new_phase / period)
+                new_cycle, new_phase = now + int(laps), max(new_phase - laps * period, 0.0)
+            since = (new_cycle - armed_cycle[p]) * period + (new_phase - armed_phase[p])
+            for t in range(len(loads)):
+                level[p, t] = level[p, t] * np.exp(-since / times[t]) + loads[t]
+            armed_cycle[p], armed_phase[p] = new_cycle, new_phase
+            if paralyzable:
+                # The next photon matters even if it comes too early.
+                next_cycle[p], next_phase[p] = _next(
+                    cumulative[p], edges, gate, level[p], times, now, phase, cycles, rng
+                )
+            else:
+                next_cycle[p], next_phase[p] = _next(
+                    cumulative[p], edges, gate, level[p], times, new_cycle, new_phase, cycles, rng
+                )
+            if is_armed and crosstalk > 0.0:
+                row, column = p // columns, p % columns
+                for way in range(4):
+                    r = row + (1 if way == 0 else -1 if way == 1 else 0)
+                    c = column + (1 if way == 2 else -1 if way == 3 else 0)
+                    q = r * columns + c
+                    if r < 0 or c < 0 or c >= columns or q >= pixels or rng.random() >= crosstalk:
+                        continue
+                    if waiting < len(stack):
+                        stack[waiting] = q
+                        waiting += 1
+
+
+@numba.njit(cache=True)
+def _next(
+    cumulative: Array,
+    edges: Array,
+    gate: Array,
+    level: Array,
+    times: Array,
+    cycle: int,
+    phase: float,
+    cycles: int,
+    rng: np.random.Generator,
+) -> tuple[int, float]:
+    """(cycle, phase) of the first avalanche of a pixel armed from (cycle, phase) on; `cycles` or later: none."""
+    n = len(cumulative) - 1
+    total, period = cumulative[n], edges[n]
+    best_cycle, best_phase = cycles, 0.0
+    if total > 0.0:
+        j = min(max(int(np.searchsorted(edges, phase, side="right")) - 1, 0), n - 1)
+        share = min((phase - edges[j]) / (edges[j + 1] - edges[j]), 1.0)
+        target = cumulative[j] + share * (cumulative[j + 1] - cumulative[j]) + rng.standard_exponential()
+        laps = np.floor(target / total)
+        if laps < cycles - cycle:
+            target = min(max(target - laps * total, 0.0), np.nextafter(total, 0.0))
+            # `side="right"` steps over empty bins.
+            j = min(int(np.searchsorted(cumulative, target, side="right")) - 1, n - 1)
+            best_cycle = cycle + int(laps)
+            best_phase = edges[j] + (edges[j + 1] - edges[j]) * (target - cumulative[j]) / (
+                cumulative[j + 1] - cumulative[j]
+            )
+    for t in range(len(times)):
+        left, delay = level[t], 0.0
+        while True:
+            e = rng.standard_exponential()
+            if e >= left:
+                break
+            delay -= times[t] * np.log1p(-e / left)
+            left -= e
+            absolute = phase + delay
+            laps = np.floor(absolute / period)
+            if laps > best_cycle - cycle:
+                break
+            at_cycle, at_phase = cycle + int(laps), max(absolute - laps * period, 0.0)
+            if at_cycle > best_cycle or (at_cycle == best_cycle and at_phase >= best_phase):
+                break
+            j = min(max(int(np.searchsorted(edges, at_phase, side="right")) - 1, 0), n - 1)
+            if gate[j] >= 1.0 or rng.random() < gate[j]:
+                best_cycle, best_phase = at_cycle, at_phase
+                break
+    return best_cycle, best_phase

@@ -1,0 +1,211 @@
+"""Counting all cycles of an exposure at once, bin after bin (cases b and d, and their use for free running).
+
+Cycles are exchangeable, so only the number of them in each state matters. In bin i each of the armed ones fires with
+q_i = −expm1(−λ_i). Cost per histogram does not depend on the number of cycles.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.detector.equilibrium import Equilibrium
+from datagen.detector.renewal import Pieces, edge_at, return_weights
+
+Flux = NDArray[np.float64]
+
+
+@numba.njit(cache=True)
+def draw_hazard_chain(flux: Flux, cycles: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """At most one detection in a cycle: n_i ~ Binomial(R, q_i), R ← R − n_i, from R = `cycles`.
+
+    The law is the multinomial with p_i = q_i exp(−Λ_{i−1}), without its sum that rounding may push beyond 1; right
+    for λ from 1e-300 to infinity.
+    """
+    counts = np.zeros(len(flux), np.int64)
+    left = cycles
+    for i in range(len(flux)):
+        if left == 0:
+            break
+        if flux[i] > 0.0:
+            counts[i] = binomial(left, -np.expm1(-flux[i]), rng)
+            left -= counts[i]
+    return counts
+
+
+def draw_return_chain(pieces: Pieces, bins: int, cycles: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Several detections in a cycle: those that fired come back after the dead time and can fire again.
+
+    A detection is uniform within its piece (pieces carry at most 0.05 events), so its return is uniform in the piece
+    shifted by the dead time: the returns are shared out among the pieces it touches, with the weights of
+    `renewal.return_weights`, exact for whatever flux the target carries.
+    """
+    return _return_chain(pieces.flux, pieces.edges, pieces.bin_of, pieces.dead_time, bins, cycles, rng)
+
+
+@numba.njit(cache=True)
+def _return_chain(
+    flux: Flux,
+    edges: NDArray[np.float64],
+    bin_of: NDArray[np.int64],
+    dead_time: float,
+    bins: int,
+    cycles: int,
+    rng: np.random.Generator,
+) -> NDArray[np.int64]:
+    n = len(flux)
+    counts = np.zeros(bins, np.int64)
+    returning = np.zeros(n + 3, np.int64)
+    weights = np.empty(n + 3)
+    armed = cycles
+    target = 0
+    for i in range(n):
+        armed += returning[i]
+        if armed == 0 or flux[i] <= 0.0:
+            continue
+        fired = binomial(armed, -np.expm1(-flux[i]), rng)
+        if fired == 0:
+            continue
+        armed -= fired
+        counts[bin_of[i]] += fired
+        start, stop = edges[i] + dead_time, edges[i + 1] + dead_time
+        if start >= edges[n]:
+            continue
+        while edges[target + 1] <= start:
+            target += 1
+        count = return_weights(start, stop, target, edges, flux, weights)
+        left, rest = fired, 1.0
+        for k in range(count):
+            # What returns after the end of the cycle is of no use to it.
+            if left == 0 or rest <= 0.0 or target + k >= n:
+                break
+            moved = binomial(left, min(weights[k] / rest, 1.0), rng)
+            returning[target + k] += moved
+            left -= moved
+            rest -= weights[k]
+    return counts
+
+
+def draw_cycle_ensemble(
+    state: Equilibrium, bins: int, cycles: int, rng: np.random.Generator, together: int = 64
+) -> NDArray[np.int64]:
+    """Free-running counts at a cost that does not depend on the exposure; exact in the mean only.
+
+    The exposure is taken as independent runs of `together` consecutive cycles (longer ones if the dead time spans
+    cycles), each begun in equilibrium; what is lost is the correlation between one run and the next, which makes the
+    total fluctuate a little more than it should.
+    """
+    pieces = state.pieces
+    whole = int(pieces.dead_time // pieces.edges[-1])
+    length = min(together * (whole + 1), cycles)
+    runs, rest = divmod(cycles, length)
+    pending = _pending(state.detections, pieces.flux, pieces.edges, pieces.dead_time)
+    counts = _ensemble(pieces.flux, pieces.edges, pieces.bin_of, pieces.dead_time, pending, bins, runs, length, rng)
+    if rest:
+        counts += _ensemble(pieces.flux, pieces.edges, pieces.bin_of, pieces.dead_time, pending, bins, 1, rest, rng)
+    return counts
+
+
+@numba.njit(cache=True)
+def _pending(detections: Flux, flux: Flux, edges: Flux, dead_time: float) -> Flux:
+    """(whole periods + 1, m) probability, in equilibrium at phase 0, to be due back in a piece of a coming cycle."""
+    m = len(flux)
+    period = edges[m]
+    whole = int(np.floor(dead_time / period))
+    rest = dead_time - whole * period
+    pending = np.zeros((whole + 2, m))
+    weights = np.empty(m + 3)
+    target = 0
+    for i in range(m):
+        while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + rest:
+            target += 1
+        if detections[i] <= 0.0:
+            continue
+        count = return_weights(edges[i] + rest, edges[i + 1] + rest, target, edges, flux, weights)
+        for k in range(count):
+            where = target + k
+            lap = where // m
+            # Detections of every earlier cycle that is still due.
+            for ahead in range(whole + lap):
+                pending[ahead, where - lap * m] += weights[k] * detections[i]
+    return pending
+
+
+@numba.njit(cache=True)
+def _ensemble(
+    flux: Flux,
+    edges: Flux,
+    bin_of: NDArray[np.int64],
+    dead_time: float,
+    pending: Flux,
+    bins: int,
+    runs: int,
+    length: int,
+    rng: np.random.Generator,
+) -> NDArray[np.int64]:
+    m = len(flux)
+    period = edges[m]
+    whole = int(np.floor(dead_time / period))
+    rest_time = dead_time - whole * period
+    ring = whole + 3
+    counts = np.zeros(bins, np.int64)
+    weights = np.empty(m + 3)
+    returning = np.zeros((ring, m), np.int64)
+    armed, free = runs, 1.0
+    for lap in range(len(pending)):
+        for i in range(m):
+            if pending[lap, i] > 0.0 and armed > 0:
+                returning[lap, i] = binomial(armed, min(pending[lap, i] / free, 1.0), rng)
+                armed -= returning[lap, i]
+                free -= pending[lap, i]
+    for cycle in range(length):
+        slot = cycle % ring
+        target = 0
+        for i in range(m):
+            armed += returning[slot, i]
+            returning[slot, i] = 0
+            if armed == 0 or flux[i] <= 0.0:
+                continue
+            fired = binomial(armed, -np.expm1(-flux[i]), rng)
+            if fired == 0:
+                continue
+            armed -= fired
+            counts[bin_of[i]] += fired
+            while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + rest_time:
+                target += 1
+            count = return_weights(edges[i] + rest_time, edges[i + 1] + rest_time, target, edges, flux, weights)
+            left, rest = fired, 1.0
+            for k in range(count):
+                if left == 0:
+                    break
+                moved = left if k == count - 1 else binomial(left, min(weights[k] / rest, 1.0), rng)
+                where = target + k
+                lap = where // m
+                returning[(cycle + whole + lap) % ring, where - lap * m] += moved
+                left -= moved
+                rest -= weights[k]
+    return counts
+
+
+@numba.njit(cache=True)
+def binomial(n: int, p: float, rng: np.random.Generator) -> int:
+    """Binomial(n, p), right for any p > 0; a p rounded above 1 is taken as 1."""
+    if n == 0 or p <= 0.0:
+        return 0
+    if p >= 1.0:
+        return n
+    if p > 0.5 or n * p > 30.0:
+        return rng.binomial(n, p)
+    # Inversion. The library's forms log(1 − p), which loses a p below 1e-16 altogether.
+    term = np.exp(n * np.log1p(-p))
+    odds = p / (1.0 - p)
+    u = rng.random()
+    k = 0
+    while u > term and k < n:
+        u -= term
+        k += 1
+        term *= (n - k + 1) * odds / k
+        if term < 1e-18 and k > n * p:
+            break
+    return k

@@ -1,0 +1,197 @@
+"""Free-running counting in equilibrium, in the mean: the recursion of `renewal` with periodic indices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+from numpy.typing import NDArray
+
+from datagen.detector.renewal import Array, Pieces, edge_at, pieces_of, return_weights, run_cycle
+
+_SWEEPS = 24
+_SETTLED = 1e-13
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """A free-running detector long after it was switched on.
+
+    detections : (m,) expected detections per cycle and piece; armed : probability to be armed at phase 0.
+    """
+
+    pieces: Pieces
+    detections: Array
+    armed: float
+    bins: int
+
+    @property
+    def mean(self) -> Array:
+        """(n,) expected detections per cycle and bin."""
+        return self.pieces.per_bin(self.detections, self.bins)
+
+
+def equilibrium(
+    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False
+) -> Equilibrium:
+    """Expected detections per cycle of a free-running detector, dead time of any length.
+
+    Whole periods in τ = m T_r + τ′ only rescale: D = X / (1 + m ΣX) with X the answer for τ′. X is the fixed point of
+    one cycle's recursion: found by sweeps from near equilibrium, which a moderate flux settles at once, or else by a
+    sparse solution of its linear equations (where a high flux keeps detections in step for very many cycles).
+    """
+    period = float(edges_s[-1])
+    whole = int(np.floor(dead_time_s / period * (1 + 1e-15)))
+    rest = max(dead_time_s - whole * period, 0.0)
+    if rest < 1e-9 * width_s:
+        rest = 0.0
+    cut = shorter_than_dead_time and whole == 0
+    pieces = pieces_of(flux, edges_s, width_s, rest, shorter_than_dead_time=cut)
+    detections = _fixed_point(pieces, most_in_window(flux, edges_s, rest)) if rest > 0.0 else pieces.flux
+    scale = 1.0 / (1.0 + whole * float(detections.sum()))
+    detections = detections * scale
+    dead = whole * float(detections.sum()) + _tail_sum(pieces.edges, detections, rest)
+    return Equilibrium(
+        Pieces(pieces.flux, pieces.bin_of, pieces.edges, dead_time_s), detections, max(1.0 - dead, 0.0), len(flux)
+    )
+
+
+def _tail_sum(edges: Array, values: Array, length: float) -> float:
+    """Sum of piecewise uniform `values` over the last `length` of the period."""
+    if length <= 0:
+        return 0.0
+    cumulative = np.append(0.0, np.cumsum(values))
+    return float(cumulative[-1] - np.interp(edges[-1] - length, edges, cumulative))
+
+
+def _fixed_point(pieces: Pieces, most: float) -> Array:
+    """(m,) detections per cycle that one cycle hands on to the next unchanged, dead time below a period."""
+    flux, edges, rest = pieces.flux, pieces.edges, pieces.dead_time
+    m = len(flux)
+    # Near equilibrium: every piece scaled alike, by what keeps the detector's dead share below 1.
+    returning = np.zeros(m + 1)
+    push_returns(flux / (1.0 + most), flux, edges, rest, returning)
+    armed = max(1.0 - returning.sum(), 0.0)
+    scale = armed + returning.sum()
+    armed, returning = armed / scale, returning / scale
+    for _ in range(_SWEEPS):
+        following = np.zeros(m + 1)
+        detections, armed_after = run_cycle(flux, edges, rest, armed, returning.copy(), following)
+        change = abs(armed_after - armed) + np.abs(following - returning).sum()
+        armed, returning = armed_after, following
+        if change < _SETTLED:
+            return detections
+    return _solve(flux, edges, rest)
+
+
+def _solve(flux: Array, edges: Array, rest: float) -> Array:
+    """The fixed point from A_{i+1} − A_i + D_i − Σ_k w_{k→i+1} D_k = 0 with D_k = g_k A_k.
+
+    These add up to 0 = 0, so one of them makes room for the sum of all shares, armed or due to return, being 1. The
+    equations couple neighbours and pieces a dead time apart, a narrow helix, so that elimination stays cheap.
+    """
+    m = len(flux)
+    rows, columns, values, gain, pending = _equations(flux, edges, rest)
+    ones = np.append(1.0, np.zeros(m - 1)) + pending
+    keep = rows != m - 1
+    tail = np.flatnonzero(ones)
+    rows = np.concatenate([rows[keep], np.full(len(tail), m - 1)])
+    columns = np.concatenate([columns[keep], tail])
+    values = np.concatenate([values[keep], ones[tail]])
+    matrix = scipy.sparse.csc_matrix((values, (rows, columns)), shape=(m, m))
+    right = np.zeros(m)
+    right[-1] = 1.0
+    armed = scipy.sparse.linalg.splu(matrix).solve(right)
+    return gain * np.maximum(armed, 0.0)
+
+
+@numba.njit(cache=True)
+def _equations(
+    flux: Array, edges: Array, rest: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, Array]:
+    """Entries (row, column, value) of the equations for A, the gains g, and each A's share due beyond piece 0."""
+    m = len(flux)
+    period = edges[m]
+    # Three entries a piece, and one for each piece that its returns touch: the shifted pieces have m edges to cross,
+    # so these are at most 2 m and one more each for those that wait.
+    size = 8 * m + 64
+    rows, columns, values = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
+    gain, pending = np.zeros(m), np.zeros(m)
+    weights = np.empty(m + 3)
+    used, target = 0, 0
+    for i in range(m):
+        # Row j holds the equation for A_{j+1}; row m − 1 that for A_0 of the next cycle.
+        rows[used], columns[used], values[used] = i, i, -1.0
+        rows[used + 1], columns[used + 1], values[used + 1] = i, (i + 1) % m, 1.0
+        used += 2
+        if flux[i] <= 0.0:
+            continue
+        while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + rest:
+            target += 1
+        count = return_weights(edges[i] + rest, edges[i + 1] + rest, target, edges, flux, weights)
+        q = -np.expm1(-flux[i])
+        itself = weights[0] if target == i else 0.0
+        gain[i] = q / (1.0 - itself * q)
+        rows[used], columns[used], values[used] = i, i, gain[i] * (1.0 - itself)
+        used += 1
+        for k in range(1 if target == i else 0, count):
+            rows[used], columns[used], values[used] = (target + k - 1) % m, i, -weights[k] * gain[i]
+            used += 1
+            if target + k > m:
+                pending[i] += weights[k] * gain[i]
+    return rows[:used], columns[:used], values[:used], gain, pending
+
+
+@numba.njit(cache=True)
+def most_in_window(flux: Array, edges: Array, length: float) -> float:
+    """The most flux in any interval of `length` < period seconds, across the end of the period too."""
+    m = len(flux)
+    period = edges[m]
+    # The integral over a sliding interval is piecewise linear: it peaks where either end meets an edge.
+    most = 0.0
+    low, inside = 0, 0.0
+    for high in range(2 * m):
+        inside += flux[high % m]
+        stop = edge_at(edges, high + 1, m, period)
+        while low <= high and edge_at(edges, low + 1, m, period) <= stop - length:
+            inside -= flux[low % m]
+            low += 1
+        first, start = low % m, edge_at(edges, low, m, period)
+        width = edges[first + 1] - edges[first]
+        outside = min(max((stop - length - start) / width, 0.0), 1.0) * flux[first]
+        most = max(most, inside - outside)
+    high, inside = 0, 0.0
+    for low in range(m):
+        stop = edges[low] + length
+        while high < 2 * m and edge_at(edges, high + 1, m, period) <= stop:
+            inside += flux[high % m]
+            high += 1
+        last, start = high % m, edge_at(edges, high, m, period)
+        part = min(max((stop - start) / (edges[last + 1] - edges[last]), 0.0), 1.0) * flux[last]
+        most = max(most, inside + part)
+        if high > low:
+            inside -= flux[low]
+        else:
+            high, inside = low + 1, 0.0
+    return most
+
+
+@numba.njit(cache=True)
+def push_returns(detections: Array, flux: Array, edges: Array, dead_time: float, following: Array) -> None:
+    """Returns due in the next cycle, were `detections` those of this one."""
+    m = len(flux)
+    period = edges[m]
+    weights = np.empty(m + 3)
+    target = 0
+    for i in range(m):
+        while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + dead_time:
+            target += 1
+        if detections[i] <= 0.0:
+            continue
+        count = return_weights(edges[i] + dead_time, edges[i + 1] + dead_time, target, edges, flux, weights)
+        for k in range(count):
+            if target + k >= m:
+                following[target + k - m] += weights[k] * detections[i]

@@ -1,0 +1,190 @@
+"""The exact mean of every sampler: expected detections per laser cycle and bin, in O(n)."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import scipy.stats
+from numpy.typing import NDArray
+
+from datagen.detector.equilibrium import equilibrium
+from datagen.detector.flux import Cycle
+from datagen.detector.renewal import synchronous_mean
+from datagen.detector.spad import Spad
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 200
+_SETTLED = 1e-11
+
+
+def one_per_cycle_mean(flux: Array) -> Array:
+    """p_i = −expm1(−λ_i) exp(−Λ_{i−1}): the first event of the cycle falls into bin i. Any leading axes."""
+    before = np.cumsum(flux, axis=-1) - flux
+    return -np.expm1(-flux) * np.exp(-np.maximum(before, 0.0))
+
+
+def mean_detections(flux: Array, cycle: Cycle, spad: Spad) -> Array:
+    """(pixel, n) expected detections per cycle of the pixels of one laser point.
+
+    Exact, except for afterpulsing and crosstalk together with a dead time: see `has_exact_mean`. There the events
+    that avalanches cause are put in as flux, afterpulses as the survivors of what the last avalanche trapped, until
+    the answer agrees with itself; neglected is the correlation between pixels and between avalanches, an error of
+    second order in the probabilities.
+    """
+    has_traps, has_crosstalk = spad.afterpulse_probability > 0, spad.crosstalk_probability > 0 and len(flux) > 1
+    if spad.mode == "ideal":
+        return flux
+    if not (has_traps or has_crosstalk):
+        return np.stack([_mean_of_photons(f, cycle, spad) for f in flux])
+    shared, released = np.zeros_like(flux), np.zeros_like(flux)
+    detections = flux
+    for _ in range(_ROUNDS):
+        total = flux + shared + released
+        previous, detections = detections, np.stack([_mean_of_photons(f, cycle, spad) for f in total])
+        if has_traps:
+            armed = np.divide(detections, total, out=np.ones_like(total), where=total > 0)
+            released = np.stack(
+                [_releases(d, f, cycle, spad) for d, f in zip(detections, flux + shared, strict=True)]
+            )
+            released /= np.maximum(armed, 1e-12)
+        if has_crosstalk:
+            shared = spad.crosstalk_probability * neighbour_sum(detections, spad.array_columns or len(flux))
+        if np.abs(detections - previous).sum() <= _SETTLED * detections.sum():
+            break
+    return detections
+
+
+def has_exact_mean(spad: Spad, pixels: int) -> bool:
+    """Whether `mean_detections` is exact."""
+    coupled = spad.afterpulse_probability > 0 or (spad.crosstalk_probability > 0 and pixels > 1)
+    return spad.mode == "ideal" or spad.dead_time_s == 0 or not coupled
+
+
+def neighbour_sum(values: Array, columns: int) -> Array:
+    """(pixel, n) sum over each pixel's nearest neighbours in an array of `columns` pixels a row."""
+    pixels, n = values.shape
+    rows = -(-pixels // columns)
+    grid = np.zeros((rows * columns, n))
+    grid[:pixels] = values
+    grid = grid.reshape(rows, columns, n)
+    out = np.zeros_like(grid)
+    out[1:] += grid[:-1]
+    out[:-1] += grid[1:]
+    out[:, 1:] += grid[:, :-1]
+    out[:, :-1] += grid[:, 1:]
+    return out.reshape(rows * columns, n)[:pixels]
+
+
+def _mean_of_photons(flux: Array, cycle: Cycle, spad: Spad) -> Array:
+    """(n,) expected detections per cycle when events come independently."""
+    dead_time, synchronous = spad.dead_time_s, spad.mode == "synchronous"
+    if dead_time == 0 or not flux.any():
+        return flux.copy()
+    if synchronous and dead_time >= active_span(flux, cycle):
+        return one_per_cycle_mean(flux)
+    if spad.paralyzable:
+        return _paralyzable_mean(flux, cycle.edges_s, dead_time, synchronous)
+    if synchronous:
+        return synchronous_mean(flux, cycle.edges_s, cycle.width_s, dead_time)
+    return equilibrium(flux, cycle.edges_s, cycle.width_s, dead_time).mean
+
+
+def active_span(flux: Array, cycle: Cycle) -> float:
+    """Seconds from the first moment of the cycle at which something can happen to the last that can be recorded."""
+    active = np.flatnonzero(flux[: cycle.front])
+    return float(cycle.edges_s[active[-1] + 1] - cycle.edges_s[active[0]]) if len(active) else 0.0
+
+
+def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: bool) -> Array:
+    """∫ λ(t) exp(−[Λ(t) − Λ(t − τ)]) dt over each bin: the exponent is linear between edges and delayed edges."""
+    period = edges[-1]
+    cumulative = np.append(0.0, np.cumsum(flux))
+    total = cumulative[-1]
+
+    def flux_before(t: Array) -> Array:
+        laps = np.floor(t / period)
+        value = np.interp(t - laps * period, edges, cumulative) + laps * total
+        return np.maximum(value, 0.0) if synchronous else value
+
+    knots = np.unique(np.concatenate([edges, (edges + dead_time) % period]))
+    exponent = np.interp(knots, edges, cumulative) - flux_before(knots - dead_time)
+    bin_of = np.clip(np.searchsorted(edges, 0.5 * (knots[1:] + knots[:-1]), side="right") - 1, 0, len(flux) - 1)
+    events = flux[bin_of] * np.diff(knots) / np.diff(edges)[bin_of]
+    change = np.diff(exponent)
+    # Mean of exp(−y) over a piece on which y is linear; by its series where the change is tiny.
+    tiny = np.abs(change) < 1e-6
+    safe = np.where(tiny, 1.0, change)
+    mean = np.where(tiny, 1.0 - 0.5 * change, -np.expm1(-safe) / safe) * np.exp(-exponent[:-1])
+    return np.bincount(bin_of, events * mean, len(flux)).astype(np.float64)
+
+
+def _releases(detections: Array, flux: Array, cycle: Cycle, spad: Spad) -> Array:
+    """(n,) expected afterpulses per cycle and bin of avalanches `detections`."""
+    out = np.zeros_like(detections)
+    for load, time in zip(spad.trap_loads, spad.afterpulse_times_s, strict=True):
+        # What an older trap still holds survives a further dead time in the share `kept`: only the rest is lost when
+        # a photon comes first.
+        kept = float(np.exp(-spad.dead_time_s / time))
+        effective = -np.expm1(-load) + (load + np.expm1(-load)) * kept
+        out += _release_one_trap(
+            detections, flux, cycle.edges_s, spad.dead_time_s, effective, time, 1.0 - kept, spad.mode == "synchronous"
+        )
+    return out * cycle.gate
+
+
+@numba.njit(cache=True)
+def _release_one_trap(
+    detections: Array,
+    flux: Array,
+    edges: Array,
+    dead_time: float,
+    load: float,
+    time: float,
+    lost: float,
+    synchronous: bool,
+) -> Array:
+    n = len(flux)
+    period = edges[n]
+    cumulative = np.zeros(n + 1)
+    cumulative[1:] = np.cumsum(detections)
+    rearmed = np.zeros(n + 1)
+    for i in range(n + 1):
+        t = edges[i] - dead_time
+        if synchronous and t <= 0.0:
+            continue
+        laps = np.floor(t / period)
+        rearmed[i] = np.interp(t - laps * period, edges, cumulative) + laps * cumulative[n]
+    # Synchronous: those still dead at the end of the cycle are armed again at the start of the next one.
+    first = load * (cumulative[n] - rearmed[n]) if synchronous else 0.0
+    out = np.zeros(n)
+    level, decay = 0.0, 1.0
+    for lap in range(2):
+        # The first lap finds what a cycle leaves behind, hence the periodic level; the second uses it.
+        level = level + first
+        for i in range(n):
+            width = edges[i + 1] - edges[i]
+            rate = width / time + lost * flux[i]
+            part = -np.expm1(-rate) / rate
+            rest = 0.5 - rate / 6.0 if rate < 1e-5 else (1.0 - part) / rate
+            arrived = load * (rearmed[i + 1] - rearmed[i])
+            out[i] = width / time * (level * part + arrived * rest)
+            level = level * np.exp(-rate) + arrived * part
+            if lap == 0:
+                decay *= np.exp(-rate)
+        if lap == 0:
+            level = level / (1.0 - decay) if decay < 1.0 else level
+    return out
+
+
+def saturated_mean(mean: Array, cycles: int, counter_max: int, binomial: bool) -> Array:
+    """E[min(n, c)] for Poisson, or Binomial(cycles, mean / cycles), counts n of a counter that stays at c.
+
+    E[min(n, c)] = E[n] P(n′ ≤ c − 2) + c P(n ≥ c), n′ the same count with one trial less.
+    """
+    c = counter_max
+    if binomial:
+        p = np.clip(mean / cycles, 0.0, 1.0)
+        below = scipy.stats.binom.cdf(c - 2, cycles - 1, p)
+        return mean * below + c * scipy.stats.binom.sf(c - 1, cycles, p)
+    return mean * scipy.stats.poisson.cdf(c - 2, mean) + c * scipy.stats.poisson.sf(c - 1, mean)

@@ -1,0 +1,165 @@
+"""Counting with a non-paralyzable dead time, in the mean: the armed share of cycles, piece by piece.
+
+Bins are cut into pieces of at most 0.05 events. With A_i the share of cycles that are armed for piece i,
+
+    D_i = q_i A_i,   A_{i+1} = A_i − D_i + Σ_k w_{k → i+1} D_k,   q_i = −expm1(−λ_i)
+
+where w shares out the returns of what was detected in piece k, uniform in that piece, to the pieces a dead time
+later. For equal pieces and small λ the weights are (1−f)²/2, ½+f−f², f²/2 at d, d+1, d+2 pieces, τ = d + f.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+
+Array = NDArray[np.float64]
+
+PIECE_FLUX = 0.05
+"""Most events in a piece: what is neglected, the slope of the detections within it, moves returns by 1/240 of it."""
+
+_FLUX_PIECES = 16_384
+"""At a flux of hundreds and more per cycle pieces carry 1/16384 of it instead, for which they are short enough."""
+
+_LONG_PIECE_FLUX = 0.002
+"""The same for long background bins, in which detections may start or end abruptly."""
+
+_MOST_PIECES = 4_000_000
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Bins of the period cut up: (m,) flux and bin number, (m + 1,) edges in seconds, and the dead time."""
+
+    flux: Array
+    bin_of: NDArray[np.int64]
+    edges: Array
+    dead_time: float
+
+    def per_bin(self, values: Array, bins: int) -> Array:
+        return np.bincount(self.bin_of, values, bins).astype(np.float64)
+
+
+def pieces_of(
+    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False
+) -> Pieces:
+    """Cut the bins of the period; bins longer than `width_s` are background and cut more finely."""
+    widths = np.diff(edges_s)
+    is_long = widths > 1.5 * width_s
+    most = max(PIECE_FLUX, float(flux.sum()) / _FLUX_PIECES)
+    parts = np.ceil(flux / np.where(is_long, min(_LONG_PIECE_FLUX, most), most))
+    if dead_time_s > 0 and is_long.any():
+        parts = np.where(is_long, np.maximum(parts, np.minimum(np.ceil(4 * widths / dead_time_s), 4096)), parts)
+    if shorter_than_dead_time:
+        parts = np.maximum(parts, np.ceil(widths / dead_time_s * (1 + 1e-12)))
+    parts = np.maximum(parts, 1)
+    total = float(parts.sum())
+    if not total <= _MOST_PIECES:
+        raise InputError(
+            f"flux of {flux.sum():g} per cycle, dead time {dead_time_s:g} s on {len(flux)} bins of {width_s:g} s: "
+            f"needs {total:g} pieces, at most {_MOST_PIECES} are handled; lower photons_per_pulse or widen the bins"
+        )
+    count = parts.astype(np.int64)
+    bin_of = np.repeat(np.arange(len(flux)), count)
+    if total == len(flux):
+        return Pieces(np.ascontiguousarray(flux), bin_of, edges_s, dead_time_s)
+    within = np.arange(len(bin_of)) - np.repeat(np.cumsum(count) - count, count)
+    cut = edges_s[bin_of] + (widths / count)[bin_of] * within
+    return Pieces((flux / count)[bin_of], bin_of, np.append(cut, edges_s[-1]), dead_time_s)
+
+
+def synchronous_mean(flux: Array, edges_s: Array, width_s: float, dead_time_s: float) -> Array:
+    """(n,) expected detections per cycle and bin when every cycle starts armed."""
+    dead_time_s = min(dead_time_s, float(edges_s[-1]))
+    pieces = pieces_of(flux, edges_s, width_s, dead_time_s)
+    returning = np.zeros(len(pieces.flux) + 1)
+    detections = run_cycle(pieces.flux, pieces.edges, dead_time_s, 1.0, returning, np.zeros_like(returning))[0]
+    return pieces.per_bin(detections, len(flux))
+
+
+@numba.njit(cache=True)
+def return_weights(start: float, stop: float, first: int, edges: Array, flux: Array, weights: Array) -> int:
+    """Share out returns, uniform in `start … stop`, to the pieces `first`, `first + 1`, …; the number of pieces.
+
+    A return at the remaining share ρ of a piece of flux x fires in it with probability 1 − e^{−xρ}: as if it had been
+    armed from the piece's start with probability (1 − e^{−xρ}) / (1 − e^{−x}), and else from the next piece's start.
+    Piece numbers run on past the end of the period into the next one.
+    """
+    m = len(flux)
+    period = edges[m]
+    length = stop - start
+    weights[0] = 0.0
+    k = 0
+    while True:
+        index, lap = first + k, 0.0
+        if index >= m:
+            index, lap = index - m, period
+        low, high = edges[index] + lap, edges[index + 1] + lap
+        share = (min(stop, high) - max(start, low)) / length
+        share = max(share, 0.0)
+        x = flux[index]
+        ahead = 0.0
+        if x > 0.0 and share > 0.0:
+            rho_high = (high - max(start, low)) / (high - low)
+            rho_low = (high - min(stop, high)) / (high - low)
+            middle, half = 0.5 * (rho_high + rho_low), 0.5 * (rho_high - rho_low)
+            if x < 1e-3:
+                # Mean of (1 − e^{−xρ})/(1 − e^{−x}) to second order; the closed form cancels here.
+                square = middle * middle + half * half / 3.0
+                ahead = middle + 0.5 * x * (middle - square)
+            elif half * x < 1e-6:
+                ahead = np.expm1(-x * middle) / np.expm1(-x)
+            else:
+                mean_exp = np.exp(-x * middle) * np.sinh(x * half) / (x * half)
+                ahead = (mean_exp - 1.0) / np.expm1(-x)
+        weights[k] += share * ahead
+        weights[k + 1] = share * (1.0 - ahead)
+        k += 1
+        if stop <= high or k >= m:
+            return k + 1
+
+
+@numba.njit(cache=True)
+def run_cycle(
+    flux: Array, edges: Array, dead_time: float, armed: float, returning: Array, following: Array
+) -> tuple[Array, float]:
+    """One cycle: detections per piece and the share still armed; returns due later are added to `following`."""
+    m = len(flux)
+    period = edges[m]
+    detections = np.zeros(m)
+    weights = np.empty(m + 3)
+    target, shift = 0, dead_time
+    for i in range(m):
+        armed += returning[i]
+        if flux[i] <= 0.0:
+            continue
+        while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + shift:
+            target += 1
+        count = return_weights(edges[i] + shift, edges[i + 1] + shift, target, edges, flux, weights)
+        q = -np.expm1(-flux[i])
+        fired = armed * q
+        if target == i:
+            # Part returns within the same piece and may fire again: a geometric series.
+            fired /= 1.0 - weights[0] * q
+            armed += weights[0] * fired
+        detections[i] = fired
+        armed -= fired
+        for k in range(1 if target == i else 0, count):
+            where = target + k
+            if where < m:
+                returning[where] += weights[k] * fired
+            else:
+                following[where - m] += weights[k] * fired
+    following[0] += returning[m]
+    return detections, armed
+
+
+@numba.njit(cache=True)
+def edge_at(edges: Array, index: int, m: int, period: float) -> float:
+    """Edge number `index`, counted on past the end of the period."""
+    return edges[index] if index <= m else edges[index - m] + period
