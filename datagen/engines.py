@@ -169,7 +169,7 @@ class DaskCluster:
         return self._executor.submit(function, *arguments)
 
     def close(self, kill: bool) -> None:
-        self._executor.shutdown(wait=not kill, cancel_futures=kill)
+        self._executor.shutdown(wait=not kill)
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()

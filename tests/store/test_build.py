@@ -290,3 +290,9 @@ def test_shard_numbers() -> None:
     for bad in ("", "a", "3-1", "-1", "0-10", "1,,2"):
         with pytest.raises(InputError, match="--shards"):
             parse_shards(bad, 10)
+
+
+def test_dask_writes_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
+    quiet_build(small_config(), tmp_path / "set", 2, engine="dask")
+    assert content(tmp_path / "set") == whole
