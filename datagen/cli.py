@@ -102,19 +102,12 @@ def info(dataset: str) -> None:
 @cli.command()
 @click.argument("dataset")
 @click.argument("index", type=int)
-@click.option("--out", default=None, help="Folder for the pictures; left out: DATASET's name with -pictures.")
+@click.option("--out", help="Folder for the pictures; left out: DATASET.show beside the dataset.")
 def show(dataset: str, index: int, out: str | None) -> None:
-    """Draw scene INDEX of DATASET: room, transient, histogram, depth."""
-    from pathlib import Path
-
+    """Draw scene INDEX of DATASET: room, transient, histogram, labels."""
     from datagen.report.show import show as draw
-    from datagen.store import read_manifest
 
-    scenes = read_manifest(dataset).schema.scenes
-    if not 0 <= index < scenes:
-        raise InputError(f"INDEX {index}: {dataset} has the scenes 0-{scenes - 1}")
-    folder = Path(out) if out else Path(dataset).resolve().with_suffix("").with_name(Path(dataset).stem + "-pictures")
-    for picture in draw(Path(dataset), index, folder):
+    for picture in draw(dataset, index, out):
         click.echo(picture)
 
 

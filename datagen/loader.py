@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.utils.data import Dataset, Sampler
+from torch.utils.data import Dataset, Sampler, default_collate
 
 from datagen.config import CaptureConfig, DetectorConfig
 from datagen.errors import InputError
@@ -32,7 +32,7 @@ from datagen.store.reader import ShardReader
 
 MEMORY_BYTES = 64 * 2**20
 """Fields that decode to no more than this in all are read once and kept in memory."""
-COUNT_TYPES = ("float32", "float64", "int32", "int64")
+COUNT_TYPES = ("float32", "float64", "int32", "int64", "stored")
 
 
 class TransientDataset(Dataset[dict[str, torch.Tensor]]):
@@ -41,8 +41,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     Parameters
     ----------
     fields : any of the dataset's fields; `data.fields` lists all.
-    counts : dtype that histograms are handed over in, since torch lacks operations for uint16 and uint32. float32 is
-        exact up to 2²⁴ counts a bin. Other fields keep their dtype.
+    counts : dtype that histograms are handed over in, since torch lacks most operations for uint16 and uint32.
+        float32 is exact up to 2²⁴ counts a bin. `"stored"` leaves them as they are, the least to move from worker to
+        device: cast them there, `batch["histogram"].to(device).float()`. Other fields keep their dtype.
     redraw_noise : draw histograms anew from the stored transient, with the scene's own detector, every epoch: a
         function of (`seed`, epoch, scene). Call `set_epoch` (or `EpochSampler.set_epoch`) before each epoch.
     seed : of the redrawn noise.
@@ -73,9 +74,11 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         for name in self.selected:
             if name not in self.fields and not (name == "histogram" and redraw_noise):
                 raise InputError(f"fields: {name!r} is not in {path}; it has {', '.join(self.fields)}")
+        if counts == "int32" and "histogram" in self.fields and self._schema.by_name["histogram"].dtype == "uint32":
+            raise InputError("counts = 'int32': histograms are stored as uint32, which it cannot hold; use 'int64'")
         if counts not in COUNT_TYPES:
             raise InputError(f"counts = {counts!r}: must be one of {', '.join(COUNT_TYPES)}")
-        self._counts = np.dtype(counts)
+        self._counts = None if counts == "stored" else np.dtype(counts)
         if redraw_noise and "transient" not in self.fields:
             raise InputError(
                 f"redraw_noise: {path} has no field transient to draw from; build it with one (store.fields)"
@@ -100,10 +103,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         scenes = [int(self.scenes[self._checked(int(item))]) for item in items]
         self._open()
         batch = {name: torch.from_numpy(self._values(name, scenes)) for name in self.selected}
-        return [
-            {name: values[row] for name, values in batch.items()} | {"scene": torch.tensor(scene)}
-            for row, scene in enumerate(scenes)
-        ]
+        return Batch(batch | {"scene": torch.tensor(scenes)})
 
     def __getstate__(self) -> dict[str, Any]:
         """Open files stay with the process that opened them."""
@@ -163,25 +163,42 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
                 self._readers[name] = ShardReader(self.path, field, self._schema)
         self._pid = os.getpid()
 
-    def _stored(self, name: str, scenes: Sequence[int]) -> NDArray[np.generic]:
+    def _stored(self, name: str, scenes: Sequence[int], dtype: np.dtype[Any] | None = None) -> NDArray[np.generic]:
         if name in self._memory:
-            return self._memory[name][list(scenes)]
-        return self._readers[name].read(scenes)
+            values = self._memory[name][list(scenes)]
+            return values if dtype is None else values.astype(dtype)
+        return self._readers[name].read(scenes, dtype)
 
     def _values(self, name: str, scenes: Sequence[int]) -> NDArray[np.generic]:
-        if name == "histogram":
-            return self._as_counts(self._drawn(scenes) if self._noise else self._stored(name, scenes))
-        return self._stored(name, scenes)
+        if name != "histogram":
+            return self._stored(name, scenes)
+        if self._noise is None:
+            return self._stored(name, scenes, self._counts)
+        drawn = self._drawn(scenes)
+        if self._counts is None:
+            return drawn
+        if self._counts.kind == "i" and int(drawn.max()) > np.iinfo(self._counts).max:
+            raise InputError(f"counts = {self._counts.name!r}: {int(drawn.max())} counts do not fit; use 'int64'")
+        return drawn.astype(self._counts)
 
-    def _drawn(self, scenes: Sequence[int]) -> NDArray[np.generic]:
+    def _drawn(self, scenes: Sequence[int]) -> NDArray[np.integer[Any]]:
         assert self._noise is not None
         transients, epoch = self._stored("transient", scenes), int(self._epoch)
         return np.stack([self._noise.draw(t, s, self.seed, epoch) for t, s in zip(transients, scenes, strict=True)])
 
-    def _as_counts(self, counts: NDArray[np.generic]) -> NDArray[np.generic]:
-        if self._counts.kind == "i" and counts.size and int(counts.max()) > np.iinfo(self._counts).max:
-            raise InputError(f"counts = {self._counts}: {int(counts.max())} counts do not fit; use counts='int64'")
-        return counts.astype(self._counts)
+
+class Batch(list[dict[str, torch.Tensor]]):
+    """Items whose tensors are rows of `whole`, so that collating them needs no copy."""
+
+    def __init__(self, whole: dict[str, torch.Tensor]) -> None:
+        self.whole = whole
+        super().__init__({name: values[row] for name, values in whole.items()} for row in range(len(whole["scene"])))
+
+
+def collate(items: list[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
+    """A `collate_fn` equal to torch's own that hands a batch read as a whole on as it is."""
+    whole: dict[str, torch.Tensor] = items.whole if isinstance(items, Batch) else default_collate(items)
+    return whole
 
 
 class _NoiseSource:
@@ -193,7 +210,7 @@ class _NoiseSource:
         self._time = CaptureConfig.model_validate_json(json.dumps(manifest.config["capture"])).time.axis()
         self._seed = manifest.seed
 
-    def draw(self, transient: NDArray[np.generic], scene: int, seed: int, epoch: int) -> NDArray[np.int64]:
+    def draw(self, transient: NDArray[np.generic], scene: int, seed: int, epoch: int) -> NDArray[np.integer[Any]]:
         from datagen.detector import detect, detector_for
 
         spad, exposure = detector_for(self._detector, self._seed, scene, self._time)
@@ -232,4 +249,4 @@ class EpochSampler(Sampler[int]):
         return iter(dealt[self._rank :: self._world].tolist())
 
 
-__all__ = ["EpochSampler", "TransientDataset"]
+__all__ = ["EpochSampler", "TransientDataset", "collate"]

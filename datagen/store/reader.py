@@ -10,6 +10,7 @@ import struct
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import google_crc32c
 import numpy as np
@@ -38,14 +39,19 @@ class ShardReader:
         self._open: dict[int, tuple[int, NDArray[np.uint64]]] = {}
         self._dtype = np.dtype(field.dtype).newbyteorder("<")
 
-    def read(self, scenes: Sequence[int]) -> NDArray[np.generic]:
-        """(len(scenes), *field.shape): the scenes' values in the field's dtype.
+    def read(self, scenes: Sequence[int], dtype: np.dtype[Any] | None = None) -> NDArray[np.generic]:
+        """(len(scenes), *field.shape): the scenes' values in the field's dtype, or cast to `dtype` one by one, which
+        needs less memory traffic than casting the whole.
 
         Raises `CheckError` for a chunk that is missing or whose checksum does not match.
         """
-        out = np.empty((len(scenes), *self.field.shape), self._dtype)
+        out = np.empty((len(scenes), *self.field.shape), dtype or self._dtype)
+        plain = out.dtype == self._dtype
+        scene_values = np.empty(0) if plain else np.empty(self.field.shape, self._dtype)
         for row, scene in enumerate(scenes):
-            self._read_scene(scene, out[row])
+            self._read_scene(scene, out[row] if plain else scene_values)
+            if not plain:
+                out[row] = scene_values
         return out
 
     def close(self) -> None:

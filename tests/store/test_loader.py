@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader
 
 from datagen.builder import build
 from datagen.errors import CheckError, InputError
-from datagen.loader import EpochSampler, TransientDataset
+from datagen.loader import EpochSampler, TransientDataset, collate
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,9 @@ def test_items_are_the_stored_values(dataset: Path) -> None:
             assert np.array_equal(item[name].numpy(), stored[name][scene])
     assert data[3]["histogram"].dtype == torch.float32 and data[3]["depth"].dtype == torch.float32
     assert torch.equal(data[-1]["depth"], data[11]["depth"])
-    assert TransientDataset(dataset, ("histogram",), counts="int32")[0]["histogram"].dtype == torch.int32
+    for counts, dtype in (("int32", torch.int32), ("float64", torch.float64), ("stored", torch.uint16)):
+        cast = TransientDataset(dataset, ("histogram",), counts=counts)[5]["histogram"]
+        assert cast.dtype == dtype and np.array_equal(cast.numpy(), stored["histogram"][5])
     with pytest.raises(IndexError):
         data[12]
 
@@ -60,6 +62,18 @@ def test_loader_workers_give_the_same_batches(
     assert [batch["histogram"].shape for batch in here] == [(5, 4, 1, 16), (5, 4, 1, 16), (2, 4, 1, 16)]
     for a, b in zip(here, there, strict=True):
         assert all(torch.equal(a[name], b[name]) for name in a)
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_collating_without_a_copy_equals_collating(dataset: Path, workers: int) -> None:
+    data = TransientDataset(dataset, counts="stored")
+    plain = list(DataLoader(data, 5, num_workers=workers))
+    quick = list(DataLoader(data, 5, num_workers=workers, collate_fn=collate))
+    for a, b in zip(plain, quick, strict=True):
+        assert a.keys() == b.keys() and all(
+            torch.equal(a[name], b[name]) and a[name].dtype == b[name].dtype for name in a
+        )
+    assert torch.equal(collate([data[1], data[2]])["histogram"], plain[0]["histogram"][1:3])
 
 
 def test_a_pickled_dataset_carries_no_open_files(dataset: Path) -> None:
