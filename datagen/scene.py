@@ -8,33 +8,30 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.config.distributions import draw
 from datagen.config.scene import SceneConfig
-from datagen.config.scene_contents import Item, Mesh, Standing, draw_count
+from datagen.config.scene_contents import Content, Mesh, MeshFolder, draw_count
+from datagen.config.scene_files import label_of
 from datagen.errors import InputError
 from datagen.records import Lambertian, Rectangle, Role, Scalar, Scene
 from datagen.scene_checks import explain
-from datagen.scene_draws import draw_plan, draw_solid
+from datagen.scene_draws import draw_object, draw_plan, load_mesh
+from datagen.scene_placing import Unmet, place
 from datagen.seeding import Purpose, generator
-from scene_library.placement import FreeSpace, Occupied
+from scene_library.placement import FreeSpace
 from scene_library.rooms import Plan, RoomDoesNotClose, surfaces
 from scene_library.sightlines import even_points, seen_fractions
-from scene_library.solids import Solid
 from scene_library.visibility import visible_fan, visible_interval
 
-POSITIONS_PER_OBJECT = 40
-"""Positions tried for one object before its room is given up and everything is drawn again."""
+MESHES_CHECKED = 200
+"""At most about this many files of a folder are loaded before a build."""
 SMALLEST_VIEW_M = 0.05
 """A relay wall seen over less than this width is no relay wall."""
-
-
-class Unmet(Exception):
-    """One attempt failed; the arguments are (what, detail) for the tally."""
 
 
 @dataclass
@@ -55,6 +52,14 @@ class _Parts:
         self.albedos.append(albedo)
         self.vertices.append(vertices)
         self.triangles.append(faces)
+
+    def free_name(self, wanted: str) -> str:
+        """The name itself, or numbered from 2 when it is taken."""
+        number, name = 1, wanted
+        while name in self.names:
+            number += 1
+            name = f"{wanted}_{number}"
+        return name
 
     def joined(self) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]]:
         offsets = np.cumsum([0] + [len(v) for v in self.vertices])
@@ -98,21 +103,16 @@ def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene
         parts.add(name, "relay_wall" if name == "relay_wall" else "structure", albedo, vertices, faces)
 
     space = FreeSpace(plan.outline, plan.hidden, plan.walls, plan.height_m, fan, spec.clearance_m)
-    objects: list[tuple[int, str]] = []
-    for i, name, item in _objects(spec, rng):
-        solid, drawn = draw_solid(item, plan.height_m, rng)
-        rotation_deg = draw(item.rotation_deg, rng)
+    objects: list[tuple[str, str]] = []
+    for where, item in _items(spec, rng):
+        drawn_object = draw_object(item, plan.height_m, rng)
         albedo = draw(item.albedo, rng)
-        spot = _place(i, item, solid, rotation_deg, plan, space, rng)
-        parameters[f"{name}.kind"] = str(getattr(item, "kind", ""))
-        parameters[f"{name}.class"] = item.part_name
-        parameters.update({f"{name}.{key}": value for key, value in drawn.items()})
-        parameters.update({f"{name}.{key}": value for key, value in spot.items()})
-        parameters[f"{name}.rotation_deg"] = rotation_deg
-        parameters[f"{name}.albedo"] = albedo
-        objects.append((i, name))
-        vertices = solid.placed(spot["x_m"], spot["y_m"], spot["z_m"], rotation_deg)
-        parts.add(name, "object", albedo, vertices, solid.triangles)
+        spot = place(where, item, drawn_object.solid, plan, space, rng)
+        name = parts.free_name(item.name or label_of(drawn_object.label))
+        parts.add(name, "object", albedo, spot.vertices(drawn_object.solid), drawn_object.solid.triangles)
+        parameters |= {f"{name}.kind": item.kind, f"{name}.class": drawn_object.label, f"{name}.albedo": albedo}
+        parameters |= {f"{name}.{key}": value for key, value in (drawn_object.sizes | asdict(spot)).items()}
+        objects.append((where, name))
     parameters["objects"] = len(objects)
 
     corners, triangles, face_part = parts.joined()
@@ -120,9 +120,9 @@ def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene
         first = len(parts.names) - len(objects)
         wanted = np.arange(first, len(parts.names))
         seen = seen_fractions(corners[triangles], face_part, wanted, even_points(*_spread(relay_wall)))
-        for (i, name), fraction in zip(objects, seen, strict=True):
+        for (where, name), fraction in zip(objects, seen, strict=True):
             if fraction == 0:
-                raise Unmet(f"contents[{i}]", "unseen")
+                raise Unmet(where, "unseen")
             parameters[f"{name}.seen_fraction"] = float(fraction)
     return Scene(
         vertices=corners,
@@ -139,44 +139,11 @@ def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene
     )
 
 
-def _objects(spec: SceneConfig, rng: np.random.Generator) -> Iterator[tuple[int, str, Item]]:
-    """The objects to place: (position in `contents`, part name, settings)."""
-    used: Counter[str] = Counter()
+def _items(spec: SceneConfig, rng: np.random.Generator) -> Iterator[tuple[str, Content]]:
+    """The objects to place, one after the other, with where their settings stand."""
     for i, item in enumerate(spec.contents):
         for _ in range(draw_count(item.count, rng)):
-            used[item.part_name] += 1
-            number = used[item.part_name]
-            yield i, item.part_name if number == 1 else f"{item.part_name}_{number}", item
-
-
-def _place(
-    i: int,
-    item: Item,
-    solid: Solid,
-    rotation_deg: float,
-    plan: Plan,
-    space: FreeSpace,
-    rng: np.random.Generator,
-) -> dict[str, float]:
-    """Try positions until one is free; take it. Raises `Unmet` with the commonest obstacle."""
-    obstacles: Counter[str] = Counter()
-    elevation = draw(item.elevation_m, rng) if isinstance(item, Standing) else 0.0
-    hanging = isinstance(item, Standing) and item.hanging
-    z = plan.height_m - elevation - solid.top_m if hanging else elevation
-    (x0, y0), (x1, y1) = plan.hidden
-    for _ in range(POSITIONS_PER_OBJECT):
-        along, across = draw(item.along, rng), draw(item.across, rng)
-        x = x0 + along * (x1 - x0)
-        y = y0 + across * (y1 - y0) if plan.across_from_low else y1 - across * (y1 - y0)
-        place = Occupied(solid.footprint(x, y, rotation_deg), z, z + solid.top_m)
-        obstacle = space.obstacle(place)
-        if obstacle is None:
-            space.taken.append(place)
-            return {"x_m": float(x), "y_m": float(y), "z_m": z, "along": along, "across": across}
-        obstacles[obstacle] += 1
-        if obstacle == "height":
-            break
-    raise Unmet(f"contents[{i}]", obstacles.most_common(1)[0][0])
+            yield f"contents[{i}]", item
 
 
 def _visible_relay_wall(plan: Plan, fan: NDArray[np.float64]) -> Rectangle:
@@ -205,10 +172,17 @@ def _spread(wall: Rectangle) -> tuple[NDArray[np.float64], NDArray[np.float64], 
 
 
 def check_scene_config(spec: SceneConfig) -> None:
-    """Load every mesh named, so that a bad file is refused before anything is built. Raises `InputError`."""
+    """Load the meshes named, so that a bad file is refused before anything is built. Raises `InputError`.
+
+    Of a folder with very many files an even selection is loaded.
+    """
     for i, item in enumerate(spec.contents):
-        if isinstance(item, Mesh):
-            try:
-                draw_solid(item, 1.0, np.random.default_rng(0))
-            except InputError as error:
-                raise InputError(f"scene.contents[{i}].{error}") from None
+        try:
+            if isinstance(item, Mesh):
+                load_mesh(item, item.file, item.path)
+            elif isinstance(item, MeshFolder):
+                files = [file for files in item.files().values() for file in files]
+                for file in files[:: 1 + len(files) // MESHES_CHECKED]:
+                    load_mesh(item, file, f"{item.path}/{file.relative_to(item.folder).as_posix()}")
+        except InputError as error:
+            raise InputError(f"scene.contents[{i}].{error}") from None

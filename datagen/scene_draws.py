@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from datagen.config.distributions import draw
-from datagen.config.scene_contents import Box, Item, Mesh, Pillar
+from datagen.config.scene_contents import Box, Item, Library, Mesh, MeshFolder, Pillar
 from datagen.config.scene_layouts import AnyLayout, Closed
 from datagen.errors import InputError
 from datagen.records import Scalar
 from scene_library import layouts
 from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
+from scene_library.objects import build
 from scene_library.rooms import Plan, mirrored, out_of_square
-from scene_library.solids import Solid, prism, rectangle
+from scene_library.solids import Solid, prism, rectangle, regular_polygon
 
 PLANS: dict[str, Callable[..., Plan]] = {
     "straight_corridor": layouts.straight_corridor,
@@ -41,22 +44,60 @@ def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[Plan, dict[s
     return plan if side == "left" else mirrored(plan), drawn
 
 
-def draw_solid(item: Item, room_height_m: float, rng: np.random.Generator) -> tuple[Solid, dict[str, Scalar]]:
-    """An item's solid, standing at the origin, and the sizes drawn for it."""
+@dataclass(frozen=True)
+class Drawn:
+    """An object before it is placed: its solid, its class, and the sizes drawn for it."""
+
+    solid: Solid
+    label: str
+    sizes: dict[str, Scalar]
+
+
+def draw_object(item: Item, room_height_m: float, rng: np.random.Generator) -> Drawn:
+    """An item's solid, standing at the origin. Raises `InputError` for a mesh file that cannot be used."""
     sizes = {name: draw(d, rng) for name in item.sizes if (d := getattr(item, name)) is not None}
-    drawn: dict[str, Scalar] = dict(sizes)
     match item:
         case Pillar():
-            depth = sizes.get("depth_m", sizes["width_m"])
-            drawn |= {"depth_m": depth, "height_m": room_height_m}
-            return prism(rectangle(sizes["width_m"], depth), room_height_m), drawn
+            width, depth = sizes["width_m"], sizes.get("depth_m", sizes["width_m"])
+            base = rectangle(width, depth) if item.shape == "square" else regular_polygon(1.0, 32) * [width, depth]
+            drawn: dict[str, Scalar] = {**sizes, "depth_m": depth, "height_m": room_height_m}
+            return Drawn(prism(base, room_height_m), item.part_name, drawn)
         case Box():
-            return prism(rectangle(sizes["width_m"], sizes["depth_m"]), sizes["height_m"]), drawn
+            base = rectangle(sizes["width_m"], sizes["depth_m"])
+            return Drawn(prism(base, sizes["height_m"]), item.part_name, dict(sizes))
+        case Library():
+            name = item.names[int(rng.integers(len(item.names)))]
+            solid = build(name, rng)
+            if "height_m" in sizes:
+                solid = solid.scaled(sizes["height_m"] / solid.top_m)
+            return Drawn(solid, name, _extents(solid))
         case Mesh():
-            try:
-                unit = unit_mesh(item.file, MeshOptions(item.up, item.max_triangles))
-            except BadMesh as error:
-                raise InputError(f"path = {item.path!r}: {error}") from None
-            drawn |= {"triangles": len(unit.triangles)}
-            return unit.scaled(sizes["height_m"]), drawn
+            return _mesh(item, item.file, item.part_name, item.path, sizes["height_m"])
+        case MeshFolder():
+            classes = item.files()
+            if not classes:
+                raise InputError(f"path = {item.path!r}: holds no mesh files any more; put them back")
+            label = list(classes)[int(rng.integers(len(classes)))]
+            file = classes[label][int(rng.integers(len(classes[label])))]
+            return _mesh(
+                item, file, label, f"{item.path}/{file.relative_to(item.folder).as_posix()}", sizes["height_m"]
+            )
     raise TypeError(f"no solid is known for {type(item).__name__}")
+
+
+def load_mesh(item: Mesh | MeshFolder, file: Path, shown: str) -> Solid:
+    """The file's solid at height 1. Raises `InputError` naming it as `shown`."""
+    try:
+        return unit_mesh(file, MeshOptions(item.up, item.max_triangles))
+    except BadMesh as error:
+        raise InputError(f"path = {shown!r}: {error}") from None
+
+
+def _mesh(item: Mesh | MeshFolder, file: Path, label: str, shown: str, height_m: float) -> Drawn:
+    solid = load_mesh(item, file, shown).scaled(height_m)
+    return Drawn(solid, label, {**_extents(solid), "triangles": len(solid.triangles), "file": shown})
+
+
+def _extents(solid: Solid) -> dict[str, Scalar]:
+    width, depth = np.ptp(solid.hull, axis=0)
+    return {"width_m": float(width), "depth_m": float(depth), "height_m": solid.top_m}

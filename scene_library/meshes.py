@@ -36,6 +36,8 @@ class MeshOptions:
     max_triangles: int | None = None
 
 
+MESHES_KEPT = 256
+"""Meshes held in memory by each process; beyond that the oldest is dropped."""
 _cache: dict[tuple[str, int, int, MeshOptions], Solid] = {}
 
 
@@ -50,6 +52,8 @@ def unit_mesh(path: Path, options: MeshOptions) -> Solid:
         raise BadMesh(f"cannot be read ({error.strerror or error})") from None
     key = (str(path.resolve()), state.st_mtime_ns, state.st_size, options)
     if key not in _cache:
+        if len(_cache) >= MESHES_KEPT:
+            del _cache[next(iter(_cache))]
         _cache[key] = _unit(path, options)
     return _cache[key]
 

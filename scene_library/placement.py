@@ -60,3 +60,44 @@ class FreeSpace:
             if above < self.clearance_m and convex_gap(other.footprint, candidate.footprint) < self.clearance_m:
                 return "object"
         return None
+
+
+@dataclass(frozen=True)
+class WallSpots:
+    """Where an object may stand with its back to a wall.
+
+    starts, ends : (n, 2) stretches of wall; inward : (n, 2) unit normals into the room.
+    """
+
+    starts: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    inward: NDArray[np.float64]
+
+    @classmethod
+    def within(cls, edges: NDArray[np.float64], zone: NDArray[np.float64]) -> WallSpots:
+        """The parts of counter-clockwise `edges` (n, 2, 2) that lie in the box `zone` (2, 2)."""
+        start, along = edges[:, 0], edges[:, 1] - edges[:, 0]
+        length = np.linalg.norm(along, axis=1)
+        still = np.abs(along) < 1e-12
+        step = np.where(still, 1.0, along)
+        near, far = (zone[0] - 1e-9 - start) / step, (zone[1] + 1e-9 - start) / step
+        outside = still & ((start < zone[0] - 1e-9) | (start > zone[1] + 1e-9))
+        enter = np.where(still, -np.inf, np.minimum(near, far)).max(axis=1).clip(0, 1)
+        leave = np.where(still, np.inf, np.maximum(near, far)).min(axis=1).clip(0, 1)
+        kept = (leave > enter) & ~outside.any(axis=1)
+        inward = np.stack([-along[:, 1], along[:, 0]], axis=1) / length[:, None]
+        first, last = start + enter[:, None] * along, start + leave[:, None] * along
+        return cls(first[kept], last[kept], inward[kept])
+
+    def pose(self, hull: Polygon, gap_m: float, rng: np.random.Generator) -> tuple[float, float, float] | None:
+        """(x, y, rotation in degrees) with the back (+y) of `hull` `gap_m` before a random stretch of wall."""
+        length = np.linalg.norm(self.ends - self.starts, axis=1)
+        if length.sum() == 0:
+            return None
+        position = rng.random() * length.sum()
+        k = min(int(np.searchsorted(np.cumsum(length), position, side="right")), len(length) - 1)
+        t = (position - (np.cumsum(length)[k] - length[k])) / length[k]
+        foot = self.starts[k] + t * (self.ends[k] - self.starts[k])
+        x, y = foot + self.inward[k] * (float(hull[:, 1].max()) + gap_m)
+        back = -self.inward[k]
+        return float(x), float(y), float(np.degrees(np.arctan2(back[1], back[0])) - 90.0) % 360.0

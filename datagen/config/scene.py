@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Fraction, Uniform
-from datagen.config.scene_contents import Box, Content, Mesh, Pillar
+from datagen.config.scene_contents import Box, Content, Mesh, MeshFolder, Pillar
 from datagen.config.scene_layouts import AnyLayout, LCorridor
 from datagen.errors import InputError
 
@@ -74,7 +74,7 @@ class SceneConfig(Settings):
         """SHA-256 of every mesh file named: path as written → hex digest of the file's bytes."""
         digests: dict[str, str] = {}
         for i, item in enumerate(self.contents):
-            if isinstance(item, Mesh) and item.path not in digests:
+            if isinstance(item, (Mesh, MeshFolder)) and item.path not in digests:
                 try:
                     digests[item.path] = item.digest()
                 except OSError as error:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
-import re
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -12,8 +12,19 @@ from pydantic import AfterValidator, Field, PrivateAttr, Tag, ValidationInfo, mo
 
 from datagen.config.base import Settings, tag
 from datagen.config.distributions import Choice, Distribution, Fraction, Length, Uniform, draw, support, within
+from datagen.config.scene_files import (
+    RESERVED_NAMES,
+    FolderPath,
+    MeshPath,
+    TriangleBudget,
+    UpAxis,
+    classed_files,
+    label_of,
+    resolved,
+)
 from datagen.config.scene_kinds import kind_of, unknown_kind
 from datagen.config.scene_layouts import NonNegative
+from scene_library.objects.classes import CLASSES, GROUPS, classes_of
 
 
 def _whole(value: Distribution) -> Distribution:
@@ -38,7 +49,6 @@ def draw_count(count: Distribution, rng: np.random.Generator) -> int:
 
 Angle = Annotated[Distribution, within(-360, 360)]
 ANY_ANGLE = Uniform(uniform=(0.0, 360.0))
-RESERVED_NAMES = ("relay_wall", "walls", "floor", "ceiling", "screen")
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,40}$")]
 
 
@@ -85,18 +95,21 @@ class Item(Settings):
 
 
 class Standing(Item):
-    """An object that stands on the floor, at a height above it, or hangs from the ceiling."""
+    """An object that stands on the floor, with its back to a wall, or hangs from the ceiling."""
 
+    placement: Literal["floor", "wall", "hanging"] = "floor"
+    """`floor`: anywhere, turned by `rotation_deg`. `wall`: back to a wall of the hidden part; `along`, `across` and
+    `rotation_deg` then follow from the wall. `hanging`: from the ceiling."""
     elevation_m: NonNegative = 0.0
-    """Height of its lowest point above the floor."""
-    hanging: bool = False
-    """Hang it from the ceiling: then `elevation_m` is the gap between its top and the ceiling."""
+    """Height of the lowest point above the floor; hanging: the gap between ceiling and highest point."""
 
 
 class Pillar(Item):
-    """A rectangular pillar from floor to ceiling."""
+    """A pillar from floor to ceiling."""
 
     kind: Literal["pillar"] = "pillar"
+    shape: Literal["square", "round"] = "square"
+    """`round`: an ellipse of 32 sides."""
     width_m: Length = Uniform(uniform=(0.25, 0.6))
     depth_m: Length | None = None
     """Left out: as deep as wide."""
@@ -124,25 +137,50 @@ class Box(Standing):
         return support(self.height_m)[0]
 
 
-def _existing(path: str, info: ValidationInfo) -> str:
-    base = (info.context or {}).get("base_directory")
-    if base is not None and not (Path(base) / path).is_file():
-        found = "is a directory" if (Path(base) / path).is_dir() else "no such file"
-        raise ValueError(f"{path!r}: {found} ({Path(base) / path}); paths start at the configuration's folder")
-    return path
+def _known_classes(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if name not in CLASSES and name not in GROUPS:
+            near = difflib.get_close_matches(name, [*GROUPS, *CLASSES], n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise ValueError(f"{name!r} is no class of the library; {hint}Groups: {', '.join(GROUPS)}")
+    return names
+
+
+class Library(Standing):
+    """An object of the library: its class is drawn, then its proportions."""
+
+    kind: Literal["library"] = "library"
+    classes: Annotated[tuple[str, ...], Field(min_length=1), AfterValidator(_known_classes)] = (
+        "furniture",
+        "household",
+        "figures",
+    )
+    """Classes (chair, mannequin, letter_a, digit_7, sphere, …) or groups of them; all equally likely."""
+    height_m: Length | None = None
+    """Scale to this height; left out: natural size."""
+
+    sizes: ClassVar[tuple[str, ...]] = ("height_m",)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The classes, groups resolved."""
+        return classes_of(self.classes)
+
+    def smallest_height_m(self) -> float:
+        return 0.0 if self.height_m is None else support(self.height_m)[0]
 
 
 class Mesh(Standing):
     """A mesh file, scaled to a height."""
 
     kind: Literal["mesh"] = "mesh"
-    path: Annotated[str, Field(min_length=1), AfterValidator(_existing)]
+    path: MeshPath
     """An .obj, .ply, .stl or .glb file; relative to the configuration's folder."""
     height_m: Length = Uniform(uniform=(0.5, 1.5))
     """The object is scaled to this height."""
-    up: Literal["x", "-x", "y", "-y", "z", "-z"] = "z"
+    up: UpAxis = "z"
     """The axis of the file that points up."""
-    max_triangles: Annotated[int, Field(ge=4)] | None = None
+    max_triangles: TriangleBudget = None
     """Simplify to at most this many triangles; left out: never."""
 
     sizes: ClassVar[tuple[str, ...]] = ("height_m",)
@@ -151,8 +189,7 @@ class Mesh(Standing):
 
     @model_validator(mode="after")
     def _resolve(self, info: ValidationInfo) -> Self:
-        base = (info.context or {}).get("base_directory")
-        self._file = Path(base or ".").resolve() / self.path
+        self._file = resolved(self.path, info)
         return self
 
     @property
@@ -162,10 +199,7 @@ class Mesh(Standing):
 
     @property
     def part_name(self) -> str:
-        stem = re.sub(r"[^a-z0-9]+", "_", Path(self.path).stem.lower()).strip("_")[:40]
-        if not stem or not stem[0].isalpha() or stem in RESERVED_NAMES:
-            stem = f"mesh_{stem}".rstrip("_")
-        return self.name or stem
+        return self.name or label_of(self.path)
 
     def smallest_height_m(self) -> float:
         return support(self.height_m)[0]
@@ -175,16 +209,72 @@ class Mesh(Standing):
         return hashlib.sha256(self._file.read_bytes()).hexdigest()
 
 
+class MeshFolder(Standing):
+    """A folder of mesh files: one is drawn, scaled to a height; the name of its sub-folder is its class."""
+
+    kind: Literal["mesh_folder"] = "mesh_folder"
+    path: FolderPath
+    """A folder with a sub-folder for each class; files directly in it are classes of their own."""
+    classes: tuple[str, ...] | None = None
+    """Names of the sub-folders to draw from, equally likely; left out: all."""
+    height_m: Length = Uniform(uniform=(0.5, 1.5))
+    """The object is scaled to this height."""
+    up: UpAxis = "z"
+    """The axis of the files that points up."""
+    max_triangles: TriangleBudget = None
+    """Simplify to at most this many triangles; left out: never."""
+
+    sizes: ClassVar[tuple[str, ...]] = ("height_m",)
+
+    _folder: Path = PrivateAttr(default=Path())
+    _found: dict[str, tuple[Path, ...]] | None = PrivateAttr(default=None)
+
+    @model_validator(mode="after")
+    def _resolve(self, info: ValidationInfo) -> Self:
+        self._folder = resolved(self.path, info)
+        if (info.context or {}).get("base_directory") is not None:
+            found = classed_files(self._folder)
+            for name in self.classes or ():
+                if name not in found:
+                    raise ValueError(f"classes: {name!r} is no sub-folder with meshes; there are {', '.join(found)}")
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """Where `path` led when the configuration was read."""
+        return self._folder
+
+    def files(self) -> dict[str, tuple[Path, ...]]:
+        """Class → its files, both sorted by name, of the classes wanted."""
+        if self._found is None:
+            found = classed_files(self._folder)
+            self._found = found if self.classes is None else {c: found[c] for c in self.classes if c in found}
+        return self._found
+
+    def smallest_height_m(self) -> float:
+        return support(self.height_m)[0]
+
+    def digest(self) -> str:
+        """Hex SHA-256 of the names and bytes of all files that can be drawn."""
+        total = hashlib.sha256()
+        for file in (file for files in self.files().values() for file in files):
+            total.update(f"{file.relative_to(self._folder).as_posix()}\0".encode())
+            total.update(hashlib.sha256(file.read_bytes()).digest())
+        return total.hexdigest()
+
+
 def _sides(a: Distribution, b: Distribution) -> tuple[float, float]:
     short, long = sorted((support(a)[0], support(b)[0]))
     return short, long
 
 
-KINDS = ("pillar", "box", "mesh")
+KINDS = ("pillar", "box", "library", "mesh", "mesh_folder")
 Content = Annotated[
     Annotated[Pillar, Tag(tag("pillar"))]
     | Annotated[Box, Tag(tag("box"))]
+    | Annotated[Library, Tag(tag("library"))]
     | Annotated[Mesh, Tag(tag("mesh"))]
+    | Annotated[MeshFolder, Tag(tag("mesh_folder"))]
     | Annotated[Box, *unknown_kind(*KINDS)],
     kind_of(*KINDS),
 ]

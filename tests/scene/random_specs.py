@@ -78,21 +78,27 @@ def _layout(rng: np.random.Generator, kind: str) -> dict[str, Any]:
     return layout
 
 
-def _item(rng: np.random.Generator) -> dict[str, Any]:
-    kind = str(rng.choice(["pillar", "box"]))
+def _item(rng: np.random.Generator, walls: bool) -> dict[str, Any]:
+    kind = str(rng.choice(["pillar", "box", "library"], p=[0.3, 0.4, 0.3]))
+    if kind == "library":
+        group = str(rng.choice(["household", "figures", "shapes", "letters", "digits", "chair", "shelf"]))
+        placement = str(rng.choice(["floor", "wall", "hanging"] if walls else ["floor", "hanging"]))
+        return {"kind": kind, "classes": [group], "height_m": _range(rng, 0.3, 0.8), "placement": placement}
     item = {"kind": kind, "count": int(rng.integers(1, 3)), "albedo": _range(rng, 0.0, 1.0)}
     item["width_m"] = _range(rng, 0.1, 0.6)
+    if kind == "pillar":
+        item["shape"] = str(rng.choice(["square", "round"]))
     if rng.random() < 0.7 or kind == "box":
         item["depth_m"] = _range(rng, 0.1, 0.6)
     if kind == "box":
         item["height_m"] = _range(rng, 0.1, 1.0)
         if rng.random() < 0.3:
-            item |= {"elevation_m": _range(rng, 0.0, 0.8), "hanging": bool(rng.random() < 0.5)}
+            item |= {"elevation_m": _range(rng, 0.0, 0.8), "placement": str(rng.choice(["floor", "hanging"]))}
     return item
 
 
 def random_spec(rng: np.random.Generator, kind: str) -> SceneConfig:
-    contents = [_item(rng) for _ in range(int(rng.integers(1, 4)))]
+    contents = [_item(rng, kind != "isolated_wall") for _ in range(int(rng.integers(1, 4)))]
     materials = {name: {"albedo": _range(rng, 0.0, 1.0)} for name in ("relay_wall", "walls", "floor", "ceiling")}
     clearance = float(rng.choice([0.001, 0.02, 0.1]))
     scene = {"layout": _layout(rng, kind), "contents": contents, "materials": materials, "clearance_m": clearance}

@@ -90,7 +90,10 @@ WHEN_DRAWN: list[tuple[dict[str, Any], list[str]]] = [
     ),
     (
         {"layout": {"kind": "l_corridor", "room_length_m": 6.95, "relay_distance_m": 7.0}},
-        ["20 × scene.layout: the corner that hides the rest lies within 0.1 m of the device", "raise relay_distance_m"],
+        [
+            "20 × scene.layout: the corner that hides the rest lies within 0.1 m of the device",
+            "raise relay_distance_m",
+        ],
     ),
 ]
 

@@ -113,7 +113,14 @@ def test_meshes_stand_in_the_room_by_every_law(tmp_path: Path) -> None:
     lump().export(tmp_path / "lump.obj")
     items = [
         {"kind": "mesh", "path": "lump.obj", "count": 2, "height_m": {"uniform": [0.3, 1.2]}},
-        {"kind": "mesh", "path": "lump.obj", "name": "hung", "hanging": True, "height_m": 0.4, "elevation_m": 0.05},
+        {
+            "kind": "mesh",
+            "path": "lump.obj",
+            "name": "hung",
+            "placement": "hanging",
+            "height_m": 0.4,
+            "elevation_m": 0.05,
+        },
         {"kind": "box"},
     ]
     spec = config_from_mapping({"scene": {"contents": items}}, base_directory=tmp_path).scene

@@ -182,13 +182,14 @@ def test_parameters_lie_in_their_ranges_and_are_what_was_built() -> None:
         for name in object_names(scene):
             corners = scene.corners[scene.faces_of(name)].reshape(-1, 3)
             np.testing.assert_allclose(np.ptp(corners[:, 2]), p[f"{name}.height_m"], rtol=1e-9)
-            middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
-            np.testing.assert_allclose(middle[:2], [p[f"{name}.x_m"], p[f"{name}.y_m"]], atol=1e-9)
-            # Along its own axes the object is as wide and deep as was drawn.
+            # Along its own axes the object is as wide and deep as was drawn, and stands where the pose says.
             turn = np.radians(p[f"{name}.rotation_deg"])
             axis = np.array([np.cos(turn), np.sin(turn)])
-            np.testing.assert_allclose(np.ptp(corners[:, :2] @ axis), p[f"{name}.width_m"], rtol=1e-9)
-            np.testing.assert_allclose(np.ptp(corners[:, :2] @ [-axis[1], axis[0]]), p[f"{name}.depth_m"], rtol=1e-9)
+            for unit, size in ((axis, "width_m"), (np.array([-axis[1], axis[0]]), "depth_m")):
+                reach = corners[:, :2] @ unit
+                np.testing.assert_allclose(np.ptp(reach), p[f"{name}.{size}"], rtol=1e-9)
+                place = unit @ [p[f"{name}.x_m"], p[f"{name}.y_m"]]
+                np.testing.assert_allclose((reach.min() + reach.max()) / 2, place, atol=1e-9)
 
 
 def test_drawn_parameters_follow_what_was_declared() -> None:
@@ -249,7 +250,7 @@ def test_counts_are_even_over_their_range() -> None:
 
 def test_hanging_and_raised_objects_are_where_they_were_put() -> None:
     contents = [
-        {"kind": "box", "name": "lamp", "hanging": True, "elevation_m": 0.1, "height_m": 0.3},
+        {"kind": "box", "name": "lamp", "placement": "hanging", "elevation_m": 0.1, "height_m": 0.3},
         {"kind": "box", "name": "shelf", "elevation_m": 1.0, "height_m": 0.2},
     ]
     spec = config_from_mapping({"scene": {"contents": contents}}).scene

@@ -1,0 +1,221 @@
+"""The library's classes, letters, placements and mesh folders."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from room_laws import assert_room_laws, crossings, object_names
+from scipy import stats
+
+from datagen.config import SceneConfig, config_from_mapping
+from datagen.errors import InputError
+from datagen.scene import check_scene_config, generate_scene
+from scene_library.objects import CLASSES, GROUPS, build
+from scene_library.plates import union_plate
+from scene_library.polygons import contains, rotation, triangulate
+from scene_library.solids import rectangle, regular_polygon
+
+
+def contents(*items: dict[str, Any], base: Path | str = ".", **scene: Any) -> SceneConfig:
+    return config_from_mapping({"scene": {"contents": list(items), **scene}}, base_directory=base).scene
+
+
+def test_there_are_many_classes() -> None:
+    plain = [name for group, names in GROUPS.items() if group not in ("letters", "digits") for name in names]
+    assert len(plain) >= 25
+    assert len(GROUPS["letters"]) == 26
+    assert len(GROUPS["digits"]) == 10
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(CLASSES)
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_every_class_is_a_closed_solid_standing_at_the_origin(name: str) -> None:
+    """Closed by the divergence theorem: the vector area is zero; outward: the volume is positive."""
+    solids = [build(name, np.random.default_rng(seed)) for seed in range(4)]
+    for solid in solids:
+        corners = solid.vertices[solid.triangles]
+        area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+        assert np.linalg.norm(area, axis=1).min() > 0
+        np.testing.assert_allclose(area.sum(axis=0), 0, atol=1e-9)
+        volume = (corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+        low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
+        assert 0 < volume <= np.prod(high - low) * (1 + 1e-9)
+        assert abs(low[2]) < 1e-12
+        np.testing.assert_allclose((low + high)[:2], 0, atol=1e-12)
+        assert 0.05 < (high - low).max() < 2.5
+        np.testing.assert_allclose(solid.top_m, high[2])
+    assert not np.array_equal(solids[0].vertices, solids[1].vertices)
+    again = build(name, np.random.default_rng(0))
+    np.testing.assert_array_equal(again.vertices, solids[0].vertices)
+
+
+def test_union_has_the_area_of_the_union() -> None:
+    """Random overlapping polygons, one with a hole: the plate's faces cover what a point test says."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        polygons = [
+            regular_polygon(rng.uniform(0.3, 1.0), int(rng.integers(3, 9))) @ rotation(rng.uniform(0, 6)).T
+            + rng.uniform(-0.3, 0.3, 2)
+            for _ in range(int(rng.integers(1, 5)))
+        ]
+        vertices, faces = union_plate(polygons, 0.1)
+        plate = trimesh.Trimesh(vertices, faces, process=False)
+        corners = plate.triangles
+        np.testing.assert_allclose(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0), 0, atol=1e-9
+        )
+        points = rng.uniform(-1, 1, (400, 2))
+        inside = np.any([contains(p, points) for p in polygons], axis=0)
+        start = np.column_stack([points[:, 0], np.full(400, -1.0), points[:, 1]])
+        hits = crossings(corners, start, start + np.array([0.0, 2.0, 0.0])).sum(axis=1)
+        np.testing.assert_array_equal(hits, np.where(inside, 2, 0))
+        np.testing.assert_allclose(plate.volume / 0.1, 4 * inside.mean(), atol=5 * 4 * 0.5 / np.sqrt(400))
+
+
+def test_holes_stay_open() -> None:
+    ring = union_plate([rectangle(1.0, 1.0), rectangle(0.5, 0.5)[::-1]], 0.1)
+    np.testing.assert_allclose(trimesh.Trimesh(*ring, process=False).volume, 0.075)
+
+
+def test_triangulation_covers_the_polygon() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        n = int(rng.integers(4, 14))
+        angle = np.sort(rng.uniform(0, 2 * np.pi, n))
+        if np.diff(np.append(angle, angle[0] + 2 * np.pi)).max() > 3:
+            continue
+        polygon = np.stack([np.cos(angle), np.sin(angle)], 1) * rng.uniform(0.3, 1.0, (n, 1))
+        triangles = polygon[triangulate(polygon)]
+        points = rng.uniform(-1, 1, (300, 2))
+        covered = np.sum([contains(t, points) for t in triangles], axis=0)
+        np.testing.assert_array_equal(covered, contains(polygon, points).astype(int))
+
+
+def test_classes_are_drawn_evenly_and_labelled() -> None:
+    names = ("chair", "vase", "letter_a", "digit_7")
+    spec = contents({"kind": "library", "classes": list(names)})
+    drawn = [generate_scene(spec, 0, i) for i in range(200)]
+    labels = []
+    for scene in drawn:
+        (name,) = object_names(scene)
+        assert scene.parameters[f"{name}.class"] == name
+        labels.append(name)
+    assert stats.chisquare([labels.count(n) for n in names]).pvalue > 1e-3
+
+
+def test_groups_and_heights() -> None:
+    spec = contents({"kind": "library", "classes": ["shapes"], "height_m": 0.5, "name": "thing"})
+    seen = set()
+    for index in range(60):
+        scene = generate_scene(spec, 1, index)
+        seen.add(scene.parameters["thing.class"])
+        np.testing.assert_allclose(np.ptp(scene.corners[scene.faces_of("thing")][..., 2]), 0.5)
+    assert seen <= set(GROUPS["shapes"])
+    assert len(seen) > 8
+
+
+@pytest.mark.parametrize("kind", ["l_corridor", "t_corridor", "doorway_room", "straight_corridor"])
+def test_wall_placement_puts_the_back_to_a_wall(kind: str) -> None:
+    """The back face lies one clearance before a wall: straight behind the middle there is wall at once."""
+    item = {"kind": "library", "classes": ["wardrobe"], "height_m": 1.5, "placement": "wall", "name": "it"}
+    layout = {"kind": kind, "out_of_square_deg": {"uniform": [-3, 3]}}
+    spec = contents(item, layout=layout, clearance_m=0.03)
+    for index in range(15):
+        scene = generate_scene(spec, 2, index)
+        p = scene.parameters
+        turn = np.radians(p["it.rotation_deg"] + 90)
+        back = np.array([np.cos(turn), np.sin(turn), 0.0])
+        start = np.array([p["it.x_m"], p["it.y_m"], 0.7]) + back * p["it.depth_m"] / 2
+        walls = scene.corners[scene.faces_of("walls")]
+        assert crossings(walls, start[None], (start + 0.0301 * back)[None]).any()
+        assert not crossings(walls, start[None], (start + 0.0299 * back)[None]).any()
+        assert_room_laws(scene, np.random.default_rng(index))
+
+
+def test_wall_placement_in_the_open_is_refused_with_the_reason() -> None:
+    spec = contents({"kind": "box", "placement": "wall"}, layout={"kind": "isolated_wall"}, max_attempts=5)
+    with pytest.raises(InputError, match="found no wall to stand against: set its placement to floor"):
+        generate_scene(spec, 0, 0)
+
+
+def test_round_pillars_are_round() -> None:
+    spec = contents({"kind": "pillar", "shape": "round", "width_m": 0.4})
+    scene = generate_scene(spec, 0, 0)
+    corners = scene.corners[scene.faces_of("pillar")].reshape(-1, 3)
+    centre = [scene.parameters["pillar.x_m"], scene.parameters["pillar.y_m"]]
+    np.testing.assert_allclose(np.linalg.norm(corners[:, :2] - centre, axis=1), 0.2)
+
+
+def _folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "zoo"
+    for label, shape in (("ball", trimesh.creation.icosphere(1)), ("block", trimesh.creation.box())):
+        (folder / label / "deep").mkdir(parents=True)
+        shape.export(folder / label / "one.ply")
+        shape.export(folder / label / "deep" / "two.stl")
+    trimesh.creation.cone(1, 2).export(folder / "Party Hat.obj")
+    (folder / "readme.txt").write_text("no mesh")
+    return folder
+
+
+def test_mesh_folders_give_class_labels(tmp_path: Path) -> None:
+    _folder(tmp_path)
+    spec = contents({"kind": "mesh_folder", "path": "zoo", "height_m": 0.5}, base=tmp_path)
+    check_scene_config(spec)
+    sent = pickle.loads(pickle.dumps(spec))
+    labels, files = [], set()
+    for index in range(150):
+        scene = generate_scene(spec, 0, index)
+        (name,) = object_names(scene)
+        labels.append(scene.parameters[f"{name}.class"])
+        files.add(scene.parameters[f"{name}.file"])
+        if index < 5:
+            assert generate_scene(sent, 0, index).parameters == scene.parameters
+    assert stats.chisquare([labels.count(n) for n in ("ball", "block", "Party Hat")]).pvalue > 1e-3
+    assert files == {
+        "zoo/ball/one.ply",
+        "zoo/ball/deep/two.stl",
+        "zoo/block/one.ply",
+        "zoo/block/deep/two.stl",
+        "zoo/Party Hat.obj",
+    }
+    only = contents({"kind": "mesh_folder", "path": "zoo", "classes": ["block"]}, base=tmp_path)
+    assert object_names(generate_scene(only, 0, 0)) == ["block"]
+
+
+def test_mesh_folders_are_part_of_the_fingerprint(tmp_path: Path) -> None:
+    folder = _folder(tmp_path)
+    item = {"kind": "mesh_folder", "path": "zoo"}
+    first = contents(item, base=tmp_path).mesh_digests()
+    assert set(first) == {"zoo"}
+    (folder / "readme.txt").write_text("still no mesh")
+    assert contents(item, base=tmp_path).mesh_digests() == first
+    (folder / "ball" / "one.ply").rename(folder / "ball" / "uno.ply")
+    assert contents(item, base=tmp_path).mesh_digests() != first
+
+
+def test_bad_folders_are_refused(tmp_path: Path) -> None:
+    folder = _folder(tmp_path)
+    (tmp_path / "empty").mkdir()
+    cases = {
+        "nowhere": "no such folder",
+        "empty": "holds no mesh files",
+        "zoo/readme.txt": "is a file",
+    }
+    for path, reason in cases.items():
+        with pytest.raises(InputError, match=reason):
+            contents({"kind": "mesh_folder", "path": path}, base=tmp_path)
+    with pytest.raises(InputError, match="'cat' is no sub-folder with meshes; there are Party Hat, ball, block"):
+        contents({"kind": "mesh_folder", "path": "zoo", "classes": ["cat"]}, base=tmp_path)
+    (folder / "block" / "one.ply").write_text("")
+    with pytest.raises(InputError, match=r"scene\.contents\[0\]\.path = 'zoo/block/one.ply': is empty"):
+        check_scene_config(contents({"kind": "mesh_folder", "path": "zoo"}, base=tmp_path))
+
+
+def test_unknown_classes_are_refused_with_the_nearest() -> None:
+    with pytest.raises(InputError, match=r"scene\.contents\[0\]\.classes: 'chiar' is no class.*did you mean 'chair'"):
+        contents({"kind": "library", "classes": ["chiar"]})
