@@ -144,9 +144,7 @@ def to_pixels(
     return np.stack([column, row, in_view[..., 2]], axis=-1), rows, columns, extent
 
 
-def shaded(
-    scene: Scene, camera: Camera, faces: NDArray[np.int64], colors: dict[str, str], pixels: int = 700
-) -> Shaded:
+def shaded(scene: Scene, camera: Camera, faces: NDArray[np.int64], colors: dict[str, str], pixels: int) -> Shaded:
     """A picture of the faces in their parts' colours.
 
     Returns (rows, columns, 4) RGBA in 0 … 1, clear where there is nothing, and its extent in metres of the camera.

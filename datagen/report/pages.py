@@ -37,7 +37,7 @@ def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
     )
     text = (
         f"The room of this scene. Light goes from the laser to {_n(lasers, 'laser point')} on the relay wall, around "
-        f"the corner to the objects, back to the relay wall and into the sensor, {looks}. In the 3D picture the "
+        f"the corner to the objects, back to the relay wall and into the sensor{looks}. In the 3D picture the "
         "ceiling and the walls in the way are taken off (dashed edges). The green rectangle is the window that the "
         "label images look through, along the arrow."
     )
@@ -194,8 +194,9 @@ def overview_page(
     if raster is not None:
         scan, objects = scan_of(again.transient.total, raster), scan_of(_objects(again), raster)
         row = clear_row(objects if objects.any() else scan)
-        sliced = figure.add_subplot(grid[0, 4:])
-        draw_time_slice(figure, sliced, scan, row, raster, time, time_limits(scan, objects, time))
+        corner = figure.add_subfigure(grid[0, 4:])
+        sliced = corner.add_subplot()
+        draw_time_slice(corner, sliced, scan, row, raster, time, time_limits(scan, objects, time))
         sliced.set_title(f"Scan: time along row {row + 1} from the top")
     draw_legend(figure, figure.add_subplot(grid[1, :]), room, columns=8)
     stack, counted, depth = (figure.add_subplot(grid[2, 2 * k : 2 * k + 2]) for k in range(3))

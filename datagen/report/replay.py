@@ -17,7 +17,7 @@ from datagen.errors import InputError
 from datagen.records import Capture, Scene, Transient
 from datagen.scene import generate_scene
 from datagen.seeding import Purpose, derived_seed
-from datagen.store import Manifest, read_manifest
+from datagen.store import read_manifest
 from datagen.store.arrays import open_array
 from datagen.store.record import read_record
 from datagen.transport import simulate
@@ -30,7 +30,6 @@ REPRODUCED = 1e-5
 class StoredScene:
     """What a dataset holds of one scene. arrays : field → values of the scene."""
 
-    manifest: Manifest
     config: DatasetConfig
     index: int
     arrays: Mapping[str, NDArray[Any]]
@@ -79,7 +78,7 @@ def read_scene(dataset: str | Path, index: int) -> StoredScene:
     if failure is not None:
         raise InputError(f"INDEX {index}: this scene of {dataset} could not be made ({failure}); name another one")
     arrays = {field.name: np.asarray(open_array(root, field.name)[index]) for field in manifest.schema.fields}
-    return StoredScene(manifest, manifest.parsed_config(), index, arrays)
+    return StoredScene(manifest.parsed_config(), index, arrays)
 
 
 def replay(stored: StoredScene) -> Replay:

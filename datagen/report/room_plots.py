@@ -40,24 +40,26 @@ class RoomPicture:
     """What the pictures of a room show besides the room.
 
     laser_points : (L, 3) where the laser rays met the scene; NaN where they met nothing.
+    pixels : about how wide the shaded pictures are.
     """
 
     scene: Scene
     capture: Capture | None = None
     laser_points: NDArray[np.float64] | None = None
+    pixels: int = 560
 
     @cached_property
     def opened(self) -> tuple[Camera, Cutaway, Shaded]:
         """Direction, what is left of the walls, and the shaded picture in 3D."""
         camera, cut = best_view(self.scene)
-        return camera, cut, shaded(self.scene, camera, cut.faces, part_colors(self.scene))
+        return camera, cut, shaded(self.scene, camera, cut.faces, part_colors(self.scene), self.pixels)
 
     @cached_property
     def plan(self) -> Shaded:
         """The shaded picture from above: no ceiling, and walls have no width."""
         walls, _, ceiling = room_faces(self.scene)
         faces = np.setdiff1d(np.arange(len(self.scene.triangles)), np.concatenate([walls, ceiling]))
-        return shaded(self.scene, Camera.from_above(), faces, part_colors(self.scene))
+        return shaded(self.scene, Camera.from_above(), faces, part_colors(self.scene), self.pixels)
 
     @property
     def devices(self) -> dict[str, NDArray[np.float64]]:
@@ -71,7 +73,7 @@ class RoomPicture:
         return {"laser": laser, "sensor": sensor}
 
 
-def draw_plan(axes: Axes, room: RoomPicture, marks: bool = True) -> None:
+def draw_plan(axes: Axes, room: RoomPicture) -> None:
     """From above, x to the right and y up, ceiling off; walls are lines. Axes in metres."""
     scene, camera = room.scene, Camera.from_above()
     _show(axes, room.plan)
@@ -83,15 +85,14 @@ def draw_plan(axes: Axes, room: RoomPicture, marks: bool = True) -> None:
     if relay.any():
         corners = scene.corners[relay][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
         _lines(axes, corners[..., :2], color=_relay_color(scene), linewidth=4.5, zorder=4)
-    if marks:
-        _mark_hidden_view(axes, scene, camera)
-        _mark_capture(axes, room, camera, beams=True)
+    _mark_hidden_view(axes, scene, camera)
+    _mark_capture(axes, room, camera)
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal")
     axes.margins(0.03)
 
 
-def draw_opened(axes: Axes, room: RoomPicture, marks: bool = True) -> None:
+def draw_opened(axes: Axes, room: RoomPicture, arrows: bool = True) -> None:
     """In 3D without perspective, from the relay wall's front side; ceiling and walls in the way taken off."""
     scene = room.scene
     camera, cut, picture = room.opened
@@ -99,10 +100,10 @@ def draw_opened(axes: Axes, room: RoomPicture, marks: bool = True) -> None:
     _lines(
         axes, camera.project(cut.outlines)[..., :2], color="#777777", linewidth=0.8, linestyle=(0, (4, 3)), zorder=5
     )
-    if marks:
-        _mark_hidden_view(axes, scene, camera)
-        _mark_capture(axes, room, camera, beams=True)
-    _mark_axes(axes, camera, scene, *picture)
+    _mark_hidden_view(axes, scene, camera)
+    _mark_capture(axes, room, camera)
+    if arrows:
+        _mark_axes(axes, camera, scene, *picture)
     axes.set_aspect("equal")
     axes.margins(0.03)
     axes.set_axis_off()
@@ -206,7 +207,7 @@ def _mark_hidden_view(axes: Axes, scene: Scene, camera: Camera) -> None:
     axes.annotate("", xy=tuple(end), xytext=tuple(start), arrowprops=style, zorder=7)
 
 
-def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera, beams: bool) -> None:
+def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera) -> None:
     from matplotlib.collections import PolyCollection
     from scipy.spatial import ConvexHull, QhullError
 
@@ -227,7 +228,7 @@ def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera, beams: bool) ->
         _dots(axes, points, float(np.ptp(room.scene.vertices, axis=0).max()))
     for label, position in room.devices.items():
         here = camera.project(position)[:2]
-        if beams and len(points) and label.startswith("laser"):
+        if len(points) and label.startswith("laser"):
             spread = points[
                 [points[:, 0].argmin(), points[:, 0].argmax(), points[:, 1].argmin(), points[:, 1].argmax()]
             ]

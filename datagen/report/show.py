@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,10 @@ from datagen.report.style import house_style, save_png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+PAGES = ("overview", "room", "transient", "histogram", "labels", "scan")
+"""The pictures of a scene, in the order in which they are made."""
 
 
 def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list[Path]:
@@ -44,7 +49,7 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
     again = replay(stored)
     stem = f"scene-{index:06d}"
     with house_style():
-        return [save_png(figure, folder / f"{stem}-{name}.png") for name, figure in pages(stored, again).items()]
+        return [save_png(figure, folder / f"{stem}-{name}.png") for name, figure in pages(stored, again)]
 
 
 def default_folder(dataset: str | Path) -> Path:
@@ -53,19 +58,25 @@ def default_folder(dataset: str | Path) -> Path:
     return root.with_name(root.name + ".show")
 
 
-def pages(stored: StoredScene, again: Replay) -> dict[str, Figure]:
-    """Name → figure of every picture of a scene. Call it within `house_style()`."""
+def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> Iterator[tuple[str, Figure]]:
+    """(name, figure) of the pictures asked for, made one at a time; `scan` only where channels make a grid.
+
+    To be used within `house_style()`.
+    """
     wanted = labels_of(stored)
     kept = {name: stored.arrays[name] for name in wanted if name in stored.arrays}
     made = make_labels(stored.config.labels, again.scene, [name for name in wanted if name not in kept])
     labels = {name: (kept | made)[name] for name in wanted}
     room = RoomPicture(again.scene, again.capture, again.transient.laser_points)
-    figures = {
-        "overview": overview_page(stored, again, room, labels),
-        "room": room_page(stored, again, room),
-        "transient": transient_page(stored, again),
-        "histogram": histogram_page(stored, again),
-        "labels": labels_page(stored, again, labels),
-        "scan": scan_page(stored, again),
+    makers: dict[str, Callable[[], Figure | None]] = {
+        "overview": lambda: overview_page(stored, again, room, labels),
+        "room": lambda: room_page(stored, again, room),
+        "transient": lambda: transient_page(stored, again),
+        "histogram": lambda: histogram_page(stored, again),
+        "labels": lambda: labels_page(stored, again, labels),
+        "scan": lambda: scan_page(stored, again),
     }
-    return {name: figure for name, figure in figures.items() if figure is not None}
+    for name in names:
+        figure = makers[name]()
+        if figure is not None:
+            yield name, figure

@@ -9,8 +9,8 @@ from handmade_rooms import DISTANCE_M, HEIGHT_M, box_mesh, l_corridor, rectangle
 
 from datagen.config import LabelsConfig
 from datagen.errors import InputError
-from datagen.labels import IMAGE_FIELDS, make_labels
-from datagen.records import Lambertian, Part, Rectangle, Scene
+from datagen.labels import IMAGE_FIELDS, ViewFrame, make_labels
+from datagen.records import Lambertian, Part, Rectangle, Scene, Sensor
 
 CONFIG = LabelsConfig(rows=50, columns=60)
 
@@ -81,6 +81,18 @@ def test_rows_run_down_and_columns_run_right() -> None:
     part = make_labels(CONFIG, free_space(top_left), ("part_id",))["part_id"]
     rows, columns = np.nonzero(part == 1)
     assert rows.max() < 15 and columns.max() < 15
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_pixels_lie_over_those_of_a_sensor_grid(side: int) -> None:
+    scene = l_corridor(side)
+    view = scene.hidden_view
+    assert view is not None
+    sensor = Sensor.grid((0, 0, 1), view.center, view.right, view.up, rows=5, cols=7)
+    frame = ViewFrame.of(scene)
+    place = frame.to_pixels(frame.to_view(sensor.pixels.mean(axis=1)), 5, 7).reshape(5, 7, 3)
+    row, column = np.mgrid[:5, :7]
+    np.testing.assert_allclose(place, np.stack([column + 0.5, row + 0.5, 0 * row], axis=-1), atol=1e-12)
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -1,0 +1,75 @@
+"""What was drawn for the scenes of a dataset: one small histogram for each parameter that varies."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from datagen.records import Scalar
+from datagen.report.style import EXPECTED, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_PARAMETERS = 60
+_MOST_WORDS = 12
+_COLUMNS = 5
+_CELL_IN = (2.6, 1.55)
+
+
+def varying(parameters: Sequence[Mapping[str, Scalar]]) -> dict[str, list[Scalar]]:
+    """Parameter → its values over the scenes that have it, for those with more than one value; texts that are all
+    different (names, lists) are left out.
+    """
+    names = dict.fromkeys(name for scene in parameters for name in scene)
+    columns = {name: [scene[name] for scene in parameters if name in scene] for name in names}
+    chosen = {}
+    for name, values in columns.items():
+        different = len(set(values))
+        if different > 1 and (_is_number(values) or different <= _MOST_WORDS):
+            chosen[name] = values
+    return chosen
+
+
+def parameter_page(columns: Mapping[str, Sequence[Scalar]]) -> Figure | None:
+    """Histograms of up to 60 parameters; None when nothing varies. Call it within `house_style()`."""
+    shown = list(columns.items())[:MOST_PARAMETERS]
+    if not shown:
+        return None
+    rows = -(-len(shown) // _COLUMNS)
+    figure = new_figure(_COLUMNS * _CELL_IN[0], rows * _CELL_IN[1])
+    for number, (name, values) in enumerate(shown):
+        axes = figure.add_subplot(rows, _COLUMNS, number + 1)
+        _draw(axes, values)
+        axes.set_title(name, fontsize=8, fontweight="normal")
+        axes.tick_params(labelsize=7)
+        if number % _COLUMNS == 0:
+            axes.set_ylabel("scenes", fontsize=7)
+    return figure
+
+
+def _draw(axes: Axes, values: Sequence[Scalar]) -> None:
+    if not _is_number(values):
+        counts = Counter(str(value) for value in values)
+        words = sorted(counts)
+        axes.barh(words, [counts[word] for word in words], color=EXPECTED)
+        return
+    numbers = np.array([float(value) for value in values])
+    numbers = numbers[np.isfinite(numbers)]
+    low, high = (float(numbers.min()), float(numbers.max())) if len(numbers) else (0.0, 1.0)
+    bins = int(np.clip(np.sqrt(len(numbers)) * 1.5, 5, 40))
+    if low > 0 and high / low > 300:
+        axes.set_xscale("log")
+        axes.hist(numbers, bins=np.geomspace(low, high, bins + 1).tolist(), color=EXPECTED)
+    else:
+        axes.hist(numbers, bins=bins, range=(low, high if high > low else low + 1), color=EXPECTED)
+        axes.ticklabel_format(axis="x", useOffset=False, scilimits=(-4, 5))
+    axes.locator_params(axis="y", nbins=4, integer=True)
+
+
+def _is_number(values: Sequence[Scalar]) -> bool:
+    return all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values)

@@ -1,0 +1,64 @@
+"""Opening a room: what is in the way goes, what is behind stays, and the picture shows the nearest surface."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from handmade_rooms import box_mesh, l_corridor
+from matplotlib.colors import to_rgb
+
+from datagen.records import Lambertian, Part, Scene
+from datagen.report.cutaway import Camera, cut_open, flat_groups, room_faces, shaded
+from datagen.report.room_plots import best_view
+from datagen.report.style import part_colors
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_ceiling_goes_and_floor_objects_and_relay_wall_stay(side: int) -> None:
+    scene = l_corridor(side)
+    _, cut = best_view(scene)
+    kept = {scene.part_names[k] for k in np.unique(scene.face_part[cut.faces])}
+    assert {"floor", "pillar", "box", "relay_wall"} <= kept
+    assert cut.ceiling and "ceiling" not in kept
+    assert len(cut.outlines) > 0
+
+
+def test_walls_between_viewer_and_room_go_and_those_behind_stay() -> None:
+    scene = l_corridor()
+    cut = cut_open(scene, Camera.looking(150.0, 42.0))
+    kept = {scene.part_names[k] for k in np.unique(scene.face_part[cut.faces])}
+    # From −x and +y: the wall at y = −1 and the one that goes on from the relay wall are behind everything.
+    assert {"wall_5", "wall_0"} <= kept
+    assert not {"wall_1", "wall_2", "wall_3", "wall_4"} & kept
+
+
+def test_flat_groups_join_triangles_and_keep_the_rim() -> None:
+    scene = Scene.from_parts([Part("box", box_mesh((1, 2, 3), (0, 0, 0)), Lambertian(0.5))])
+    group, border = flat_groups(scene, np.arange(12))
+    assert len(border) == 6 and np.bincount(group).tolist() == [2] * 6
+    assert all(len(edges) == 4 for edges in border)
+
+
+def test_room_faces_tell_walls_floor_and_ceiling_apart() -> None:
+    scene = l_corridor()
+    walls, floor, ceiling = room_faces(scene)
+    assert set(floor) == set(scene.faces_of("floor")) and set(ceiling) == set(scene.faces_of("ceiling"))
+    assert set(walls) == set(scene.faces_of(*(n for n in scene.part_names if n.startswith("wall_"))))
+
+
+def test_picture_shows_the_nearest_part_where_it_is() -> None:
+    below = Part("below", box_mesh((4, 4, 0.1), (0, 0, 0)), Lambertian(0.5))
+    above = Part("above", box_mesh((1, 1, 0.1), (1, 1, 1)), Lambertian(0.5))
+    scene = Scene.from_parts([below, above])
+    picture, (left, right, bottom, top) = shaded(scene, Camera.from_above(), np.arange(24), part_colors(scene), 500)
+    rows, columns = picture.shape[:2]
+
+    def at(x: float, y: float) -> np.ndarray:
+        return picture[int((top - y) / (top - bottom) * rows), int((x - left) / (right - left) * columns)]
+
+    hue = {name: np.array(to_rgb(color)) for name, color in part_colors(scene).items()}
+    for place, name in (((1.0, 1.0), "above"), ((-1.0, -1.0), "below")):
+        ratio = at(*place)[:3] / np.maximum(hue[name], 1e-9)
+        assert at(*place)[3] == 1
+        assert np.ptp(ratio[hue[name] > 0]) < 1e-6 and 0.7 < ratio[hue[name] > 0][0] <= 1
+    assert picture[0, 0, 3] == 0

@@ -1,0 +1,151 @@
+"""`show`, `preview` and the contact sheet on a small dataset that is really built, and on everything that is none."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from datagen.builder import build
+from datagen.config import DatasetConfig, config_from_mapping
+from datagen.errors import InputError
+from datagen.report.contact_sheet import contact_sheet
+from datagen.report.parameter_plots import varying
+from datagen.report.preview import preview
+from datagen.report.replay import REPRODUCED, read_scene, replay
+from datagen.report.show import PAGES, show
+from datagen.store.record import record_path
+
+
+@pytest.fixture(scope="module")
+def config() -> DatasetConfig:
+    return config_from_mapping(
+        {
+            "name": "small & <odd>",
+            "seed": 4,
+            "scenes": 10,
+            "capture": {"scan": {"rows": 3, "columns": 4}, "time": {"bins": 64, "bin_width_ps": 800}},
+            "transport": {"lookins": 64, "scramblings": 2},
+            "detector": {"photons_per_pulse": 1e6},
+            "labels": {"rows": 16, "columns": 16},
+            "store": {"fields": ["histogram", "transient", "depth"], "scenes_per_shard": 8},
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def dataset(config: DatasetConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten scenes in two shards, the second not built."""
+    root = tmp_path_factory.mktemp("shown") / "small.zarr"
+    build(config, root, 1, shards="0", progress=False)
+    return root
+
+
+def test_replay_reproduces_what_was_stored(dataset: Path) -> None:
+    stored = read_scene(dataset, 2)
+    again = replay(stored)
+    assert again.difference is not None and again.difference < REPRODUCED
+    np.testing.assert_array_equal(again.counts, stored.arrays["histogram"])
+    parts = sum(again.transient.parts.values(), np.zeros(again.capture.shape))
+    np.testing.assert_allclose(parts, again.transient.total, rtol=1e-9, atol=1e-25)
+
+
+def test_show_writes_beside_the_dataset_and_leaves_it_alone(dataset: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in dataset.rglob("*")}
+    written = show(dataset, 1)
+    assert [path.name for path in written] == [f"scene-000001-{name}.png" for name in PAGES]
+    assert {path.parent for path in written} == {dataset.with_name("small.zarr.show")}
+    assert all(imread(path).std() > 0.02 for path in written)
+    assert before == {path: path.stat().st_mtime_ns for path in dataset.rglob("*")}
+
+
+def test_bad_requests_have_their_line(dataset: Path, tmp_path: Path) -> None:
+    for index in (-1, 10):
+        with pytest.raises(InputError, match=rf"INDEX {index}: .* has the scenes 0 … 9"):
+            show(dataset, index, tmp_path)
+    with pytest.raises(InputError, match=r"shard 1 .* is not there yet"):
+        show(dataset, 9, tmp_path)
+    with pytest.raises(InputError, match="no such dataset"):
+        show(tmp_path / "nothing", 0)
+    with pytest.raises(InputError, match="is no dataset"):
+        show(tmp_path, 0)
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        contact_sheet(read_scene(dataset, 0).config, 1, blocked / "sheet.png")
+
+
+def test_failed_scene_is_named_with_its_reason(dataset: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.zarr"
+    shutil.copytree(dataset, copy)
+    path = record_path(copy, 0)
+    record = json.loads(path.read_text())
+    record["scenes"][3]["failure"] = "the room is too small"
+    path.write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"INDEX 3: .* could not be made \(the room is too small\)"):
+        show(copy, 3, tmp_path)
+    page = preview(copy, tmp_path / "page.html", scenes=0).read_text()
+    assert "1 scenes could not be made" in page and "the room is too small" in page
+
+
+class _Page(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[str] = []
+        self.words = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        assert tag not in ("script", "link", "iframe") and not {"href", "onload", "onclick"} & values.keys()
+        if tag == "img":
+            self.sources.append(values["src"] or "")
+        if tag not in ("img", "meta"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words += data
+
+
+def test_preview_is_one_well_formed_page_that_needs_nothing(dataset: Path) -> None:
+    path = preview(dataset, scenes=1)
+    assert path == dataset.with_name("small.zarr.html")
+    page = _Page()
+    page.feed(path.read_text(encoding="utf-8"))
+    assert page.open == []
+    assert "small & <odd>" in page.words and "Incomplete" in page.words and "8 of 10" in page.words
+    assert all(field in page.words for field in ("histogram", "transient", "depth", "laser_points"))
+    assert "pillar.albedo" in page.words and "layout.height_m" in page.words
+    assert len(page.sources) == 3
+    assert all(source.startswith("data:image/png;base64,") for source in page.sources)
+
+
+def test_preview_of_nothing_is_refused(config: DatasetConfig, dataset: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.zarr"
+    shutil.copytree(dataset, copy)
+    record_path(copy, 0).unlink()
+    with pytest.raises(InputError, match="no scene is there yet"):
+        preview(copy)
+
+
+def test_contact_sheet_grows_with_the_rooms(config: DatasetConfig, tmp_path: Path) -> None:
+    one, six = (imread(contact_sheet(config, n, tmp_path / f"{n}.png")) for n in (1, 6))
+    assert six.shape[0] > 1.5 * one.shape[0] and six.shape[1] > 2 * one.shape[1]
+    assert one[..., :3].std() > 0.05 and six[..., :3].std() > 0.05
+    for count in (0, 401):
+        with pytest.raises(InputError, match=f"count = {count}: a contact sheet holds 1 … 400 rooms"):
+            contact_sheet(config, count, tmp_path / "none.png")
+
+
+def test_varying_keeps_numbers_and_few_words() -> None:
+    scenes = [{"a": float(k), "b": 1.0, "kind": "xy"[k % 2], "name": f"n{k}", "flag": k > 9} for k in range(20)]
+    scenes[3]["only_here"] = 1.0
+    assert list(varying(scenes)) == ["a", "kind", "flag"]

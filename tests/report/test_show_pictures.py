@@ -1,0 +1,190 @@
+"""The pictures of one scene: everything promised is in them, and no corner case breaks them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from handmade_rooms import box_mesh, l_corridor
+from matplotlib.figure import Figure
+
+from datagen.config import config_from_mapping
+from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
+from datagen.records import Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis, Transient
+from datagen.report.replay import Replay, StoredScene
+from datagen.report.show import PAGES, pages
+from datagen.report.style import DPI, house_style, save_png
+
+
+def scan(scene: Scene, rows: int = 5, columns: int = 6, bins: int = 200) -> Capture:
+    """A confocal grid on the relay wall."""
+    wall = scene.relay_wall
+    assert wall is not None and scene.device_position is not None
+    across, upward = np.linspace(-0.8, 0.8, columns), np.linspace(0.8, -0.8, rows)
+    points = (wall.center + across[None, :, None] * wall.right + upward[:, None, None] * wall.up).reshape(-1, 3)
+    square = 0.02 * np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]])
+    time = TimeAxis(bins, 2e-10, origin="wall")
+    device = scene.device_position
+    return Capture(Laser(device, points), Sensor(device, points[:, None] + square), time, "confocal")
+
+
+def replayed(
+    scene: Scene, capture: Capture, photons: float = 1e12, stored: bool = True
+) -> tuple[StoredScene, Replay]:
+    """A simulation in closed form: every part answers after its centroid's distance, without a solver."""
+    shape, time = capture.shape, capture.time
+    rng = np.random.default_rng(5)
+    parts = {}
+    for k, name in enumerate(scene.part_names):
+        if scene.roles[k] == "relay_wall":
+            continue
+        distance = np.linalg.norm(
+            capture.laser.targets - scene.corners[scene.face_part == k].mean(axis=(0, 1)), axis=1
+        )
+        delay = time.centers_s - 2 * distance[:, None, None] / 3e8
+        parts[name] = np.broadcast_to(1e-11 * np.exp(-((delay / 1e-9) ** 2)), shape).copy()
+    total = sum(parts.values(), np.zeros(shape))
+    transient = Transient(time, {"primary": total}, parts, 0.01 * total, np.zeros(shape[:2]), capture.laser.targets)
+    expected = photons * total + 0.01 * (photons > 0)
+    counts = rng.poisson(expected)
+    config = config_from_mapping({"name": "handmade"})
+    labels = make_labels(config.labels, scene, IMAGE_FIELDS + VOLUME_FIELDS[:1]) if stored else {}
+    arrays = {"histogram": counts, "transient": total, **labels} if stored else {}
+    return StoredScene(config, 3, arrays), Replay(
+        scene, capture, transient, counts, expected, 0.0 if stored else None
+    )
+
+
+def drawn(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> dict[str, Figure]:
+    """The figures, laid out and painted small."""
+    with house_style():
+        figures = dict(pages(stored, again, names))
+        for figure in figures.values():
+            figure.set_dpi(40)
+            figure.canvas.draw()
+            figure.set_dpi(DPI)
+    return figures
+
+
+def words(figure: Figure) -> str:
+    from matplotlib.text import Text
+
+    return " ".join(text.get_text().replace("\n", " ") for text in figure.findobj(Text))
+
+
+@pytest.fixture(scope="module")
+def ordinary() -> dict[str, Figure]:
+    scene = l_corridor()
+    return drawn(*replayed(scene, scan(scene)))
+
+
+def test_every_picture_is_there(ordinary: dict[str, Figure]) -> None:
+    assert tuple(ordinary) == PAGES
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_picture_has_ink_title_and_units(ordinary: dict[str, Figure], name: str, tmp_path: Path) -> None:
+    from matplotlib.image import imread
+
+    figure = ordinary[name]
+    text = words(figure)
+    assert "handmade, scene 3" in text
+    assert any(unit in text for unit in ("(m)", "(ns)"))
+    picture = imread(save_png(figure, tmp_path / "sub" / f"{name}.png"))[..., :3]
+    assert picture.shape[1] >= 700
+    assert 0.03 < (picture.min(axis=-1) < 0.95).mean() < 0.95
+
+
+def test_legends_name_every_part_and_mark(ordinary: dict[str, Figure]) -> None:
+    scene = l_corridor()
+    for name in ("room", "overview"):
+        text = words(ordinary[name])
+        for label in (*scene.part_names, "laser and sensor", "laser points", "field of view of the pixels"):
+            assert label in text
+    lit = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role != "relay_wall"]
+    assert all(name in words(ordinary["transient"]) for name in lit)
+
+
+def test_stack_adds_up_to_the_total_with_objects_lowest(ordinary: dict[str, Figure]) -> None:
+    from matplotlib.patches import StepPatch
+
+    scene = l_corridor()
+    steps = [patch for patch in ordinary["transient"].axes[1].patches if isinstance(patch, StepPatch)]
+    names = [patch.get_label() for patch in steps[:-1]]
+    assert names[:2] == ["pillar", "box"]
+    total = replayed(scene, scan(scene))[1].transient.total.sum(axis=(0, 1))
+    np.testing.assert_allclose(steps[-2].get_data().values, total, rtol=1e-12)
+    np.testing.assert_allclose(steps[-1].get_data().values, total, rtol=1e-12)
+
+
+def test_captions_say_whether_the_stored_transient_was_reproduced() -> None:
+    scene = l_corridor()
+    stored, again = replayed(scene, scan(scene))
+    assert "reproduces the stored transient" in words(drawn(stored, again, ["transient"])["transient"])
+    other = replace(again, difference=0.3)
+    assert "CAUTION" in words(drawn(stored, other, ["transient"])["transient"])
+    bare = drawn(*replayed(scene, scan(scene), stored=False), ["histogram", "labels"])
+    assert "none stored" in words(bare["histogram"])
+    assert "computed for this picture: depth" in words(bare["labels"])
+
+
+def exhaustive(scene: Scene, lasers: int, side: int, bins: int = 50) -> Capture:
+    wall, device = scene.relay_wall, scene.device_position
+    assert wall is not None and device is not None
+    sensor = Sensor.grid(device, wall.center, 0.9 * wall.right, 0.9 * wall.up, side, side)
+    targets = wall.center + np.linspace(-0.5, 0.5, lasers)[:, None] * wall.right
+    return Capture(Laser(device + np.array([0, 0.2, 0]), targets), sensor, TimeAxis(bins, 8e-10), "exhaustive")
+
+
+@pytest.mark.parametrize(
+    ("case", "missing"),
+    [("no objects", set()), ("zero photons", set()), ("one bin", set()), ("one laser point", {"scan"}),
+     ("many pixels", set()), ("two lasers", set()), ("no light", set()), ("bare wall", set()),
+     ("missed wall", set()), ("turned round", set())],
+)  # fmt: skip
+def test_corner_cases_are_drawn(case: str, missing: set[str]) -> None:
+    scene = l_corridor(objects=[] if case in ("no objects", "bare wall") else None, shell=case != "bare wall")
+    capture, photons = scan(scene), 1e12
+    if case == "zero photons":
+        photons = 0.0
+    elif case == "one bin":
+        capture = scan(scene, bins=1)
+    elif case == "one laser point":
+        capture = scan(scene, 1, 1)
+    elif case == "many pixels":
+        capture = exhaustive(scene, 1, 40)
+    elif case == "two lasers":
+        capture = exhaustive(scene, 2, 1)
+    elif case == "turned round":
+        scene = l_corridor(side=-1, objects=[Part("panel", box_mesh((0.01, 1, 1), (4, -2, 1)), Lambertian(0.5))])
+    stored, again = replayed(scene, capture, photons)
+    if case == "no light":
+        nothing = {name: np.zeros(capture.shape) for name in again.transient.parts}
+        dark = replace(again.transient, components={"primary": np.zeros(capture.shape)}, parts=nothing)
+        again = replace(again, transient=dark, counts=0 * again.counts, expected=0 * again.expected)
+    elif case == "missed wall":
+        points = np.where(np.arange(len(capture.laser.targets))[:, None] % 2, np.nan, capture.laser.targets)
+        again = replace(again, transient=replace(again.transient, laser_points=points))
+    wanted = ("overview", "histogram", "scan")
+    assert set(drawn(stored, again, wanted)) == set(wanted) - missing
+
+
+def test_same_scene_gives_the_same_bytes_and_no_setting_leaks(tmp_path: Path) -> None:
+    import matplotlib
+
+    scene = l_corridor()
+    written = []
+    for number, size in enumerate((10.0, 23.0)):
+        before = matplotlib.rcParams["font.size"]
+        matplotlib.rcParams["font.size"] = size
+        try:
+            with house_style():
+                figure = dict(pages(*replayed(scene, scan(scene)), ["room"]))["room"]
+                written.append(save_png(figure, tmp_path / f"{number}.png").read_bytes())
+            assert matplotlib.rcParams["font.size"] == size
+        finally:
+            matplotlib.rcParams["font.size"] = before
+    assert written[0] == written[1]
