@@ -38,10 +38,12 @@ def mean_detections(flux: Array, cycle: Cycle, spad: Spad) -> Array:
     if not (has_traps or has_crosstalk):
         return np.stack([_mean_of_photons(f, cycle, spad) for f in flux])
     shared, released = np.zeros_like(flux), np.zeros_like(flux)
-    detections = flux
+    detections = np.zeros_like(flux)
     for _ in range(_ROUNDS):
         total = flux + shared + released
         previous, detections = detections, np.stack([_mean_of_photons(f, cycle, spad) for f in total])
+        if np.abs(detections - previous).sum() <= _SETTLED * detections.sum():
+            break
         if has_traps:
             armed = np.divide(detections, total, out=np.ones_like(total), where=total > 0)
             released = np.stack(
@@ -50,8 +52,6 @@ def mean_detections(flux: Array, cycle: Cycle, spad: Spad) -> Array:
             released /= np.maximum(armed, 1e-12)
         if has_crosstalk:
             shared = spad.crosstalk_probability * neighbour_sum(detections, spad.array_columns or len(flux))
-        if np.abs(detections - previous).sum() <= _SETTLED * detections.sum():
-            break
     return detections
 
 

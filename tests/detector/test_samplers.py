@@ -39,7 +39,7 @@ def cycle_of_test(gate: np.ndarray | None = None) -> Cycle:
 
 
 def cycles_for(flux: float) -> int:
-    return int(round(700 / flux)) if flux < 1 else 500
+    return round(700 / flux) if flux < 1 else 500
 
 
 def truth(flux, rule, cycles, seed, burn_in=0, gate=None):
