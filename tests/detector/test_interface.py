@@ -1,0 +1,297 @@
+"""Bad input, batching, plans, classes of detectors, what a configuration draws."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from datagen.config.detector import DetectorConfig
+from datagen.detector import (
+    DETECTOR_CLASSES,
+    Exposure,
+    Spad,
+    coates_correction,
+    dead_time_correction,
+    detect,
+    detector_for,
+    expected_histogram,
+    plan_detector,
+)
+from datagen.detector.flux import hot_pixels
+from datagen.errors import InputError
+from datagen.records import TimeAxis
+
+TIME = TimeAxis(64, 1e-9)
+EXPOSURE = Exposure(repetition_rate_hz=1e7, cycles=5000, photons_per_pulse=1.0)
+RNG = np.random.default_rng(0)
+BLOCK = RNG.random((4, 6, 64)) * 0.02
+
+
+def spike(laser: int, pixel: int, bin_: int, value: float) -> np.ndarray:
+    values = np.zeros((3, 2, 64))
+    values[laser, pixel, bin_] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Spad(pde=1.5), ["Spad.pde", "1.5", "0 … 1"]),
+        (lambda: Spad(pde=float("nan")), ["Spad.pde", "nan"]),
+        (lambda: Spad(pde="0.3"), ["Spad.pde", "'0.3'"]),
+        (lambda: Spad(dead_time_s=-1e-9), ["Spad.dead_time_s", "-1e-09", "0 …"]),
+        (lambda: Spad(dead_time_s=50), ["Spad.dead_time_s", "50e-9"]),
+        (lambda: Spad(jitter_fwhm_s=-1.0), ["Spad.jitter_fwhm_s"]),
+        (lambda: Spad(dark_count_rate_hz=float("inf")), ["Spad.dark_count_rate_hz", "inf"]),
+        (lambda: Spad(afterpulse_probability=0.9), ["Spad.afterpulse_probability", "0.5"]),
+        (lambda: Spad(afterpulse_times_s=()), ["afterpulse_times_s"]),
+        (lambda: Spad(afterpulse_times_s=(1e-8, 1e-7), afterpulse_weights=(1.0,)), ["2 weights"]),
+        (lambda: Spad(mode="gated"), ["Spad.mode", "'gated'", "free_running"]),
+        (lambda: Spad(gate_start_s=1e-9), ["gate_start_s", "gate_width_s", "both"]),
+        (lambda: Spad(gate_start_s=0.0, gate_width_s=0.0), ["gate_width_s", "positive"]),
+        (lambda: Spad(gate_start_s=0.0, gate_width_s=2e-9, gate_rise_s=2e-9), ["gate_rise_s", "half"]),
+        (lambda: Spad(paralyzable=True, afterpulse_probability=0.1), ["paralyzable"]),
+        (lambda: Spad(counter_max=0), ["counter_max", "1 …"]),
+        (lambda: Spad(crosstalk_probability=0.5), ["crosstalk_probability"]),
+        (lambda: Exposure(cycles=0), ["Exposure.cycles", "1 …"]),
+        (lambda: Exposure(cycles=1e6), ["Exposure.cycles", "integer"]),
+        (lambda: Exposure(repetition_rate_hz=0.0), ["Exposure.repetition_rate_hz"]),
+        (lambda: Exposure(photons_per_pulse=-1.0), ["Exposure.photons_per_pulse"]),
+        (lambda: Exposure(ambient_rate_hz=float("nan")), ["Exposure.ambient_rate_hz"]),
+        (lambda: detect(spike(1, 0, 7, np.nan), TIME, Spad(), EXPOSURE), ["laser 1, pixel 0, bin 7", "nan"]),
+        (lambda: detect(spike(2, 1, 63, np.inf), TIME, Spad(), EXPOSURE), ["laser 2, pixel 1, bin 63", "inf"]),
+        (lambda: detect(spike(0, 1, 3, -1e-30), TIME, Spad(), EXPOSURE), ["laser 0, pixel 1, bin 3", "≥ 0"]),
+        (lambda: detect(np.zeros((2, 64)), TIME, Spad(), EXPOSURE), ["shape (2, 64)", "(laser, pixel, bin)"]),
+        (lambda: detect(np.zeros((1, 1, 63)), TIME, Spad(), EXPOSURE), ["64 bins"]),
+        (lambda: detect(np.zeros((0, 1, 64)), TIME, Spad(), EXPOSURE), ["empty"]),
+        (lambda: detect([["a"]], TIME, Spad(), EXPOSURE), ["real numbers"]),
+        (lambda: detect(BLOCK, TIME, Spad(gate_start_s=50e-9, gate_width_s=60e-9), EXPOSURE), ["gate", "period"]),
+        (lambda: detect(BLOCK, TIME, Spad(gate_start_s=-1e-9, gate_width_s=6e-9), EXPOSURE), ["gate", "period"]),
+        (lambda: detect(BLOCK, TIME, Spad(), Exposure(2e9)), ["bin width", "period"]),
+        (lambda: detect(BLOCK, TIME, Spad(), EXPOSURE, seed=-1), ["seed", "≥ 0"]),
+        (lambda: detect(BLOCK, TIME, Spad(), EXPOSURE, tolerance=-1.0), ["tolerance"]),
+        (lambda: detect(BLOCK, TIME, Spad(), EXPOSURE, first_laser=-1), ["first_laser"]),
+        (lambda: detect(BLOCK, TIME, Spad(), EXPOSURE, dtype=np.float32), ["dtype", "integer"]),
+        (
+            lambda: detect(spike(1, 1, 5, 1.0), TIME, Spad(), Exposure(1e7, 10**6, 1.0), dtype=np.uint16),
+            ["laser 1, pixel 1, bin 5", "uint16", "65535", "counter_max"],
+        ),
+        (
+            lambda: detect(spike(0, 1, 9, 1.0), TIME, Spad(), Exposure(1e7, 10**12, 1e9)),
+            ["laser 0, pixel 1", "bin 9", "9.2e+18"],
+        ),
+        (
+            lambda: detect(BLOCK, TIME, Spad(dead_time_s=1e-9), Exposure(1e7, 10**9, 1.0)),
+            ["laser 0, pixel 0", "2e+07", "approximate=True"],
+        ),
+        (
+            lambda: detect(
+                BLOCK, TIME, Spad(dead_time_s=1e-9, afterpulse_probability=0.1), Exposure(1e7, 10**9, 1.0)
+            ),
+            ["afterpulsing", "no faster sampler"],
+        ),
+        (
+            lambda: expected_histogram(BLOCK, TIME, Spad(dead_time_s=1e-8, afterpulse_probability=0.1), EXPOSURE),
+            ["no exact mean", "approximate=True"],
+        ),
+        (
+            lambda: detect(BLOCK, TIME, Spad(crosstalk_probability=0.1, array_columns=4), EXPOSURE),
+            ["array_columns", "whole rows"],
+        ),
+        (lambda: coates_correction([5.0, 6.0], 10), ["11 counts for 10 cycles"]),
+        (lambda: coates_correction([np.nan], 10), ["finite"]),
+        (lambda: dead_time_correction(np.zeros(5), TIME, 1e-9, 1e7, 10), ["5 bins", "64"]),
+        (lambda: dead_time_correction(np.zeros(64), TIME, -1e-9, 1e7, 10), ["dead_time_s"]),
+    ],
+)
+def test_bad_input_is_one_line_that_names_it(make, words):
+    with pytest.raises(InputError) as caught:
+        make()
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message, message
+
+
+SPADS = {
+    "ideal": Spad(pde=0.9, mode="ideal", dark_count_rate_hz=1e4, hot_pixel_fraction=0.3, jitter_fwhm_s=2e-9),
+    "one_per_cycle": Spad(pde=0.9, mode="synchronous", dead_time_s=1e-6, jitter_fwhm_s=2e-9),
+    "many_per_cycle": Spad(pde=0.9, mode="synchronous", dead_time_s=13e-9),
+    "free_running": Spad(pde=0.9, dead_time_s=130e-9, jitter_fwhm_s=2e-9),
+    "afterpulsing": Spad(pde=0.9, dead_time_s=130e-9, afterpulse_probability=0.1),
+    "paralyzable": Spad(pde=0.9, dead_time_s=30e-9, paralyzable=True),
+}
+
+
+@pytest.mark.parametrize("name", SPADS)
+def test_counts_do_not_depend_on_the_batching(name):
+    spad = SPADS[name]
+    whole = detect(BLOCK, TIME, spad, EXPOSURE, seed=11)
+    again = detect(BLOCK[1:3, 2:5], TIME, spad, EXPOSURE, seed=11, first_laser=1, first_pixel=2)
+    np.testing.assert_array_equal(whole[1:3, 2:5], again)
+    single = detect(BLOCK[3, 5], TIME, spad, EXPOSURE, seed=11, first_laser=3, first_pixel=5)
+    np.testing.assert_array_equal(whole[3, 5], single)
+    means = expected_histogram(BLOCK, TIME, spad, EXPOSURE, approximate=True)
+    part = expected_histogram(BLOCK[1:3, 2:5], TIME, spad, EXPOSURE, approximate=True, first_pixel=2)
+    np.testing.assert_allclose(means[1:3, 2:5], part, rtol=1e-9)
+    assert (whole != detect(BLOCK, TIME, spad, EXPOSURE, seed=12)).any()
+    assert len({whole[i, j].tobytes() for i in range(4) for j in range(6)}) == 24
+
+
+def test_crosstalk_blocks_of_laser_points_agree():
+    spad = Spad(pde=0.9, dead_time_s=20e-9, crosstalk_probability=0.05, array_columns=3, jitter_fwhm_s=2e-9)
+    whole = detect(BLOCK, TIME, spad, EXPOSURE, seed=3)
+    np.testing.assert_array_equal(whole[2:], detect(BLOCK[2:], TIME, spad, EXPOSURE, seed=3, first_laser=2))
+
+
+def test_float32_and_lists_are_taken_and_left_alone():
+    single = BLOCK.astype(np.float32)
+    kept = single.copy()
+    counts = detect(single, TIME, Spad(), EXPOSURE)
+    np.testing.assert_array_equal(single, kept)
+    np.testing.assert_array_equal(counts, detect(single.astype(float), TIME, Spad(), EXPOSURE))
+    assert detect(BLOCK[0, 0].tolist(), TIME, Spad(), EXPOSURE).shape == (64,)
+    assert detect(BLOCK, TIME, Spad(), EXPOSURE, dtype=np.uint16).dtype == np.uint16
+
+
+def test_a_window_longer_than_the_period_folds():
+    """Light that comes a period late is recorded after the next pulse; `ideal` takes pulses as isolated."""
+    transient = np.zeros(64)
+    transient[60] = 0.1
+    exposure = Exposure(1 / 50e-9, 1000, 1.0)
+    folded = expected_histogram(transient, TIME, Spad(pde=1.0), exposure)
+    assert folded[10] == pytest.approx(100.0)
+    assert folded.sum() == pytest.approx(100.0)
+    isolated = expected_histogram(transient, TIME, Spad(pde=1.0, mode="ideal"), exposure)
+    assert isolated[60] == pytest.approx(100.0)
+    half = expected_histogram(transient, TIME, Spad(pde=1.0), Exposure(1 / 50.5e-9, 1000, 1.0))
+    np.testing.assert_allclose(half[[9, 10]], [50.0, 50.0], rtol=1e-6)
+
+
+def test_background_outside_the_window_causes_dead_time():
+    exposure = Exposure(1e6, 10**5, 1.0, ambient_rate_hz=1e7)
+    transient = np.zeros(64)
+    mean = expected_histogram(transient, TIME, Spad(pde=1.0, dead_time_s=300e-9), exposure)
+    law = 1e7 / (1 + 1e7 * 300e-9) * 1e5 * 1e-9
+    np.testing.assert_allclose(mean, law, rtol=1e-9)
+
+
+def test_gate_with_ramps_passes_its_area():
+    spad = Spad(pde=1.0, gate_start_s=10.3e-9, gate_width_s=20e-9, gate_rise_s=3e-9, dark_count_rate_hz=1e6)
+    mean = expected_histogram(np.zeros(64), TIME, spad, EXPOSURE)
+    assert mean.sum() == pytest.approx(5000 * 1e6 * 17e-9, rel=1e-9)
+    assert mean[:10].sum() == 0 == mean[31:].sum()
+    assert mean[20] == pytest.approx(5000 * 1e6 * 1e-9)
+
+
+def test_hot_pixels_belong_to_the_array():
+    spad = Spad(dark_count_rate_hz=100, hot_pixel_fraction=0.1, hot_pixel_factor=50, hot_pixel_seed=4)
+    all_of_them = hot_pixels(spad, 5000)
+    assert 380 < all_of_them.sum() < 620
+    for first in (1, 2, 3, 4, 777):
+        np.testing.assert_array_equal(hot_pixels(spad, 40, first), all_of_them[first : first + 40])
+    mean = expected_histogram(np.zeros((2, 40, 64)), TIME, spad, EXPOSURE)
+    hot = all_of_them[:40]
+    assert hot.any()
+    np.testing.assert_allclose(mean[1, hot].sum(-1), 50 * mean[0, ~hot].sum(-1).mean(), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("spad", "flux", "cycles", "sampler"),
+    [
+        (Spad(pde=1.0, mode="ideal", dead_time_s=1e-6), 5.0, 10**6, "poisson"),
+        (Spad(pde=1.0, mode="free_running"), 5.0, 10**6, "poisson"),
+        (Spad(pde=1.0, dead_time_s=50e-9), 1e-5, 10**6, "poisson"),
+        (Spad(pde=1.0, dead_time_s=50e-9), 1e-3, 10**6, "poisson"),
+        (Spad(pde=1.0, dead_time_s=50e-9), 1e-3, 10**9, "free_running_events"),
+        (Spad(pde=1.0, dead_time_s=50e-9), 0.5, 10**6, "free_running_events"),
+        (Spad(pde=1.0, mode="synchronous", dead_time_s=1e-6), 0.5, 10**6, "hazard_chain"),
+        (Spad(pde=1.0, mode="synchronous", dead_time_s=20e-9), 0.5, 10**6, "return_chain"),
+        (Spad(pde=1.0, mode="synchronous", dead_time_s=20e-9), 0.5, 50, "avalanches"),
+        (Spad(pde=1.0, dead_time_s=50e-9, afterpulse_probability=0.02), 0.01, 10**6, "avalanches"),
+        (Spad(pde=1.0, dead_time_s=50e-9, paralyzable=True), 0.5, 10**6, "avalanches"),
+    ],
+)
+def test_planner_takes_the_cheapest_sampler_within_its_bound(spad, flux, cycles, sampler):
+    transient = np.full(64, flux / 64)
+    plan = plan_detector(transient, TIME, spad, Exposure(1e7, cycles, 1.0))
+    assert plan.sampler == sampler, plan
+    assert plan.histograms == {sampler: 1}
+    assert plan.flux_per_cycle == pytest.approx(flux)
+    assert plan.reason and not plan.approximate
+    exact = plan_detector(transient, TIME, spad, Exposure(1e7, cycles, 1.0), tolerance=0.0)
+    assert exact.poisson_bias == 0 or exact.sampler != "poisson"
+
+
+def test_planner_approximates_only_when_told_to():
+    transient, exposure = np.full(64, 1.0 / 64), Exposure(1e7, 10**8, 1.0)
+    with pytest.raises(InputError, match="approximate=True"):
+        plan_detector(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure)
+    plan = plan_detector(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure, approximate=True)
+    assert plan.sampler == "cycle_ensemble" and plan.approximate
+    counts = detect(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure, approximate=True)
+    mean = expected_histogram(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure)
+    assert abs(counts.sum() / mean.sum() - 1) < 1e-3
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        plan.sampler = "poisson"
+
+
+def test_bright_and_dark_histograms_are_planned_one_by_one():
+    transient = np.zeros((2, 1, 64))
+    transient[0], transient[1] = 1e-9, 0.01
+    plan = plan_detector(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), Exposure(1e7, 10**6, 1.0))
+    assert plan.histograms == {"free_running_events": 1, "poisson": 1}
+    assert plan.sampler == "free_running_events"
+
+
+def test_default_configuration_is_a_laboratory_detector():
+    spad, exposure = detector_for(DetectorConfig(), seed=0, index=0)
+    assert (spad.mode, spad.pde, spad.dead_time_s) == ("ideal", 0.3, 50e-9)
+    assert (exposure.repetition_rate_hz, exposure.cycles) == (10e6, 10**6)
+    assert (spad.jitter_fwhm_s, exposure.pulse_fwhm_s) == pytest.approx((60e-12, 50e-12))
+
+
+@pytest.mark.parametrize("name", sorted(DETECTOR_CLASSES))
+def test_classes_stay_in_their_ranges_and_are_correlated(name):
+    ranges = DETECTOR_CLASSES[name]
+    assert all(r.source for r in ranges.values())
+    config = DetectorConfig(detector_class=name, mode="free_running")
+    drawn = [detector_for(config, seed=1, index=i) for i in range(400)]
+    for key, r in ranges.items():
+        values = [
+            e.repetition_rate_hz if key == "repetition_rate_hz"
+            else s.afterpulse_times_s[0] if key == "afterpulse_time_s"
+            else getattr(s, key)
+            for s, e in drawn
+        ]  # fmt: skip
+        assert min(values) >= r.low * (1 - 1e-12) and max(values) <= r.high * (1 + 1e-12), key
+        assert r.low == r.high or np.ptp(values) > 0.5 * (r.high - r.low) or r.log
+    rank = [np.argsort(np.argsort([getattr(s, k) for s, _ in drawn])) for k in ("pde", "dark_count_rate_hz")]
+    assert np.corrcoef(*rank)[0, 1] > 0.3
+    rank = [
+        np.argsort(np.argsort([getattr(s, k) for s, _ in drawn])) for k in ("dead_time_s", "afterpulse_probability")
+    ]
+    assert np.corrcoef(*rank)[0, 1] < -0.3
+
+
+def test_configured_numbers_win_over_the_class_and_scenes_are_independent():
+    config = DetectorConfig.model_validate_json(
+        '{"detector_class": "any", "mode": "synchronous", "pde": {"uniform": [0.1, 0.2]}, "dead_time_ns": 33,'
+        ' "cycles": {"log_uniform": [1e3, 1e5]}, "gate": {"start_ns": 5, "width_ns": 20, "rise_ps": 200}}'
+    )
+    drawn = [detector_for(config, 5, i) for i in range(60)]
+    assert all(0.1 <= s.pde <= 0.2 and s.dead_time_s == pytest.approx(33e-9) for s, _ in drawn)
+    assert all(s.gate_width_s == pytest.approx(20e-9) and 1e3 <= e.cycles <= 1e5 for s, e in drawn)
+    assert len({s.pde for s, _ in drawn}) == 60
+    assert drawn[7] == detector_for(config, 5, 7)
+    assert detector_for(config, 6, 7) != drawn[7]
+
+
+def test_class_rates_leave_room_for_the_time_axis():
+    long = TimeAxis(1000, 1e-9)
+    config = DetectorConfig(detector_class="si_array")
+    assert all(detector_for(config, 0, i, long)[1].period_s >= 1e-6 * (1 - 1e-12) for i in range(20))
+    fixed = DetectorConfig(detector_class="si_array", repetition_rate_mhz=20.0)
+    assert detector_for(fixed, 0, 0, long)[1].repetition_rate_hz == pytest.approx(20e6)

@@ -1,0 +1,245 @@
+"""Where the obvious formula fails: each hard case with the failure shown beside the truth."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2
+from statistics_kit import accept
+
+from datagen.detector import Exposure, Spad, coates_correction, detect, expected_histogram
+from datagen.detector.chain import binomial, draw_hazard_chain
+from datagen.detector.equilibrium import equilibrium, most_in_window
+from datagen.detector.events import draw_free_running
+from datagen.detector.expected import one_per_cycle_mean
+from datagen.detector.flux import cycle_of
+from datagen.detector.irf import response_cdf, response_kernel, spread
+from datagen.detector.plan import poisson_bias
+from datagen.detector.renewal import synchronous_mean
+from datagen.detector.tdc import Tdc
+from datagen.records import TimeAxis
+
+TIME = TimeAxis(100, 1e-9)
+
+
+def rng_of(seed: int) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(seed))
+
+
+def test_tiny_flux_keeps_its_digits():
+    lam = np.array([1e-300, 1e-16, 3e-13])
+    assert abs((1 - np.exp(-1e-16)) / 1e-16 - 1) > 0.1  # what the textbook form makes of it
+    np.testing.assert_allclose(one_per_cycle_mean(lam), lam, rtol=1e-9)
+    np.testing.assert_allclose(synchronous_mean(lam, np.arange(4.0), 1.0, 1.5), lam, rtol=1e-9)
+    np.testing.assert_allclose(equilibrium(lam, np.arange(4.0), 1.0, 1.5).mean, lam, rtol=1e-9)
+
+
+def test_hazard_chain_from_nothing_to_infinity():
+    lam = np.array([0.0, 1e-300, 1.0, 0.0, np.inf, 5.0])
+    counts = draw_hazard_chain(lam, 10**6, rng_of(1))
+    assert counts[[0, 1, 3, 5]].tolist() == [0, 0, 0, 0]
+    assert counts.sum() == 10**6
+    assert abs(counts[2] - 1e6 * -np.expm1(-1)) < 6e3
+    assert draw_hazard_chain(np.array([1e4, 1.0]), 10**9, rng_of(2)).tolist() == [10**9, 0]
+
+
+def test_hazard_chain_takes_probabilities_that_float32_pushes_beyond_one():
+    """numpy's multinomial refuses such a vector; the hazards have no sum to exceed."""
+    lam = np.full(1024, 0.02, np.float32).astype(np.float64)
+    p = one_per_cycle_mean(lam).astype(np.float32)
+    p[0] += np.float32(1.0) - p.sum() + np.float32(1e-6)
+    with pytest.raises(ValueError, match="pvals"):
+        rng_of(0).multinomial(10**6, p)
+    assert draw_hazard_chain(lam, 10**6, rng_of(0)).sum() == 10**6
+
+
+@pytest.mark.parametrize(
+    ("n", "p"),
+    [(10**15, 1e-17), (10**15, 3e-15), (10**12, 1e-11), (40, 0.3), (10**6, 0.99999), (10**9, 0.2), (5, 1 - 1e-12)],
+)
+def test_binomial_at_its_extremes(n, p):
+    """log(1 − p) loses a p of 1e-17 altogether and a tenth of 3e-15; the law itself is the judge."""
+    rng = rng_of(3)
+    sample = np.array([binomial(n, p, rng) for _ in range(20_000)])
+    exact = binom(n, p)
+    cuts = np.unique(exact.ppf(np.linspace(0.02, 0.98, 25)))
+    edges = np.concatenate([[-np.inf], cuts, [np.inf]])
+    observed = np.histogram(sample, np.nextafter(edges, np.inf))[0]
+    wanted = len(sample) * np.diff(np.concatenate([[0.0], exact.cdf(cuts), [1.0]]))
+    use = wanted > 5
+    statistic = np.sum((observed[use] - wanted[use]) ** 2 / wanted[use]) if use.sum() > 1 else 0.0
+    accept(float(chi2(max(use.sum() - 1, 1)).sf(statistic)), f"binomial({n}, {p})")
+    assert np.all(observed[wanted < 1e-9] == 0)
+
+
+def test_direct_peak_ten_orders_above_the_signal():
+    """Convolution in float32 by FFT leaves its rounding all over the histogram; ours leaves every bin its own."""
+    signal = np.full(4096, 1e-10)
+    signal[100] = 1.0
+    kernel = response_kernel(1e-11, 3e-10, 1e-10)
+    ours = spread(signal, kernel)[kernel.before : kernel.before + 4096]
+    size = 8192
+    single = np.fft.irfft(
+        np.fft.rfft(signal.astype(np.float32), size).astype(np.complex64)
+        * np.fft.rfft(kernel.weights.astype(np.float32), size).astype(np.complex64)
+    ).astype(np.float32)
+    assert np.abs(single[3000:4000] / 1e-10 - 1).max() > 0.05
+    np.testing.assert_allclose(ours[1500:4000], 1e-10, rtol=1e-12)
+
+
+def test_long_kernels_go_through_the_fft_without_negatives_or_loss():
+    kernel = response_kernel(1e-12, 0.0, 2e-10)
+    assert len(kernel.weights) > 4096
+    signal = np.full((2, 3000), 1e-6)
+    signal[:, 50] = 1.0
+    out = spread(signal, kernel)
+    assert out.min() >= 0
+    np.testing.assert_allclose(out.sum(-1), signal.sum(-1), rtol=1e-12)
+    np.testing.assert_allclose(out[0], np.convolve(signal[0], kernel.weights), rtol=1e-6, atol=1e-14)
+
+
+@pytest.mark.parametrize("sigma_bins", [0.02, 0.1, 1.0, 30.0])
+def test_kernel_is_bin_integrated(sigma_bins):
+    fwhm = sigma_bins * 2 * np.sqrt(2 * np.log(2))
+    kernel = response_kernel(1.0, fwhm)
+    offsets = np.arange(-kernel.before, kernel.after + 1)
+    truth = [float(mpmath.ncdf((k + 0.5) / sigma_bins) - mpmath.ncdf((k - 0.5) / sigma_bins)) for k in offsets]
+    np.testing.assert_allclose(kernel.weights, truth, atol=1e-14)
+    if sigma_bins == 0.1:
+        sampled = np.exp(-0.5 * (offsets / sigma_bins) ** 2) / (sigma_bins * np.sqrt(2 * np.pi))
+        assert sampled[kernel.before] > 3.9  # the density at the bin centre, four times too high
+
+
+@pytest.mark.parametrize("ratio", [1e-3, 0.3, 3.0, 60.0])
+def test_exponential_tail_against_high_precision(ratio):
+    """exp(σ²/2τ² − t/τ) overflows float64 at σ/τ = 60; the logarithmic form does not."""
+    sigma, tail, share = 1.0, 1.0 / ratio, 0.4
+    mpmath.mp.dps = 60
+    for t in (-5.0, -1.0, 0.0, 0.7, 4.0, 20.0):
+        z = mpmath.mpf(t) / sigma
+        delayed = mpmath.exp(mpmath.mpf(ratio) ** 2 / 2 - mpmath.mpf(t) / tail) * mpmath.ncdf(z - ratio)
+        truth = float(mpmath.ncdf(z) - share * delayed)
+        got = float(response_cdf(np.array([t]), sigma, tail, share)[0])
+        assert got == pytest.approx(truth, rel=1e-7, abs=1e-13)
+
+
+def test_mean_delay_of_the_response_is_that_of_the_tail():
+    kernel = response_kernel(1e-11, 8e-11, 2e-10, 0.3)
+    delay = 1e-11 * (kernel.weights @ (np.arange(len(kernel.weights)) - kernel.before))
+    assert delay == pytest.approx(0.3 * 2e-10, rel=1e-4)
+
+
+@pytest.mark.parametrize("mode", ["free_running", "synchronous"])
+def test_response_wider_than_the_window_folds_modulo_the_period(mode):
+    transient = np.zeros(100)
+    transient[50] = 1e-3
+    exposure = Exposure(1e7, 10**6, 1.0, pulse_fwhm_s=400e-9)
+    mean = expected_histogram(transient, TIME, Spad(pde=1.0, mode=mode), exposure)
+    assert mean.sum() == pytest.approx(1e3, rel=1e-12)
+    assert mean.std() < 1e-3 * mean.mean()  # four periods wide: evenly spread
+
+
+def test_response_beyond_the_window_is_lost_when_the_period_is_long():
+    transient = np.zeros(100)
+    transient[99] = 1e-3
+    spad = Spad(pde=1.0, jitter_tail_s=5e-9)
+    mean = expected_histogram(transient, TIME, spad, Exposure(1e6, 10**6, 1.0))
+    # 400 ns later nothing of it is left; what the last bin keeps is the mass of its own half bin.
+    assert mean.sum() == pytest.approx(1e3 * -np.expm1(-0.1), rel=1e-6)
+
+
+@pytest.mark.parametrize("mode", ["ideal", "synchronous", "free_running"])
+def test_nothing_in_nothing_out(mode):
+    """0/0 lurks in every normalisation."""
+    spad = Spad(mode=mode, dead_time_s=2e-7, afterpulse_probability=0.02 if mode == "free_running" else 0.0)
+    with np.errstate(all="raise"):
+        counts = detect(np.zeros((2, 2, 100)), TIME, spad, Exposure())
+        mean = expected_histogram(np.zeros((2, 2, 100)), TIME, spad, Exposure(), approximate=True)
+    assert counts.sum() == 0 == mean.sum()
+    assert coates_correction(np.zeros(100), 10).sum() == 0
+
+
+def test_flux_of_ten_thousand_per_cycle():
+    """Free running at λ τ ≫ 1: counts are nearly regular, and the mean of a long run agrees with the solver."""
+    lam = np.random.default_rng(0).random(100) ** 3
+    lam *= 1e4 / lam.sum()
+    edges = np.linspace(0, 1e-7, 101)
+    for tau in (33.337e-9, 250e-9):
+        state = equilibrium(lam, edges, 1e-9, tau)
+        total = 1e4 / (1 + 1e4 * tau / 1e-7)
+        assert state.mean.sum() == pytest.approx(total, rel=2e-3)
+        counts = draw_free_running(lam, edges, 1e-9, 99, tau, 10**5, state, rng_of(1))
+        assert counts.sum() == pytest.approx(1e5 * total, rel=2e-3)
+
+
+def test_empty_bins_are_never_hit():
+    lam = np.zeros(100)
+    lam[[7, 8, 60]] = 0.5, 1e-9, 0.3
+    edges = np.linspace(0, 1e-7, 101)
+    for tau in (1e-9, 50e-9, 3e-7):
+        state = equilibrium(lam, edges, 1e-9, tau)
+        counts = draw_free_running(lam, edges, 1e-9, 99, tau, 200_000, state, rng_of(4))
+        assert counts[lam == 0].sum() == 0
+        assert counts[7] > 0 and counts[60] > 0
+
+
+def test_counts_stay_integers_beyond_float32():
+    """torch's float32 samplers are wrong above 2²⁴; here every parity occurs."""
+    spad, exposure = Spad(pde=1.0, mode="ideal"), Exposure(1e7, 10**15, 1.0)
+    counts = detect(np.full(100, 0.5), TIME, spad, exposure)
+    assert counts.dtype == np.int64
+    assert abs(float(counts.mean()) - 5e14) < 6 * np.sqrt(5e14 / 100)
+    assert 20 < np.count_nonzero(counts % 2) < 80
+
+
+def test_saturating_counters():
+    spad = Spad(pde=1.0, mode="ideal", counter_max=100)
+    exposure = Exposure(1e7, 1000, 1.0)
+    transient = np.linspace(0.05, 0.15, 100)
+    counts = detect(np.tile(transient, (400, 1, 1)), TIME, spad, exposure)[:, 0]
+    mean = expected_histogram(transient, TIME, spad, exposure)
+    assert counts.max() == 100
+    z = (counts.mean(0) - mean) / np.maximum(counts.std(0) / 20, 1e-3)
+    accept(float(chi2(100).sf(np.sum(z**2))), "saturated mean")
+    assert mean[50] < 1000 * transient[50] - 2
+
+
+def test_poisson_bias_bounds_the_true_bias():
+    rng = np.random.default_rng(5)
+    edges = np.linspace(0, 1e-7, 101)
+    for _ in range(30):
+        lam = rng.random(100) ** 8
+        lam *= 10 ** rng.uniform(-6, -1) / lam.sum()
+        tau = 10 ** rng.uniform(-9, -6)
+        for mode in ("free_running", "synchronous"):
+            spad = Spad(pde=1.0, dead_time_s=tau, mode=mode)
+            setup = TimeAxis(100, 1e-9)
+            bound = poisson_bias(lam, cycle_of(setup, spad, Exposure()), spad)
+            mean = (
+                equilibrium(lam, edges, 1e-9, tau).mean
+                if mode == "free_running"
+                else synchronous_mean(lam, edges, 1e-9, tau)
+            )
+            true = np.max(1 - mean / lam)
+            assert true <= bound * (1 + 1e-6) + 1e-12
+            assert bound < 8 * true + 1e-9  # not an idle bound either
+
+
+def test_most_flux_in_a_sliding_window():
+    lam, edges = np.array([1.0, 0, 0, 2.0]), np.array([0.0, 1, 2, 3, 3.5])
+    assert most_in_window(lam, edges, 0.5) == pytest.approx(2.0)
+    assert most_in_window(lam, edges, 1.0) == pytest.approx(2.5)  # across the end of the period
+    assert most_in_window(lam, edges, 3.0) == pytest.approx(3.0)
+
+
+def test_jitter_of_counts_has_the_mean_of_jittered_counts():
+    for rate in (1e7, 9.93e6, 1e5):
+        cycle = cycle_of(TIME, Spad(jitter_fwhm_s=7e-9), Exposure(rate))
+        tdc = Tdc(cycle)
+        counts = np.random.default_rng(0).integers(0, 4000, len(cycle.gate))
+        counts[::3] = 2
+        rng = rng_of(6)
+        got = np.stack([tdc.draw(counts, rng) for _ in range(200)]).mean(0)
+        want = tdc.mean(counts.astype(float))
+        assert np.abs(got - want).max() < 6 * np.sqrt(want.max() / 200)
