@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.config.distributions import draw
 from datagen.config.scene import SceneConfig
 from datagen.config.scene_contents import Content, Mesh, MeshFolder, draw_count
 from datagen.config.scene_files import label_of
+from datagen.config.scene_materials import Surface
 from datagen.errors import InputError
 from datagen.records import Lambertian, Rectangle, Role, Scalar, Scene
 from datagen.scene_checks import explain
@@ -98,19 +98,18 @@ def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene
 
     parts = _Parts()
     for name, (vertices, faces) in surfaces(plan, floor=spec.layout.floor, ceiling=spec.layout.ceiling).items():
-        albedo = draw(getattr(spec.materials, name).albedo, rng)
-        parameters[f"{name}.albedo"] = albedo
+        albedo = _albedo(spec, getattr(spec.materials, name), name, parameters, rng)
         parts.add(name, "relay_wall" if name == "relay_wall" else "structure", albedo, vertices, faces)
 
     space = FreeSpace(plan.outline, plan.hidden, plan.walls, plan.height_m, fan, spec.clearance_m)
     objects: list[tuple[str, str]] = []
     for where, item in _items(spec, rng):
         drawn_object = draw_object(item, plan.height_m, rng)
-        albedo = draw(item.albedo, rng)
         spot = place(where, item, drawn_object.solid, plan, space, rng)
         name = parts.free_name(item.name or label_of(drawn_object.label))
+        albedo = _albedo(spec, item, name, parameters, rng)
         parts.add(name, "object", albedo, spot.vertices(drawn_object.solid), drawn_object.solid.triangles)
-        parameters |= {f"{name}.kind": item.kind, f"{name}.class": drawn_object.label, f"{name}.albedo": albedo}
+        parameters |= {f"{name}.kind": item.kind, f"{name}.class": drawn_object.label}
         parameters |= {f"{name}.{key}": value for key, value in (drawn_object.sizes | asdict(spot)).items()}
         objects.append((where, name))
     parameters["objects"] = len(objects)
@@ -144,6 +143,17 @@ def _items(spec: SceneConfig, rng: np.random.Generator) -> Iterator[tuple[str, C
     for i, item in enumerate(spec.contents):
         for _ in range(draw_count(item.count, rng)):
             yield f"contents[{i}]", item
+
+
+def _albedo(
+    spec: SceneConfig, surface: Surface, name: str, parameters: dict[str, Scalar], rng: np.random.Generator
+) -> float:
+    """Draw the albedo of the part `name`, and note it with its material."""
+    albedo, material = surface.draw_albedo(spec.wavelength_nm, rng)
+    parameters[f"{name}.albedo"] = albedo
+    if material is not None:
+        parameters[f"{name}.material"] = material
+    return albedo
 
 
 def _visible_relay_wall(plan: Plan, fan: NDArray[np.float64]) -> Rectangle:

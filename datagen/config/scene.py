@@ -8,28 +8,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
-from datagen.config.distributions import Fraction, Uniform
+from datagen.config.distributions import support
 from datagen.config.scene_contents import Box, Content, Mesh, MeshFolder, Pillar
 from datagen.config.scene_layouts import AnyLayout, LCorridor
+from datagen.config.scene_materials import Materials
 from datagen.errors import InputError
-
-
-class Surface(Settings):
-    """The material of one part of the room, Lambertian."""
-
-    albedo: Fraction = Uniform(uniform=(0.5, 0.9))
-    """Share of light that the surface returns."""
-
-
-class Materials(Settings):
-    """The room's own surfaces; objects carry their material themselves."""
-
-    relay_wall: Surface = Surface(albedo=Uniform(uniform=(0.6, 0.9)))
-    walls: Surface = Surface()
-    floor: Surface = Surface(albedo=Uniform(uniform=(0.2, 0.7)))
-    ceiling: Surface = Surface(albedo=Uniform(uniform=(0.6, 0.9)))
-    screen: Surface = Surface(albedo=Uniform(uniform=(0.05, 0.2)))
-    """The screen that hides the objects in the layout `isolated_wall`."""
 
 
 class SceneConfig(Settings):
@@ -39,6 +22,8 @@ class SceneConfig(Settings):
     contents: Annotated[tuple[Content, ...], Field(max_length=100)] = (Pillar(), Box())
     """The objects in the hidden part."""
     materials: Materials = Materials()
+    wavelength_nm: Annotated[float, Field(ge=500, le=1600)] = 532.0
+    """The laser's wavelength, which decides the albedo of materials taken from the catalogue."""
     clearance_m: Annotated[float, Field(ge=0.001, le=10)] = 0.02
     """Smallest gap between objects, from an object to a wall, and to the device's line of sight."""
     max_attempts: Annotated[int, Field(ge=1, le=100_000)] = 200
@@ -66,8 +51,6 @@ class SceneConfig(Settings):
         return self
 
     def _highest_m(self) -> float:
-        from datagen.config.distributions import support
-
         return support(self.layout.height_m)[1]
 
     def mesh_digests(self) -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, Tag, ValidationInfo, model_validator
 
-from datagen.config.base import Settings, tag
+from datagen.config.base import tag
 from datagen.config.distributions import Choice, Distribution, Fraction, Length, Uniform, draw, support, within
 from datagen.config.scene_files import (
     RESERVED_NAMES,
@@ -24,6 +24,7 @@ from datagen.config.scene_files import (
 )
 from datagen.config.scene_kinds import kind_of, unknown_kind
 from datagen.config.scene_layouts import NonNegative
+from datagen.config.scene_materials import Surface
 from scene_library.objects.classes import CLASSES, GROUPS, classes_of
 
 
@@ -52,7 +53,7 @@ ANY_ANGLE = Uniform(uniform=(0.0, 360.0))
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,40}$")]
 
 
-class Item(Settings):
+class Item(Surface):
     """What all objects share."""
 
     name: Name | None = None
@@ -65,8 +66,6 @@ class Item(Settings):
     """Position of the centre within the hidden part: 0 on the side it is entered from, 1 on the far side."""
     rotation_deg: Angle = ANY_ANGLE
     """Turn about the vertical."""
-    albedo: Fraction = Uniform(uniform=(0.3, 0.9))
-    """Share of light that the surface returns, Lambertian."""
 
     sizes: ClassVar[tuple[str, ...]] = ()
     """Names of the keys that set the object's size, in the order they are drawn."""

@@ -1,0 +1,80 @@
+"""What surfaces are made of: an albedo of one's own, or materials of the catalogue."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import AfterValidator, model_validator
+
+from datagen.config.base import Settings
+from datagen.config.distributions import Fraction, Uniform, draw
+from scene_library.materials import MATERIALS
+
+
+def _known_materials(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if name not in MATERIALS:
+            near = difflib.get_close_matches(name, MATERIALS, n=1, cutoff=0.4)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise ValueError(f"{name!r} is no material of the catalogue; {hint}There are {', '.join(MATERIALS)}")
+    return names
+
+
+class Surface(Settings):
+    """The material of one part, Lambertian."""
+
+    albedo: Fraction = Uniform(uniform=(0.3, 0.9))
+    """Share of light that the surface returns."""
+    material: Annotated[tuple[str, ...], AfterValidator(_known_materials)] = ()
+    """Materials of the catalogue to draw from, instead of `albedo`: the reflectance is taken at
+    `scene.wavelength_nm`, with a random tint inside the material's spread."""
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        # A dumped configuration holds the default albedo beside the material, so only another one is a contradiction.
+        if self.material and self.albedo != type(self).model_fields["albedo"].default:
+            raise ValueError("albedo and material are both given; leave one of them out")
+        return self
+
+    def draw_albedo(self, wavelength_nm: float, rng: np.random.Generator) -> tuple[float, str | None]:
+        """An albedo, and the name of the catalogue material that it belongs to, if any."""
+        if not self.material:
+            return draw(self.albedo, rng), None
+        name = self.material[int(rng.integers(len(self.material)))]
+        return MATERIALS[name].albedo(wavelength_nm, tint=2 * rng.random() - 1), name
+
+
+class BrightSurface(Surface):
+    """Relay wall and ceiling."""
+
+    albedo: Fraction = Uniform(uniform=(0.6, 0.9))
+
+
+class WallSurface(Surface):
+    """Walls."""
+
+    albedo: Fraction = Uniform(uniform=(0.5, 0.9))
+
+
+class FloorSurface(Surface):
+    """The floor."""
+
+    albedo: Fraction = Uniform(uniform=(0.2, 0.7))
+
+
+class DarkSurface(Surface):
+    """The screen that hides the objects in the layout `isolated_wall`."""
+
+    albedo: Fraction = Uniform(uniform=(0.05, 0.2))
+
+
+class Materials(Settings):
+    """The room's own surfaces; objects carry their material themselves."""
+
+    relay_wall: BrightSurface = BrightSurface()
+    walls: WallSurface = WallSurface()
+    floor: FloorSurface = FloorSurface()
+    ceiling: BrightSurface = BrightSurface()
+    screen: DarkSurface = DarkSurface()
