@@ -48,18 +48,24 @@ class Sensor:
     pixels : (P, 4, 3) corners, in order around, of each pixel's field of view on (or beyond) the wall as seen from
         `position`: they fix four directions, the wall itself is found by rays.
     aperture_radius_m : radius of the entrance aperture, > 0.
+    finite_aperture : count what a disc of that radius receives, a²/(R² + a²), which matters when the sensor stands
+        within some ten radii of the wall; False is the small-aperture limit a²/R².
     """
 
     position: NDArray[np.float64]
     pixels: NDArray[np.float64]
     aperture_radius_m: float
+    finite_aperture: bool
 
-    def __init__(self, position: ArrayLike, pixels: ArrayLike, aperture_radius_m: float = 0.02) -> None:
+    def __init__(
+        self, position: ArrayLike, pixels: ArrayLike, aperture_radius_m: float = 0.02, finite_aperture: bool = False
+    ) -> None:
         object.__setattr__(self, "position", _points("Sensor.position", np.array(position, np.float64), (3,)))
         object.__setattr__(self, "pixels", _points("Sensor.pixels", np.array(pixels, np.float64), (None, 4, 3)))
         if not 0 < aperture_radius_m < np.inf:
             raise InputError(f"Sensor.aperture_radius_m = {aperture_radius_m}: must be a positive length in metres")
         object.__setattr__(self, "aperture_radius_m", float(aperture_radius_m))
+        object.__setattr__(self, "finite_aperture", bool(finite_aperture))
 
     @classmethod
     def grid(

@@ -81,6 +81,7 @@ class Scene:
     hidden_bounds : (2, 3) corners of the box that holds the hidden part, for volume labels; or None.
     device_position : (3,) where a generated room puts laser and sensor; or None.
     parameters : every number drawn for this scene, by dotted name; stored with the sample.
+    attenuation_per_m : Napierian attenuation of the air, 1/m: every leg R passes exp(−a R).
     """
 
     vertices: NDArray[np.float64]
@@ -94,6 +95,11 @@ class Scene:
     hidden_bounds: NDArray[np.float64] | None = None
     device_position: NDArray[np.float64] | None = None
     parameters: Mapping[str, float | int | str | bool] = field(default_factory=dict)
+    attenuation_per_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.attenuation_per_m < np.inf:
+            raise InputError(f"Scene.attenuation_per_m = {self.attenuation_per_m}: must be a finite number ≥ 0 (1/m)")
 
     @classmethod
     def from_parts(
@@ -105,6 +111,7 @@ class Scene:
         hidden_bounds: ArrayLike | None = None,
         device_position: ArrayLike | None = None,
         parameters: Mapping[str, float | int | str | bool] | None = None,
+        attenuation_per_m: float = 0.0,
     ) -> Scene:
         """Join parts into one scene. Zero-area triangles are dropped; parts keep their order.
 
@@ -137,6 +144,7 @@ class Scene:
             hidden_bounds=None if hidden_bounds is None else np.asarray(hidden_bounds, np.float64),
             device_position=None if device_position is None else np.asarray(device_position, np.float64),
             parameters=dict(parameters or {}),
+            attenuation_per_m=attenuation_per_m,
         )
 
     @property

@@ -1,6 +1,6 @@
-"""Connections from lookins to FoV points: geometry, BRDFs and binning fused into two compiled loops.
+"""Connections from path vertices to FoV points: geometry, BRDFs and binning in compiled loops.
 
-Two ways of joining a lookin x₂ to a pixel are combined by the balance heuristic:
+Two ways of joining a vertex x₂ to a pixel are combined by the balance heuristic:
 
 - *connect*: to each of M FoV points x₃. The kernel cosθ₂ cosθ₃ / R₂₃² has no bound where the two surfaces touch;
 - *follow*: one ray drawn by the BRDF at x₂, which counts where it lands inside a pixel. It carries no 1/R².
@@ -8,7 +8,7 @@ Two ways of joining a lookin x₂ to a pixel are combined by the balance heurist
 With the footprint a₃ of a FoV point (the wall area one of the M points stands for) and p = pdf·cosθ₃/R₂₃² the area
 density of the second way, the first is worth 1/(1 + p a₃) of itself and the second p a₃/(1 + p a₃). So a connection
 never carries more than its footprint could receive, and what that bound takes away comes back by the followed rays:
-bounded for a single sample, unbiased for any number. A lookin too far from a pixel's patch to overfill a footprint
+bounded for a single sample, unbiased for any number. A vertex too far from a pixel's patch to overfill a footprint
 needs no followed ray: there the first way counts whole (`PixelPatches.reach`).
 """
 
@@ -20,113 +20,141 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Scene, Sensor
-from datagen.transport.brdf import MaterialTable, cosine_directions
+from datagen.transport.brdf import MaterialTable
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches
-from datagen.transport.kernels import deposit, gather, inside_pixels, near_a_pixel
-from datagen.transport.lookins import Lookins
-from datagen.transport.raycast import Raycaster
+from datagen.transport.kernels import deposit, gather, inside_pixels, near_a_pixel, spots_in_pixels
+from datagen.transport.raycast import Hits, Raycaster
+from datagen.transport.vertices import LaserPoints, Vertices
 
 CONNECTIONS_PER_BATCH = 1 << 19
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Path length → fractional bin: position = path · per_metre − start."""
+    """Path length → fractional bin: position = path · per_metre − start. `device_leg` (laser,) is the path from laser
+    to laser point for the chunk's laser points, or −1 where device legs do not count (time origin `wall`)."""
 
     per_metre: float
     start: float
+    device_leg: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Which histogram row a contribution belongs to: rows are ordered (laser, pixel, split).
+
+    first_laser : index of the chunk's first laser point. confocal : pixel i belongs to laser point i alone.
+    pixels : pixels a laser point has. splits : rows for each laser point and pixel.
+    """
+
+    first_laser: int
+    confocal: bool
+    pixels: int
+    splits: int
 
 
 @dataclass(frozen=True)
 class Tally:
-    """Where energy goes: histogram (row, bin) and overflow (row,), rows ordered (laser, pixel, split)."""
+    """Where energy goes: histogram (row, bin) and overflow (row,)."""
 
     histogram: NDArray[np.float64]
     overflow: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Rows:
-    """Which row a contribution belongs to.
+class Receiver:
+    """The sensor's side of a chunk of laser points: FoV points, pixels, clock and rows."""
 
-    first_laser : index of the chunk's first laser point. confocal : pixel i belongs to laser point i alone.
-    pixels : pixels a laser point has. split_of_part : (K,) row offset of each part; splits : how many there are.
-    """
+    caster: Raycaster
+    scene: Scene
+    materials: MaterialTable
+    sensor: Sensor
+    pool: FovPool
+    cones: PixelCones
+    patches: PixelPatches
+    points_per_vertex: int
+    clock: Clock
+    rows: Rows
+    tally: Tally
 
-    first_laser: int
-    confocal: bool
-    pixels: int
-    split_of_part: NDArray[np.int64]
-    splits: int
+    @property
+    def aperture_square(self) -> float:
+        """What a finite aperture adds to R² (see `fov.aperture_gain`), m²."""
+        return self.sensor.aperture_radius_m**2 if self.sensor.finite_aperture else 0.0
 
+    def connect(self, vertices: Vertices, choice: NDArray[np.float64], split_of_part: NDArray[np.int64]) -> None:
+        """Join every vertex to a block of FoV points of each of its pixels, and add what nothing hides.
 
-def connect(
-    caster: Raycaster,
-    materials: MaterialTable,
-    lookins: Lookins,
-    pool: FovPool,
-    patches: PixelPatches,
-    points_per_lookin: int,
-    clock: Clock,
-    rows: Rows,
-    tally: Tally,
-) -> None:
-    """Join every lookin to `points_per_lookin` FoV points of each of its pixels and add what is not occluded."""
-    blocks = pool.weight.shape[1] // points_per_lookin
-    block = np.minimum(lookins.further[:, 0] * blocks, blocks - 1).astype(np.int64)
-    pixels = 1 if rows.confocal else rows.pixels
-    per_lookin = pixels * points_per_lookin
-    lookins_per_batch = max(1, CONNECTIONS_PER_BATCH // per_lookin)
-    capacity = lookins_per_batch * per_lookin
-    origins, spans = np.empty((capacity, 3), np.float32), np.empty((capacity, 3), np.float32)
-    row, position, energy = np.empty(capacity, np.int64), np.empty(capacity), np.empty(capacity)
-    for start in range(0, len(lookins.laser), lookins_per_batch):
-        stop = min(start + lookins_per_batch, len(lookins.laser))
-        found = gather(
-            start, stop, lookins.laser, lookins.position, lookins.normal, lookins.to_laser_point, lookins.part,
-            lookins.power, lookins.path, block, pool.position, pool.normal, pool.to_sensor, pool.part, pool.weight,
-            pool.footprint, pool.leg,
-            patches.center, patches.reach, materials.kind, materials.values, points_per_lookin, rows.first_laser,
-            rows.confocal, rows.pixels, rows.split_of_part, rows.splits, clock.per_metre, clock.start, caster.center,
-            caster.half_extent_m, caster.offset_m, origins, spans, row, position, energy,
+        choice : (n,) in 0 … 1 picks the block; split_of_part : (K,) the split for a vertex on each part.
+        """
+        if not len(vertices):
+            return
+        blocks = self.pool.weight.shape[1] // self.points_per_vertex
+        block = np.minimum(choice * blocks, blocks - 1).astype(np.int64)
+        per_vertex = (1 if self.rows.confocal else self.rows.pixels) * self.points_per_vertex
+        per_batch = min(max(1, CONNECTIONS_PER_BATCH // per_vertex), len(vertices))
+        capacity = per_batch * per_vertex
+        origins, spans = np.empty((capacity, 3), np.float32), np.empty((capacity, 3), np.float32)
+        row, position, energy = np.empty(capacity, np.int64), np.empty(capacity), np.empty(capacity)
+        v, pool, rows = vertices, self.pool, self.rows
+        for start in range(0, len(vertices), per_batch):
+            found = gather(
+                start, min(start + per_batch, len(v)), v.laser, v.position, v.normal, v.to_previous, v.part, v.power,
+                v.path, block, pool.position, pool.normal, pool.to_sensor, pool.part, pool.weight, pool.footprint,
+                pool.last_leg, self.patches.center, self.patches.reach, self.materials.kind, self.materials.values,
+                self.points_per_vertex, self.scene.attenuation_per_m, rows.first_laser, rows.confocal, rows.pixels,
+                split_of_part, rows.splits, self.clock.per_metre, self.clock.start, self.clock.device_leg,
+                self.caster.center, self.caster.half_extent_m, self.caster.offset_m, origins, spans, row, position,
+                energy,
+            )  # fmt: skip
+            hidden = self.caster.occluded_scaled(origins[:found], spans[:found])
+            deposit(row[:found], position[:found], energy[:found], hidden, self.tally.histogram, self.tally.overflow)
+
+    def near(self, vertices: Vertices) -> NDArray[np.int64]:
+        """The vertices whose followed rays count: those near any of their pixels."""
+        return near_a_pixel(
+            vertices.laser, vertices.position, vertices.part, self.materials.kind, self.patches.center,
+            self.patches.reach, self.rows.first_laser, self.rows.confocal,
         )  # fmt: skip
-        hidden = caster.occluded_scaled(origins[:found], spans[:found])
-        deposit(row[:found], position[:found], energy[:found], hidden, tally.histogram, tally.overflow)
 
+    def follow(
+        self,
+        vertices: Vertices,
+        hits: Hits,
+        directions: NDArray[np.float64],
+        throughput: NDArray[np.float64],
+        split_of_part: NDArray[np.int64],
+    ) -> None:
+        """Add those of the vertices' own rays (with their throughput f cosθ / pdf) that land inside a pixel."""
+        part = np.where(hits.valid, self.scene.face_part[hits.face], -1).astype(np.int64)
+        v, rows = vertices, self.rows
+        owner, row, position, energy = inside_pixels(
+            hits.position, hits.normal, part, directions, throughput, v.laser, v.position, v.normal, v.to_previous,
+            v.part, v.power, v.path, self.materials.kind, self.materials.values, self.sensor.position,
+            self.cones.planes, self.cones.solid_angle, self.patches.center, self.patches.reach,
+            self.sensor.aperture_area_m2, self.aperture_square, self.scene.attenuation_per_m, self.points_per_vertex,
+            rows.first_laser, rows.confocal, rows.pixels, split_of_part, rows.splits, self.clock.per_metre,
+            self.clock.start, self.clock.device_leg,
+        )  # fmt: skip
+        self._add_if_seen(hits.position[owner] + self.caster.offset_m * hits.normal[owner], row, position, energy)
 
-def follow(
-    caster: Raycaster,
-    scene: Scene,
-    sensor: Sensor,
-    cones: PixelCones,
-    patches: PixelPatches,
-    materials: MaterialTable,
-    lookins: Lookins,
-    points_per_lookin: int,
-    clock: Clock,
-    rows: Rows,
-    tally: Tally,
-    count_last_leg: bool,
-) -> None:
-    """Send one BRDF-drawn ray from every lookin and add those that land inside a pixel."""
-    near = near_a_pixel(
-        lookins.laser, lookins.position, lookins.part, materials.kind, patches.center, patches.reach,
-        rows.first_laser, rows.confocal,
-    )  # fmt: skip
-    if not len(near):
-        return
-    lookins = lookins.take(near)
-    direction = cosine_directions(lookins.normal, lookins.further[:, 1:])
-    hits = caster.closest(lookins.position + caster.offset_m * lookins.normal, direction)
-    part = np.where(hits.valid, scene.face_part[hits.face], -1).astype(np.int64)
-    owner, row, position, energy = inside_pixels(
-        hits.position, hits.normal, part, direction, lookins.laser, lookins.position, lookins.normal,
-        lookins.to_laser_point, lookins.part, lookins.power, lookins.path, materials.kind, materials.values,
-        sensor.position, cones.planes, cones.solid_angle,
-        patches.center, patches.reach, sensor.aperture_area_m2, points_per_lookin,
-        rows.first_laser, rows.confocal, rows.pixels, rows.split_of_part, rows.splits, clock.per_metre, clock.start,
-        count_last_leg,
-    )  # fmt: skip
-    lifted = hits.position[owner] + caster.offset_m * hits.normal[owner]
-    hidden = caster.occluded(np.broadcast_to(sensor.position, lifted.shape), lifted)
-    deposit(row, position, energy, hidden, tally.histogram, tally.overflow)
+    def spots(self, points: LaserPoints, lasers: NDArray[np.int64], split: int) -> None:
+        """Add the laser points themselves where a pixel looks at them: the direct return of one bounce."""
+        rows = self.rows
+        owner, row, position, energy = spots_in_pixels(
+            lasers, points.position, points.normal, points.to_laser, points.part, points.leg, self.materials.kind,
+            self.materials.values, self.sensor.position, self.cones.planes, self.sensor.aperture_area_m2,
+            self.aperture_square, self.scene.attenuation_per_m, rows.first_laser, rows.confocal, rows.pixels, split,
+            rows.splits, self.clock.per_metre, self.clock.start, self.clock.device_leg,
+        )  # fmt: skip
+        self._add_if_seen(points.position[owner] + self.caster.offset_m * points.normal[owner], row, position, energy)
+
+    def _add_if_seen(
+        self,
+        lifted: NDArray[np.float64],
+        row: NDArray[np.int64],
+        position: NDArray[np.float64],
+        energy: NDArray[np.float64],
+    ) -> None:
+        hidden = self.caster.occluded(self.sensor.position, lifted)
+        deposit(row, position, energy, hidden, self.tally.histogram, self.tally.overflow)

@@ -23,9 +23,9 @@ class FovPool:
 
     position, normal, to_sensor : (P, Q, 3) point in metres, unit normal facing the sensor, unit direction to it.
     part : (P, Q) part index, −1 where the line of sight meets nothing.
-    weight : (P, Q) A J / M in m² sr.
+    weight : (P, Q) A J / M in m² sr, A the aperture (`aperture_gain`).
     footprint : (P, Q) wall area that one of M points stands for, m².
-    leg : (P, Q) length of the last leg that counts for the time axis, m (0 for origin `wall`).
+    last_leg : (P, Q) distance to the sensor, m.
     """
 
     position: NDArray[np.float64]
@@ -34,7 +34,7 @@ class FovPool:
     part: NDArray[np.int64]
     weight: NDArray[np.float64]
     footprint: NDArray[np.float64]
-    leg: NDArray[np.float64]
+    last_leg: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class PixelPatches:
     reach: NDArray[np.float64]
 
     @classmethod
-    def of(cls, caster: Raycaster, sensor: Sensor, cones: PixelCones, points_per_lookin: int) -> PixelPatches:
+    def of(cls, caster: Raycaster, sensor: Sensor, cones: PixelCones, points_per_vertex: int) -> PixelPatches:
         knots = np.array([0.0, 0.5, 1.0])
         u, v = np.tile(knots, 3)[:, None], np.repeat(knots, 3)[:, None]
         corner = sensor.pixels - sensor.position
@@ -112,7 +112,7 @@ class PixelPatches:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             center = position.mean(axis=1)
             radius = np.linalg.norm(position - center[:, None], axis=2).max(axis=1)
-            footprint = (cones.solid_angle[:, None] * distance**2 / (cosine * points_per_lookin)).max(axis=1)
+            footprint = (cones.solid_angle[:, None] * distance**2 / (cosine * points_per_vertex)).max(axis=1)
         complete = valid.all(axis=1) & np.isfinite(radius) & np.isfinite(footprint)
         reach = radius + np.sqrt(footprint / (np.pi * NEGLIGIBLE_SHARE))
         return cls(
@@ -137,19 +137,30 @@ def _triangle_solid_angle(
     return 2 * np.arctan2(triple, dots)
 
 
+def aperture_gain(sensor: Sensor, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Effective aperture area A in f₃ E₃ A dΩ, m²: that of a small aperture, or of a near disc that faces the point.
+
+    From a point at distance R a facing disc of radius a fills a cone of sin²α = a²/(R² + a²), over which ∫ cosθ dω =
+    π sin²α cosθ₀ exactly: the small-aperture value π a²/R² becomes π a²/(R² + a²).
+    """
+    if not sensor.finite_aperture:
+        return np.full_like(distance_m, sensor.aperture_area_m2)
+    square = distance_m**2
+    return sensor.aperture_area_m2 * square / (square + sensor.aperture_radius_m**2)
+
+
 def fov_pool(
     caster: Raycaster,
     scene: Scene,
     sensor: Sensor,
     cones: PixelCones,
     pixels: NDArray[np.int64],
-    points_per_lookin: int,
+    points_per_vertex: int,
     blocks: int,
     seeds: NDArray[np.uint64],
-    count_last_leg: bool,
 ) -> FovPool:
-    """Draw `blocks` × `points_per_lookin` FoV points for each of `pixels`, with one scrambling seed a pixel."""
-    uv = scrambled_sobol(seeds, blocks * points_per_lookin, 2)
+    """Draw `blocks` × `points_per_vertex` FoV points for each of `pixels`, with one scrambling seed a pixel."""
+    uv = scrambled_sobol(seeds, blocks * points_per_vertex, 2)
     corner = sensor.pixels[pixels] - sensor.position
     a, b, c, d = (corner[:, None, k] for k in range(4))
     u, v = uv[..., :1], uv[..., 1:]
@@ -169,13 +180,13 @@ def fov_pool(
     cosine = -np.einsum("pqk,pqk->pq", normal, direction)
     valid &= cosine > 0
     with np.errstate(divide="ignore", invalid="ignore"):
-        footprint = cones.solid_angle[pixels][:, None] * distance**2 / (cosine * points_per_lookin)
+        footprint = cones.solid_angle[pixels][:, None] * distance**2 / (cosine * points_per_vertex)
     return FovPool(
         position=position,
         normal=np.ascontiguousarray(normal),
         to_sensor=-direction,
         part=np.where(valid, scene.face_part[hits.face].reshape(shape), -1).astype(np.int64),
-        weight=np.where(valid, sensor.aperture_area_m2 * jacobian / points_per_lookin, 0.0),
+        weight=np.where(valid, aperture_gain(sensor, distance) * jacobian / points_per_vertex, 0.0),
         footprint=np.where(valid, footprint, 1.0),
-        leg=distance if count_last_leg else np.zeros(shape),
+        last_leg=distance,
     )

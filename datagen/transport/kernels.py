@@ -1,7 +1,7 @@
-"""The compiled loops behind `connections.py`: plain arrays in, plain arrays out.
+"""The compiled loops behind `vertices.py` and `connections.py`: plain arrays in, plain arrays out.
 
-Argument names: a trailing 2 means at the lookin, 3 at the FoV point; `rows`, `positions`, `energies` say for each
-contribution the histogram row, the fractional bin and the energy.
+Argument names: a trailing 1 means at the laser point, 2 at a vertex, 3 at the FoV point; `rows`, `positions`,
+`energies` say for each contribution the histogram row, the fractional bin and the energy.
 """
 
 from __future__ import annotations
@@ -12,21 +12,96 @@ import numpy as np
 from numba import njit
 
 from datagen.transport.binning import splat
-from datagen.transport.brdf import LAMBERTIAN, evaluate, pdf
+from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, pdf, sample
+from datagen.transport.sampling import mix
+
+
+@njit(cache=True, inline="always")
+def _at(array, i):
+    return (array[i, 0], array[i, 1], array[i, 2])
+
+
+@njit(cache=True)
+def scatter(kind, values, part, normal, w_in, uv):
+    """Directions (n, 3) drawn by each vertex's BRDF, and the throughput f cosθ / pdf (n,)."""
+    directions, throughput = np.empty((len(part), 3)), np.empty(len(part))
+    for i in range(len(part)):
+        k, material, n, incoming = kind[part[i]], values[part[i]], _at(normal, i), _at(w_in, i)
+        w = sample(k, material, n, incoming, uv[i, 0], uv[i, 1])
+        directions[i, 0], directions[i, 1], directions[i, 2] = w
+        density = pdf(k, material, n, incoming, w)
+        f = evaluate(k, material, n, incoming, w)
+        throughput[i] = f * dot(n, w) / density if f > 0.0 and density > 0.0 else 0.0
+    return directions, throughput
+
+
+@njit(cache=True)
+def random_numbers(streams, step, count):
+    """(n, count) independent uniform numbers in the open interval 0 … 1, a function of (stream, step)."""
+    out = np.empty((len(streams), count))
+    for i in range(len(streams)):
+        for k in range(count):
+            word = mix(streams[i] + (np.uint64(step) << np.uint64(32)), np.uint64(k + 1))
+            out[i, k] = (np.float64(word) + 0.5) * 2.0**-32
+    return out
+
+
+@njit(cache=True)
+def light_lookins(
+    face, position, owner, position1, normal1, to_laser1, part1, kind, values, face_normal, by_area_too, rays,
+    area_density,
+):  # fmt: skip
+    """Which candidates are lit, their facing normal, direction and distance to the laser point, and their power."""
+    kept = np.empty(len(face), np.int64)
+    normal, to_laser_point = np.empty((len(face), 3)), np.empty((len(face), 3))
+    distance, power = np.empty(len(face)), np.empty(len(face))
+    n = 0
+    for i in range(len(face)):
+        f, o = face[i], owner[i]
+        if f < 0:
+            continue
+        d = (position[i, 0] - position1[o, 0], position[i, 1] - position1[o, 1], position[i, 2] - position1[o, 2])
+        square = dot(d, d)
+        if square == 0.0:
+            continue
+        r = math.sqrt(square)
+        w = (d[0] / r, d[1] / r, d[2] / r)
+        n1, w_in, facing = _at(normal1, o), _at(to_laser1, o), _at(face_normal, f)
+        cos2 = -dot(facing, w)
+        cos1 = dot(n1, w)
+        if cos1 <= 0.0 or cos2 == 0.0:
+            continue
+        side = 1.0 if cos2 > 0.0 else -1.0
+        k1, material1 = kind[part1[o]], values[part1[o]]
+        spread = abs(cos2) / square
+        density = rays * pdf(k1, material1, n1, w_in, w) * spread
+        if by_area_too[f]:
+            density += area_density
+        if density <= 0.0:
+            continue
+        energy = evaluate(k1, material1, n1, w_in, w) * cos1 * spread / density
+        if not energy > 0.0:
+            continue
+        kept[n], distance[n], power[n] = i, r, energy
+        for k in range(3):
+            normal[n, k] = side * facing[k]
+            to_laser_point[n, k] = -w[k]
+        n += 1
+    return kept[:n], normal[:n], to_laser_point[:n], distance[:n], power[:n]
 
 
 @njit(cache=True, inline="always")
 def _is_near(position, kind, center, reach):
-    """Whether a lookin could overfill a footprint of a pixel; a lobe narrower than Lambert's always could."""
+    """Whether a vertex could overfill a footprint of a pixel; a lobe narrower than Lambert's always could."""
     if kind != LAMBERTIAN or reach == np.inf:
         return True
-    x, y, z = position[0] - center[0], position[1] - center[1], position[2] - center[2]
-    return x * x + y * y + z * z < reach * reach
+    d = (position[0] - center[0], position[1] - center[1], position[2] - center[2])
+    return dot(d, d) < reach * reach
 
 
 @njit(cache=True)
 def near_a_pixel(laser, position, part, kind, center, reach, first_laser, confocal):
-    """Indices of the lookins that are near any of their pixels."""
+    """Indices of the vertices that are near any of their pixels."""
     kept = np.empty(len(laser), np.int64)
     n = 0
     for i in range(len(laser)):
@@ -41,57 +116,61 @@ def near_a_pixel(laser, position, part, kind, center, reach, first_laser, confoc
 
 @njit(cache=True)
 def gather(
-    start, stop, laser, position2, normal2, to_laser, part2, power, path, block, position3, normal3, to_sensor,
-    part3, weight3, footprint3, leg3, patch_center,
-    patch_reach, kind, values, points_per_lookin, first_laser, confocal, pixels, split_of_part,
-    splits, per_metre, clock_start, center, half_extent, offset, origins, spans, rows, positions, energies,
+    start, stop, laser, position2, normal2, to_previous, part2, power, path, block, position3, normal3, to_sensor,
+    part3, weight3, footprint3, last_leg, patch_center, patch_reach, kind, values, points_per_vertex, attenuation,
+    first_laser, confocal, pixels, split_of_part, splits, per_metre, clock_start, device_leg, center, half_extent,
+    offset, origins, spans, rows, positions, energies,
 ):  # fmt: skip
+    """Every connection of vertices start … stop that can carry energy: shadow ray, row, fractional bin, energy.
+
+    `device_leg` (laser,) is the path from laser to laser point where device legs count for the time, else −1.
+    """
     found = 0
     for i in range(start, stop):
         local = laser[i] - first_laser
-        first_pixel = local if confocal else 0
-        last_pixel = local + 1 if confocal else pixels
-        n2x, n2y, n2z = normal2[i, 0], normal2[i, 1], normal2[i, 2]
-        x2, y2, z2 = position2[i, 0], position2[i, 1], position2[i, 2]
-        cos_in = n2x * to_laser[i, 0] + n2y * to_laser[i, 1] + n2z * to_laser[i, 2]
-        ox = np.float32((x2 + offset * n2x - center[0]) / half_extent)
-        oy = np.float32((y2 + offset * n2y - center[1]) / half_extent)
-        oz = np.float32((z2 + offset * n2z - center[2]) / half_extent)
-        material2 = values[part2[i]]
-        kind2 = kind[part2[i]]
-        for p in range(first_pixel, last_pixel):
-            near = _is_near(position2[i], kind2, patch_center[p], patch_reach[p])
+        x2, n2, w_in = _at(position2, i), _at(normal2, i), _at(to_previous, i)
+        k2, material2 = kind[part2[i]], values[part2[i]]
+        ox = np.float32((x2[0] + offset * n2[0] - center[0]) / half_extent)
+        oy = np.float32((x2[1] + offset * n2[1] - center[1]) / half_extent)
+        oz = np.float32((x2[2] + offset * n2[2] - center[2]) / half_extent)
+        for p in range(local if confocal else 0, local + 1 if confocal else pixels):
+            near = _is_near(position2[i], k2, patch_center[p], patch_reach[p])
             row = (local if confocal else local * pixels + p) * splits + split_of_part[part2[i]]
-            for q in range(block[i] * points_per_lookin, (block[i] + 1) * points_per_lookin):
+            for q in range(block[i] * points_per_vertex, (block[i] + 1) * points_per_vertex):
                 if weight3[p, q] == 0.0:
                     continue
-                dx, dy, dz = position3[p, q, 0] - x2, position3[p, q, 1] - y2, position3[p, q, 2] - z2
-                square = dx * dx + dy * dy + dz * dz
-                if square == 0.0:
+                x3 = (position3[p, q, 0], position3[p, q, 1], position3[p, q, 2])
+                d = (x3[0] - x2[0], x3[1] - x2[1], x3[2] - x2[2])
+                square = dot(d, d)
+                toward = dot(d, n2)
+                if toward <= 0.0:
+                    continue
+                n3 = (normal3[p, q, 0], normal3[p, q, 1], normal3[p, q, 2])
+                away = -dot(d, n3)
+                if away <= 0.0 or square == 0.0:
                     continue
                 distance = math.sqrt(square)
-                cos2 = (dx * n2x + dy * n2y + dz * n2z) / distance
-                cos3 = -(dx * normal3[p, q, 0] + dy * normal3[p, q, 1] + dz * normal3[p, q, 2]) / distance
-                if cos2 <= 0.0 or cos3 <= 0.0:
-                    continue
-                cos_sensor = (
-                    to_sensor[p, q, 0] * normal3[p, q, 0]
-                    + to_sensor[p, q, 1] * normal3[p, q, 1]
-                    + to_sensor[p, q, 2] * normal3[p, q, 2]
-                )
-                f2 = evaluate(kind2, material2, cos_in, cos2)
-                f3 = evaluate(kind[part3[p, q]], values[part3[p, q]], cos3, cos_sensor)
-                followed = pdf(kind2, material2, cos2) * cos3 * footprint3[p, q] if near else 0.0
+                inverse = 1.0 / distance
+                w = (d[0] * inverse, d[1] * inverse, d[2] * inverse)
+                back = (-w[0], -w[1], -w[2])
+                cos2, cos3 = toward * inverse, away * inverse
+                out = (to_sensor[p, q, 0], to_sensor[p, q, 1], to_sensor[p, q, 2])
+                f2 = evaluate(k2, material2, n2, w_in, w)
+                f3 = evaluate(kind[part3[p, q]], values[part3[p, q]], n3, back, out)
+                followed = pdf(k2, material2, n2, w_in, w) * cos3 * footprint3[p, q] if near else 0.0
                 energy = power[i] * f2 * f3 * cos2 * cos3 * weight3[p, q] / (square + followed)
-                if energy <= 0.0:
+                if attenuation > 0.0:
+                    energy *= math.exp(-attenuation * (distance + last_leg[p, q]))
+                if not energy > 0.0:
                     continue
-                tx = np.float32((position3[p, q, 0] + offset * normal3[p, q, 0] - center[0]) / half_extent)
-                ty = np.float32((position3[p, q, 1] + offset * normal3[p, q, 1] - center[1]) / half_extent)
-                tz = np.float32((position3[p, q, 2] + offset * normal3[p, q, 2] - center[2]) / half_extent)
+                tx = np.float32((x3[0] + offset * n3[0] - center[0]) / half_extent)
+                ty = np.float32((x3[1] + offset * n3[1] - center[1]) / half_extent)
+                tz = np.float32((x3[2] + offset * n3[2] - center[2]) / half_extent)
                 origins[found, 0], origins[found, 1], origins[found, 2] = ox, oy, oz
                 spans[found, 0], spans[found, 1], spans[found, 2] = tx - ox, ty - oy, tz - oz
                 rows[found] = row
-                positions[found] = (path[i] + distance + leg3[p, q]) * per_metre - clock_start
+                device = device_leg[local] + last_leg[p, q] if device_leg[local] >= 0.0 else 0.0
+                positions[found] = (path[i] + distance + device) * per_metre - clock_start
                 energies[found] = energy
                 found += 1
     return found
@@ -99,6 +178,7 @@ def gather(
 
 @njit(cache=True)
 def deposit(rows, positions, energies, hidden, histogram, overflow):
+    """Add the contributions that nothing hides."""
     for k in range(len(rows)):
         if not hidden[k]:
             overflow[rows[k]] += splat(histogram[rows[k]], positions[k], energies[k])
@@ -106,59 +186,85 @@ def deposit(rows, positions, energies, hidden, histogram, overflow):
 
 @njit(cache=True)
 def inside_pixels(
-    position3, normal3, part3, direction, laser, position2, normal2, to_laser, part2, power, path, kind, values,
-    sensor, planes, solid_angle, patch_center, patch_reach,
-    aperture_area, points_per_lookin, first_laser, confocal, pixels, split_of_part,
-    splits, per_metre, clock_start, count_last_leg,
+    position3, normal3, part3, direction, throughput, laser, position2, normal2, to_previous, part2, power, path,
+    kind, values, sensor, planes, solid_angle, patch_center, patch_reach, aperture_area, aperture_square,
+    attenuation, points_per_vertex, first_laser, confocal, pixels, split_of_part, splits, per_metre, clock_start,
+    device_leg,
 ):  # fmt: skip
+    """Followed rays that landed inside a pixel: vertex, row, fractional bin and energy, if the sensor sees them."""
     owners, rows = [np.int64(0)], [np.int64(0)]
     positions, energies = [0.0], [0.0]
     for i in range(len(laser)):
-        if part3[i] < 0:
+        if part3[i] < 0 or throughput[i] <= 0.0:
             continue
-        wx, wy, wz = position3[i, 0] - sensor[0], position3[i, 1] - sensor[1], position3[i, 2] - sensor[2]
-        reach = math.sqrt(wx * wx + wy * wy + wz * wz)
-        cos_sensor = -(wx * normal3[i, 0] + wy * normal3[i, 1] + wz * normal3[i, 2]) / reach
-        if cos_sensor <= 0.0:
+        x3, n3, w = _at(position3, i), _at(normal3, i), _at(direction, i)
+        span = (sensor[0] - x3[0], sensor[1] - x3[1], sensor[2] - x3[2])
+        reach_square = dot(span, span)
+        reach = math.sqrt(reach_square)
+        out = (span[0] / reach, span[1] / reach, span[2] / reach)
+        cos_sensor = dot(out, n3)
+        cos3 = -dot(w, n3)
+        if cos_sensor <= 0.0 or cos3 <= 0.0:
             continue
         local = laser[i] - first_laser
+        k2, material2 = kind[part2[i]], values[part2[i]]
         for p in range(local if confocal else 0, local + 1 if confocal else pixels):
-            inside = True
+            inside = _is_near(position2[i], k2, patch_center[p], patch_reach[p])
             for k in range(4):
-                if wx * planes[p, k, 0] + wy * planes[p, k, 1] + wz * planes[p, k, 2] < 0.0:
-                    inside = False
-                    break
-            if not (inside and _is_near(position2[i], kind[part2[i]], patch_center[p], patch_reach[p])):
+                inside = inside and dot(span, _at(planes[p], k)) <= 0.0
+            if not inside:
                 continue
-            dx, dy, dz = (
-                position3[i, 0] - position2[i, 0],
-                position3[i, 1] - position2[i, 1],
-                position3[i, 2] - position2[i, 2],
-            )
-            square = dx * dx + dy * dy + dz * dz
+            d = (x3[0] - position2[i, 0], x3[1] - position2[i, 1], x3[2] - position2[i, 2])
+            square = dot(d, d)
             distance = math.sqrt(square)
-            cos_in = normal2[i, 0] * to_laser[i, 0] + normal2[i, 1] * to_laser[i, 1] + normal2[i, 2] * to_laser[i, 2]
-            cos2 = direction[i, 0] * normal2[i, 0] + direction[i, 1] * normal2[i, 1] + direction[i, 2] * normal2[i, 2]
-            cos3 = -(
-                direction[i, 0] * normal3[i, 0] + direction[i, 1] * normal3[i, 1] + direction[i, 2] * normal3[i, 2]
-            )
-            if cos2 <= 0.0 or cos3 <= 0.0:
-                continue
-            material2, kind2 = values[part2[i]], kind[part2[i]]
-            density = pdf(kind2, material2, cos2)
-            footprint = solid_angle[p] * reach * reach / (cos_sensor * points_per_lookin)
-            followed = density * cos3 * footprint
-            f2 = evaluate(kind2, material2, cos_in, cos2)
-            f3 = evaluate(kind[part3[i]], values[part3[i]], cos3, cos_sensor)
+            density = pdf(k2, material2, _at(normal2, i), _at(to_previous, i), w)
+            followed = density * cos3 * solid_angle[p] * reach_square / (cos_sensor * points_per_vertex)
+            f3 = evaluate(kind[part3[i]], values[part3[i]], n3, (-w[0], -w[1], -w[2]), out)
             energy = (
-                power[i] * f2 * cos2 / density * (followed / (square + followed))
-                * f3 * aperture_area * cos_sensor / (reach * reach)
+                power[i] * throughput[i] * (followed / (square + followed))
+                * f3 * aperture_area * cos_sensor / (reach_square + aperture_square)
             )  # fmt: skip
-            if energy <= 0.0:
+            if attenuation > 0.0:
+                energy *= math.exp(-attenuation * (distance + reach))
+            if not energy > 0.0:
                 continue
             owners.append(np.int64(i))
             rows.append((local if confocal else local * pixels + p) * splits + split_of_part[part2[i]])
-            leg = reach if count_last_leg else 0.0
-            positions.append((path[i] + distance + leg) * per_metre - clock_start)
+            device = device_leg[local] + reach if device_leg[local] >= 0.0 else 0.0
+            positions.append((path[i] + distance + device) * per_metre - clock_start)
+            energies.append(energy)
+    return np.array(owners[1:]), np.array(rows[1:]), np.array(positions[1:]), np.array(energies[1:])
+
+
+@njit(cache=True)
+def spots_in_pixels(
+    laser, position1, normal1, to_laser, part1, leg, kind, values, sensor, planes, aperture_area, aperture_square,
+    attenuation, first_laser, confocal, pixels, row_offset, splits, per_metre, clock_start, device_leg,
+):  # fmt: skip
+    """Laser points a pixel looks at (one bounce): laser point, row, fractional bin, energy, if the sensor sees."""
+    owners, rows = [np.int64(0)], [np.int64(0)]
+    positions, energies = [0.0], [0.0]
+    for i in range(len(laser)):
+        o = laser[i]
+        local = o - first_laser
+        span = (sensor[0] - position1[o, 0], sensor[1] - position1[o, 1], sensor[2] - position1[o, 2])
+        reach_square = dot(span, span)
+        reach = math.sqrt(reach_square)
+        out, n = (span[0] / reach, span[1] / reach, span[2] / reach), _at(normal1, o)
+        f = evaluate(kind[part1[o]], values[part1[o]], n, _at(to_laser, o), out)
+        energy = f * dot(out, n) * aperture_area / (reach_square + aperture_square)
+        energy *= math.exp(-attenuation * (leg[o] + reach))
+        if not energy > 0.0:
+            continue
+        for p in range(local if confocal else 0, local + 1 if confocal else pixels):
+            inside = True
+            for k in range(4):
+                inside = inside and dot(span, _at(planes[p], k)) <= 0.0
+            if not inside:
+                continue
+            owners.append(np.int64(o))
+            rows.append((local if confocal else local * pixels + p) * splits + row_offset)
+            device = device_leg[local] + reach if device_leg[local] >= 0.0 else 0.0
+            positions.append(device * per_metre - clock_start)
             energies.append(energy)
     return np.array(owners[1:]), np.array(rows[1:]), np.array(positions[1:]), np.array(energies[1:])

@@ -1,0 +1,275 @@
+"""Vertices of light paths: laser points, the lookins they light, and where the light goes from there.
+
+A lookin can be drawn in two ways, joined by the balance heuristic (Veach & Guibas, SIGGRAPH 1995), which is unbiased
+and never gives a lookin more than the rays alone would:
+
+- rays from the laser point drawn by its BRDF, which already carry the 1/R² of the geometry (DESIGN, sec. 2);
+- points uniform on the area of small parts, so that a small or distant object gets its share of samples.
+
+Every later vertex is where a ray drawn by the BRDF of the one before it lands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.records import Laser, Scene
+from datagen.transport.brdf import MaterialTable
+from datagen.transport.kernels import light_lookins, random_numbers, scatter
+from datagen.transport.raycast import Hits, Raycaster
+from datagen.transport.sampling import scrambled_sobol, stream_seeds
+
+PILOT_STREAM, COSINE_STREAM, AREA_STREAM, WALK_STREAM, SPOT_STREAM = range(5)
+CHOICES = 4
+"""Random numbers a vertex needs: one picks its FoV points, two aim its ray, one is for Russian roulette."""
+SOBOL_STEPS = 3
+"""Steps of a walk whose choices are Sobol' coordinates; later ones, which matter less, are independent."""
+
+
+@dataclass(frozen=True)
+class LaserPoints:
+    """First surfaces of the laser rays.
+
+    position, normal, to_laser : (L, 3) metres; unit normal facing the laser; unit direction to it. NaN without a hit.
+    part : (L,) part index, −1 for none. leg : (L,) metres from the laser.
+    """
+
+    position: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    to_laser: NDArray[np.float64]
+    part: NDArray[np.int64]
+    leg: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, caster: Raycaster, scene: Scene, laser: Laser) -> LaserPoints:
+        span = laser.targets - laser.position
+        hits = caster.closest(laser.position, span)
+        part = np.where(hits.valid, scene.face_part[hits.face], -1).astype(np.int64)
+        position = np.where(hits.valid[:, None], hits.position, np.nan)
+        to_laser = -span / np.linalg.norm(span, axis=1, keepdims=True)
+        return cls(position, hits.normal, to_laser, part, np.linalg.norm(position - laser.position, axis=1))
+
+
+@dataclass(frozen=True)
+class Vertices:
+    """n ends of light paths, each begun at one laser point.
+
+    laser : (n,) index of the laser point.
+    position, normal, to_previous : (n, 3) metres; unit normal on the lit side; unit direction the light comes from.
+    part : (n,) part index.
+    power : (n,) share of the emitted photon that arrives here.
+    path : (n,) metres travelled so far that count for the time axis.
+    choices : (n, CHOICES · SOBOL_STEPS or fewer) Sobol' coordinates for the choices to come.
+    stream : (n,) seed of each path's independent numbers.
+    """
+
+    laser: NDArray[np.int64]
+    position: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    to_previous: NDArray[np.float64]
+    part: NDArray[np.int64]
+    power: NDArray[np.float64]
+    path: NDArray[np.float64]
+    choices: NDArray[np.float64]
+    stream: NDArray[np.uint64]
+
+    def __len__(self) -> int:
+        return len(self.laser)
+
+    def take(self, rows: NDArray[np.int64]) -> Vertices:
+        return Vertices(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+
+    def numbers(self, step: int) -> NDArray[np.float64]:
+        """(n, CHOICES) numbers in 0 … 1 for the choices at step 0 (lookins), 1, 2 …"""
+        if (step + 1) * CHOICES <= self.choices.shape[1]:
+            return self.choices[:, step * CHOICES : (step + 1) * CHOICES]
+        return random_numbers(self.stream, step, CHOICES)
+
+
+@dataclass(frozen=True)
+class AreaTarget:
+    """The triangles sampled by area and the share of lookins they get.
+
+    share : 0 … 7/8; faces : (n,) triangle indices; cumulative : (n,) running share of area; area_m2 : their total;
+    contains : (F,) whether a triangle is one of them.
+    """
+
+    share: float
+    faces: NDArray[np.int64]
+    cumulative: NDArray[np.float64]
+    area_m2: float
+    contains: NDArray[np.bool_]
+
+    @classmethod
+    def choose(
+        cls, caster: Raycaster, scene: Scene, materials: MaterialTable, points: LaserPoints, seed: int
+    ) -> AreaTarget:
+        """Aim at objects that too few rays would meet: a pilot of rays decides (its seed fixes the answer).
+
+        The share is a matter of variance only; any value gives the same mean.
+        """
+        seen = np.flatnonzero(points.part >= 0)
+        object_parts = [k for k, role in enumerate(scene.roles) if role == "object"]
+        contains = np.zeros(len(scene.triangles), np.bool_)
+        nothing = cls(0.0, np.empty(0, np.int64), np.empty(0), 1.0, contains)
+        if not len(seen) or not object_parts:
+            return nothing
+        pilots = np.repeat(seen[np.linspace(0, len(seen) - 1, min(len(seen), 8)).astype(int)], 256)
+        seeds = stream_seeds(seed, PILOT_STREAM, pilots[::256])
+        hits, _ = _rays(caster, materials, points, pilots, scrambled_sobol(seeds, 256, 2).reshape(-1, 2))
+        met = scene.face_part[hits.face[hits.valid]]
+        frequency = np.bincount(met, minlength=len(scene.part_names)) / len(pilots)
+        # A part the laser spot itself lies on (a wall made of one part) is lit by nothing of its own plane.
+        chosen = [k for k in object_parts if frequency[k] < 0.25 and k not in points.part]
+        faces = np.flatnonzero(np.isin(scene.face_part, chosen))
+        if not len(faces):
+            return nothing
+        contains[faces] = True
+        cumulative = np.cumsum(caster.face_area_m2[faces])
+        elsewhere = frequency.sum() - frequency[chosen].sum()
+        return cls(
+            share=0.875 if elsewhere < 0.01 else 0.25,
+            faces=faces,
+            cumulative=cumulative / cumulative[-1],
+            area_m2=float(cumulative[-1]),
+            contains=contains,
+        )
+
+
+def spot_vertices(
+    points: LaserPoints, lasers: NDArray[np.int64], count: int, seed: int, scrambling: int, attenuation_per_m: float
+) -> Vertices:
+    """The laser points themselves as vertices, `count` copies of each that share the emitted photon."""
+    owner = np.repeat(lasers, count)
+    seeds = stream_seeds(seed, SPOT_STREAM, scrambling, lasers)
+    return Vertices(
+        laser=owner,
+        position=points.position[owner],
+        normal=points.normal[owner],
+        to_previous=points.to_laser[owner],
+        part=points.part[owner],
+        power=np.exp(-attenuation_per_m * points.leg[owner]) / count,
+        path=np.zeros(len(owner)),
+        choices=scrambled_sobol(seeds, count, CHOICES).reshape(-1, CHOICES),
+        stream=np.zeros(len(owner), np.uint64),
+    )
+
+
+def draw_lookins(
+    caster: Raycaster,
+    scene: Scene,
+    materials: MaterialTable,
+    points: LaserPoints,
+    lasers: NDArray[np.int64],
+    count: int,
+    target: AreaTarget,
+    seed: int,
+    scrambling: int,
+    steps: int,
+) -> Vertices:
+    """`count` lookins for each of `lasers` (indices of laser points that exist), from one scrambling.
+
+    `path` counts from the laser point; `steps` is how many steps of the walk will want Sobol' coordinates.
+    """
+    by_area = min(round(count * target.share), count - 1)
+    by_ray = count - by_area
+    dimensions = 2 + CHOICES * min(steps, SOBOL_STEPS)
+
+    sobol = scrambled_sobol(stream_seeds(seed, COSINE_STREAM, scrambling, lasers), by_ray, dimensions)
+    sobol = sobol.reshape(-1, dimensions)
+    owner = np.repeat(lasers, by_ray)
+    hits, _ = _rays(caster, materials, points, owner, sobol)
+    face, position = hits.face, hits.position
+    if by_area:
+        area_sobol = scrambled_sobol(stream_seeds(seed, AREA_STREAM, scrambling, lasers), by_area, dimensions)
+        area_sobol = area_sobol.reshape(-1, dimensions)
+        area_owner = np.repeat(lasers, by_area)
+        area_face, area_position = _points_on_area(caster, target, area_sobol)
+        # Seen means: met first. Of two coinciding triangles only the one that a ray would meet then counts.
+        start = points.position[area_owner] + caster.offset_m * points.normal[area_owner]
+        first = caster.closest(start, area_position - start)
+        face = np.concatenate([face, np.where(first.face == area_face, area_face, -1)])
+        position = np.concatenate([position, area_position])
+        owner = np.concatenate([owner, area_owner])
+        sobol = np.concatenate([sobol, area_sobol])
+    kept, normal, to_previous, distance, power = light_lookins(
+        face, position, owner, points.position, points.normal, points.to_laser, points.part, materials.kind,
+        materials.values, caster.face_normal, target.contains, float(by_ray), by_area / target.area_m2,
+    )  # fmt: skip
+    owner = owner[kept]
+    power *= np.exp(-scene.attenuation_per_m * (points.leg[owner] + distance))
+    return Vertices(
+        laser=owner,
+        position=position[kept],
+        normal=normal,
+        to_previous=to_previous,
+        part=scene.face_part[face[kept]].astype(np.int64),
+        power=power,
+        path=distance,
+        choices=sobol[kept, 2:],
+        stream=stream_seeds(seed, WALK_STREAM, scrambling, owner, kept) if steps > SOBOL_STEPS else _no_stream(owner),
+    )
+
+
+def continued(
+    scene: Scene, vertices: Vertices, hits: Hits, directions: NDArray[np.float64], throughput: NDArray[np.float64]
+) -> Vertices:
+    """Where each vertex's light goes next: the end of its ray, with the share of power that the BRDF passes on."""
+    going = np.flatnonzero(hits.valid & (throughput > 0))
+    last = vertices.take(going)
+    position = hits.position[going]
+    distance = np.linalg.norm(position - last.position, axis=1)
+    return Vertices(
+        laser=last.laser,
+        position=position,
+        normal=hits.normal[going],
+        to_previous=-directions[going],
+        part=scene.face_part[hits.face[going]].astype(np.int64),
+        power=last.power * throughput[going] * np.exp(-scene.attenuation_per_m * distance),
+        path=last.path + distance,
+        choices=last.choices,
+        stream=last.stream,
+    )
+
+
+def scattered_rays(
+    caster: Raycaster, materials: MaterialTable, vertices: Vertices, numbers: NDArray[np.float64]
+) -> tuple[Hits, NDArray[np.float64], NDArray[np.float64]]:
+    """One ray from each vertex drawn by its BRDF: hits, unit directions (n, 3), throughput f cosθ / pdf (n,)."""
+    directions, throughput = scatter(
+        materials.kind, materials.values, vertices.part, vertices.normal, vertices.to_previous, numbers[:, 1:3]
+    )
+    return caster.closest(vertices.position + caster.offset_m * vertices.normal, directions), directions, throughput
+
+
+def _rays(
+    caster: Raycaster,
+    materials: MaterialTable,
+    points: LaserPoints,
+    owner: NDArray[np.int64],
+    uv: NDArray[np.float64],
+) -> tuple[Hits, NDArray[np.float64]]:
+    normals = points.normal[owner]
+    directions, _ = scatter(materials.kind, materials.values, points.part[owner], normals, points.to_laser[owner], uv)
+    return caster.closest(points.position[owner] + caster.offset_m * normals, directions), directions
+
+
+def _no_stream(owner: NDArray[np.int64]) -> NDArray[np.uint64]:
+    return np.zeros(len(owner), np.uint64)
+
+
+def _points_on_area(
+    caster: Raycaster, target: AreaTarget, sobol: NDArray[np.float64]
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Faces (n,) and points (n, 3) uniform on the target's area, from the first two of Sobol' coordinates (n, …)."""
+    # The first coordinate picks the triangle and, stretched back to 0 … 1, serves once more within it.
+    pick = np.minimum(np.searchsorted(target.cumulative, sobol[:, 0], side="right"), len(target.faces) - 1)
+    upper = target.cumulative[pick]
+    lower = np.where(pick > 0, target.cumulative[pick - 1], 0.0)
+    face = target.faces[pick].astype(np.int32)
+    root = np.sqrt(np.clip((sobol[:, 0] - lower) / (upper - lower), 0.0, 1.0))
+    weights = np.stack([1 - root, root * (1 - sobol[:, 1]), root * sobol[:, 1]], axis=1)
+    return face, np.einsum("ik,ikj->ij", weights, caster.corners[face])
