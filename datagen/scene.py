@@ -73,7 +73,7 @@ def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
 
     The first attempt that meets every constraint is taken: the room closes, every object stands inside with
     `clearance_m` to walls and other objects, none can be seen from the device, and each is seen from the visible part
-    of the relay wall. The same arguments give the same scene, whoever asks and when.
+    of the relay wall (`minimum_seen`). The same arguments give the same scene, whoever asks and when.
 
     Raises `InputError` when `spec.max_attempts` rooms failed, naming what failed how often and what to change.
     """
@@ -120,7 +120,7 @@ def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene
         wanted = np.arange(first, len(parts.names))
         seen = seen_fractions(corners[triangles], face_part, wanted, even_points(*_spread(relay_wall)))
         for (where, name), fraction in zip(objects, seen, strict=True):
-            if fraction == 0:
+            if fraction <= spec.minimum_seen:
                 raise Unmet(where, "unseen")
             parameters[f"{name}.seen_fraction"] = float(fraction)
     return Scene(

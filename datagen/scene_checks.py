@@ -37,8 +37,8 @@ def _told(spec: SceneConfig, where: str, what: str, times: int) -> str:
         "height": f"did not fit between floor and ceiling: lower scene.{where}.height_m or elevation_m, "
         f"or raise scene.layout.height_m ({_range(spec.layout.height_m)})",
         "no_wall": "found no wall to stand against: set its placement to floor, or choose another scene.layout.kind",
-        "unseen": f"could not be seen from the visible part of the relay wall: change {where_to}, or remove what "
-        "stands before it",
+        "unseen": f"could hardly be seen from the visible part of the relay wall: change {where_to}, remove what "
+        f"stands before it, or lower scene.minimum_seen ({spec.minimum_seen:g})",
     }[what]
     return f"{times} × scene.{where} ({item.part_name}) {told}"
 

@@ -26,6 +26,9 @@ class SceneConfig(Settings):
     """The laser's wavelength, which decides the albedo of materials taken from the catalogue."""
     clearance_m: Annotated[float, Field(ge=0.001, le=10)] = 0.02
     """Smallest gap between objects, from an object to a wall, and to the device's line of sight."""
+    minimum_seen: Annotated[float, Field(ge=0, lt=1)] = 0.02
+    """Every object is seen from the visible part of the relay wall along more than this share of the straight lines
+    between the two surfaces (a closed object turns half of itself away, so it stays below about 0.5)."""
     max_attempts: Annotated[int, Field(ge=1, le=100_000)] = 200
     """Rooms drawn for one scene until one meets every constraint; then the scene is given up with the reason."""
 

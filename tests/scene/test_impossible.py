@@ -86,7 +86,7 @@ WHEN_DRAWN: list[tuple[dict[str, Any], list[str]]] = [
             ],
             "clearance_m": 0.001,
         },
-        ["20 × scene.contents[1] (box) could not be seen from the visible part of the relay wall"],
+        ["20 × scene.contents[1] (box) could hardly be seen from the visible part of the relay wall"],
     ),
     (
         {"layout": {"kind": "l_corridor", "room_length_m": 6.95, "relay_distance_m": 7.0}},
