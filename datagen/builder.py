@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from datagen.config import DatasetConfig
-from datagen.engines import Engine, start_engine
+from datagen.engines import Engine, check_engine, started
 from datagen.errors import CheckError, InputError
 from datagen.progress import Progress
 from datagen.records import Sample
@@ -47,7 +47,7 @@ HOPELESS = 8
 @dataclass(frozen=True)
 class BuildResult:
     """What a build did. scenes : in the dataset. built, kept : shards made now, and found committed.
-    complete : whether every shard is there. failures : scene → why it could not be made, over all shards there.
+    complete : whether every shard is there.
     """
 
     path: Path
@@ -55,7 +55,6 @@ class BuildResult:
     built: int
     kept: int
     complete: bool
-    failures: dict[int, str]
     seconds: float
 
     def summary(self) -> str:
@@ -105,40 +104,38 @@ def build(
     if scenes is not None:
         config = config.with_scenes(scenes)
     root = Path(path)
-    workers_engine = start_engine(engine, workers, scheduler)
-    try:
-        check_output(root, config)
-        check_writable(root)
-        schema = schema_of(config, None if is_fresh(root) else read_manifest(root).schema.scenes_per_shard)
-        wanted = parse_shards(shards, schema.shards)
-        if sample_function is None:
-            from datagen import pipeline
+    check_engine(engine, workers, scheduler)
+    check_output(root, config)
+    check_writable(root)
+    schema = schema_of(config, None if is_fresh(root) else read_manifest(root).schema.scenes_per_shard)
+    wanted = parse_shards(shards, schema.shards)
+    if sample_function is None:
+        from datagen import pipeline
 
-            sample_function, input_check = pipeline.simulate_sample, input_check or pipeline.check_inputs
-        if input_check is not None:
-            input_check(config)
-        manifest = prepare(root, config)
-        build_ = _Build(config, root, manifest, workers_engine, sample_function)
-        kept = build_.run(wanted, progress)
-    except BaseException:
-        workers_engine.close(kill=True)
-        raise
-    workers_engine.close(kill=False)
-    records = committed(root, manifest)
-    failures = {scene: reason for record in records for scene, reason in record.failures.items()}
-    complete = len(records) == schema.shards
-    if complete:
-        finish(root, manifest, records)
-    else:
-        write_card(root, manifest, records)
-    result = BuildResult(root, schema.scenes, len(wanted) - kept, kept, complete, failures, time.monotonic() - began)
+        sample_function, input_check = pipeline.simulate_sample, input_check or pipeline.check_inputs
+    if input_check is not None:
+        input_check(config)
+    try:
+        with started(engine, workers, scheduler) as running:
+            manifest = prepare(root, config)
+            kept = _Build(config, root, manifest, running, sample_function).run(wanted, progress)
+        records = committed(root, manifest)
+        complete = len(records) == schema.shards
+        if complete:
+            finish(root, manifest, records)
+        else:
+            write_card(root, manifest, records)
+    except OSError as error:
+        reason = f"{error.filename or root}: {error.strerror or error}"
+        raise CheckError(f"{reason}; mend that and build again to resume") from None
+    failures = {scene: why for record in records for scene, why in record.failures.items()}
     if failures:
-        scene, reason = min(failures.items())
+        scene, why = min(failures.items())
         raise CheckError(
-            f"{len(failures)} of {schema.scenes} scenes could not be made, the first is scene {scene}: {reason}; "
+            f"{len(failures)} of {schema.scenes} scenes could not be made, the first is scene {scene}: {why}; "
             "all others are stored, and building again tries these anew"
         )
-    return result
+    return BuildResult(root, schema.scenes, len(wanted) - kept, kept, complete, time.monotonic() - began)
 
 
 @dataclass
@@ -195,6 +192,7 @@ class _Build:
                             f"all of the first {made} scenes failed, so the build stops; scene {scene}: {reason}"
                         )
         except BaseException:
+            # Their writers must be gone before what they left is cleared.
             self.engine.close(kill=True)
             for shard in running.values():
                 self._clear(shard)
@@ -205,15 +203,8 @@ class _Build:
 
     def _job(self, shard: int) -> ShardJob:
         skip = {scene: self.given_up[scene] for scene in self.schema.scenes_of(shard) if scene in self.given_up}
-        return ShardJob(
-            self.root.resolve(),
-            self.config,
-            self.schema,
-            self.manifest.fingerprint,
-            shard,
-            self.sample_function,
-            skip,
-        )
+        root, fingerprint = self.root.resolve(), self.manifest.fingerprint
+        return ShardJob(root, self.config, self.schema, fingerprint, shard, self.sample_function, skip, time.time())
 
     def _scenes_done(self, shard: int) -> int:
         scene = scene_at(self.root, shard)
@@ -227,8 +218,6 @@ class _Build:
             return failures
         if not isinstance(error, self.engine.deaths):
             self._clear(shard)
-            if isinstance(error, OSError):
-                raise CheckError(f"{self.root}: shard {shard} cannot be written ({error}); build again to resume")
             raise error
         scene = scene_at(self.root, shard)
         self.deaths[-1 if scene is None else scene] += 1

@@ -149,6 +149,8 @@ def guarded(command: click.Command, arguments: Sequence[str] | None = None, name
         # The reader of our output (such as `head`) has seen enough. Nothing more may be written, not even at exit.
         _silence(sys.stdout)
         return 0
+    except OSError as error:
+        return _complain(f"{error.filename or 'input/output'}: {error.strerror or error}", 2)
 
 
 def _one_line(error: click.ClickException) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import multiprocessing
 import os
 import signal
@@ -146,12 +147,8 @@ class DaskCluster:
     """The workers of a Dask cluster that see the same file system; `scheduler` None starts one on this machine."""
 
     def __init__(self, workers: int, scheduler: str | None) -> None:
-        try:
-            from distributed import Client, KilledWorker, LocalCluster
-        except ImportError:
-            raise InputError(
-                "--engine dask: the package distributed is not installed; pip install nlos-datagen[cluster]"
-            ) from None
+        from distributed import Client, KilledWorker, LocalCluster
+
         self.deaths: tuple[type[BaseException], ...] = (KilledWorker, BrokenExecutor)
         self._cluster = None
         if scheduler is None:
@@ -175,14 +172,25 @@ class DaskCluster:
             self._cluster.close()
 
 
-def start_engine(engine: str, workers: int, scheduler: str | None) -> Engine:
-    """`local` or `dask`; raises `InputError` for anything else, for no workers, and for a scheduler without Dask."""
+def check_engine(engine: str, workers: int, scheduler: str | None) -> None:
+    """Raise `InputError` for an engine that is none, no workers, Dask not installed, a scheduler without Dask."""
     if workers < 1:
         raise InputError(f"--workers {workers}: must be ≥ 1")
-    if engine == "local":
-        if scheduler is not None:
-            raise InputError(f"--scheduler {scheduler}: only --engine dask has a scheduler; add it or leave this out")
-        return LocalProcesses(workers)
-    if engine == "dask":
-        return DaskCluster(workers, scheduler)
-    raise InputError(f"--engine {engine}: must be local or dask")
+    if engine not in ("local", "dask"):
+        raise InputError(f"--engine {engine}: must be local or dask")
+    if engine == "local" and scheduler is not None:
+        raise InputError(f"--scheduler {scheduler}: only --engine dask has a scheduler; add it or leave this out")
+    if engine == "dask" and importlib.util.find_spec("distributed") is None:
+        raise InputError("--engine dask: the package distributed is not installed; pip install nlos-datagen[cluster]")
+
+
+@contextmanager
+def started(engine: str, workers: int, scheduler: str | None) -> Iterator[Engine]:
+    """The engine, for as long as the block lasts; an exception in it ends busy workers at once."""
+    running: Engine = LocalProcesses(workers) if engine == "local" else DaskCluster(workers, scheduler)
+    try:
+        yield running
+    except BaseException:
+        running.close(kill=True)
+        raise
+    running.close(kill=False)

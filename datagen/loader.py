@@ -29,6 +29,8 @@ from datagen.seeding import Purpose, generator, seed_sequence
 from datagen.store import Manifest, committed, read_manifest
 from datagen.store.arrays import open_array
 from datagen.store.reader import ShardReader
+from datagen.store.record import recorded_shards
+from datagen.store.table import TABLE
 
 MEMORY_BYTES = 64 * 2**20
 """Fields that decode to no more than this in all are read once and kept in memory."""
@@ -124,7 +126,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """A column of `samples.parquet` (scene parameters, error estimates) in the order of the items."""
         import pyarrow.parquet as pq
 
-        table = self.path / "samples.parquet"
+        table = self.path / TABLE
         known = pq.read_schema(table).names
         if name not in known:
             raise InputError(f"parameters: {name!r} is no column of {table}; it has {', '.join(known)}")
@@ -132,17 +134,30 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return column[self.scenes]
 
     def _scenes_there(self, manifest: Manifest) -> NDArray[np.int64]:
-        records = committed(self.path, manifest)
-        missing = sorted(set(range(self._schema.shards)) - {record.shard for record in records})
+        there, failed = self._shards_and_failures(manifest)
+        missing = sorted(set(range(self._schema.shards)) - there)
         if missing:
             raise InputError(
                 f"{self.path}: {len(missing)} of {self._schema.shards} shards are not committed, the first is "
                 f"{missing[0]}; run the same `datagen build` again to finish it"
             )
-        failed = {scene for record in records for scene in record.failures}
         if failed:
             warnings.warn(f"{self.path}: {len(failed)} scenes could not be made and are left out", stacklevel=3)
         return np.array([scene for scene in range(self._schema.scenes) if scene not in failed], np.int64)
+
+    def _shards_and_failures(self, manifest: Manifest) -> tuple[set[int], set[int]]:
+        """Shards committed and scenes that failed: from the table when the dataset is complete, which spares reading
+        every commit record of a large one.
+        """
+        table = self.path / TABLE
+        if table.is_file():
+            import pyarrow.parquet as pq
+
+            rows = pq.read_table(table, columns=["scene", "failure"])
+            failed = rows.filter(rows["failure"].is_valid())["scene"].to_pylist()
+            return set(recorded_shards(self.path)), set(failed)
+        records = committed(self.path, manifest)
+        return {record.shard for record in records}, {scene for record in records for scene in record.failures}
 
     def _checked(self, item: int) -> int:
         if not -len(self) <= item < len(self):

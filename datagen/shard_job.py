@@ -13,7 +13,15 @@ from pathlib import Path
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
-from datagen.store import Schema, discard_shard, running_path, write_shard
+from datagen.store import (
+    Schema,
+    ShardRecord,
+    committed,
+    discard_shard,
+    read_manifest,
+    running_path,
+    write_shard,
+)
 
 LOCK_PATIENCE_S = 10.0
 """How long to wait for another writer of the same shard, such as an orphan of a killed build about to notice."""
@@ -21,7 +29,7 @@ LOCK_PATIENCE_S = 10.0
 
 @dataclass(frozen=True)
 class ShardJob:
-    """Everything a worker needs. skip : scenes not to be tried, and why."""
+    """Everything a worker needs. skip : scenes not to be tried, and why. handed_out : Unix time."""
 
     root: Path
     config: DatasetConfig
@@ -30,6 +38,7 @@ class ShardJob:
     shard: int
     sample_function: Callable[[DatasetConfig, int], Sample]
     skip: Mapping[int, str]
+    handed_out: float
 
 
 def run_shard(job: ShardJob) -> dict[int, str]:
@@ -37,9 +46,20 @@ def run_shard(job: ShardJob) -> dict[int, str]:
     _one_thread()
     path = running_path(job.root, job.shard)
     with _sole_writer(path, LOCK_PATIENCE_S) as running:
-        record = write_shard(job.root, job.schema, job.shard, job.fingerprint, _samples(job, running))
+        record = _made_meanwhile(job)
+        if record is None:
+            record = write_shard(job.root, job.schema, job.shard, job.fingerprint, _samples(job, running))
         path.unlink(missing_ok=True)
     return record.failures
+
+
+def _made_meanwhile(job: ShardJob) -> ShardRecord | None:
+    """The shard, if it was committed in the meantime: by another build, or by this job before its result got lost."""
+    manifest = read_manifest(job.root)
+    for record in committed(job.root, manifest, [job.shard], hashes=True):
+        if record.fingerprint == job.fingerprint and record.finished > job.handed_out:
+            return record
+    return None
 
 
 def abandon_shard(root: Path, schema: Schema, shard: int) -> None:

@@ -210,6 +210,9 @@ def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, str, 
         for name in names:
             below = f"{key}.{name}" if key else str(name)
             yield from _differences(old.get(name, _MISSING), new.get(name, _MISSING), below)
+    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for place, (was, now) in enumerate(zip(old, new, strict=True)):
+            yield from _differences(was, now, f"{key}[{place}]")
     elif old != new:
         yield key, _shown(old), _shown(new)
 

@@ -29,6 +29,11 @@ def small_config(**changes: object) -> DatasetConfig:
     return config_from_mapping(values | changes)
 
 
+def large_config() -> DatasetConfig:
+    """`small_config` with 4096 bins: a shard of transients is larger than any other file."""
+    return small_config(capture={"scan": {"rows": 2, "columns": 2}, "time": {"bins": 4096}})
+
+
 def fake_sample(config: DatasetConfig, index: int) -> Sample:
     rng = generator(config.seed, index, Purpose.SCENE)
     arrays: dict[str, np.ndarray] = {}

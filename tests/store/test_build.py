@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from fake_samples import (
     dies_once_at_5,
     fails_at_5,
     fake_sample,
+    large_config,
     small_config,
     too_many_counts,
 )
@@ -57,13 +59,24 @@ def quiet_build(config: DatasetConfig, root: Path, workers: int = 1, **options: 
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+def whole_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What an uninterrupted build with one worker leaves."""
     root = tmp_path_factory.mktemp("whole") / "set"
     result = quiet_build(small_config(), root)
     assert (result.built, result.kept, result.complete) == (3, 0, True)  # type: ignore[attr-defined]
     assert verify(root).problems == ()
-    return content(root)
+    return root
+
+
+@pytest.fixture(scope="module")
+def whole(whole_root: Path) -> dict[str, bytes]:
+    return content(whole_root)
+
+
+@pytest.fixture
+def copied(whole_root: Path, tmp_path: Path) -> Path:
+    """A copy of that dataset, to be harmed."""
+    return shutil.copytree(whole_root, tmp_path / "set")
 
 
 def test_two_workers_write_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
@@ -80,13 +93,17 @@ def test_shards_built_one_by_one_make_the_same_dataset(whole: dict[str, bytes], 
     assert content(root) == whole
 
 
+def with_fakes() -> dict[str, str]:
+    """An environment in which another process can import the fake samples."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])}
+
+
 def start_slow_build(root: Path, script: Path) -> subprocess.Popen[bytes]:
     """A build in a process of its own, stopped by the caller while shards are under way."""
     script.write_text(CHILD)
-    here = str(Path(__file__).parent)
     child = subprocess.Popen(
         [sys.executable, str(script), str(root)],
-        env=os.environ | {"PYTHONPATH": here},
+        env=with_fakes(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         start_new_session=True,
@@ -124,19 +141,18 @@ def test_interrupted_build_leaves_whole_shards_only_and_resumes(whole: dict[str,
     assert content(root) == whole
 
 
-def test_building_again_changes_nothing(whole: dict[str, bytes], tmp_path: Path) -> None:
-    root = tmp_path / "set"
-    quiet_build(small_config(), root)
+def test_building_again_changes_nothing(whole: dict[str, bytes], copied: Path) -> None:
+    root = copied
     times = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
+    assert content(root) == whole
     result = quiet_build(small_config(), root)
     assert (result.built, result.kept) == (0, 3)  # type: ignore[attr-defined]
     assert {path: path.stat().st_mtime_ns for path in root.rglob("*") if path.is_file()}.items() <= times.items()
 
 
 @pytest.mark.parametrize("damage", ["flip", "truncate", "unlink", "record"])
-def test_damage_is_mended_by_building_again(whole: dict[str, bytes], tmp_path: Path, damage: str) -> None:
-    root = tmp_path / "set"
-    quiet_build(small_config(), root)
+def test_damage_is_mended_by_building_again(whole: dict[str, bytes], copied: Path, damage: str) -> None:
+    root = copied
     shard = root / "data.zarr/transient/c/1/0/0/0"
     if damage == "flip":
         data = bytearray(shard.read_bytes())
@@ -168,13 +184,15 @@ def test_a_dataset_grows_and_keeps_its_scenes(tmp_path: Path) -> None:
         quiet_build(small_config(scenes=6), root)
 
 
-def test_another_configuration_is_refused_and_nothing_changes(whole: dict[str, bytes], tmp_path: Path) -> None:
-    root = tmp_path / "set"
-    quiet_build(small_config(), root)
+def test_another_configuration_is_refused_and_nothing_changes(whole: dict[str, bytes], copied: Path) -> None:
+    root = copied
     with pytest.raises(InputError, match=r"capture\.time\.bins = 16, this configuration has 17"):
         quiet_build(small_config(capture={"scan": {"rows": 2, "columns": 2}, "time": {"bins": 17}}), root)
     with pytest.raises(InputError, match=r"seed = 3, this configuration has 4"):
         quiet_build(small_config(seed=4), root)
+    with pytest.raises(InputError, match=r"store\.fields\[1\] = 'transient', this configuration has 'albedo'"):
+        store = {"fields": ["histogram", "albedo", "depth"], "scenes_per_shard": 4}
+        quiet_build(small_config(store=store), root)
     assert content(root) == whole
 
 
@@ -276,12 +294,43 @@ def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(shard_job, "LOCK_PATIENCE_S", 0.1)
     root, config = tmp_path / "set", small_config()
     manifest = prepare(root, config)
-    job = shard_job.ShardJob(root, config, manifest.schema, manifest.fingerprint, 0, fake_sample, {})
+    job = shard_job.ShardJob(root, config, manifest.schema, manifest.fingerprint, 0, fake_sample, {}, time.time())
     with running_path(root, 0).open("w") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
         with pytest.raises(CheckError, match="another build is writing this shard"):
             shard_job.run_shard(job)
     assert shard_job.run_shard(job) == {}
+    made = (root / "build/shard-000000.json").read_bytes()
+    assert shard_job.run_shard(job) == {}
+    assert (root / "build/shard-000000.json").read_bytes() == made, "a shard made meanwhile is not made again"
+
+
+def test_a_full_disk_ends_the_build_in_one_line_and_can_be_resumed(tmp_path: Path) -> None:
+    """Files may not grow beyond a limit: below the manifest's size, and below that of a shard."""
+    script = """
+import resource, sys
+from fake_samples import fake_sample, large_config
+from datagen.builder import build
+from datagen.errors import CheckError
+if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
+    try:
+        build(large_config(), sys.argv[1], progress=False, sample_function=fake_sample)
+    except CheckError as error:
+        print(error)
+"""
+    (tmp_path / "child.py").write_text(script)
+    for limit in (900, 20_000):
+        done = subprocess.run(
+            [sys.executable, str(tmp_path / "child.py"), str(tmp_path / "set"), str(limit)],
+            env=with_fakes(),
+            capture_output=True,
+            text=True,
+        )
+        assert "File too large" in done.stdout and "resume" in done.stdout and done.stdout.count("\n") == 1
+        assert done.stderr == ""
+    quiet_build(large_config(), tmp_path / "set")
+    assert verify(tmp_path / "set").problems == ()
 
 
 def test_shard_numbers() -> None:
