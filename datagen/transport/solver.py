@@ -270,12 +270,13 @@ def _receiver(job: _Job, chunk: NDArray[np.int64], pool: FovPool) -> Receiver:
 
 
 def _pool(job: _Job, pixels: NDArray[np.int64], count: int, scrambling: int) -> FovPool:
-    """Enough blocks of FoV points for the detail a time bin can show of the pixel, never more than lookins to use
-    them or memory to hold them; a power of two, so that they cover the pixel evenly."""
+    """Enough blocks of FoV points for what varies across the pixel (arrival times by the bin, amplitudes by some
+    hundredth of the scene), never more than lookins to use them or memory to hold them; a power of two, so that they
+    cover the pixel evenly."""
     samples = job.accuracy.fov_samples
-    bin_path = float(path_from_time(job.capture.time.width_s))
-    across = 2 * float(job.patches.radius[pixels].max()) / bin_path
-    useful = 64 * (1 + across) ** 2 / samples
+    detail_m = min(float(path_from_time(job.capture.time.width_s)), job.caster.half_extent_m / 50)
+    across = 2 * float(job.patches.radius[pixels].max()) / detail_m
+    useful = 16 * (1 + across) ** 2 / samples
     affordable = FOV_POINTS_PER_POOL / (len(pixels) * samples)
     blocks = 1 << max(0, int(min(count, affordable, useful)).bit_length() - 1)
     return fov_pool(

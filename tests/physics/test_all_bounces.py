@@ -1,0 +1,238 @@
+"""All orders of bounces: the inside of a sphere, the direct return, attenuation, the aperture, components."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
+from scipy import stats
+
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen.transport.fov import PixelCones
+
+APERTURE_M2 = np.pi * 0.02**2
+BINS, RANGE_M = 96, 9.6
+QUAD = np.array([[[0.1, -0.5, -1], [0.5, 0.3, -1], [0, 0.5, -1], [-0.4, -0.2, -1.0]]])
+SPOT = np.array([1.0, 0.1, 0.2])
+
+
+@pytest.fixture(scope="module")
+def ball() -> trimesh.Trimesh:
+    mesh = trimesh.creation.icosphere(subdivisions=6)
+    # Scaled so that the polyhedron has the unit sphere's area: its energy is then right to second order.
+    mesh.apply_scale(np.sqrt(4 * np.pi / mesh.area))
+    return mesh
+
+
+def in_the_ball(ball: trimesh.Trimesh, albedo: float) -> tuple[Scene, Capture, float]:
+    """Scene, capture, and the energy L = ρ³/π · A Ω / (4π r²) of the primary."""
+    scene = Scene.from_parts([Part("sphere", ball, Lambertian(albedo), "structure")])
+    capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(BINS, RANGE_M / BINS, 0.0))
+    omega = PixelCones.of(capture.sensor).solid_angle[0]
+    return scene, capture, albedo**3 / np.pi / (4 * np.pi) * APERTURE_M2 * omega
+
+
+@pytest.mark.parametrize("albedo", [0.3, 0.8, 1.0])
+def test_sphere_energy_for_three_to_six_bounces(ball: trimesh.Trimesh, albedo: float) -> None:
+    """Each extra bounce multiplies the energy by ρ."""
+    scene, capture, primary = in_the_ball(ball, albedo)
+    energy = {}
+    for last in (3, 4, 5, 6):
+        result = simulate(scene, capture, Accuracy(1 << 15, 4, last, 4), seed=last)
+        energy[last] = result.total.sum() + result.overflow.sum()
+        assert energy[last] == pytest.approx(primary * sum(albedo**k for k in range(last - 2)), rel=1e-3)
+    assert energy[6] - energy[5] == pytest.approx(primary * albedo**3, rel=1e-2)
+
+
+def test_sphere_shape_for_three_to_six_bounces(ball: trimesh.Trimesh) -> None:
+    """The transient of b bounces is the distribution of b − 1 chords through uniform points: t² by bin and order.
+
+    16 independent runs give each bin's error; truth by 4 million chains of uniform points. Level 10⁻³ over 4 orders.
+    """
+    scene, capture, primary = in_the_ball(ball, 0.8)
+    rng = np.random.default_rng(3)
+    chains = 4_000_000
+    uv = rng.random((chains, 2))
+    u, v = uv[:, :1], uv[:, 1:]
+    a, b, c, d = QUAD[0]
+    end = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+    along_u, along_v = (1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b)
+    weight = np.abs(np.einsum("ij,ij->i", end, np.cross(along_u, along_v))) / np.linalg.norm(end, axis=1) ** 3
+    weight /= weight.sum()
+    end /= np.linalg.norm(end, axis=1, keepdims=True)
+
+    previous = np.tile(SPOT / np.linalg.norm(SPOT), (chains, 1))
+    path = np.zeros(chains)
+    runs = {order: [] for order in (3, 4, 5, 6)}
+    for s in range(16):
+        results = {o: simulate(scene, capture, Accuracy(4096, 4, o, 1), seed=100 * o + s) for o in (3, 4, 6)}
+        runs[3].append(results[3].components["primary"][0, 0])
+        runs[4].append(results[4].components["secondary"][0, 0])
+        fifth = simulate(scene, capture, Accuracy(4096, 4, 5, 1), seed=100 * 6 + s).components["higher"][0, 0]
+        runs[5].append(fifth)
+        # The same seed walks the same paths, so the difference is the sixth bounce alone.
+        runs[6].append(results[6].components["higher"][0, 0] - fifth)
+    for order in (3, 4, 5, 6):
+        point = rng.normal(size=(chains, 3))
+        point /= np.linalg.norm(point, axis=1, keepdims=True)
+        path += np.linalg.norm(point - previous, axis=1)
+        previous = point
+        position = (path + np.linalg.norm(end - point, axis=1)) / (RANGE_M / BINS) - 0.5
+        low = np.floor(position).astype(int)
+        energy = primary * 0.8 ** (order - 3) * weight
+        truth = np.bincount(low + 1, energy * (1 - position + low), BINS + 200)
+        truth += np.bincount(low + 2, energy * (position - low), BINS + 200)
+        truth = truth[1 : BINS + 1]
+        measured = np.array(runs[order])
+        mean, error = measured.mean(axis=0), measured.std(axis=0, ddof=1) / 4
+        filled = mean > 1e-3 * mean.max()
+        noise = error[filled] ** 2 + truth[filled] * weight.max() * primary
+        t2 = (mean[filled] - truth[filled]) ** 2 / noise
+        # Each term is about F(1, 15): mean 15/13, variance 2·15²·14 / (13²·11).
+        z = (t2.sum() - filled.sum() * 15 / 13) / np.sqrt(filled.sum() * 2 * 15**2 * 14 / (13**2 * 11))
+        assert z < stats.norm.ppf(1 - 1e-3 / 4), order
+
+
+def test_russian_roulette_follows_all_orders_without_bias(ball: trimesh.Trimesh) -> None:
+    """All orders in the sphere sum to 1/(1 − ρ) times the primary."""
+    scene, capture, primary = in_the_ball(ball, 0.6)
+    result = simulate(scene, capture, Accuracy(1 << 15, 2, None, 8), seed=2)
+    total = result.total.sum() + result.overflow.sum()
+    assert total == pytest.approx(primary / (1 - 0.6), rel=3e-3)
+    again = simulate(scene, capture, Accuracy(1 << 15, 2, None, 8), seed=2)
+    assert result.total.tobytes() == again.total.tobytes()
+
+
+def test_components_add_up_and_orders_do_not_disturb_each_other() -> None:
+    scene, capture = furnished_box(), one_point_capture(time=bins_of_path(60, 0.3, 0.0))
+    few = simulate(scene, capture, Accuracy(2048, 4, 3, 4), seed=3)
+    many = simulate(scene, capture, Accuracy(2048, 4, 6, 4, direct=True), seed=3)
+    assert list(many.components) == ["direct", "primary", "secondary", "higher"]
+    np.testing.assert_allclose(sum(many.components.values()), many.total, rtol=1e-12)
+    np.testing.assert_allclose(sum(many.parts.values()), many.components["primary"], rtol=1e-12)
+    assert many.components["primary"].sum() == pytest.approx(few.components["primary"].sum(), rel=0.02)
+
+
+def test_secondary_in_a_room_obeys_linearity_order_by_order() -> None:
+    """Halving every albedo divides the primary by 2³, the secondary by 2⁴ — path by path, exactly."""
+    capture = one_point_capture(time=bins_of_path(60, 0.3, 0.0))
+    bright, dark = (simulate(furnished_box(a), capture, Accuracy(2048, 4, 4, 4), seed=3) for a in (0.8, 0.4))
+    np.testing.assert_allclose(dark.components["primary"] * 8, bright.components["primary"], rtol=1e-9)
+    np.testing.assert_allclose(dark.components["secondary"] * 16, bright.components["secondary"], rtol=1e-9)
+
+
+def test_secondary_is_reciprocal() -> None:
+    scene = furnished_box()
+    a, b, device, h = np.array([0, -0.8, 1.4]), np.array([0, 0.5, 0.9]), np.array([1.5, 0.1, 1.3]), 1e-3
+    accuracy = Accuracy(1 << 16, 1, 4, 8)
+    axis = bins_of_path(40, 0.5, 0.0)
+    there, back = (
+        simulate(scene, one_point_capture(p, q, h, axis, device), accuracy, seed=s)
+        for p, q, s in ((a, b, 1), (b, a, 2))
+    )
+    solid = [h**2 * 4 * device[0] / np.linalg.norm(device - p) ** 3 for p in (b, a)]
+    one, other = there.components["secondary"] / solid[0], back.components["secondary"] / solid[1]
+    assert one.sum() == pytest.approx(other.sum(), rel=5e-3)
+    sigma = np.hypot(there.stderr / solid[0], back.stderr / solid[1])
+    filled = sigma > 0
+    # Student's t with about 14 degrees, Bonferroni over the bins at 10⁻³.
+    limit = stats.t.ppf(1 - 0.5e-3 / filled.sum(), 14)
+    assert (np.abs(one - other)[filled] / sigma[filled]).max() < limit
+
+
+def test_attenuation_is_exp_of_the_whole_path() -> None:
+    """With time origin `source` a bin is a path length: light in it is dimmed by exp(−a path), all legs alike."""
+    capture = one_point_capture(time=bins_of_path(4000, 0.005, 0.0, "source"))
+    clear = simulate(furnished_box(), capture, Accuracy(2048, 4, 5, 2, direct=True), seed=1)
+    foggy = simulate(
+        replace(furnished_box(), attenuation_per_m=0.7), capture, Accuracy(2048, 4, 5, 2, direct=True), seed=1
+    )
+    path = 0.005 * (np.arange(4000) + 0.5)
+    filled = clear.total[0, 0] > 0
+    ratio = foggy.total[0, 0][filled] / clear.total[0, 0][filled]
+    np.testing.assert_allclose(ratio, np.exp(-0.7 * path[filled]), rtol=0.7 * 0.006)
+
+
+def test_direct_return_of_the_laser_point_in_closed_form() -> None:
+    """One bounce: ρ/π cosθ A/R², at the path of both device legs (0 from the wall), in the pixel that sees it."""
+    wall = Scene.from_parts([Part("wall", rectangle((0, 0, 0), (0, 2, 0), (0, 0, 2)), Lambertian(0.8), "relay_wall")])
+    laser, sensor, spot = np.array([2.0, 0.5, 0]), np.array([1.5, -0.2, 0.3]), np.array([0, 0.1, 0.2])
+    pixels = square_pixels([spot, [0, 0.6, 0.2]], 0.1)
+    out = sensor - spot
+    reach = np.linalg.norm(out)
+    expected = 0.8 / np.pi * out[0] / reach * APERTURE_M2 / reach**2
+    for origin, path in (("source", np.linalg.norm(laser - spot) + reach), ("wall", 0.0)):
+        capture = Capture(Laser(laser, [spot]), Sensor(sensor, pixels), bins_of_path(1000, 0.01, -0.02, origin))
+        result = simulate(wall, capture, Accuracy(64, 4, 3, 2, direct=True), seed=1)
+        direct = result.components["direct"][0]
+        assert direct[0].sum() == pytest.approx(expected, rel=1e-9)
+        assert (direct[0] * capture.time.centers_s).sum() / direct[0].sum() == pytest.approx(
+            path / 299792458.0, abs=1e-16
+        )
+        assert not direct[1].any()
+        assert not result.components["primary"].any()
+        assert not result.stderr.any()
+
+
+def test_direct_return_of_two_bounces_by_quadrature() -> None:
+    """A side wall in the FoV lit by the laser point on the wall beside it, down to the corner they share."""
+    wall = rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1))
+    side = rectangle((1, 1, 0), (1, 0, 0), (0, 0, 1))
+    scene = Scene.from_parts([Part("wall", wall, Lambertian(0.8), "relay_wall"), Part("side", side, Lambertian(0.5))])
+    spot, device = np.array([0, 0.9, 0.1]), np.array([1.0, -1.0, 0.0])
+    low, high = np.array([1e-9, -0.3]), np.array([0.6, 0.4])
+    corners = np.array([[low[0], 1, low[1]], [high[0], 1, low[1]], [high[0], 1, high[1]], [low[0], 1, high[1]]])
+    capture = Capture(Laser(device, [spot]), Sensor(device, [corners]), bins_of_path(1, 20.0, 0.0))
+    result = simulate(scene, capture, Accuracy(1 << 15, 4, 3, 4, direct=True), seed=2)
+    n = 1500
+    x, z = (
+        low[k] + (high[k] - low[k]) * (np.arange(n) + 0.5) / n for k in (0, 1)
+    )  # fmt: skip
+    x, z = (g.ravel() for g in np.meshgrid(x, z))
+    d = np.stack([x, np.full_like(x, 0.1), z - 0.1], axis=1)
+    r2 = (d**2).sum(axis=1)
+    e3 = 0.8 / np.pi * d[:, 0] * d[:, 1] / r2**2
+    to_sensor = device - np.stack([x, np.ones_like(x), z], axis=1)
+    reach = np.linalg.norm(to_sensor, axis=1)
+    truth = (e3 * 0.5 / np.pi * -to_sensor[:, 1] / reach**3).sum() * np.prod(high - low) / n**2 * APERTURE_M2
+    measured = result.components["direct"].sum() + result.overflow.sum()
+    assert measured == pytest.approx(truth, rel=2e-3)
+
+
+def test_a_near_disc_aperture_receives_its_exact_share() -> None:
+    """From an on-axis point a facing disc receives a²/(R² + a²) of what a Lambertian point scatters."""
+    scene = Scene.from_parts(
+        [Part("wall", rectangle((0, 0, 0), (0, 2, 0), (0, 0, 2)), Lambertian(0.8), "relay_wall")]
+    )
+    for distance in (0.02, 0.2, 2.0):
+        sensor = Sensor((distance, 0, 0), square_pixels([[0, 0, 0]], 1e-3), 0.02, finite_aperture=True)
+        capture = Capture(Laser((1.0, 0.5, 0), [[0, 0, 0]]), sensor, bins_of_path(10, 1.0, 0.0))
+        result = simulate(scene, capture, Accuracy(16, 1, 3, 1, direct=True), seed=1)
+        received = result.components["direct"].sum() + result.overflow.sum()
+        assert received == pytest.approx(0.8 * 0.02**2 / (distance**2 + 0.02**2), rel=1e-6)
+
+
+@pytest.mark.parametrize("pairing", ["exhaustive", "confocal"])
+def test_many_pixels_give_what_each_gives_alone(pairing: str) -> None:
+    """Array sensors, single pixels, confocal and exhaustive scans: one code, the same light."""
+    scene, device, axis = furnished_box(), np.array([1.5, 0.1, 1.3]), bins_of_path(20, 0.8, 0.0)
+    points = np.array([[0, y, 1.3] for y in (-0.8, 0.0, 0.8)])
+    pixels = square_pixels(points, 0.1)
+    accuracy = Accuracy(1 << 13, 4, 4, 8)
+    capture = Capture(Laser(device, points), Sensor(device, pixels), axis, pairing)  # type: ignore[arg-type]
+    together = simulate(scene, capture, accuracy, seed=1)
+    worst = []
+    for i in range(3):
+        for k, p in enumerate([i] if pairing == "confocal" else range(3)):
+            alone = simulate(
+                scene, Capture(Laser(device, points[[i]]), Sensor(device, pixels[[p]]), axis), accuracy, seed=2
+            )
+            sigma = np.hypot(alone.stderr[0, 0], together.stderr[i, k])
+            filled = sigma > 0
+            worst.append((np.abs(alone.total[0, 0] - together.total[i, k])[filled] / sigma[filled]).max())
+            assert alone.total.sum() == pytest.approx(together.total[i, k].sum(), rel=0.02)
+    # Bonferroni over at most 9 × 20 bins at 10⁻³, Student's t with about 14 degrees.
+    assert max(worst) < stats.t.ppf(1 - 0.5e-3 / 180, 14)
