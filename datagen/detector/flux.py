@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.detector.irf import Kernel, response_kernel, spread
@@ -142,19 +141,42 @@ def _gate(edges_s: NDArray[np.float64], time: TimeAxis, spad: Spad, period_s: fl
     return np.clip(gate, 0.0, 1.0)
 
 
-def fold_matrix(first: int, count: int, width_s: float, edges_s: NDArray[np.float64]) -> scipy.sparse.csr_matrix:
-    """(count, n) share of each lattice bin `first … first + count − 1` that falls into each bin of the period."""
-    period, bins = edges_s[-1], len(edges_s) - 1
-    number = np.arange(first, first + count)
-    # A bin that coincides with one of the period is copied whole; only the others need their overlaps worked out.
-    safe = np.clip(number, 0, bins - 1)
-    aligned = (number >= 0) & (number < bins)
-    aligned &= np.abs(edges_s[safe] - number * width_s) < 1e-6 * width_s
-    aligned &= np.abs(edges_s[safe + 1] - (number + 1) * width_s) < 1e-6 * width_s
-    rows, columns = list(np.flatnonzero(aligned)), list(number[aligned])
-    shares = [1.0] * len(rows)
-    for row in np.flatnonzero(~aligned):
-        start = float(number[row] * width_s % period)
+@dataclass(frozen=True)
+class Fold:
+    """Where bins of the lattice lie in the period: most coincide with one of its bins, a few are shared out.
+
+    aligned : numbers of the lattice bins that are copied whole, bin k of the lattice to bin k of the period.
+    rows, columns, shares : (e,) for the others: position on the lattice, bin of the period, share; ordered by row.
+    """
+
+    first: int
+    bins: int
+    aligned: range
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    shares: NDArray[np.float64]
+
+    def __call__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(…, lattice) → (…, bins)."""
+        out = np.zeros((*values.shape[:-1], self.bins))
+        low, high = self.aligned.start, self.aligned.stop
+        out[..., low:high] = values[..., low - self.first : high - self.first]
+        if len(self.rows):
+            for row, column, share in zip(self.rows, self.columns, self.shares, strict=True):
+                out[..., column] += values[..., row] * share
+        return out
+
+
+def fold_of(first: int, count: int, width_s: float, edges_s: NDArray[np.float64]) -> Fold:
+    """How lattice bins `first … first + count − 1` fall into the bins of the period, modulo its length."""
+    period, bins = float(edges_s[-1]), len(edges_s) - 1
+    # The lattice's own part of the period: its edges lie on multiples of the width.
+    on_lattice = np.abs(edges_s - width_s * np.arange(bins + 1)) < 1e-6 * width_s
+    last = bins if on_lattice.all() else int(np.argmin(on_lattice)) - 1
+    aligned = range(max(first, 0), max(min(first + count, last), 0))
+    rows, columns, shares = [], [], []
+    for number in (*range(first, aligned.start), *range(aligned.stop, first + count)):
+        start = number * width_s % period
         pieces = [(start, min(start + width_s, period))]
         if start + width_s > period:
             pieces.append((0.0, start + width_s - period))
@@ -164,12 +186,14 @@ def fold_matrix(first: int, count: int, width_s: float, edges_s: NDArray[np.floa
             for column in range(left, right):
                 share = (min(high, edges_s[column + 1]) - max(low, edges_s[column])) / width_s
                 if share > 1e-6:
-                    rows.append(row)
+                    rows.append(number - first)
                     columns.append(column)
                     shares.append(share)
-    matrix = scipy.sparse.csr_matrix((shares, (rows, columns)), shape=(count, bins))
-    sums = np.asarray(matrix.sum(axis=1)).ravel()
-    return scipy.sparse.csr_matrix(scipy.sparse.diags(1.0 / sums) @ matrix)
+    row = np.array(rows, np.int64)
+    share_of = np.array(shares, np.float64)
+    # What the slivers left out held goes to the others, so that nothing is lost.
+    share_of /= np.bincount(row, share_of, count)[row] if len(row) else 1.0
+    return Fold(first, bins, aligned, row, np.array(columns, np.int64), share_of)
 
 
 def flux_per_cycle(
@@ -177,10 +201,8 @@ def flux_per_cycle(
 ) -> NDArray[np.float64]:
     """(laser, pixel, n) λ: expected avalanche-capable events per cycle in each bin of the period."""
     signal = spread(transient * exposure.photons_per_pulse, cycle.before_avalanche)
-    fold = fold_matrix(-cycle.before_avalanche.before, signal.shape[-1], cycle.width_s, cycle.edges_s)
-    lasers, pixels = signal.shape[:2]
-    signal = (fold.T @ signal.reshape(lasers * pixels, -1).T).T.reshape(lasers, pixels, -1)
-    background = spad.pde * exposure.ambient_rate_hz + dark_count_rates(spad, pixels, first_pixel)
+    signal = fold_of(-cycle.before_avalanche.before, signal.shape[-1], cycle.width_s, cycle.edges_s)(signal)
+    background = spad.pde * exposure.ambient_rate_hz + dark_count_rates(spad, signal.shape[1], first_pixel)
     return cycle.gate * (spad.pde * signal + background[:, None] * cycle.widths_s)
 
 

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.detector.flux import Cycle, fold_matrix
+from datagen.detector.flux import Cycle, fold_of
 from datagen.detector.irf import spread
 
 N = TypeVar("N", bound=np.generic)
@@ -30,11 +30,9 @@ class Tdc:
         self._length = lattice + len(jitter.weights) - 1
         if jitter.is_identity or self._merged:
             return
-        fold = fold_matrix(self._first, self._length, cycle.width_s, cycle.edges_s)[:, : cycle.window].tocsr()
-        self._fold = fold
-        self._fold_rows = fold.indptr.astype(np.int64)
-        self._fold_columns = fold.indices.astype(np.int64)
-        self._fold_shares = fold.data
+        self._fold = fold_of(self._first, self._length, cycle.width_s, cycle.edges_s)
+        self._fold_rows, starts = np.unique(self._fold.rows, return_index=True)
+        self._fold_starts = np.append(starts, len(self._fold.rows)).astype(np.int64)
 
     def mean(self, detections: NDArray[np.float64]) -> NDArray[np.float64]:
         """(…, n) expected detections per bin of the period → (…, bins) expected records."""
@@ -47,8 +45,7 @@ class Tdc:
         if self._merged:
             out[...] = scattered[..., -self._first : -self._first + cycle.bins]
         else:
-            flat = scattered.reshape(-1, scattered.shape[-1])
-            out[..., : cycle.window] = (self._fold.T @ flat.T).T.reshape(*out.shape[:-1], -1)
+            out[..., : cycle.window] = self._fold(scattered)[..., : cycle.window]
         return out
 
     def draw(self, detections: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
@@ -64,7 +61,12 @@ class Tdc:
         if self._merged:
             out[:] = scattered[-self._first : -self._first + cycle.bins]
         else:
-            _fold_counts(scattered, self._fold_rows, self._fold_columns, self._fold_shares, out, rng)
+            fold = self._fold
+            folded = np.zeros(fold.bins, np.int64)
+            low, high = fold.aligned.start, fold.aligned.stop
+            folded[low:high] = scattered[low - fold.first : high - fold.first]
+            _share_out(scattered[self._fold_rows], self._fold_starts, fold.columns, fold.shares, folded, rng)
+            out[: cycle.window] = folded[: cycle.window]
         return out
 
     def _on_lattice(self, detections: NDArray[N]) -> NDArray[N]:
@@ -105,18 +107,18 @@ def _scatter(
 
 
 @numba.njit(cache=True)
-def _fold_counts(
+def _share_out(
     counts: NDArray[np.int64],
-    rows: NDArray[np.int64],
+    starts: NDArray[np.int64],
     columns: NDArray[np.int64],
     shares: NDArray[np.float64],
     out: NDArray[np.int64],
     rng: np.random.Generator,
 ) -> None:
-    """Add `counts` to `out`, bin r split over its columns by its shares; what no column takes is lost."""
+    """Add `counts[r]` to `out`, split at random over `columns[starts[r]:starts[r + 1]]` by their shares."""
     for r in range(len(counts)):
         left, rest = counts[r], 1.0
-        for e in range(rows[r], rows[r + 1]):
+        for e in range(starts[r], starts[r + 1]):
             if left == 0:
                 break
             share = shares[e] / rest

@@ -1,0 +1,189 @@
+"""What a histogram costs: `python -m datagen.bench.detector`.
+
+Every sampler at several fluxes, T = 1024 bins and 10⁶ cycles, beside the naive simulation in the same run: every
+photon drawn, sorted, and put to the detector's rule one by one. Prints a Markdown table.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import click
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cli import guarded
+from datagen.detector import Exposure, Spad, detect, expected_histogram, plan_detector
+from datagen.records import TimeAxis
+from datagen.store.environment import cores, processor
+
+BINS, BIN_WIDTH_S, CYCLES = 1024, 100e-12, 10**6
+BLOCK = 16
+EVENT_DRIVEN = ("free_running_events", "avalanches")
+PERIOD_S = BINS * BIN_WIDTH_S
+FLUXES = (0.01, 0.1, 1.0, 4.0)
+_REPEATS = 5
+_SECONDS = 0.4
+
+CASES: dict[str, tuple[Spad, bool]] = {
+    "a. ideal": (Spad(pde=1.0, mode="ideal"), False),
+    "b. synchronous, one a cycle": (Spad(pde=1.0, mode="synchronous", dead_time_s=1e-6), False),
+    "d. synchronous, 20 ns": (Spad(pde=1.0, mode="synchronous", dead_time_s=20e-9), False),
+    "c. free running, 50 ns": (Spad(pde=1.0, dead_time_s=50e-9), False),
+    "c. free running, 250 ns": (Spad(pde=1.0, dead_time_s=250e-9), False),
+    "c. as ensemble, 50 ns": (Spad(pde=1.0, dead_time_s=50e-9), True),
+    "e. afterpulses 2 %, 50 ns": (
+        Spad(pde=1.0, dead_time_s=50e-9, afterpulse_probability=0.02, afterpulse_times_s=(60e-9,)),
+        False,
+    ),
+}
+"""Name → detector, and whether approximation is allowed."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One case at one flux; milliseconds of processor time per histogram, the best of several runs.
+
+    ms, mean_ms : of `detect` and `expected_histogram`, on `BLOCK` histograms at once where each takes little.
+
+    plain_ms, compiled_ms : the naive simulation with its rule as a plain Python loop, and compiled. NaN: not run.
+    """
+
+    case: str
+    flux: float
+    sampler: str
+    detections: float
+    ms: float
+    mean_ms: float
+    plain_ms: float
+    compiled_ms: float
+
+    @property
+    def ns_per_detection(self) -> float:
+        return self.ms * 1e6 / max(self.detections, 1.0)
+
+
+def measure(fluxes: Sequence[float] = FLUXES, naive: bool = True) -> list[Row]:
+    """Time every case at every flux (events per cycle), with exact samplers only (tolerance 0)."""
+    axis, exposure = TimeAxis(BINS, BIN_WIDTH_S), Exposure(1.0 / PERIOD_S, CYCLES, 1.0)
+    rows = []
+    for case, (spad, ensemble) in CASES.items():
+        for flux in fluxes:
+            shape = demonstration_shape() * flux
+            plan = plan_detector(shape, axis, spad, exposure, tolerance=0.0, approximate=ensemble)
+            if ensemble and not plan.approximate:
+                continue
+            size = 1 if plan.sampler in EVENT_DRIVEN else BLOCK
+            block = np.tile(shape, (size, 1, 1))
+            draw = partial(detect, block, axis, spad, exposure, tolerance=0.0, approximate=ensemble)
+            mean = partial(expected_histogram, block, axis, spad, exposure, approximate=True)
+            plain, compiled = naive_seconds(shape, spad) if naive else (np.nan, np.nan)
+            rows.append(
+                Row(case, flux, plan.sampler, float(draw().sum()) / size, 1e3 * _best(draw) / size,
+                    1e3 * _best(mean) / size, 1e3 * plain, 1e3 * compiled)
+            )  # fmt: skip
+    return rows
+
+
+def demonstration_shape() -> NDArray[np.float64]:
+    """(BINS,) sums to 1: a direct return of half of all light, a hidden scene's two bumps, a floor."""
+    i = np.arange(BINS)
+    hidden = np.exp(-(((i - 420) / 35.0) ** 2)) + 0.4 * np.exp(-(((i - 600) / 70.0) ** 2)) + 0.01
+    hidden[:200] = 0.01
+    shape = 0.5 * hidden / hidden.sum()
+    shape[120] += 0.5
+    return shape
+
+
+def naive_seconds(flux: NDArray[np.float64], spad: Spad) -> tuple[float, float]:
+    """Seconds of one naive simulation, its rule as a plain loop and compiled. Afterpulses are left out of it."""
+    rng = np.random.default_rng(0)
+    synchronous, dead_time = spad.mode == "synchronous", spad.dead_time_s if spad.mode != "ideal" else 0.0
+    _rule_compiled(np.zeros(1), PERIOD_S, dead_time, synchronous)
+    best = [np.inf, np.inf]
+    for _ in range(2):
+        rules: tuple[Callable[..., Any], ...] = (_rule, _rule_compiled)
+        for which, rule in enumerate(rules):
+            start = time.process_time()
+            count = rng.poisson(flux.sum() * CYCLES)
+            bins = np.searchsorted(np.cumsum(flux), rng.random(count) * flux.sum(), side="right")
+            photons = rng.integers(CYCLES, size=count) * PERIOD_S + (bins + rng.random(count)) * BIN_WIDTH_S
+            photons.sort()
+            arrivals: Any = photons if which else photons.tolist()
+            kept = rule(arrivals, PERIOD_S, dead_time, synchronous)
+            np.histogram(np.asarray(kept) % PERIOD_S, BINS, (0, PERIOD_S))
+            best[which] = min(best[which], time.process_time() - start)
+    return best[0], best[1]
+
+
+def _rule(photons: Any, period: float, dead_time: float, synchronous: bool) -> list[float]:
+    """The photons that are detected, in order."""
+    kept = [0.0][:0]  # an empty list of floats, for the compiler too
+    ready, cycle_end = -1.0, -1.0
+    for t in photons:
+        if synchronous and t >= cycle_end:
+            ready, cycle_end = -1.0, (t // period + 1.0) * period
+        if t >= ready:
+            kept.append(t)
+            ready = t + dead_time
+    return kept
+
+
+_rule_compiled: Callable[..., Any] = numba.njit(_rule)
+
+
+def _best(call: Callable[[], object]) -> float:
+    """Seconds of one call: the best of a few runs, each long enough to be timed."""
+    start = time.process_time()
+    call()
+    once = time.process_time() - start
+    inner = max(1, min(200, int(_SECONDS / _REPEATS / max(once, 1e-6))))
+    best = once
+    for _ in range(_REPEATS if once < 1.0 else 1):
+        start = time.process_time()
+        for _ in range(inner):
+            call()
+        best = min(best, (time.process_time() - start) / inner)
+    return best
+
+
+def scan_milliseconds() -> float:
+    """Milliseconds per histogram of a whole scan at once: 256 laser points, ideal, in the default tolerance."""
+    axis, exposure = TimeAxis(BINS, BIN_WIDTH_S), Exposure(1.0 / PERIOD_S, CYCLES, 1.0)
+    block = np.tile(0.1 * demonstration_shape(), (256, 1, 1))
+    spad = Spad(pde=1.0, mode="ideal", jitter_fwhm_s=60e-12)
+    return 1e3 * _best(lambda: detect(block, axis, spad, exposure)) / 256
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Markdown, a line for each row."""
+    head = ["case", "flux / cycle", "sampler", "ms", "exact mean (ms)", "ns / detection",
+            "naive, plain (ms)", "ratio", "naive, compiled (ms)", "ratio"]  # fmt: skip
+    lines = [f"| {' | '.join(head)} |", "|---|---:|---|" + "---:|" * 7]
+    for row in rows:
+        cells = [
+            row.case, f"{row.flux:g}", row.sampler, f"{row.ms:.3g}", f"{row.mean_ms:.3g}",
+            f"{row.ns_per_detection:.3g}", f"{row.plain_ms:.4g}", f"{row.plain_ms / row.ms:.0f}×",
+            f"{row.compiled_ms:.4g}", f"{row.compiled_ms / row.ms:.3g}×",
+        ]  # fmt: skip
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+@click.command()
+@click.option("--naive/--no-naive", default=True, show_default=True, help="Also time the naive simulation.")
+def main(naive: bool) -> None:
+    """Print milliseconds per histogram for every sampler and flux."""
+    rows = measure(naive=naive)
+    click.echo(f"{BINS} bins, {CYCLES:.0e} cycles, tolerance 0; processor time on {processor()} ({cores()} cores)\n")
+    click.echo(table(rows))
+    click.echo(f"\nA scan of 256 histograms at once, ideal: {scan_milliseconds():.3g} ms each.")
+
+
+if __name__ == "__main__":
+    raise SystemExit(guarded(main))

@@ -1,0 +1,198 @@
+"""How wrong Poisson is: `python -m datagen.report.pileup OUT`.
+
+The bias of a Poisson detector (flux × cycles, no dead time) against the exact mean of a real one, over flux, with the
+direct return in view and gated out. As picture and table, for any transient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from datagen.cli import guarded
+from datagen.detector import Exposure, Spad, expected_histogram
+from datagen.errors import InputError
+from datagen.records import TimeAxis
+from datagen.report.style import EXPECTED, INK, LASER, caption, caption_height, house_style, new_figure, save_png
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+
+FLUXES = (1e-3, 1e-2, 0.05, 0.1, 0.3, 1.0, 4.0)
+"""Events per cycle of the whole transient, as it would be without a gate."""
+
+DETECTORS: dict[str, Spad] = {
+    "synchronous, one a cycle": Spad(pde=1.0, mode="synchronous", dead_time_s=1e-3),
+    "synchronous, 10 ns dead time": Spad(pde=1.0, mode="synchronous", dead_time_s=10e-9),
+    "free running, 50 ns dead time": Spad(pde=1.0, dead_time_s=50e-9),
+}
+_PURPLE = "#882255"
+
+
+@dataclass(frozen=True)
+class PileupRow:
+    """Biases of one detector at one flux.
+
+    signal_bias : relative bias of the total of the bins after the direct return, Poisson over exact − 1.
+    worst_bias : the same of the worst of these bins.
+    delay_ps : how much too late Poisson puts the mean arrival of these counts.
+    """
+
+    detector: str
+    gated: bool
+    flux: float
+    signal_bias: float
+    worst_bias: float
+    delay_ps: float
+
+
+def pileup_rows(
+    transient: ArrayLike,
+    time: TimeAxis,
+    direct_until_s: float,
+    repetition_rate_hz: float = 10e6,
+    fluxes: Sequence[float] = FLUXES,
+) -> list[PileupRow]:
+    """Bias of Poisson counting for a (bin,) transient whose direct return ends at `direct_until_s` on its time axis.
+
+    The transient is scaled to each flux (events per cycle, direct return included); with the gate the light before
+    `direct_until_s` is not seen, the laser being the same.
+    """
+    shape = np.asarray(transient, np.float64)
+    after = time.edges_s[:-1] >= direct_until_s
+    if shape.ndim != 1 or not shape.sum() > 0:
+        raise InputError("pileup: a transient of shape (bin,) with some light in it is needed")
+    if not after.any() or not shape[after].sum() > 0:
+        raise InputError(
+            f"pileup: direct_until_s = {direct_until_s:g}: nothing arrives after it on the time axis, "
+            f"{time.start_s:g} … {time.stop_s:g} s"
+        )
+    seen = after & (shape > 1e-6 * shape[after].max())
+    rows = []
+    for name, plain in DETECTORS.items():
+        for gated in (False, True):
+            spad = plain
+            if gated:
+                start = float(time.edges_s[:-1][after][0])
+                spad = replace(plain, gate_start_s=start, gate_width_s=time.stop_s - start)
+            for flux in fluxes:
+                exposure = Exposure(repetition_rate_hz, 1, flux / float(shape.sum()))
+                exact = expected_histogram(shape, time, spad, exposure)[seen]
+                poisson = expected_histogram(shape, time, replace(spad, mode="ideal"), exposure)[seen]
+                middle = time.centers_s[seen]
+                delay = middle @ poisson / poisson.sum() - middle @ exact / exact.sum()
+                rows.append(
+                    PileupRow(name, gated, flux, float(poisson.sum() / exact.sum() - 1),
+                              float(np.max(np.abs(poisson / exact - 1))), float(delay) * 1e12)
+                )  # fmt: skip
+    return rows
+
+
+def synthetic_corner() -> tuple[Array, TimeAxis, float]:
+    """A corner in outline: (bin,) transient, its time axis, the end of the direct return.
+
+    The direct return carries 80 % of the light; the hidden scene, two objects before a wall and their decaying
+    interreflection, the rest.
+    """
+    time = TimeAxis(768, 100e-12)
+    t = time.centers_s * 1e9
+    hidden = np.exp(-0.5 * ((t - 21) / 0.8) ** 2) + 0.5 * np.exp(-0.5 * ((t - 27) / 1.5) ** 2)
+    hidden += 0.25 * np.exp(-(t - 20) / 9.0) * (t > 20) / (1 + np.exp(-(t - 22) / 0.5))
+    direct = np.exp(-0.5 * ((t - 8) / 0.1) ** 2)
+    return 0.8 * direct / direct.sum() + 0.2 * hidden / hidden.sum(), time, 12e-9
+
+
+def table(rows: Sequence[PileupRow]) -> str:
+    """Markdown, a line for each row."""
+    head = ["detector", "direct return", "flux / cycle", "bias of signal", "worst bin", "delay (ps)"]
+    lines = [f"| {' | '.join(head)} |", "|---|---|" + "---:|" * 4]
+    for row in rows:
+        cells = [
+            row.detector, "gated out" if row.gated else "in view", f"{row.flux:g}", f"{100 * row.signal_bias:+.3g} %",
+            f"{100 * row.worst_bias:.3g} %", f"{row.delay_ps:+.3g}",
+        ]  # fmt: skip
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def draw_pileup(
+    transient: ArrayLike, time: TimeAxis, direct_until_s: float, out: Path, repetition_rate_hz: float = 10e6
+) -> Path:
+    """Write the picture as PNG: histograms with and without gate at one flux, and bias against flux."""
+    shape = np.asarray(transient, np.float64)
+    fluxes = np.geomspace(1e-3, 10, 25)
+    rows = pileup_rows(shape, time, direct_until_s, repetition_rate_hz, list(fluxes))
+    text = (
+        "Left: expected counts at one event per cycle, as Poisson counting has them and as detectors with dead time "
+        "do, divided by the same number of cycles; the direct return comes first. Right: how many counts too many "
+        "Poisson gives to what comes after the direct return, the direct return in view (solid) or gated out "
+        "(dashed; the flux is that without the gate). Above the dotted line Poisson is wrong by more than 5 %. "
+        "A dead time that ends between direct return and signal does what a gate does: its two curves coincide."
+    )
+    with house_style():
+        height = caption_height(11, text)
+        figure = new_figure(11, 4.4 + height)
+        grid = figure.add_gridspec(2, 2, height_ratios=[4.4, height], width_ratios=[1.15, 1])
+        _draw_histograms(figure.add_subplot(grid[0, 0]), shape, time, repetition_rate_hz)
+        _draw_bias(figure.add_subplot(grid[0, 1]), rows)
+        caption(figure, figure.add_subplot(grid[1, :]), text)
+        return save_png(figure, out)
+
+
+_COLORS = dict(zip(DETECTORS, (LASER, EXPECTED, _PURPLE), strict=True))
+_LINEWIDTHS = dict(zip(DETECTORS, (3.4, 1.4, 1.2), strict=True))
+"""Broad ones first, so that curves which coincide are all seen."""
+
+
+def _draw_histograms(axes: Axes, shape: Array, time: TimeAxis, repetition_rate_hz: float) -> None:
+    exposure = Exposure(repetition_rate_hz, 1, 1.0 / float(shape.sum()))
+    edges = time.edges_s * 1e9
+    for label, spad, color in [
+        ("Poisson", Spad(pde=1.0, mode="ideal"), INK),
+        *((name, spad, _COLORS[name]) for name, spad in DETECTORS.items()),
+    ]:
+        axes.stairs(
+            expected_histogram(shape, time, spad, exposure),
+            edges,
+            color=color,
+            label=label,
+            linewidth=_LINEWIDTHS.get(label, 2.4),
+        )
+    axes.set(yscale="log", ylim=(1e-6, 1), xlabel="time (ns)", ylabel="counts per cycle and bin")
+    axes.set_title("One event per cycle, direct return in view")
+    axes.legend(loc="upper right")
+
+
+def _draw_bias(axes: Axes, rows: Sequence[PileupRow]) -> None:
+    for name, color in _COLORS.items():
+        for gated in (False, True):
+            mine = [r for r in rows if r.detector == name and r.gated is gated]
+            axes.plot(
+                [r.flux for r in mine], [100 * r.signal_bias for r in mine], "--" if gated else "-",
+                color=color, label=None if gated else name, linewidth=_LINEWIDTHS[name],
+            )  # fmt: skip
+    axes.axhline(5, color="#777777", linestyle=":", linewidth=1)
+    axes.set(xscale="log", yscale="log", xlabel="events per cycle, direct return included", ylabel="bias (%)")
+    axes.set_title("Poisson over exact, after the direct return")
+    axes.legend(loc="upper left")
+
+
+@click.command()
+@click.argument("out", type=click.Path(path_type=Path))
+def main(out: Path) -> None:
+    """Write OUT/pileup.png for a corner in outline and print the table."""
+    transient, time, direct_until_s = synthetic_corner()
+    click.echo(table(pileup_rows(transient, time, direct_until_s)))
+    click.echo(f"\n{draw_pileup(transient, time, direct_until_s, out / 'pileup.png')}")
+
+
+if __name__ == "__main__":
+    raise SystemExit(guarded(main))
