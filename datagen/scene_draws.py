@@ -16,7 +16,7 @@ from datagen.records import Scalar
 from scene_library import layouts
 from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
 from scene_library.objects import build
-from scene_library.rooms import Plan, mirrored, out_of_square
+from scene_library.rooms import Plan, mirrored, out_of_square, wall_groups
 from scene_library.solids import Solid, prism, rectangle, regular_polygon
 
 PLANS: dict[str, Callable[..., Plan]] = {
@@ -37,10 +37,11 @@ def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[Plan, dict[s
     plan = PLANS[layout.kind](**dimensions)
     drawn: dict[str, Scalar] = {**dimensions, "turn": side}
     if isinstance(layout, Closed) and layout.out_of_square_deg != 0:
-        angles = [draw(layout.out_of_square_deg, rng) for _ in plan.outline]
-        angles[plan.relay_edge] = 0.0
-        plan = out_of_square(plan, np.radians(angles))
-        drawn |= {f"wall_{i}_turned_deg": angle for i, angle in enumerate(angles)}
+        groups = wall_groups(plan)
+        turned = {wall: draw(layout.out_of_square_deg, rng) for wall in dict.fromkeys(groups)}
+        turned[groups[plan.relay_edge]] = 0.0
+        plan = out_of_square(plan, np.radians([turned[wall] for wall in groups]))
+        drawn |= {f"wall_{wall}_turned_deg": angle for wall, angle in turned.items()}
     return plan if side == "left" else mirrored(plan), drawn
 
 

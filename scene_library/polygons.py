@@ -164,9 +164,10 @@ def _quality(a: _Point, b: _Point, c: _Point) -> float:
 
 
 def _covers_another(corners: list[_Point], left: list[int], i: int, j: int, k: int) -> bool:
-    """Whether triangle (i, j, k) holds another corner; one that lies on its boundary counts."""
+    """Whether triangle (i, j, k) holds another corner; one that lies on its boundary, but for rounding, counts."""
     a, b, c = corners[i], corners[j], corners[k]
+    rounding = -1e-9 * _turn(a, b, c)
     return any(
-        _turn(a, b, p) >= 0 and _turn(b, c, p) >= 0 and _turn(c, a, p) >= 0
+        _turn(a, b, p) >= rounding and _turn(b, c, p) >= rounding and _turn(c, a, p) >= rounding
         for p in (corners[m] for m in left if m not in (i, j, k))
     )

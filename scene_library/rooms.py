@@ -125,14 +125,30 @@ def mirrored(plan: Plan) -> Plan:
     )
 
 
+def wall_groups(plan: Plan) -> list[int]:
+    """For every edge the first edge on the same line: both sides of an opening belong to one wall."""
+    edges = plan.edges
+    along = edges[:, 1] - edges[:, 0]
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    groups = list(range(len(edges)))
+    for i in range(len(edges)):
+        for j in range(i):
+            offset = edges[i] - edges[j, 0]
+            if np.abs(cross(offset, along[j])).max() < 1e-9:
+                groups[i] = groups[j]
+                break
+    return groups
+
+
 def out_of_square(plan: Plan, angles_rad: NDArray[np.float64]) -> Plan:
     """Turn every wall but the relay wall about its middle by `angles_rad` (n,); the corners move along.
 
+    Edges of one wall (`wall_groups`) turn together, by the angle of the first.
     Raises `RoomDoesNotClose` when walls would cross or the device would be left outside.
     """
-    edges = plan.edges
-    middle = edges.mean(axis=1)
-    angles = np.where(np.arange(len(edges)) == plan.relay_edge, 0.0, angles_rad)
+    edges, groups = plan.edges, np.array(wall_groups(plan))
+    middle = np.array([edges[groups == g].reshape(-1, 2).mean(axis=0) for g in groups])
+    angles = np.where(groups == groups[plan.relay_edge], 0.0, np.asarray(angles_rad)[groups])
     c, s = np.cos(angles), np.sin(angles)
     along = edges[:, 1] - edges[:, 0]
     along = np.stack([c * along[:, 0] - s * along[:, 1], s * along[:, 0] + c * along[:, 1]], axis=1)
