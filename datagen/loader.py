@@ -231,7 +231,15 @@ class _NoiseSource:
         spad, exposure = detector_for(self._detector, self._seed, scene, self._time)
         stream = seed_sequence(seed, scene, Purpose.LOADER, attempt=epoch)
         noise_seed = int(stream.generate_state(1, np.uint64)[0])
-        return detect(transient.astype(np.float64), self._time, spad, exposure, seed=noise_seed)
+        return detect(
+            transient.astype(np.float64),
+            self._time,
+            spad,
+            exposure,
+            seed=noise_seed,
+            tolerance=self._detector.tolerance,
+            approximate=self._detector.approximate,
+        )
 
 
 class EpochSampler(Sampler[int]):

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
-from datagen.detector import Exposure, Spad, detect, detector_for
+from datagen.detector import DetectorPlan, Exposure, Spad, detect, detector_for, plan_detector
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import simulate
+
+
+class _Allowed(TypedDict):
+    """What the detector's planner may do."""
+
+    tolerance: float
+    approximate: bool
 
 
 def simulate_sample(config: DatasetConfig, index: int) -> Sample:
@@ -31,13 +38,14 @@ def simulate_sample(config: DatasetConfig, index: int) -> Sample:
         scene = generate_scene(config.scene, seed, index)
         capture = capture_for(config, scene)
     with _timed(seconds, "transport"):
-        accuracy = config.transport.accuracy()
-        transient = simulate(scene, capture, accuracy, seed=derived_seed(seed, index, Purpose.TRANSPORT))
+        own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
+        transient = simulate(scene, capture, config.transport.accuracy(), seed=own_seed, split_parts=False)
     with _timed(seconds, "detector"):
         spad, exposure = detector_for(config.detector, seed, index, capture.time)
-        counts = detect(
-            transient.total, capture.time, spad, exposure, seed=derived_seed(seed, index, Purpose.DETECTOR)
-        )
+        seen = (transient.total, capture.time, spad, exposure)
+        allowed = _Allowed(tolerance=config.detector.tolerance, approximate=config.detector.approximate)
+        plan = plan_detector(*seen, **allowed)
+        counts = detect(*seen, seed=derived_seed(seed, index, Purpose.DETECTOR), **allowed)
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in IMAGE_FIELDS + VOLUME_FIELDS]
         labels = make_labels(config.labels, scene, wanted)
@@ -50,7 +58,7 @@ def simulate_sample(config: DatasetConfig, index: int) -> Sample:
         name: measured[name] for name in measured if name in config.store.fields
     }
     arrays |= labels | _geometry(scene, capture, transient)
-    return Sample(index, arrays, _parameters(scene, spad, exposure, transient, counts), seconds)
+    return Sample(index, arrays, _parameters(scene, spad, exposure, plan, transient, counts), seconds)
 
 
 def check_inputs(config: DatasetConfig) -> None:
@@ -59,9 +67,11 @@ def check_inputs(config: DatasetConfig) -> None:
     """
     check_scene_config(config.scene)
     scene = generate_scene(config.scene, config.seed, 0)
-    time_axis = capture_for(config, scene).time
-    spad, exposure = detector_for(config.detector, config.seed, 0, time_axis)
-    detect(np.zeros((1, 1, time_axis.bins)), time_axis, spad, exposure, seed=0)
+    capture = capture_for(config, scene)
+    spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
+    dark = np.zeros((1, *capture.shape[1:]))
+    allowed = _Allowed(tolerance=config.detector.tolerance, approximate=config.detector.approximate)
+    plan_detector(dark, capture.time, spad, exposure, **allowed)
 
 
 @contextmanager
@@ -91,7 +101,12 @@ def _vectors(rectangle: Rectangle | None) -> NDArray[np.float64]:
 
 
 def _parameters(
-    scene: Scene, spad: Spad, exposure: Exposure, transient: Transient, counts: NDArray[np.integer]
+    scene: Scene,
+    spad: Spad,
+    exposure: Exposure,
+    plan: DetectorPlan,
+    transient: Transient,
+    counts: NDArray[np.integer],
 ) -> dict[str, Scalar]:
     inside, outside = float(transient.total.sum()), float(transient.overflow.sum())
     return {
@@ -99,6 +114,8 @@ def _parameters(
         "scene.part_names": ",".join(scene.part_names),
         **_scalars("detector", asdict(spad)),
         **_scalars("exposure", asdict(exposure)),
+        "decision.detector": plan.sampler,
+        **_scalars("detector_plan", plan.parameters()),
         "transient.energy": inside,
         "transient.overflow": outside / (inside + outside) if inside + outside > 0 else 0.0,
         "transient.relative_error": transient.relative_error,
@@ -106,5 +123,5 @@ def _parameters(
     }
 
 
-def _scalars(prefix: str, values: dict[str, object]) -> dict[str, Scalar]:
+def _scalars(prefix: str, values: Mapping[str, object]) -> dict[str, Scalar]:
     return {f"{prefix}.{name}": value for name, value in values.items() if isinstance(value, Scalar)}
