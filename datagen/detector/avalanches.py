@@ -33,12 +33,17 @@ def draw_avalanches(
     """(pixel, n) detections in `cycles` periods of pixels with flux (pixel, n), coupled by crosstalk."""
     pixels = len(flux)
     cumulative = np.concatenate([np.zeros((pixels, 1)), np.cumsum(flux, axis=1)], axis=1)
+    n = flux.shape[1]
+    # The bins at the front lie on the lattice (the last of all may be shorter): their number needs no search.
+    lattice = min(cycle.front, n - 1)
+    shares = np.arange(n) / n
+    guide = np.stack([np.searchsorted(c, c[-1] * shares, side="right") - 1 for c in cumulative])
     loads = np.array(spad.trap_loads) if spad.afterpulse_probability > 0 else np.zeros(0)
     times = np.array(spad.afterpulse_times_s) if spad.afterpulse_probability > 0 else np.zeros(0)
     return _run(
-        cumulative, cycle.edges_s, cycle.gate, spad.dead_time_s, spad.mode == "synchronous", spad.paralyzable,
-        loads, times, spad.crosstalk_probability, spad.array_columns or pixels,
-        burn_in_cycles(spad, cycle.period_s), cycles, rng,
+        cumulative, cycle.edges_s, cycle.width_s, lattice, guide, cycle.gate, spad.dead_time_s,
+        spad.mode == "synchronous", spad.paralyzable, loads, times, spad.crosstalk_probability,
+        spad.array_columns or pixels, burn_in_cycles(spad, cycle.period_s), cycles, rng,
     )  # fmt: skip
 
 
@@ -46,6 +51,9 @@ def draw_avalanches(
 def _run(
     cumulative: Array,
     edges: Array,
+    width: float,
+    lattice: int,
+    guide: NDArray[np.int64],
     gate: Array,
     dead_time: float,
     synchronous: bool,
@@ -68,7 +76,9 @@ def _run(
     level = np.zeros((pixels, len(loads)))
     stack = np.empty(4 * pixels + 8, np.int64)
     for p in range(pixels):
-        next_cycle[p], next_phase[p] = _next(cumulative[p], edges, gate, level[p], times, -burn_in, 0.0, cycles, rng)
+        next_cycle[p], next_phase[p] = _next(
+            cumulative[p], edges, width, lattice, guide[p], gate, level[p], times, -burn_in, 0.0, cycles, rng
+        )
     while True:
         p = 0
         for other in range(1, pixels):
@@ -79,7 +89,7 @@ def _run(
         now, phase = next_cycle[p], next_phase[p]
         if now >= cycles:
             return counts
-        j = min(max(int(np.searchsorted(edges, phase, side="right")) - 1, 0), n - 1)
+        j = _bin_at(phase, edges, width, lattice)
         stack[0] = p
         waiting = 1
         while waiting > 0:
@@ -103,11 +113,22 @@ def _run(
             if paralyzable:
                 # The next photon matters even if it comes too early.
                 next_cycle[p], next_phase[p] = _next(
-                    cumulative[p], edges, gate, level[p], times, now, phase, cycles, rng
+                    cumulative[p], edges, width, lattice, guide[p], gate, level[p], times, now, phase, cycles, rng
                 )
             else:
                 next_cycle[p], next_phase[p] = _next(
-                    cumulative[p], edges, gate, level[p], times, new_cycle, new_phase, cycles, rng
+                    cumulative[p],
+                    edges,
+                    width,
+                    lattice,
+                    guide[p],
+                    gate,
+                    level[p],
+                    times,
+                    new_cycle,
+                    new_phase,
+                    cycles,
+                    rng,
                 )
             if is_armed and crosstalk > 0.0:
                 row, column = p // columns, p % columns
@@ -126,6 +147,9 @@ def _run(
 def _next(
     cumulative: Array,
     edges: Array,
+    width: float,
+    lattice: int,
+    guide: NDArray[np.int64],
     gate: Array,
     level: Array,
     times: Array,
@@ -139,14 +163,16 @@ def _next(
     total, period = cumulative[n], edges[n]
     best_cycle, best_phase = cycles, 0.0
     if total > 0.0:
-        j = min(max(int(np.searchsorted(edges, phase, side="right")) - 1, 0), n - 1)
+        j = _bin_at(phase, edges, width, lattice)
         share = min((phase - edges[j]) / (edges[j + 1] - edges[j]), 1.0)
         target = cumulative[j] + share * (cumulative[j + 1] - cumulative[j]) + rng.standard_exponential()
         laps = np.floor(target / total)
         if laps < cycles - cycle:
             target = min(max(target - laps * total, 0.0), np.nextafter(total, 0.0))
-            # `side="right"` steps over empty bins.
-            j = min(int(np.searchsorted(cumulative, target, side="right")) - 1, n - 1)
+            # An empty bin adds nothing to Λ, so it is stepped over and never hit.
+            j = int(guide[min(int(target * n / total), n - 1)])
+            while cumulative[j + 1] <= target:
+                j += 1
             best_cycle = cycle + int(laps)
             best_phase = edges[j] + (edges[j + 1] - edges[j]) * (target - cumulative[j]) / (
                 cumulative[j + 1] - cumulative[j]
@@ -166,8 +192,17 @@ def _next(
             at_cycle, at_phase = cycle + int(laps), max(absolute - laps * period, 0.0)
             if at_cycle > best_cycle or (at_cycle == best_cycle and at_phase >= best_phase):
                 break
-            j = min(max(int(np.searchsorted(edges, at_phase, side="right")) - 1, 0), n - 1)
+            j = _bin_at(at_phase, edges, width, lattice)
             if gate[j] >= 1.0 or rng.random() < gate[j]:
                 best_cycle, best_phase = at_cycle, at_phase
                 break
     return best_cycle, best_phase
+
+
+@numba.njit(cache=True)
+def _bin_at(phase: float, edges: Array, width: float, lattice: int) -> int:
+    """The bin of the period that holds a phase."""
+    j = int(phase / width)
+    if j < lattice:
+        return j + 1 if edges[j + 1] <= phase else j
+    return min(max(int(np.searchsorted(edges, phase, side="right")) - 1, 0), len(edges) - 2)

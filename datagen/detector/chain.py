@@ -10,6 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.detector.binomials import binomial
 from datagen.detector.equilibrium import Equilibrium
 from datagen.detector.renewal import Pieces, edge_at, return_weights
 
@@ -186,26 +187,3 @@ def _ensemble(
                 left -= moved
                 rest -= weights[k]
     return counts
-
-
-@numba.njit(cache=True)
-def binomial(n: int, p: float, rng: np.random.Generator) -> int:
-    """Binomial(n, p), right for any p > 0; a p rounded above 1 is taken as 1."""
-    if n == 0 or p <= 0.0:
-        return 0
-    if p >= 1.0:
-        return n
-    if p > 0.5 or n * p > 30.0:
-        return rng.binomial(n, p)
-    # Inversion. The library's forms log(1 − p), which loses a p below 1e-16 altogether.
-    term = np.exp(n * np.log1p(-p))
-    odds = p / (1.0 - p)
-    u = rng.random()
-    k = 0
-    while u > term and k < n:
-        u -= term
-        k += 1
-        term *= (n - k + 1) * odds / k
-        if term < 1e-18 and k > n * p:
-            break
-    return k

@@ -150,32 +150,29 @@ def most_in_window(flux: Array, edges: Array, length: float) -> float:
     """The most flux in any interval of `length` < period seconds, across the end of the period too."""
     m = len(flux)
     period = edges[m]
-    # The integral over a sliding interval is piecewise linear: it peaks where either end meets an edge.
+    # Two periods end to end: edges, and the flux before each.
+    at, before = np.empty(2 * m + 1), np.zeros(2 * m + 1)
+    for i in range(2 * m):
+        k = i if i < m else i - m
+        at[i] = edges[k] if i < m else edges[k] + period
+        before[i + 1] = before[i] + flux[k]
+    at[2 * m] = 2.0 * period
+    # The integral over a sliding interval is piecewise linear: it peaks where one of its ends meets an edge.
     most = 0.0
-    low, inside = 0, 0.0
-    for high in range(2 * m):
-        inside += flux[high % m]
-        stop = edge_at(edges, high + 1, m, period)
-        while low <= high and edge_at(edges, low + 1, m, period) <= stop - length:
-            inside -= flux[low % m]
-            low += 1
-        first, start = low % m, edge_at(edges, low, m, period)
-        width = edges[first + 1] - edges[first]
-        outside = min(max((stop - length - start) / width, 0.0), 1.0) * flux[first]
-        most = max(most, inside - outside)
-    high, inside = 0, 0.0
-    for low in range(m):
-        stop = edges[low] + length
-        while high < 2 * m and edge_at(edges, high + 1, m, period) <= stop:
-            inside += flux[high % m]
-            high += 1
-        last, start = high % m, edge_at(edges, high, m, period)
-        part = min(max((stop - start) / (edges[last + 1] - edges[last]), 0.0), 1.0) * flux[last]
-        most = max(most, inside + part)
-        if high > low:
-            inside -= flux[low]
-        else:
-            high, inside = low + 1, 0.0
+    j = 0
+    for i in range(m):
+        stop = at[i] + length
+        while at[j + 1] < stop:
+            j += 1
+        inside = before[j] + (before[j + 1] - before[j]) * (stop - at[j]) / (at[j + 1] - at[j]) - before[i]
+        most = max(most, inside)
+    j = 0
+    for i in range(m, 2 * m + 1):
+        start = at[i] - length
+        while at[j + 1] < start:
+            j += 1
+        inside = before[i] - before[j] - (before[j + 1] - before[j]) * (start - at[j]) / (at[j + 1] - at[j])
+        most = max(most, inside)
     return most
 
 

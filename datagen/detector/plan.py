@@ -194,7 +194,8 @@ def poisson_bias(flux: Array, cycle: Cycle, spad: Spad) -> float:
             bias = total if whole else most_in_window(flux, cycle.edges_s, rest)
         else:
             bias = whole * total + most_in_window(flux, cycle.edges_s, rest)
-    load, shared = sum(spad.trap_loads), min(4 * spad.crosstalk_probability, 0.99)
+    load = sum(spad.trap_loads) if spad.afterpulse_probability > 0 else 0.0
+    shared = min(4 * spad.crosstalk_probability, 0.99)
     return float(bias + load / (1.0 - load) + shared / (1.0 - shared))
 
 

@@ -49,28 +49,50 @@ def pieces_of(
     flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False
 ) -> Pieces:
     """Cut the bins of the period; bins longer than `width_s` are background and cut more finely."""
-    widths = np.diff(edges_s)
-    is_long = widths > 1.5 * width_s
-    most = max(PIECE_FLUX, float(flux.sum()) / _FLUX_PIECES)
-    parts = np.ceil(flux / np.where(is_long, min(_LONG_PIECE_FLUX, most), most))
-    if dead_time_s > 0 and is_long.any():
-        parts = np.where(is_long, np.maximum(parts, np.minimum(np.ceil(4 * widths / dead_time_s), 4096)), parts)
-    if shorter_than_dead_time:
-        parts = np.maximum(parts, np.ceil(widths / dead_time_s * (1 + 1e-12)))
-    parts = np.maximum(parts, 1)
-    total = float(parts.sum())
+    count = _parts(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time)
+    total = float(count.sum())
     if not total <= _MOST_PIECES:
         raise InputError(
             f"flux of {flux.sum():g} per cycle, dead time {dead_time_s:g} s on {len(flux)} bins of {width_s:g} s: "
             f"needs {total:g} pieces, at most {_MOST_PIECES} are handled; lower photons_per_pulse or widen the bins"
         )
-    count = parts.astype(np.int64)
-    bin_of = np.repeat(np.arange(len(flux)), count)
     if total == len(flux):
-        return Pieces(np.ascontiguousarray(flux), bin_of, edges_s, dead_time_s)
-    within = np.arange(len(bin_of)) - np.repeat(np.cumsum(count) - count, count)
-    cut = edges_s[bin_of] + (widths / count)[bin_of] * within
-    return Pieces((flux / count)[bin_of], bin_of, np.append(cut, edges_s[-1]), dead_time_s)
+        return Pieces(np.ascontiguousarray(flux), np.arange(len(flux)), edges_s, dead_time_s)
+    return Pieces(*_cut(flux, edges_s, count.astype(np.int64)), dead_time_s)
+
+
+@numba.njit(cache=True)
+def _parts(flux: Array, edges: Array, width: float, dead_time: float, shorter: bool) -> Array:
+    """(n,) number of pieces of each bin, as floats: they may be too many to count."""
+    most = max(PIECE_FLUX, flux.sum() / _FLUX_PIECES)
+    parts = np.empty(len(flux))
+    for i in range(len(flux)):
+        length = edges[i + 1] - edges[i]
+        if length > 1.5 * width:
+            part = np.ceil(flux[i] / min(_LONG_PIECE_FLUX, most))
+            if dead_time > 0.0:
+                part = max(part, min(np.ceil(4.0 * length / dead_time), 4096.0))
+        else:
+            part = np.ceil(flux[i] / most)
+        if shorter:
+            part = max(part, np.ceil(length / dead_time * (1.0 + 1e-12)))
+        parts[i] = max(part, 1.0)
+    return parts
+
+
+@numba.njit(cache=True)
+def _cut(flux: Array, edges: Array, count: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], Array]:
+    """Flux, bin number and edges of the pieces."""
+    total = count.sum()
+    pieces, bin_of, cut = np.empty(total), np.empty(total, np.int64), np.empty(total + 1)
+    k = 0
+    for i in range(len(flux)):
+        length = (edges[i + 1] - edges[i]) / count[i]
+        for part in range(count[i]):
+            pieces[k], bin_of[k], cut[k] = flux[i] / count[i], i, edges[i] + part * length
+            k += 1
+    cut[total] = edges[len(flux)]
+    return pieces, bin_of, cut
 
 
 def synchronous_mean(flux: Array, edges_s: Array, width_s: float, dead_time_s: float) -> Array:

@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.detector.binomials import binomial
 from datagen.detector.flux import Cycle, fold_of
 from datagen.detector.irf import spread
 
@@ -99,7 +100,7 @@ def _scatter(
             if left == 0:
                 break
             share = weights[k] / rest
-            moved = left if k == taps - 1 or share >= 1.0 else rng.binomial(left, share)
+            moved = left if k == taps - 1 or share >= 1.0 else binomial(left, share, rng)
             out[i + offsets[k]] += moved
             left -= moved
             rest -= weights[k]
@@ -122,7 +123,7 @@ def _share_out(
             if left == 0:
                 break
             share = shares[e] / rest
-            moved = left if share >= 1.0 - 1e-9 else rng.binomial(left, share)
+            moved = left if share >= 1.0 - 1e-9 else binomial(left, share, rng)
             out[columns[e]] += moved
             left -= moved
             rest -= shares[e]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import mpmath
+import numba
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 from statistics_kit import accept
 
 from datagen.detector import Exposure, Spad, coates_correction, detect, expected_histogram
-from datagen.detector.chain import binomial, draw_hazard_chain
+from datagen.detector.binomials import binomial
+from datagen.detector.chain import draw_hazard_chain
 from datagen.detector.equilibrium import equilibrium, most_in_window
 from datagen.detector.events import draw_free_running
 from datagen.detector.expected import one_per_cycle_mean
@@ -56,12 +58,28 @@ def test_hazard_chain_takes_probabilities_that_float32_pushes_beyond_one():
 
 @pytest.mark.parametrize(
     ("n", "p"),
-    [(10**15, 1e-17), (10**15, 3e-15), (10**12, 1e-11), (40, 0.3), (10**6, 0.99999), (10**9, 0.2), (5, 1 - 1e-12)],
+    [
+        (10**15, 1e-17),
+        (10**15, 3e-15),
+        (10**12, 1e-11),
+        (40, 0.3),
+        (10**6, 0.99999),
+        (10**9, 0.2),
+        (5, 1 - 1e-12),
+        (10**6, 5e-5),
+        (10**6, 1.02e-5),
+        (100, 0.5),
+        (20, 0.5),
+        (25, 0.45),
+        (10**5, 0.3),
+        (3 * 10**9, 1e-8),
+        (10**12, 0.4),
+    ],
 )
 def test_binomial_at_its_extremes(n, p):
     """log(1 − p) loses a p of 1e-17 altogether and a tenth of 3e-15; the law itself is the judge."""
     rng = rng_of(3)
-    sample = np.array([binomial(n, p, rng) for _ in range(20_000)])
+    sample = _many_binomials(n, p, 100_000, rng)
     exact = binom(n, p)
     cuts = np.unique(exact.ppf(np.linspace(0.02, 0.98, 25)))
     edges = np.concatenate([[-np.inf], cuts, [np.inf]])
@@ -71,6 +89,11 @@ def test_binomial_at_its_extremes(n, p):
     statistic = np.sum((observed[use] - wanted[use]) ** 2 / wanted[use]) if use.sum() > 1 else 0.0
     accept(float(chi2(max(use.sum() - 1, 1)).sf(statistic)), f"binomial({n}, {p})")
     assert np.all(observed[wanted < 1e-9] == 0)
+
+
+@numba.njit
+def _many_binomials(n, p, count, rng):
+    return np.array([binomial(n, p, rng) for _ in range(count)])
 
 
 def test_direct_peak_ten_orders_above_the_signal():
