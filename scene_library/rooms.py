@@ -7,6 +7,7 @@ lies in a plane x = constant. Layouts are drawn with the hidden part at y > 0 an
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,7 @@ class Plan:
     open_air: bool = False
     screen: NDArray[np.float64] | None = None
 
-    @property
+    @cached_property
     def edges(self) -> NDArray[np.float64]:
         """(n, 2, 2) the edges of the outline."""
         return segments_of(self.outline)
@@ -87,7 +88,7 @@ class Plan:
         """(2, 2) the relay wall in plan, from right to left as seen from the room."""
         return self.edges[self.relay_edge]
 
-    @property
+    @cached_property
     def hidden(self) -> NDArray[np.float64]:
         """(2, 2) low and high corner of the box, in plan, that holds the hidden part before the relay wall."""
         corners = self.outline[list(self.hidden_corners)]

@@ -84,7 +84,9 @@ def assert_nothing_intersects(scene: Scene) -> None:
         for other in names:
             if other != name:
                 theirs = scene.corners[scene.faces_of(other)]
-                assert not crossings(theirs, start, end).any(), (name, other)
+                # Triangles apart from the object's bounding box cannot be met by its edges.
+                near = (theirs.max(axis=1) >= start.min(axis=0)) & (theirs.min(axis=1) <= start.max(axis=0))
+                assert not crossings(theirs[near.all(axis=1)], start, end).any(), (name, other)
                 far = middle + np.array([0.3, 0.4, 50.0])
                 inside = crossings(theirs, start[:1], far[None]).sum() % 2
                 assert inside == 0, f"{name} inside {other}"
@@ -102,12 +104,12 @@ def assert_hidden(scene: Scene, rng: np.random.Generator, points: int = 100) -> 
     structure = triangles_of(scene, "relay_wall", "structure")
     for name in object_names(scene):
         own = scene.corners[scene.faces_of(name)]
-        on_it = np.concatenate([own.reshape(-1, 3), surface_points(own, points, rng)])
+        on_it = np.concatenate([np.unique(own.reshape(-1, 3), axis=0), surface_points(own, points, rng)])
         blocked = crossings(structure, np.broadcast_to(scene.device_position, on_it.shape), on_it).any(axis=1)
         assert blocked.all(), name
 
 
-def assert_seen_from_wall(scene: Scene, rng: np.random.Generator, points: int = 200, batches: int = 10) -> None:
+def assert_seen_from_wall(scene: Scene, rng: np.random.Generator, points: int = 200, batches: int = 40) -> None:
     """The device sees the relay wall's rectangle, and points of it see some of every object."""
     wall = scene.relay_wall
     across, up = rng.uniform(-1, 1, (2, points, 1))
@@ -119,6 +121,7 @@ def assert_seen_from_wall(scene: Scene, rng: np.random.Generator, points: int = 
 
 
 def _sees_some(scene: Scene, name: str, on_wall: np.ndarray, rng: np.random.Generator) -> bool:
+    on_wall = on_wall[rng.choice(len(on_wall), 40)]
     on_it = surface_points(scene.corners[scene.faces_of(name)], len(on_wall), rng)
     near_wall, near_it = on_wall + 1e-6 * (on_it - on_wall), on_it + 1e-6 * (on_wall - on_it)
     return bool((~crossings(scene.corners, near_wall, near_it).any(axis=1)).any())
