@@ -84,9 +84,7 @@ def verify(dataset: str) -> None:
     for problem in found.problems:
         click.echo(problem)
     if found.problems:
-        raise CheckError(
-            f"{dataset}: {len(found.problems)} problems; delete what is damaged and build again to mend it"
-        )
+        raise CheckError(f"{dataset}: {len(found.problems)} problems; build it again to mend them")
     click.echo(f"{dataset}: {found.scenes} scenes in {found.shards} shards, {readable(found.bytes)}: all as written")
 
 
@@ -109,6 +107,17 @@ def show(dataset: str, index: int, out: str | None) -> None:
 
     for picture in draw(dataset, index, out):
         click.echo(picture)
+
+
+@cli.command()
+@click.argument("dataset")
+@click.option("--out", help="The HTML file; left out: DATASET.html beside the dataset.")
+@click.option("--scenes", type=int, default=3, show_default=True, help="Scenes shown in full.")
+def preview(dataset: str, out: str | None, scenes: int) -> None:
+    """Put DATASET on one HTML page: state, rooms, what varies, a few scenes."""
+    from datagen.report.preview import preview as make_page
+
+    click.echo(make_page(dataset, out, scenes))
 
 
 @cli.command()

@@ -106,6 +106,7 @@ def test_a_room_that_no_draw_can_meet(here: Path, capsys: pytest.CaptureFixture[
         (["verify", "."], "is no dataset"),
         (["info", "config.yaml"], "no such dataset"),
         (["show", "nothing", "0"], "no such dataset"),
+        (["preview", "nothing"], "no such dataset"),
         (["show", "nothing", "first"], "'first' is not a valid integer"),
     ],
 )

@@ -95,6 +95,12 @@ def test_show_names_the_scenes_there_are(built: Path, capsys: pytest.CaptureFixt
     assert err.startswith("datagen: ") and "3" in err and err.count("\n") == 1
 
 
+def test_preview_is_one_page(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = built / "page.html"
+    assert run(["preview", str(built / "out/tiny.zarr"), "--out", str(page), "--scenes", "1"]) == 0
+    assert capsys.readouterr().out.strip() == str(page) and "tiny" in page.read_text()
+
+
 def test_plan_says_what_will_be_built(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["plan", str(built / "tiny.yaml"), "--scenes", "10"]) == 0
     text = capsys.readouterr().out
