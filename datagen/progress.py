@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from typing import Any
@@ -20,7 +21,10 @@ class Progress:
         if shown and sys.stderr.isatty():
             from tqdm import tqdm
 
-            self._bar = tqdm(total=total, initial=done, unit="scene", dynamic_ncols=True)
+            # A terminal may say that it has no size (containers do); tqdm would then show nothing.
+            sized = min(os.get_terminal_size(sys.stderr.fileno())) > 1
+            size = {"dynamic_ncols": True} if sized else {"ncols": 80, "nrows": 24}
+            self._bar = tqdm(total=total, initial=done, unit="scene", **size)
 
     def under_way(self, scenes: int) -> None:
         """Scenes finished in shards that are not."""
