@@ -24,7 +24,8 @@ _CELL_IN = (3.1, 1.75)
 _HEAD_IN = 0.4
 _NOTE = (
     "Left: plan, x to the right and y up. Right: without ceiling and near walls. All to one scale. Light blue: "
-    "relay wall; diamond: laser and sensor; green: the window of the labels; bright colours: objects."
+    "relay wall; diamond: laser and sensor; red-orange: laser points; green: the window of the labels; other bright "
+    "colours: objects."
 )
 
 
@@ -51,9 +52,7 @@ def sheet_figure(
     width = columns * _CELL_IN[0]
     foot = 0.15 + 0.15 * len(textwrap.wrap(_NOTE, int(width * 15)))
     height = rows * _CELL_IN[1] + _HEAD_IN + foot
-    figure = new_figure(width, height)
-    # Hundreds of axes at fixed places: laying them out by their contents would take minutes.
-    figure.set_layout_engine("none")
+    figure = new_figure(width, height, arranged=False)
     figure.text(0.12 / width, 1 - 0.15 / height, title, va="top", fontsize=11, fontweight="bold")
     note = textwrap.fill(_NOTE, int(width * 15))
     figure.text(0.12 / width, 0.1 / height, note, fontsize=8, color="#444444", va="bottom")

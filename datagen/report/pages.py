@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, ViewFrame
 from datagen.report.histogram_plots import draw_counts, draw_residuals, mean_square_residual
 from datagen.report.label_plots import draw_label
-from datagen.report.replay import REPRODUCED, Replay, StoredScene
+from datagen.report.replay import Replay, StoredScene
 from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.scan_plots import clear_row, draw_moment, draw_time_slice, moments, scan_of, time_limits
 from datagen.report.style import caption, caption_height, new_figure
@@ -41,6 +41,8 @@ def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
         "ceiling and the walls in the way are taken off (dashed edges). The green rectangle is the window that the "
         "label images look through, along the arrow."
     )
+    if not again.reproduced:
+        text += " CAUTION: simulating the stored scene again gave another one; this room may not be the stored one."
     entries = len(again.scene.part_names) + 4
     legend_in = 0.2 * np.ceil(entries / 6) + 0.1
     figure = new_figure(12, 5.6 + legend_in + caption_height(12, text))
@@ -235,14 +237,12 @@ def _objects(again: Replay) -> NDArray[np.float64]:
 def _provenance(again: Replay) -> str:
     """Where the curves come from, and whether they are the stored ones."""
     start = "Parts are not stored; they come from simulating this scene again from its stored configuration and seed"
+    if not again.reproduced:
+        far = "" if again.difference is None else f" (its transient differs by {again.difference:.2g}, relative L2)"
+        return f"{start}. CAUTION: that gave another scene{far}; the dataset was made by another version or machine."
     if again.difference is None:
         return start + "."
-    if again.difference <= REPRODUCED:
-        return start + f", which reproduces the stored transient (relative difference {again.difference:.0e})."
-    return start + (
-        f". CAUTION: the result differs from the stored transient by {again.difference:.2g} (relative L2); that was "
-        "made with another version or machine."
-    )
+    return start + f", which reproduces the stored transient (relative difference {again.difference:.0e})."
 
 
 def _histogram_caption(stored: StoredScene, again: Replay) -> str:

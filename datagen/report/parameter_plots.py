@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,18 +19,19 @@ MOST_PARAMETERS = 60
 _MOST_WORDS = 12
 _COLUMNS = 5
 _CELL_IN = (2.6, 1.55)
+_EDGE: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.5}
 
 
 def varying(parameters: Sequence[Mapping[str, Scalar]]) -> dict[str, list[Scalar]]:
-    """Parameter → its values over the scenes that have it, for those with more than one value; texts that are all
-    different (names, lists) are left out.
+    """Parameter → its values over the scenes that have it, for those with more than one value. Texts of many values
+    (lists of names) and seeds tell nothing as a distribution and are left out.
     """
     names = dict.fromkeys(name for scene in parameters for name in scene)
     columns = {name: [scene[name] for scene in parameters if name in scene] for name in names}
     chosen = {}
     for name, values in columns.items():
         different = len(set(values))
-        if different > 1 and (_is_number(values) or different <= _MOST_WORDS):
+        if different > 1 and not name.endswith("seed") and (_is_number(values) or different <= _MOST_WORDS):
             chosen[name] = values
     return chosen
 
@@ -41,12 +42,15 @@ def parameter_page(columns: Mapping[str, Sequence[Scalar]]) -> Figure | None:
     if not shown:
         return None
     rows = -(-len(shown) // _COLUMNS)
-    figure = new_figure(_COLUMNS * _CELL_IN[0], rows * _CELL_IN[1])
+    figure = new_figure(_COLUMNS * _CELL_IN[0], rows * _CELL_IN[1], arranged=False)
+    top = 1 - 0.3 / (rows * _CELL_IN[1])
+    figure.subplots_adjust(0.05, 0.3 / (rows * _CELL_IN[1]), 0.99, top, wspace=0.28, hspace=0.62)
     for number, (name, values) in enumerate(shown):
         axes = figure.add_subplot(rows, _COLUMNS, number + 1)
         _draw(axes, values)
         axes.set_title(name, fontsize=8, fontweight="normal")
         axes.tick_params(labelsize=7)
+        axes.xaxis.get_offset_text().set_fontsize(7)
         if number % _COLUMNS == 0:
             axes.set_ylabel("scenes", fontsize=7)
     return figure
@@ -56,7 +60,7 @@ def _draw(axes: Axes, values: Sequence[Scalar]) -> None:
     if not _is_number(values):
         counts = Counter(str(value) for value in values)
         words = sorted(counts)
-        axes.barh(words, [counts[word] for word in words], color=EXPECTED)
+        axes.barh(words, [counts[word] for word in words], color=EXPECTED, **_EDGE)
         return
     numbers = np.array([float(value) for value in values])
     numbers = numbers[np.isfinite(numbers)]
@@ -64,9 +68,9 @@ def _draw(axes: Axes, values: Sequence[Scalar]) -> None:
     bins = int(np.clip(np.sqrt(len(numbers)) * 1.5, 5, 40))
     if low > 0 and high / low > 300:
         axes.set_xscale("log")
-        axes.hist(numbers, bins=np.geomspace(low, high, bins + 1).tolist(), color=EXPECTED)
+        axes.hist(numbers, bins=np.geomspace(low, high, bins + 1).tolist(), color=EXPECTED, **_EDGE)
     else:
-        axes.hist(numbers, bins=bins, range=(low, high if high > low else low + 1), color=EXPECTED)
+        axes.hist(numbers, bins=bins, range=(low, high if high > low else low + 1), color=EXPECTED, **_EDGE)
         axes.ticklabel_format(axis="x", useOffset=False, scilimits=(-4, 5))
     axes.locator_params(axis="y", nbins=4, integer=True)
 

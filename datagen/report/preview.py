@@ -142,9 +142,10 @@ def _rooms(config: DatasetConfig, chosen: Sequence[SceneRecord]) -> Figure:
     rooms = []
     for record in chosen:
         scene = generate_scene(config.scene, config.seed, record.index)
-        capture = capture_for(config, scene)
-        rooms.append(RoomPicture(scene, capture, capture.laser.targets, pixels=180))
-    return sheet_figure(rooms, [str(record.index) for record in chosen], "", columns=4)
+        targets = capture_for(config, scene).laser.targets
+        rooms.append(RoomPicture(scene, laser_points=targets, pixels=180))
+    title = f"{config.name}: {len(rooms)} rooms, by scene index"
+    return sheet_figure(rooms, [str(record.index) for record in chosen], title, columns=4)
 
 
 def _scene(root: Path, record: SceneRecord) -> Iterator[str]:

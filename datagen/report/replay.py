@@ -25,6 +25,8 @@ from datagen.transport import simulate
 REPRODUCED = 1e-5
 """Relative L2 difference up to which a transient counts as reproduced (storage in float32 costs 1e-7)."""
 
+SAME_PLACE_M = 1e-6
+
 
 @dataclass(frozen=True)
 class StoredScene:
@@ -46,6 +48,7 @@ class Replay:
     counts : (laser, pixel, bin) of the stored histogram, or drawn again where none is stored.
     expected : (laser, pixel, bin) its exact mean.
     difference : relative L2 distance of the new transient from the stored one; None where none is stored.
+    moved_m : how far the farthest laser point now lies from where it is stored, metres.
     """
 
     scene: Scene
@@ -54,6 +57,12 @@ class Replay:
     counts: NDArray[Any]
     expected: NDArray[np.float64]
     difference: float | None
+    moved_m: float = 0.0
+
+    @property
+    def reproduced(self) -> bool:
+        """Whether this is the stored scene, as far as can be told."""
+        return self.moved_m <= SAME_PLACE_M and (self.difference is None or self.difference <= REPRODUCED)
 
 
 def read_scene(dataset: str | Path, index: int) -> StoredScene:
@@ -94,7 +103,8 @@ def replay(stored: StoredScene) -> Replay:
     if counts is None:
         seed = derived_seed(config.seed, index, Purpose.DETECTOR)
         counts = detect(transient.total, capture.time, spad, exposure, seed=seed)
-    return Replay(scene, capture, transient, counts, expected, _difference(stored, transient.total))
+    difference, moved_m = _difference(stored, transient.total), _moved_m(stored, transient.laser_points)
+    return Replay(scene, capture, transient, counts, expected, difference, moved_m)
 
 
 def _difference(stored: StoredScene, total: NDArray[np.float64]) -> float | None:
@@ -103,3 +113,12 @@ def _difference(stored: StoredScene, total: NDArray[np.float64]) -> float | None
         return None
     norm = float(np.linalg.norm(kept))
     return float(np.linalg.norm(total - kept)) / norm if norm > 0 else float(np.linalg.norm(total) > 0)
+
+
+def _moved_m(stored: StoredScene, points: NDArray[np.float64]) -> float:
+    kept = stored.arrays.get("laser_points")
+    if kept is None:
+        return 0.0
+    if kept.shape != points.shape or not np.array_equal(np.isnan(kept), np.isnan(points)):
+        return float("inf")
+    return float(np.nanmax(np.append(np.linalg.norm(points - kept, axis=-1), 0.0)))

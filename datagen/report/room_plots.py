@@ -279,7 +279,7 @@ def _mark_axes(axes: Axes, camera: Camera, scene: Scene, picture: NDArray[np.flo
         axes.annotate("", xy=tuple(origin + arrow), xytext=tuple(origin), arrowprops=style, zorder=11)
         x, y = origin + 1.22 * arrow
         axes.text(x, y, name, ha="center", va="center", fontsize=8, color=INK, zorder=11)
-    note = (left if at_left else right, bottom - 0.01 * (top - bottom))
+    note = (left if at_left else right, bottom - 0.035 * (top - bottom))
     axes.text(
         note[0],
         note[1],

@@ -77,12 +77,16 @@ def part_colors(scene: Scene) -> dict[str, str]:
     return colors
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """An empty figure with constrained layout on an Agg canvas."""
+def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figure:
+    """An empty figure on an Agg canvas; `arranged`: its axes are placed by their contents (constrained layout, which
+    is slow for many of them).
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained", facecolor="white")
+    figure = Figure(figsize=(width_in, height_in), dpi=DPI, facecolor="white")
+    if arranged:
+        figure.set_layout_engine("constrained")
     FigureCanvasAgg(figure)
     return figure
 
