@@ -37,9 +37,7 @@ def generator(
     dataset_seed: int, scene_index: int, purpose: Purpose, attempt: int = 0, part: int = 0
 ) -> np.random.Generator:
     """A Philox generator for one purpose of one scene; `attempt` and `part` split it further."""
-    return np.random.Generator(
-        np.random.Philox(seed_sequence(dataset_seed, scene_index, purpose, attempt, part))
-    )
+    return np.random.Generator(np.random.Philox(seed_sequence(dataset_seed, scene_index, purpose, attempt, part)))
 
 
 def derived_seed(dataset_seed: int, scene_index: int, purpose: Purpose) -> int:

@@ -45,16 +45,12 @@ def _explain(key: str, detail: Any, model: type[BaseModel]) -> str:
     if kind == "value_error" and "error" in context:
         return f"{key + ': ' if key else ''}{context['error']}"
     message = str(detail["msg"])
-    shown = (
-        repr(value) if isinstance(value, (str, int, float, bool, type(None))) else f"a {_yaml_name(value)}"
-    )
+    shown = repr(value) if isinstance(value, (str, int, float, bool, type(None))) else f"a {_yaml_name(value)}"
     return f"{key} = {shown}: {message[:1].lower()}{message[1:]}"
 
 
 def _yaml_name(value: object) -> str:
-    return (
-        "mapping" if isinstance(value, dict) else "list" if isinstance(value, list) else type(value).__name__
-    )
+    return "mapping" if isinstance(value, dict) else "list" if isinstance(value, list) else type(value).__name__
 
 
 def _dotted(loc: Iterable[int | str], model: type[BaseModel]) -> str:
@@ -96,9 +92,7 @@ def _known_keys(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]
             chosen = {m for m in current if tag_of(m) == name}
             current = chosen or current
             continue
-        current = {
-            m for c in current if part in c.model_fields for m in _models_in(c.model_fields[part].annotation)
-        }
+        current = {m for c in current if part in c.model_fields for m in _models_in(c.model_fields[part].annotation)}
     return sorted({f for m in current for f in m.model_fields})
 
 

@@ -101,17 +101,13 @@ class Choice(Settings):
     @model_validator(mode="after")
     def _weighted(self) -> Choice:
         if self.weights is not None and (len(self.weights) != len(self.choice) or sum(self.weights) <= 0):
-            raise ValueError(
-                f"weights: {len(self.choice)} weights ≥ 0 with a positive sum are needed, one a value"
-            )
+            raise ValueError(f"weights: {len(self.choice)} weights ≥ 0 with a positive sum are needed, one a value")
         return self
 
     def draw(self, rng: np.random.Generator) -> float:
         weights = np.ones(len(self.choice)) if self.weights is None else np.asarray(self.weights)
         cumulative = np.cumsum(weights) / np.sum(weights)
-        return self.choice[
-            min(int(np.searchsorted(cumulative, rng.random(), side="right")), len(self.choice) - 1)
-        ]
+        return self.choice[min(int(np.searchsorted(cumulative, rng.random(), side="right")), len(self.choice) - 1)]
 
     def support(self) -> tuple[float, float]:
         return min(self.choice), max(self.choice)
@@ -119,9 +115,7 @@ class Choice(Settings):
 
 def _check_range(name: str, low: float, high: float) -> None:
     if low > high:
-        raise ValueError(
-            f"{name} = [{low:g}, {high:g}]: the range is upside down; write the smaller bound first"
-        )
+        raise ValueError(f"{name} = [{low:g}, {high:g}]: the range is upside down; write the smaller bound first")
 
 
 def _member(value: Any) -> str | None:
@@ -130,11 +124,7 @@ def _member(value: Any) -> str | None:
     if isinstance(value, (int, float)):
         return tag("constant")
     keys = (
-        value.keys()
-        if isinstance(value, dict)
-        else type(value).model_fields
-        if isinstance(value, Settings)
-        else ()
+        value.keys() if isinstance(value, dict) else type(value).model_fields if isinstance(value, Settings) else ()
     )
     return next((tag(key) for key in ("uniform", "log_uniform", "normal", "choice") if key in keys), None)
 
