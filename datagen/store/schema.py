@@ -62,8 +62,8 @@ class Field:
             size = math.prod(cut) * np.dtype(self.dtype).itemsize
             if size <= CHUNK_BYTES:
                 break
-            pieces = min(cut[axis], math.ceil(size / CHUNK_BYTES))
-            cut[axis] = math.ceil(cut[axis] / pieces)
+            most = max(1, CHUNK_BYTES // (size // cut[axis]))
+            cut[axis] = math.ceil(cut[axis] / math.ceil(cut[axis] / most))
         return tuple(cut)
 
 
