@@ -1,0 +1,73 @@
+"""YAML: safe, strict, and errors that name the place."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from datagen.config import json_schema, load_config
+from datagen.config.yaml_text import parse_yaml
+from datagen.errors import InputError
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+
+
+@pytest.mark.parametrize("text", ["1e6", "1E+6", "1.0e6", "+1e6", "1000000.0"])
+def test_numbers_are_those_of_yaml_1_2(text: str) -> None:
+    assert parse_yaml(f"value: {text}", "x") == {"value": 1e6}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: [1, 2", "line"),
+        ("a: 1\na: 2", "stands twice"),
+        ("- 1\n- 2", "a list found"),
+        ("", "nothing found"),
+        ("just words", "a str found"),
+        ("1: 2", "is not text"),
+        ("a: !!python/object/apply:os.system ['true']", "broken YAML"),
+        ("a: &x [*x]", "broken"),
+        ("\tb: 1", "line 1"),
+    ],
+)
+def test_broken_yaml_is_one_line_with_its_place(text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load_config(path)
+    assert str(path) in str(caught.value)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("bad", [".nan", ".inf", "-.inf"])
+def test_numbers_that_are_none_are_refused(bad: str, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(f"capture: {{time: {{start_ns: {bad}}}}}", encoding="utf-8")
+    with pytest.raises(InputError, match="start_ns"):
+        load_config(path)
+
+
+def test_not_text_and_not_a_file(tmp_path: Path) -> None:
+    (tmp_path / "b.yaml").write_bytes(b"\xff\xfe\x00a")
+    for path, words in ((tmp_path / "b.yaml", "UTF-8"), (tmp_path, "directory"), (tmp_path / "none.yaml", "no such")):
+        with pytest.raises(InputError, match=words):
+            load_config(path)
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
+def test_ready_configurations_satisfy_the_published_schema(path: Path) -> None:
+    """What editors check with `configs/schema.json` agrees with what the program accepts."""
+    load_config(path)
+    values = parse_yaml(path.read_text(encoding="utf-8"), str(path))
+    Draft202012Validator(json_schema()).validate(json.loads(json.dumps(values)))
+
+
+def test_the_schema_refuses_what_the_program_refuses() -> None:
+    validator = Draft202012Validator(json_schema())
+    for bad in ({"scenes": 0}, {"capture": {"scan": {"rows": "x"}}}, {"unknown": 1}):
+        assert not validator.is_valid(bad)
