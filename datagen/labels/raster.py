@@ -115,15 +115,20 @@ def hidden_pixels(triangles: NDArray[np.float64], depth: NDArray[np.float64]) ->
     return counts
 
 
-@njit(cache=True)
 def inside_columns(triangles: NDArray[np.float64], shape: tuple[int, int, int]) -> NDArray[np.bool_]:
     """(depth, row, column) voxels whose centres a closed surface encloses, by the parity of crossings along depth.
 
     `triangles` (F, 3, 3) hold column, row and depth in voxels (centres at +½). The result does not depend on how the
     triangles are wound.
     """
+    return np.logical_xor.accumulate(_odd_crossings(triangles, shape), axis=0)
+
+
+@njit(cache=True)
+def _odd_crossings(triangles: NDArray[np.float64], shape: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """(depth, row, column): whether an odd number of crossings lies between a voxel's centre and the one before."""
     layers, rows, columns = shape
-    inside = np.zeros((layers, rows, columns), np.bool_)
+    crossed = np.zeros((layers, rows, columns), np.bool_)
     for f in range(len(triangles)):
         t = triangles[f]
         top, bottom, left, right = _rows_and_columns(t, rows, columns)
@@ -134,10 +139,9 @@ def inside_columns(triangles: NDArray[np.float64], shape: tuple[int, int, int]) 
                     continue
                 z = max(_depth(t, px, py) - 0.5, -0.5)
                 if z <= layers - 1:
-                    inside[int(np.ceil(z)), row, column] ^= True
-    for layer in range(1, layers):
-        inside[layer] ^= inside[layer - 1]
-    return inside
+                    layer = int(np.ceil(z))
+                    crossed[layer, row, column] = not crossed[layer, row, column]
+    return crossed
 
 
 @njit(cache=True)
@@ -167,19 +171,27 @@ def cut_voxels(triangles: NDArray[np.float64], shape: tuple[int, int, int]) -> N
 @njit(cache=True)
 def _touches(t: NDArray[np.float64], cx: float, cy: float, cz: float) -> bool:
     """Whether the triangle meets the unit cube around (cx, cy, cz); its bounding box already does."""
-    v = t - np.array([cx, cy, cz])
-    edges = np.stack((v[1] - v[0], v[2] - v[1], v[0] - v[2]))
-    normal = np.cross(edges[0], edges[1])
-    if abs(normal @ v[0]) > 0.5 * np.abs(normal).sum():
+    v = np.empty((3, 3))
+    for k in range(3):
+        v[k, 0], v[k, 1], v[k, 2] = t[k, 0] - cx, t[k, 1] - cy, t[k, 2] - cz
+    # Along the triangle's normal: the plane against the corner of the cube that reaches farthest.
+    distance, reach = 0.0, 0.0
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        n = (v[1, i] - v[0, i]) * (v[2, j] - v[0, j]) - (v[1, j] - v[0, j]) * (v[2, i] - v[0, i])
+        distance += n * v[0, k]
+        reach += 0.5 * abs(n)
+    if abs(distance) > reach:
         return False
+    # Along the cross products of the triangle's edges and the cube's.
     for e in range(3):
+        a, b = v[e], v[(e + 1) % 3]
+        c = v[(e + 2) % 3]
         for k in range(3):
-            # The axis is edge × unit vector k.
             i, j = (k + 1) % 3, (k + 2) % 3
-            a0 = v[0, i] * edges[e, j] - v[0, j] * edges[e, i]
-            a1 = v[1, i] * edges[e, j] - v[1, j] * edges[e, i]
-            a2 = v[2, i] * edges[e, j] - v[2, j] * edges[e, i]
-            reach = 0.5 * (abs(edges[e, i]) + abs(edges[e, j]))
-            if min(a0, a1, a2) > reach or max(a0, a1, a2) < -reach:
+            along_i, along_j = b[i] - a[i], b[j] - a[j]
+            edge, opposite = a[i] * along_j - a[j] * along_i, c[i] * along_j - c[j] * along_i
+            reach = 0.5 * (abs(along_i) + abs(along_j))
+            if min(edge, opposite) > reach or max(edge, opposite) < -reach:
                 return False
     return True

@@ -32,9 +32,8 @@ _MOMENTS = 4
 def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
     """The room in plan and in 3D."""
     lasers, pixels, _ = again.capture.shape
-    looks = (
-        "each seen by its own pixel (confocal)" if again.capture.pairing == "confocal" else f"{_n(pixels, 'pixel')}"
-    )
+    confocal = again.capture.pairing == "confocal"
+    looks = ", where each has its own pixel (confocal)" if confocal else f" ({_n(pixels, 'pixel')})"
     text = (
         f"The room of this scene. Light goes from the laser to {_n(lasers, 'laser point')} on the relay wall, around "
         f"the corner to the objects, back to the relay wall and into the sensor{looks}. In the 3D picture the "

@@ -15,6 +15,7 @@ from handmade_rooms import box_mesh, l_corridor
 from datagen.config import LabelsConfig
 from datagen.errors import InputError
 from datagen.labels import make_labels, volumes
+from datagen.labels.raster import cut_voxels
 from datagen.labels.solids import surfaces
 from datagen.labels.volumes import VoxelGrid
 from datagen.records import Lambertian, Part, Rectangle, Scene
@@ -125,6 +126,30 @@ def test_sheet_is_unsigned_and_takes_the_voxels_it_touches() -> None:
     half = VoxelGrid.of(scene, CONFIG.voxels).voxel_m / 2
     gap = abs(centers(scene) - [4, 2.5, 1.0]) - [0, 0.5, 0.5]
     np.testing.assert_array_equal(labels["occupancy"], (gap <= half[[0, 2, 1]] + 1e-12).all(axis=-1))
+
+
+def _clipped(polygon: list[np.ndarray], axis: int, limit: float, sign: float) -> list[np.ndarray]:
+    """Sutherland and Hodgman: the part of a polygon on one side of an axis-aligned plane."""
+    kept = []
+    for a, b in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+        here, there = sign * (a[axis] - limit), sign * (b[axis] - limit)
+        if here <= 0:
+            kept.append(a)
+        if here * there < 0:
+            kept.append(a + (b - a) * here / (here - there))
+    return kept
+
+
+def test_touched_voxels_are_those_that_hold_a_piece_of_the_triangle() -> None:
+    """The separating-axis test against clipping the triangle to every voxel."""
+    rng = np.random.default_rng(3)
+    for triangle in rng.uniform(-1, 5, (40, 3, 3)):
+        found = cut_voxels(triangle[None], (4, 4, 4))
+        for layer, row, column in np.ndindex(4, 4, 4):
+            piece = list(triangle)
+            for axis, low in enumerate((column, row, layer)):
+                piece = _clipped(_clipped(piece, axis, low + 1, 1), axis, low, -1)
+            assert found[layer, row, column] == bool(piece)
 
 
 def test_panel_thinner_than_a_voxel_is_not_lost() -> None:

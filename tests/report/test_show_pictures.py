@@ -100,6 +100,15 @@ def test_picture_has_ink_title_and_units(ordinary: dict[str, Figure], name: str,
     assert 0.03 < (picture.min(axis=-1) < 0.95).mean() < 0.95
 
 
+def test_room_caption_says_how_points_and_pixels_go_together(ordinary: dict[str, Figure]) -> None:
+    assert "30 laser points" in words(ordinary["room"])
+    assert "into the sensor, where each has its own pixel (confocal)." in words(ordinary["room"])
+    scene = l_corridor()
+    with house_style():
+        figure = dict(pages(*replayed(scene, exhaustive(scene, 1, 3)), ["room"]))["room"]
+    assert "1 laser point on" in words(figure) and "into the sensor (9 pixels)." in words(figure)
+
+
 def test_legends_name_every_part_and_mark(ordinary: dict[str, Figure]) -> None:
     scene = l_corridor()
     for name in ("room", "overview"):
