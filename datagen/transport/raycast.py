@@ -74,6 +74,10 @@ class Raycaster:
             )
         return Hits(face, *_refine(face, origins, directions, self.corners, self.face_normal))
 
+    def closest_scaled(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.int32]:
+        """First triangle along rays already in embree's unit frame, −1 for none; origins, directions (n, 3)."""
+        return np.asarray(self._embree.run(origins, directions, query="INTERSECT"), np.int32)
+
     def occluded(self, origins: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether anything stands between each origin and target, (n, 3) metres, both off their surfaces."""
         hidden = np.empty(len(targets), np.bool_)

@@ -1,0 +1,326 @@
+"""What arrives at a lookin, convolved in time with what leaves it.
+
+The paths into a Lambertian lookin and the paths out of it factorise: energies multiply, lengths add. So the double
+sum over all pairs (Eq. 8 of Scholes & Leach, Sensors 24, 6522 (2024)) is a convolution of two histograms, O(Ñ) and
+not O(Ñ²).
+
+A pair should land in the two bins nearest to its length, shared linearly, and be seen nowhere else. Splitting both
+halves so and convolving would smear it over three bins. Instead each half is put whole into one bin of a grid that is
+displaced by u bins for the arriving and by −u for the leaving half, u stratified over the lookins: for u uniform in
+0 … 1 the pair then falls into one of its two nearest bins, with exactly the linear shares as probabilities. What the
+finite number of lookins leaves of the mean arrival time, of order 10⁻³ bins, is known exactly and put right by
+moving the whole sum that far (`recentre`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+from numba import njit
+from numpy.typing import NDArray
+
+from datagen.transport.binning import splat
+
+VALUES_AT_ONCE = 1 << 22
+"""Entries of a dense table of spectra (64 MiB)."""
+NANOSECONDS_PER_TERM, NANOSECONDS_PER_STEP = 0.3, 4.0
+NANOSECONDS_PER_BUTTERFLY, NANOSECONDS_PER_PRODUCT = 0.8, 1.5
+"""Costs of the direct convolution (a term, a turn of its outer loop) and of the spectral one; only ratios matter."""
+
+
+class Paths(NamedTuple):
+    """Half paths, those of row r at `first[r] : first[r + 1]`.
+
+    first : (rows + 1,); position : (n,) length in bins; energy : (n,), 0 for a path that something hides.
+    """
+
+    first: NDArray[np.int64]
+    position: NDArray[np.float64]
+    energy: NDArray[np.float64]
+
+
+class Histograms(NamedTuple):
+    """One histogram a row, each over its own span of bins.
+
+    base : (rows,) first bin. first : (rows + 1,) where the row starts in `values`. total : (rows,) energy, inside
+    and outside the span. moment : (rows,) energy × (true length − bin it was put into). outside : (rows,) energy of
+    paths that can reach no bin of the window.
+    """
+
+    base: NDArray[np.int64]
+    first: NDArray[np.int64]
+    values: NDArray[np.float64]
+    total: NDArray[np.float64]
+    moment: NDArray[np.float64]
+    outside: NDArray[np.float64]
+
+
+class Sums(NamedTuple):
+    """transient (L, P, T); overflow, energy (in all) and moment (L, P), as in `Histograms`."""
+
+    transient: NDArray[np.float64]
+    overflow: NDArray[np.float64]
+    energy: NDArray[np.float64]
+    moment: NDArray[np.float64]
+
+    @classmethod
+    def zeros(cls, lasers: int, pixels: int, bins: int) -> Sums:
+        return cls(np.zeros((lasers, pixels, bins)), *(np.zeros((lasers, pixels)) for _ in range(3)))
+
+    def take(self, lasers: NDArray[np.int64]) -> Sums:
+        """A view of some consecutive laser points."""
+        rows = slice(lasers[0], lasers[-1] + 1)
+        return Sums(*(array[rows] for array in self))
+
+    def of_laser(self, laser: int) -> Sums:
+        """A view of one laser point: (P, T) and (P,) arrays."""
+        return Sums(*(array[laser] for array in self))
+
+
+@njit(cache=True)
+def histograms(
+    paths: Paths, displacement: NDArray[np.float64], low: NDArray[np.int64], high: NDArray[np.int64]
+) -> Histograms:
+    """Put every path into bin floor(position + displacement); only bins low … high of each row are kept."""
+    rows = len(paths.first) - 1
+    base, first = np.zeros(rows, np.int64), np.zeros(rows + 1, np.int64)
+    total, moment, outside = np.zeros(rows), np.zeros(rows), np.zeros(rows)
+    for r in range(rows):
+        smallest, largest = high[r] + 1, low[r] - 1
+        for k in range(paths.first[r], paths.first[r + 1]):
+            if paths.energy[k] > 0.0:
+                bin_ = math.floor(paths.position[k] + displacement[r])
+                total[r] += paths.energy[k]
+                moment[r] += paths.energy[k] * (paths.position[k] - bin_)
+                if low[r] <= bin_ <= high[r]:
+                    smallest, largest = min(smallest, bin_), max(largest, bin_)
+                else:
+                    outside[r] += paths.energy[k]
+        base[r] = smallest if largest >= smallest else 0
+        first[r + 1] = first[r] + max(largest - smallest + 1, 0)
+    values = np.zeros(first[rows])
+    for r in range(rows):
+        start = first[r] - base[r]
+        for k in range(paths.first[r], paths.first[r + 1]):
+            if paths.energy[k] > 0.0:
+                bin_ = math.floor(paths.position[k] + displacement[r])
+                if low[r] <= bin_ <= high[r]:
+                    values[start + bin_] += paths.energy[k]
+    return Histograms(base, first, values, total, moment, outside)
+
+
+@njit(cache=True)
+def reachable(outs: Histograms, lookins: int, pixels: int, bins: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(lookins,) first and last arriving bin from which some pixel's leaving histogram reaches the window."""
+    low, high = np.full(lookins, np.iinfo(np.int64).max), np.full(lookins, np.iinfo(np.int64).min)
+    for b in range(lookins):
+        for p in range(pixels):
+            r = b * pixels + p
+            if outs.first[r + 1] > outs.first[r]:
+                last = outs.base[r] + outs.first[r + 1] - outs.first[r] - 1
+                low[b], high[b] = min(low[b], -last), max(high[b], bins - 1 - outs.base[r])
+        if low[b] > high[b]:
+            low[b], high[b] = 0, -1
+    return low, high
+
+
+def convolve(ins: list[Histograms], outs: Histograms, sums: Sums) -> None:
+    """Add Σ over lookins of arriving ∗ leaving for each laser point and pixel, by whichever way costs less.
+
+    ins : one `Histograms` for each laser point, a row for each lookin. outs : rows (lookin, pixel).
+    """
+    pixels, lookins = sums.transient.shape[1], len(ins[0].base)
+    spans_out = np.diff(outs.first).reshape(lookins, pixels)
+    if not spans_out.any():
+        return
+    spans_in = np.stack([np.diff(one.first) for one in ins], axis=1)
+    longest = np.maximum(spans_in.max(axis=1), 1)[:, None]
+    long, short = np.maximum(spans_out, longest), np.minimum(spans_out, longest)
+    direct = len(ins) * float((short * (NANOSECONDS_PER_STEP + NANOSECONDS_PER_TERM * long)).sum())
+    grid = _Grid.of(ins, outs)
+    transforms = len(ins) * lookins + lookins * pixels + len(ins) * pixels
+    spectral = grid.size * (
+        NANOSECONDS_PER_BUTTERFLY * transforms * math.log2(grid.size)
+        + NANOSECONDS_PER_PRODUCT * len(ins) * pixels * lookins
+    )
+    if direct <= spectral:
+        for laser, one in enumerate(ins):
+            convolve_directly(one, outs, sums.of_laser(laser))
+    else:
+        convolve_spectrally(ins, outs, sums)
+
+
+@njit(cache=True)
+def convolve_directly(ins: Histograms, outs: Histograms, sums: Sums) -> None:
+    """One laser point: `sums` holds (P, T) and (P,) arrays."""
+    pixels, bins = sums.transient.shape
+    for b in range(len(ins.base)):
+        if ins.total[b] <= 0.0:
+            continue
+        for p in range(pixels):
+            r = b * pixels + p
+            if outs.total[r] <= 0.0:
+                continue
+            sums.energy[p] += ins.total[b] * outs.total[r]
+            sums.moment[p] += ins.moment[b] * outs.total[r] + ins.total[b] * outs.moment[r]
+            sums.overflow[p] += ins.outside[b] * outs.total[r] + (ins.total[b] - ins.outside[b]) * outs.outside[r]
+            x = ins.values[ins.first[b] : ins.first[b + 1]]
+            y = outs.values[outs.first[r] : outs.first[r + 1]]
+            if len(x) > len(y):
+                x, y = y, x
+            for i in range(len(x)):
+                weight = x[i]
+                if weight == 0.0:
+                    continue
+                start = ins.base[b] + outs.base[r] + i
+                lower, upper = min(max(0, -start), len(y)), max(min(len(y), bins - start), 0)
+                row = sums.transient[p, max(start, 0) :]
+                part = y[lower : max(upper, lower)]
+                for j in range(len(part)):
+                    row[j] += weight * part[j]
+                if lower > 0 or upper < len(y):
+                    sums.overflow[p] += weight * (y[:lower].sum() + y[max(upper, lower) :].sum())
+
+
+class _Grid(NamedTuple):
+    """Bins of a transform that holds every row without wrapping."""
+
+    base_in: int
+    base_out: int
+    size: int
+
+    @classmethod
+    def of(cls, ins: list[Histograms], outs: Histograms) -> _Grid:
+        low_in, high_in = np.array([_extent(one) for one in ins]).T
+        low_out, high_out = _extent(outs)
+        base_in, end_in = int(low_in.min()), int(high_in.max())
+        size = max(end_in - base_in, 1) + max(high_out - low_out, 1) - 1
+        return cls(base_in, low_out, int(scipy.fft.next_fast_len(size, real=True)))
+
+
+def _extent(rows: Histograms) -> tuple[int, int]:
+    filled = np.flatnonzero(np.diff(rows.first))
+    if not len(filled):
+        return 0, 0
+    return int(rows.base[filled].min()), int((rows.base + np.diff(rows.first))[filled].max())
+
+
+def convolve_spectrally(ins: list[Histograms], outs: Histograms, sums: Sums) -> None:
+    """The same in the frequency domain: products of spectra summed over the lookins, then one inverse transform.
+
+    Rounding leaves noise of 10⁻¹⁶ of the largest bin, of either sign; what lies under it is set to zero.
+    """
+    pixels, bins = sums.transient.shape[1:]
+    grid = _Grid.of(ins, outs)
+    lookins = len(ins[0].base)
+    at_once = max(1, VALUES_AT_ONCE // (grid.size * pixels))
+    lasers_at_once = max(1, VALUES_AT_ONCE // (grid.size * max(pixels, min(at_once, lookins))))
+    for first in range(0, len(ins), lasers_at_once):
+        some = ins[first : first + lasers_at_once]
+        spectrum = np.zeros((grid.size // 2 + 1, len(some), pixels), np.complex128)
+        for start in range(0, lookins, at_once):
+            rows = np.arange(start, min(start + at_once, lookins))
+            leaving = _dense(outs, rows[0] * pixels, (rows[-1] + 1) * pixels, grid.base_out, grid.size)
+            # (frequency, lookin, pixel) and (frequency, laser, lookin): one matrix product for each frequency.
+            q = scipy.fft.rfft(leaving, axis=0).reshape(-1, len(rows), pixels)
+            arriving = np.stack([_dense(one, rows[0], rows[-1] + 1, grid.base_in, grid.size) for one in some], axis=1)
+            spectrum += np.matmul(scipy.fft.rfft(arriving, axis=0), q)
+        summed = scipy.fft.irfft(spectrum, grid.size, axis=0).transpose(1, 2, 0)
+        floor = 8 * np.finfo(float).eps * summed.max(axis=2, initial=0.0, keepdims=True)
+        summed = np.where(summed > floor, summed, 0.0)
+        base = grid.base_in + grid.base_out
+        lower, upper = min(max(0, -base), grid.size), max(min(grid.size, bins - base), 0)
+        place = slice(first, first + len(some))
+        if upper > lower:
+            sums.transient[place, :, base + lower : base + upper] += summed[:, :, lower:upper]
+        beyond = summed[:, :, :lower].sum(axis=2) + summed[:, :, max(upper, lower) :].sum(axis=2)
+        sums.overflow[place] += beyond
+        shape = (lookins, pixels)
+        total, moment, outside = (a.reshape(shape) for a in (outs.total, outs.moment, outs.outside))
+        for k, one in enumerate(some, start=first):
+            sums.energy[k] += one.total @ total
+            sums.moment[k] += one.moment @ total + one.total @ moment
+            sums.overflow[k] += one.outside @ total + (one.total - one.outside) @ outside
+
+
+@njit(cache=True)
+def _dense(rows: Histograms, start: int, stop: int, base: int, size: int) -> NDArray[np.float64]:
+    """(size, rows) with every histogram from bin `base` on."""
+    out = np.zeros((size, stop - start))
+    for r in range(start, stop):
+        offset = rows.base[r] - base
+        for k in range(rows.first[r + 1] - rows.first[r]):
+            out[offset + k, r - start] = rows.values[rows.first[r] + k]
+    return out
+
+
+@njit(cache=True)
+def recentre(sums: Sums) -> None:
+    """Move each transient (by under a bin) to where its mean arrival time is that of its paths, exactly."""
+    lasers, pixels, bins = sums.transient.shape
+    for laser in range(lasers):
+        for p in range(pixels):
+            if sums.energy[laser, p] <= 0.0:
+                continue
+            shift = sums.moment[laser, p] / sums.energy[laser, p]
+            share = abs(shift)
+            row = sums.transient[laser, p]
+            if shift > 0.0:
+                sums.overflow[laser, p] += share * row[bins - 1]
+                for i in range(bins - 1, 0, -1):
+                    row[i] += share * (row[i - 1] - row[i])
+                row[0] *= 1.0 - share
+            else:
+                sums.overflow[laser, p] += share * row[0]
+                for i in range(bins - 1):
+                    row[i] += share * (row[i + 1] - row[i])
+                row[bins - 1] *= 1.0 - share
+
+
+@njit(cache=True)
+def double_sum(ins: Paths, outs: Paths, sums: Sums) -> None:
+    """Eq. 8 as it is written: every path into a lookin with every path out of it, each pair binned by itself.
+
+    The slow plain version of `convolve` for one laser point (`sums` holds (P, T) and (P,) arrays), O(Ñ²).
+    """
+    pixels = sums.transient.shape[0]
+    for b in range(len(ins.first) - 1):
+        for p in range(pixels):
+            r = b * pixels + p
+            for i in range(ins.first[b], ins.first[b + 1]):
+                for j in range(outs.first[r], outs.first[r + 1]):
+                    energy = ins.energy[i] * outs.energy[j]
+                    if energy > 0.0:
+                        # Positions count from bin centres, `splat` from bin edges.
+                        position = ins.position[i] + outs.position[j] + 0.5
+                        sums.energy[p] += energy
+                        sums.overflow[p] += splat(sums.transient[p], position, energy)
+
+
+def take_rows(rows: Histograms, kept: NDArray[np.bool_]) -> Histograms:
+    """The rows for which `kept` (rows,) is true."""
+    spans = np.diff(rows.first)
+    first = np.concatenate([[0], np.cumsum(spans[kept])])
+    values = rows.values[np.repeat(kept, spans)]
+    return Histograms(rows.base[kept], first, values, rows.total[kept], rows.moment[kept], rows.outside[kept])
+
+
+@njit(cache=True)
+def keep_strongest(paths: Paths, count: int) -> None:
+    """Leave each row its `count` strongest paths and set the energy of the others to zero."""
+    for r in range(len(paths.first) - 1):
+        row = paths.energy[paths.first[r] : paths.first[r + 1]]
+        if len(row) <= count:
+            continue
+        threshold = np.partition(row, len(row) - count)[len(row) - count]
+        room = count
+        for k in range(len(row)):
+            room -= row[k] > threshold
+        for k in range(len(row)):
+            if row[k] == threshold and room > 0:
+                room -= 1
+            elif row[k] <= threshold:
+                row[k] = 0.0
