@@ -67,9 +67,11 @@ def visible_interval(
         for (low, high), off in zip(position, offset.max(axis=1), strict=True)
         if off < 1e-6 * (1 + length) and high > 0 and low < length
     )
+    # Triangles leave gaps of 2 nudges at every corner's direction: microns in a room, and they grow with it.
+    gap = 100 * _NUDGE_RAD * float(np.abs(fan - fan[0, 0]).max())
     merged: list[tuple[float, float]] = []
     for low, high in pieces:
-        if merged and low <= merged[-1][1] + 1e-5:
+        if merged and low <= merged[-1][1] + gap:
             merged[-1] = (merged[-1][0], max(high, merged[-1][1]))
         else:
             merged.append((low, high))

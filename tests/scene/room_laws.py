@@ -74,6 +74,7 @@ def assert_nothing_intersects(scene: Scene) -> None:
     """No edge of an object passes through another object or through the room, and none lies inside another."""
     names = object_names(scene)
     structure = triangles_of(scene, "relay_wall", "structure")
+    extent = float(np.ptp(scene.vertices, axis=0).max())
     for name in names:
         own = scene.corners[scene.faces_of(name)]
         start, end = own.reshape(-1, 3), np.roll(own, -1, axis=1).reshape(-1, 3)
@@ -87,14 +88,14 @@ def assert_nothing_intersects(scene: Scene) -> None:
                 # Triangles apart from the object's bounding box cannot be met by its edges.
                 near = (theirs.max(axis=1) >= start.min(axis=0)) & (theirs.min(axis=1) <= start.max(axis=0))
                 assert not crossings(theirs[near.all(axis=1)], start, end).any(), (name, other)
-                far = middle + np.array([0.3, 0.4, 50.0])
+                far = middle + extent * np.array([0.03, 0.04, 5.0])
                 inside = crossings(theirs, start[:1], far[None]).sum() % 2
                 assert inside == 0, f"{name} inside {other}"
         if scene.parameters["layout.kind"] == "isolated_wall":
             continue
         # Inside the room: straight up from the object there is a ceiling, straight down a floor.
-        up = crossings(structure, middle[None], middle[None] + [0.0, 0.0, 100.0]).sum()
-        down = crossings(structure, middle[None], middle[None] - [0.0, 0.0, 100.0]).sum()
+        up = crossings(structure, middle[None], middle[None] + [0.0, 0.0, extent]).sum()
+        down = crossings(structure, middle[None], middle[None] - [0.0, 0.0, extent]).sum()
         assert up % 2 == 1
         assert down % 2 == 1
 

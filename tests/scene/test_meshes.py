@@ -98,6 +98,23 @@ def test_seams_duplicates_degenerate_and_inverted_faces_are_repaired(tmp_path: P
     assert len(unit.vertices) == len(np.unique(clean.vertices, axis=0))
 
 
+def test_non_manifold_and_inverted_meshes_are_taken_as_they_are(tmp_path: Path) -> None:
+    """Three sheets on one edge, and a box turned inside out: light meets both sides of every triangle anyway."""
+    fin = "v 0 0 0\nv 0 0 1\nv 1 0 0\nv 0 1 0\nv -1 -1 0\nf 1 2 3\nf 1 2 4\nf 1 2 5\n"
+    (tmp_path / "fin.obj").write_text(fin)
+    trimesh.Trimesh(*_inside_out(trimesh.creation.box()), process=False).export(tmp_path / "inverted.ply")
+    for name, triangles in (("fin.obj", 3), ("inverted.ply", 12)):
+        spec = spec_with(name, tmp_path).scene
+        for index in range(3):
+            scene = generate_scene(spec, 0, index)
+            assert len(object_corners(scene)) == triangles
+            assert_room_laws(scene, np.random.default_rng(index))
+
+
+def _inside_out(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
+    return mesh.vertices, mesh.faces[:, ::-1]
+
+
 def test_simplification_keeps_the_budget_and_the_shape(tmp_path: Path) -> None:
     trimesh.creation.icosphere(subdivisions=4).export(tmp_path / "ball.ply")
     config = spec_with("ball.ply", tmp_path, max_triangles=400)

@@ -10,6 +10,7 @@ from room_laws import (
     assert_hidden,
     assert_nothing_intersects,
     assert_room_laws,
+    assert_seen_from_wall,
     crossings,
     object_names,
 )
@@ -258,3 +259,25 @@ def test_hanging_and_raised_objects_are_where_they_were_put() -> None:
         lamp, shelf = (scene.corners[scene.faces_of(n)][..., 2] for n in ("lamp", "shelf"))
         np.testing.assert_allclose(lamp.max(), scene.parameters["layout.height_m"] - 0.1)
         np.testing.assert_allclose([shelf.min(), shelf.max()], [1.0, 1.2])
+
+
+@pytest.mark.parametrize("scale", [0.1, 100.0])
+@pytest.mark.parametrize("kind", ["l_corridor", "doorway_room", "isolated_wall"])
+def test_rooms_of_every_size(kind: str, scale: float) -> None:
+    """Model rooms of decimetres and halls of half a kilometre obey the same laws."""
+    default = config_from_mapping({"scene": {"layout": {"kind": kind}}}).scene.layout
+    layout: dict[str, object] = {"kind": kind}
+    for name, distribution in default.dimensions().items():
+        low, high = support(distribution)
+        layout[name] = {"uniform": [low * scale, high * scale] if name.endswith("_m") else [low, high]}
+    sizes = {"width_m": 0.4 * scale, "depth_m": 0.3 * scale, "height_m": 0.8 * scale}
+    contents = [{"kind": "box", **sizes}, {"kind": "library", "classes": ["chair"], "height_m": 0.8 * scale}]
+    scene = {"layout": layout, "contents": contents, "clearance_m": 0.02 * scale}
+    spec = config_from_mapping({"scene": scene}).scene
+    for index in range(4):
+        drawn = generate_scene(spec, 0, index)
+        assert_nothing_intersects(drawn)
+        assert_hidden(drawn, np.random.default_rng(index))
+        assert_seen_from_wall(drawn, np.random.default_rng(index))
+        if kind != "isolated_wall":
+            assert_closed_surface(drawn)
