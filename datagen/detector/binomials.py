@@ -46,9 +46,11 @@ def _below_half(n: int, p: float, rng: np.random.Generator) -> int:
 @numba.njit(cache=True)
 def _inversion(n: int, p: float, rng: np.random.Generator) -> int:
     """Walk up the distribution until a uniform number is used up: P(0) = (1 − p)^n, by log1p."""
+    u = rng.random()
+    if u <= 1.0 - n * p:
+        return 0  # for (1 − p)^n ≥ 1 − n p
     term = math.exp(n * math.log1p(-p))
     odds = p / (1.0 - p)
-    u = rng.random()
     k = 0
     while u > term and k < n:
         u -= term

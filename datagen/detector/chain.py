@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from datagen.detector.binomials import binomial
 from datagen.detector.equilibrium import Equilibrium
-from datagen.detector.renewal import Pieces, edge_at, return_weights
+from datagen.detector.renewal import Pieces, edge_at, return_shares, return_weights
 
 Flux = NDArray[np.float64]
 
@@ -39,8 +39,8 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, rng: np.random.Gen
     """Several detections in a cycle: those that fired come back after the dead time and can fire again.
 
     A detection is uniform within its piece (pieces carry at most 0.05 events), so its return is uniform in the piece
-    shifted by the dead time: the returns are shared out among the pieces it touches, with the weights of
-    `renewal.return_weights`, exact for whatever flux the target carries.
+    shifted by the dead time: the returns are shared out among the pieces it touches as `renewal.return_shares` has
+    it, exactly for whatever flux these carry.
     """
     return _return_chain(pieces.flux, pieces.edges, pieces.bin_of, pieces.dead_time, bins, cycles, rng)
 
@@ -57,34 +57,36 @@ def _return_chain(
 ) -> NDArray[np.int64]:
     n = len(flux)
     counts = np.zeros(bins, np.int64)
-    returning = np.zeros(n + 3, np.int64)
-    weights = np.empty(n + 3)
+    # Decided ahead for each piece: how many just returned fire in it, how many are armed from its start on.
+    firing, arming = np.zeros(n + 3, np.int64), np.zeros(n + 3, np.int64)
+    shares, early = np.empty(n + 3), np.empty(n + 3)
     armed = cycles
     target = 0
     for i in range(n):
-        armed += returning[i]
-        if armed == 0 or flux[i] <= 0.0:
-            continue
-        fired = binomial(armed, -np.expm1(-flux[i]), rng)
+        armed += arming[i]
+        fired = binomial(armed, -np.expm1(-flux[i]), rng) if flux[i] > 0.0 else 0
+        armed -= fired
+        fired += firing[i]
         if fired == 0:
             continue
-        armed -= fired
         counts[bin_of[i]] += fired
         start, stop = edges[i] + dead_time, edges[i + 1] + dead_time
         if start >= edges[n]:
             continue
         while edges[target + 1] <= start:
             target += 1
-        count = return_weights(start, stop, target, edges, flux, weights)
+        count = return_shares(start, stop, target, edges, flux, shares, early)
         left, rest = fired, 1.0
         for k in range(count):
             # What returns after the end of the cycle is of no use to it.
-            if left == 0 or rest <= 0.0 or target + k >= n:
+            if left == 0 or target + k >= n:
                 break
-            moved = binomial(left, min(weights[k] / rest, 1.0), rng)
-            returning[target + k] += moved
+            moved = left if k == count - 1 else binomial(left, shares[k] / rest, rng)
+            again = binomial(moved, early[k], rng)
+            firing[target + k] += again
+            arming[target + k + 1] += moved - again
             left -= moved
-            rest -= weights[k]
+            rest -= shares[k]
     return counts
 
 
@@ -116,14 +118,14 @@ def _pending(detections: Flux, flux: Flux, edges: Flux, dead_time: float) -> Flu
     whole = int(np.floor(dead_time / period))
     rest = dead_time - whole * period
     pending = np.zeros((whole + 2, m))
-    weights = np.empty(m + 3)
+    weights, scratch = np.empty(m + 3), np.empty((2, m + 3))
     target = 0
     for i in range(m):
         while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + rest:
             target += 1
         if detections[i] <= 0.0:
             continue
-        count = return_weights(edges[i] + rest, edges[i + 1] + rest, target, edges, flux, weights)
+        count = return_weights(edges[i] + rest, edges[i + 1] + rest, target, edges, flux, weights, scratch)
         for k in range(count):
             where = target + k
             lap = where // m
@@ -151,7 +153,7 @@ def _ensemble(
     rest_time = dead_time - whole * period
     ring = whole + 3
     counts = np.zeros(bins, np.int64)
-    weights = np.empty(m + 3)
+    weights, scratch = np.empty(m + 3), np.empty((2, m + 3))
     returning = np.zeros((ring, m), np.int64)
     armed, free = runs, 1.0
     for lap in range(len(pending)):
@@ -175,7 +177,9 @@ def _ensemble(
             counts[bin_of[i]] += fired
             while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + rest_time:
                 target += 1
-            count = return_weights(edges[i] + rest_time, edges[i + 1] + rest_time, target, edges, flux, weights)
+            count = return_weights(
+                edges[i] + rest_time, edges[i + 1] + rest_time, target, edges, flux, weights, scratch
+            )
             left, rest = fired, 1.0
             for k in range(count):
                 if left == 0:

@@ -120,7 +120,7 @@ def _equations(
     size = 8 * m + 64
     rows, columns, values = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
     gain, pending = np.zeros(m), np.zeros(m)
-    weights = np.empty(m + 3)
+    weights, scratch = np.empty(m + 3), np.empty((2, m + 3))
     used, target = 0, 0
     for i in range(m):
         # Row j holds the equation for A_{j+1}; row m − 1 that for A_0 of the next cycle.
@@ -131,7 +131,7 @@ def _equations(
             continue
         while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + rest:
             target += 1
-        count = return_weights(edges[i] + rest, edges[i + 1] + rest, target, edges, flux, weights)
+        count = return_weights(edges[i] + rest, edges[i + 1] + rest, target, edges, flux, weights, scratch)
         q = -np.expm1(-flux[i])
         itself = weights[0] if target == i else 0.0
         gain[i] = q / (1.0 - itself * q)
@@ -181,14 +181,14 @@ def push_returns(detections: Array, flux: Array, edges: Array, dead_time: float,
     """Returns due in the next cycle, were `detections` those of this one."""
     m = len(flux)
     period = edges[m]
-    weights = np.empty(m + 3)
+    weights, scratch = np.empty(m + 3), np.empty((2, m + 3))
     target = 0
     for i in range(m):
         while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + dead_time:
             target += 1
         if detections[i] <= 0.0:
             continue
-        count = return_weights(edges[i] + dead_time, edges[i + 1] + dead_time, target, edges, flux, weights)
+        count = return_weights(edges[i] + dead_time, edges[i + 1] + dead_time, target, edges, flux, weights, scratch)
         for k in range(count):
             if target + k >= m:
                 following[target + k - m] += weights[k] * detections[i]

@@ -105,45 +105,62 @@ def synchronous_mean(flux: Array, edges_s: Array, width_s: float, dead_time_s: f
 
 
 @numba.njit(cache=True)
-def return_weights(start: float, stop: float, first: int, edges: Array, flux: Array, weights: Array) -> int:
-    """Share out returns, uniform in `start … stop`, to the pieces `first`, `first + 1`, …; the number of pieces.
+def return_shares(
+    start: float, stop: float, first: int, edges: Array, flux: Array, shares: Array, early: Array
+) -> int:
+    """Where returns, uniform in `start … stop`, end up: in pieces `first`, `first + 1`, …; how many pieces.
 
-    A return at the remaining share ρ of a piece of flux x fires in it with probability 1 − e^{−xρ}: as if it had been
-    armed from the piece's start with probability (1 − e^{−xρ}) / (1 − e^{−x}), and else from the next piece's start.
-    Piece numbers run on past the end of the period into the next one.
+    `shares[k]` of them return in piece `first + k`, and of these `early[k]` fire in it: with the remaining share ρ of
+    a piece of flux x one does so with probability 1 − e^{−xρ}, of which this is the mean over ρ. Piece numbers run on
+    past the end of the period into the next one.
     """
     m = len(flux)
     period = edges[m]
-    length = stop - start
-    weights[0] = 0.0
     k = 0
     while True:
         index, lap = first + k, 0.0
         if index >= m:
             index, lap = index - m, period
         low, high = edges[index] + lap, edges[index + 1] + lap
-        share = (min(stop, high) - max(start, low)) / length
-        share = max(share, 0.0)
+        shares[k] = max((min(stop, high) - max(start, low)) / (stop - start), 0.0)
         x = flux[index]
-        ahead = 0.0
-        if x > 0.0 and share > 0.0:
-            rho_high = (high - max(start, low)) / (high - low)
-            rho_low = (high - min(stop, high)) / (high - low)
-            middle, half = 0.5 * (rho_high + rho_low), 0.5 * (rho_high - rho_low)
-            if x < 1e-3:
-                # Mean of (1 − e^{−xρ})/(1 − e^{−x}) to second order; the closed form cancels here.
-                square = middle * middle + half * half / 3.0
-                ahead = middle + 0.5 * x * (middle - square)
-            elif half * x < 1e-6:
-                ahead = np.expm1(-x * middle) / np.expm1(-x)
-            else:
-                mean_exp = np.exp(-x * middle) * np.sinh(x * half) / (x * half)
-                ahead = (mean_exp - 1.0) / np.expm1(-x)
-        weights[k] += share * ahead
-        weights[k + 1] = share * (1.0 - ahead)
+        rho_high = (high - max(start, low)) / (high - low)
+        rho_low = (high - min(stop, high)) / (high - low)
+        middle, half = 0.5 * (rho_high + rho_low), 0.5 * (rho_high - rho_low)
+        if x <= 0.0 or shares[k] <= 0.0:
+            early[k] = 0.0
+        elif x < 1e-3:
+            # The closed form cancels here; the series is good to 10⁻¹⁰.
+            square, cube = middle * middle + half * half / 3.0, middle * (middle * middle + half * half)
+            early[k] = x * (middle - x * (0.5 * square - x * cube / 6.0))
+        else:
+            argument = x * half
+            mean = 1.0 if argument < 1e-6 else np.sinh(argument) / argument
+            early[k] = 1.0 - np.exp(-x * middle) * mean
         k += 1
         if stop <= high or k >= m:
-            return k + 1
+            return k
+
+
+@numba.njit(cache=True)
+def return_weights(
+    start: float, stop: float, first: int, edges: Array, flux: Array, weights: Array, scratch: Array
+) -> int:
+    """The same in the mean, as weights of pieces `first`, `first + 1`, … from whose start they count as armed.
+
+    A return that fires in its piece with probability e is as good as one armed from the piece's start with
+    probability e / (1 − e^{−x}), and else from the next piece's start. `scratch` is (2, m + 3).
+    """
+    m = len(flux)
+    shares, early = scratch[0], scratch[1]
+    count = return_shares(start, stop, first, edges, flux, shares, early)
+    weights[0] = 0.0
+    for k in range(count):
+        index = first + k if first + k < m else first + k - m
+        ahead = early[k] / -np.expm1(-flux[index]) if early[k] > 0.0 else 0.0
+        weights[k] += shares[k] * ahead
+        weights[k + 1] = shares[k] * (1.0 - ahead)
+    return count + 1
 
 
 @numba.njit(cache=True)
@@ -154,7 +171,7 @@ def run_cycle(
     m = len(flux)
     period = edges[m]
     detections = np.zeros(m)
-    weights = np.empty(m + 3)
+    weights, scratch = np.empty(m + 3), np.empty((2, m + 3))
     target, shift = 0, dead_time
     for i in range(m):
         armed += returning[i]
@@ -162,7 +179,7 @@ def run_cycle(
             continue
         while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + shift:
             target += 1
-        count = return_weights(edges[i] + shift, edges[i + 1] + shift, target, edges, flux, weights)
+        count = return_weights(edges[i] + shift, edges[i + 1] + shift, target, edges, flux, weights, scratch)
         q = -np.expm1(-flux[i])
         fired = armed * q
         if target == i:
