@@ -42,6 +42,9 @@ class Hits:
     def valid(self) -> NDArray[np.bool_]:
         return self.face >= 0
 
+    def take(self, rows: NDArray[np.int64]) -> Hits:
+        return Hits(self.face[rows], self.position[rows], self.normal[rows])
+
 
 class Raycaster:
     """Closest-hit and occlusion queries against one scene; all points in the scene's metres."""

@@ -15,6 +15,7 @@ from datagen.transport.connections import Clock, Receiver, Rows, Tally
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches, fov_pool
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import stream_seeds
+from datagen.transport.secondary import factorising, secondary_transient
 from datagen.transport.vertices import (
     SOBOL_STEPS,
     AreaTarget,
@@ -82,9 +83,13 @@ def simulate(
         scene, capture, accuracy, caster, materials, cones,
         PixelPatches.of(caster, capture.sensor, cones, accuracy.fov_samples), points,
         AreaTarget.choose(caster, scene, materials, points, seed), seed, _Splits.of(scene, accuracy, split_parts),
+        _walked(accuracy, materials),
     )  # fmt: skip
     prepared = clock_time.perf_counter()
     estimate = _estimate(job)
+    traced = clock_time.perf_counter()
+    if "secondary" in estimate.components and not job.walked.all() and accuracy.secondary != "none":
+        _add_factorised(job, estimate)
     finished = clock_time.perf_counter()
     return Transient(
         time=capture.time,
@@ -93,7 +98,7 @@ def simulate(
         stderr=estimate.stderr,
         overflow=estimate.overflow,
         laser_points=points.position,
-        seconds={"prepare": prepared - began, "trace": finished - prepared},
+        seconds={"prepare": prepared - began, "trace": traced - prepared, "secondary": finished - traced},
     )
 
 
@@ -109,7 +114,8 @@ class _Splits:
     @classmethod
     def of(cls, scene: Scene, accuracy: Accuracy, split_parts: bool) -> _Splits:
         orders = accuracy.max_bounces or 5
-        others = ("direct",) * accuracy.direct + ("secondary",) * (orders >= 4) + ("higher",) * (orders >= 5)
+        secondary = orders >= 4 and accuracy.secondary != "none"
+        others = ("direct",) * accuracy.direct + ("secondary",) * secondary + ("higher",) * (orders >= 5)
         return cls(scene.part_names if split_parts else (), others, len(scene.part_names))
 
     @property
@@ -126,6 +132,8 @@ class _Splits:
         if order == 3:
             return np.arange(self.all_parts) if self.parts else np.zeros(self.all_parts, np.int64)
         name = "direct" if order < 3 else "secondary" if order == 4 else "higher"
+        if name not in self.components:
+            return np.zeros(self.all_parts, np.int64)
         return np.full(self.all_parts, self.primary + self.components.index(name))
 
 
@@ -142,6 +150,9 @@ class _Job:
     target: AreaTarget
     seed: int
     splits: _Splits
+    walked: NDArray[np.bool_]
+    """(K,) parts whose vertices the walk joins to the FoV in fourth-bounce paths; the others are left out, or left to
+    the factorised form of `secondary.py`."""
 
 
 @dataclass(frozen=True)
@@ -190,6 +201,26 @@ def _estimate(job: _Job) -> _Estimate:
     return _Estimate(components, parts, _standard_error(total, squares, scramblings), overflow / scramblings)
 
 
+def _walked(accuracy: Accuracy, materials: MaterialTable) -> NDArray[np.bool_]:
+    if accuracy.secondary == "none":
+        return np.zeros(len(materials.kind), np.bool_)
+    return np.ones(len(materials.kind), np.bool_) if accuracy.observed is None else ~factorising(materials)
+
+
+def _add_factorised(job: _Job, estimate: _Estimate) -> None:
+    """Add what the factorised form gives of the secondary; its error is independent of the walk's."""
+    accuracy = job.accuracy
+    assert accuracy.observed is not None
+    more = secondary_transient(
+        job.caster, job.scene, job.materials, job.capture, job.points, job.cones, job.patches,
+        lookins=accuracy.lookins, observed=accuracy.observed, fov_samples=accuracy.fov_samples,
+        scramblings=accuracy.scramblings, strongest=accuracy.strongest, seed=job.seed, carriers=~job.walked,
+    )  # fmt: skip
+    estimate.components["secondary"] += more.mean
+    np.hypot(estimate.stderr, more.stderr, out=estimate.stderr)
+    estimate.overflow[:] += more.overflow
+
+
 def _standard_error(
     total: NDArray[np.float64], squares: NDArray[np.float64], scramblings: int
 ) -> NDArray[np.float64]:
@@ -219,18 +250,22 @@ def _trace_chunk(job: _Job, chunk: NDArray[np.int64], pool: FovPool, count: int,
     vertices = draw_lookins(
         job.caster, job.scene, job.materials, job.points, chunk, count, job.target, job.seed, scrambling, steps
     )
+    if last == 4 and not job.walked.any():
+        last = 3
     order = 3
     while len(vertices):
         numbers = vertices.numbers(order - 3)
         split_of_part = job.splits.of_part(order)
-        receiver.connect(vertices, numbers[:, 0], split_of_part)
-        ends = order == last
-        if ends:
-            near = receiver.near(vertices)
-            vertices, numbers = vertices.take(near), numbers[near]
+        joined = np.flatnonzero(job.walked[vertices.part]) if order == 4 else np.arange(len(vertices))
+        receiver.connect(vertices.take(joined), numbers[joined, 0], split_of_part)
+        if order == last:
+            joined = joined[receiver.near(vertices.take(joined))]
+            vertices, numbers, joined = vertices.take(joined), numbers[joined], np.arange(len(joined))
         hits, directions, throughput = scattered_rays(job.caster, job.materials, vertices, numbers)
-        receiver.follow(vertices, hits, directions, throughput, split_of_part)
-        if ends:
+        receiver.follow(
+            vertices.take(joined), hits.take(joined), directions[joined], throughput[joined], split_of_part
+        )
+        if order == last:
             break
         if last is None and order >= ROULETTE_FROM:
             survival = np.clip(throughput, *SURVIVAL)

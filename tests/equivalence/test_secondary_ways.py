@@ -1,0 +1,55 @@
+"""The secondary by the walk and by the factorised form is the same light, and the choices mean what they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rooms import bins_of_path, furnished_box, one_point_capture
+from scipy import stats
+
+from datagen import Accuracy, simulate
+from datagen.errors import InputError
+
+AXIS = bins_of_path(40, 0.5, 0.0)
+
+
+def test_walk_and_factorised_form_agree_by_bin() -> None:
+    """Two estimators that share rays only: Student's t over the bins at 10⁻³ (8 scramblings each)."""
+    scene, capture = furnished_box(0.8), one_point_capture(time=AXIS)
+    walk = simulate(scene, capture, Accuracy(1 << 15, 8, 4, 8), seed=1)
+    factorised = simulate(scene, capture, Accuracy(1 << 11, 16, 4, 8, observed=256), seed=2)
+    a, b = walk.components["secondary"], factorised.components["secondary"]
+    assert a.sum() == pytest.approx(b.sum(), rel=0.02)
+    sigma = np.hypot(walk.stderr, factorised.stderr)
+    filled = (sigma > 0) & (a > 1e-3 * a.max())
+    assert (np.abs(a - b)[filled] / sigma[filled]).max() < stats.t.ppf(1 - 0.5e-3 / filled.sum(), 7)
+
+
+def test_strongest_keep_less_and_more_of_them_keep_more() -> None:
+    scene, capture = furnished_box(0.8), one_point_capture(time=AXIS)
+    energy = [
+        simulate(scene, capture, Accuracy(512, 8, 4, 2, observed=64, secondary=kept), seed=1)
+        .components["secondary"]
+        .sum()
+        for kept in ("strongest", 1, 8, 64, "all")
+    ]
+    assert energy[0] == energy[1]
+    assert energy[1] < energy[2] < energy[3]
+    assert energy[3] == pytest.approx(energy[4], rel=1e-9)
+
+
+def test_none_leaves_the_secondary_out_and_the_rest_alone() -> None:
+    scene, capture = furnished_box(0.8), one_point_capture(time=AXIS)
+    everything = simulate(scene, capture, Accuracy(1024, 4, 5, 2), seed=1)
+    without = simulate(scene, capture, Accuracy(1024, 4, 5, 2, secondary="none"), seed=1)
+    assert "secondary" not in without.components
+    np.testing.assert_array_equal(without.components["higher"], everything.components["higher"])
+    np.testing.assert_array_equal(without.components["primary"], everything.components["primary"])
+
+
+@pytest.mark.parametrize(
+    "kwargs", [{"secondary": "strongest"}, {"secondary": 0}, {"secondary": "some"}, {"observed": 0}]
+)
+def test_choices_that_mean_nothing_are_refused(kwargs: dict) -> None:
+    with pytest.raises(InputError, match=r"Accuracy\.(secondary|observed)"):
+        Accuracy(max_bounces=4, **kwargs)
