@@ -4,7 +4,7 @@ mitransient (Royo et al., "Non-line-of-sight transient rendering", Computers & G
 optional extra: `pip install '.[peers]'` and an LLVM of version 16 or later (Debian: libllvm19).
 
 Both answer with the radiance that leaves points of the relay wall towards the sensor, per emitted photon: what
-`radiance` makes of our transient for pixels as small as points. What mitransient computes is brought to that here:
+`photons_to_radiance` makes of our transient for pixels as small as points. mitransient's answer is brought to that:
 
 - its laser is a lamp of unit intensity, so its answer carries the irradiance cosθ/d² of the laser point;
 - it puts a path into the one bin that it falls in, ours shares it between two. Given bins `FINE` times finer,
@@ -26,7 +26,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.errors import InputError
-from datagen.records import Capture, Lambertian, Laser, Rectangle, Scene, Sensor, TimeAxis, Transient
+from datagen.records import Capture, Lambertian, Laser, Rectangle, Scene, Sensor, TimeAxis
 from datagen.transport.binning import splat
 from datagen.units import path_from_time
 
@@ -93,19 +93,15 @@ def point_capture(
     axis: TimeAxis,
     confocal: bool = False,
 ) -> Capture:
-    """Our capture of pixels as small as points, for `radiance` to read."""
+    """Our capture of pixels as small as points, for `photons_to_radiance` to read."""
     right, up = (v * (POINT_HALF_SIDE_M / np.linalg.norm(v)) for v in (wall.right, wall.up))
     corners = points[:, None] + np.stack([-right - up, right - up, right + up, -right + up])
     pairing = "confocal" if confocal else "exhaustive"
     return Capture(Laser(device, laser_points), Sensor(device, corners), axis, pairing)  # type: ignore[arg-type]
 
 
-def radiance(transient: Transient, capture: Capture, component: str | None = None) -> NDArray[np.float64]:
-    """(laser, pixel, bin) of L / (A Ω), 1/(m² sr), for pixels that are small parallelograms.
-
-    Of the total, or of one component.
-    """
-    photons = transient.total if component is None else transient.components[component]
+def photons_to_radiance(photons: NDArray[np.float64], capture: Capture) -> NDArray[np.float64]:
+    """Photons L (laser, pixel, bin) of a transient → L / (A Ω), 1/(m² sr), for pixels small enough to be points."""
     a, b, d = (capture.sensor.pixels[:, k] for k in (0, 1, 3))
     centre = capture.sensor.pixels.mean(axis=1)
     away = capture.sensor.position - centre
