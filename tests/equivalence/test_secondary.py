@@ -1,0 +1,384 @@
+"""The factorised secondary: equal to the plain double sum, to closed forms, and to the general walk."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
+from scipy import stats
+
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen.bench.paper_case import demonstration_capture, demonstration_room
+from datagen.errors import InputError
+from datagen.records.materials import Phong
+from datagen.transport import convolution, secondary
+from datagen.transport.brdf import MaterialTable, evaluate
+from datagen.transport.convolution import Histograms, Paths, Sums
+from datagen.transport.fov import PixelCones, PixelPatches, fov_pool
+from datagen.transport.raycast import Raycaster
+from datagen.transport.sampling import stream_seeds
+from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
+
+DEVICE = (1.5, 0.1, 1.3)
+
+
+def secondary_of(scene: Scene, capture: Capture, **changes: Any) -> secondary.SecondaryEstimate:
+    settings: dict[str, Any] = {
+        "lookins": 256, "observed": 64, "fov_samples": 32, "scramblings": 1, "strongest": None, "seed": 0,
+    } | changes  # fmt: skip
+    caster, cones = Raycaster(scene), PixelCones.of(capture.sensor)
+    points = LaserPoints.of(caster, scene, capture.laser)
+    return secondary.secondary_transient(
+        caster, scene, MaterialTable.of(scene.materials), capture, points, cones,
+        PixelPatches.of(caster, capture.sensor, cones, settings["fov_samples"]), **settings,
+    )  # fmt: skip
+
+
+def energies(estimates: list[secondary.SecondaryEstimate]) -> NDArray[np.float64]:
+    return np.array([e.mean.sum() + e.overflow.sum() for e in estimates])
+
+
+def random_histograms(rng: np.random.Generator, rows: int, paths: int, low: float, high: float) -> Histograms:
+    first = np.arange(rows + 1) * paths
+    position, energy = rng.uniform(low, high, rows * paths), rng.exponential(size=rows * paths)
+    every = np.full(rows, 1 << 60)
+    return convolution.histograms(Paths(first, position, energy), rng.random(rows), -every, every)
+
+
+@pytest.mark.parametrize("pixels", [1, 3])
+@pytest.mark.parametrize("shift", [0.0, -40.0, 70.0])
+def test_direct_and_spectral_convolutions_are_the_same(pixels: int, shift: float) -> None:
+    """Both against np.convolve, with windows that cut the start and the end."""
+    rng = np.random.default_rng(1)
+    lookins, lasers, bins = 5, 4, 90
+    ins = [random_histograms(rng, lookins, 30, 10.0, 45.0) for _ in range(lasers)]
+    outs = random_histograms(rng, lookins * pixels, 20, shift, shift + 30.0)
+    direct, spectral = Sums.zeros(lasers, pixels, bins), Sums.zeros(lasers, pixels, bins)
+    for k, one in enumerate(ins):
+        convolution.convolve_directly(one, outs, direct.of_laser(k))
+    convolution.convolve_spectrally(ins, outs, spectral)
+
+    truth = np.zeros((lasers, pixels, 400))
+    for laser in range(lasers):
+        for b in range(lookins):
+            x = ins[laser].values[ins[laser].first[b] : ins[laser].first[b + 1]]
+            for p in range(pixels):
+                r = b * pixels + p
+                pairs = np.convolve(x, outs.values[outs.first[r] : outs.first[r + 1]])
+                start = ins[laser].base[b] + outs.base[r] + 150
+                truth[laser, p, start : start + len(pairs)] += pairs
+    inside = truth[..., 150 : 150 + bins]
+    peak = truth.max()
+    for sums in (direct, spectral):
+        np.testing.assert_allclose(sums.transient, inside, rtol=1e-12, atol=1e-13 * peak)
+        np.testing.assert_allclose(sums.transient.sum(axis=2) + sums.overflow, truth.sum(axis=2), rtol=1e-12)
+        assert (sums.transient >= 0).all()
+        np.testing.assert_allclose(sums.energy, truth.sum(axis=2), rtol=1e-12)
+    assert (truth.sum() > inside.sum() * 1.01) or shift == 0.0
+    np.testing.assert_allclose(direct.moment, spectral.moment, rtol=1e-12, atol=1e-12 * peak)
+
+
+def scan(bins: int, width_m: float, origin: str = "wall") -> Capture:
+    """Two laser points and three pixels, one pixel partly in the shadow of nothing in particular."""
+    pixels = square_pixels([(0, 0.4, 1.2), (0, -0.3, 0.8), (0, 1.1, 2.0)], 0.2)
+    return Capture(
+        Laser(DEVICE, [(0, -0.8, 1.4), (0, 1.0, 0.3)]),
+        Sensor(DEVICE, pixels),
+        bins_of_path(bins, width_m, 0.0, origin),
+    )
+
+
+@pytest.mark.parametrize("strongest", [None, 1, 5])
+@pytest.mark.parametrize("placement", ["fov", "laser"])
+def test_equals_the_plain_double_sum(strongest: int | None, placement: str) -> None:
+    """Over the very same points: energy and mean arrival time to rounding, each bin to binning; and smoothed over a
+    tenth of a metre the two are nearly one curve."""
+    scene, capture = furnished_box(), scan(400, 0.05, "source")
+    settings = {"lookins": 200, "observed": 100, "fov_samples": 50, "strongest": strongest, "placement": placement}
+    fast, plain = (secondary_of(scene, capture, plain=p, **settings) for p in (False, True))
+    np.testing.assert_allclose(fast.mean.sum(axis=2), plain.mean.sum(axis=2), rtol=1e-12)
+    assert plain.overflow.max() == fast.overflow.max() == 0.0
+    centers = np.arange(400) + 0.5
+    arrival = [(e.mean @ centers) / e.mean.sum(axis=2) for e in (fast, plain)]
+    np.testing.assert_allclose(arrival[0], arrival[1], atol=1e-9)
+    difference = np.linalg.norm(fast.mean - plain.mean) / np.linalg.norm(plain.mean)
+    # A sixth or less of the sampling noise at these counts, which is what the displaced grids add in quadrature.
+    assert difference < (0.06 if strongest is None else 0.3)
+
+
+def test_equals_the_plain_double_sum_in_a_window_that_cuts() -> None:
+    scene, capture = furnished_box(), scan(60, 0.1)
+    fast, plain = (secondary_of(scene, capture, plain=p, lookins=100) for p in (False, True))
+    np.testing.assert_allclose(
+        fast.mean.sum(axis=2) + fast.overflow, plain.mean.sum(axis=2) + plain.overflow, rtol=1e-12
+    )
+    np.testing.assert_allclose(fast.overflow, plain.overflow, rtol=2e-2)
+    assert (plain.overflow > 0.05 * plain.mean.sum(axis=2)).all()
+
+
+def test_a_single_pair_of_paths_is_split_between_its_two_bins_exactly() -> None:
+    scene, capture = furnished_box(), one_point_capture()
+    found = 0
+    for seed in range(40):
+        settings = {"lookins": 1, "observed": 1, "fov_samples": 1, "strongest": 1, "seed": seed}
+        fast, plain = (secondary_of(scene, capture, plain=p, **settings).mean for p in (False, True))
+        np.testing.assert_allclose(fast, plain, rtol=1e-9, atol=1e-12 * plain.max())
+        found += plain.max() > 0
+    assert found > 15
+
+
+def in_a_ball(albedo: float) -> tuple[Scene, Capture, float]:
+    mesh = trimesh.creation.icosphere(subdivisions=5)
+    mesh.apply_scale(np.sqrt(4 * np.pi / mesh.area))
+    scene = Scene.from_parts([Part("sphere", mesh, Lambertian(albedo), "structure")])
+    quad = np.array([[[0.1, -0.5, -1], [0.5, 0.3, -1], [0, 0.5, -1], [-0.4, -0.2, -1.0]]])
+    capture = Capture(Laser((0, 0, 0.0), [[1.0, 0.1, 0.2]]), Sensor((0, 0, 0.0), quad), bins_of_path(60, 0.1, 0.0))
+    omega = PixelCones.of(capture.sensor).solid_angle[0]
+    return scene, capture, albedo**4 / np.pi * np.pi * 0.02**2 * omega / (4 * np.pi)
+
+
+@pytest.mark.parametrize("albedo", [0.3, 1.0])
+def test_inside_of_a_sphere_energy(albedo: float) -> None:
+    """L = ρ⁴/π · A Ω / (4π r²)."""
+    scene, capture, expected = in_a_ball(albedo)
+    estimate = secondary_of(scene, capture, lookins=8192, observed=64, scramblings=2)
+    assert estimate.mean.sum() + estimate.overflow.sum() == pytest.approx(expected, rel=1e-3)
+
+
+def test_inside_of_a_sphere_shape() -> None:
+    """Three chords through uniform points, by bin: 16 runs, Student's t, family-wise level 10⁻³ over the bins."""
+    scene, capture, expected = in_a_ball(0.8)
+    runs = np.array([secondary_of(scene, capture, lookins=512, seed=s).mean[0, 0] for s in range(16)])
+    truth = shape_of_three_chords(np.random.default_rng(5), capture, 0.1) * expected
+    mean, error = runs.mean(axis=0), runs.std(axis=0, ddof=1) / 4
+    filled = truth > 1e-3 * truth.max()
+    error = np.hypot(error, np.sqrt(truth * expected / 1_000_000))
+    t = np.abs(mean - truth)[filled] / error[filled]
+    assert t.max() < stats.t.ppf(1 - 0.5e-3 / filled.sum(), 15)
+
+
+def shape_of_three_chords(rng: np.random.Generator, capture: Capture, width_m: float) -> NDArray[np.float64]:
+    """Share of energy per bin from a million chains of two uniform points between laser point and FoV."""
+    n = 1_000_000
+    a, b, c, d = capture.sensor.pixels[0]
+    u, v = rng.random((2, n, 1))
+    end = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+    along_u, along_v = (1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b)
+    weight = np.abs(np.einsum("ij,ij->i", end, np.cross(along_u, along_v))) / np.linalg.norm(end, axis=1) ** 3
+    end /= np.linalg.norm(end, axis=1, keepdims=True)
+    spot = capture.laser.targets[0] / np.linalg.norm(capture.laser.targets[0])
+    one, two = rng.normal(size=(2, n, 3))
+    one /= np.linalg.norm(one, axis=1, keepdims=True)
+    two /= np.linalg.norm(two, axis=1, keepdims=True)
+    path = sum(np.linalg.norm(x - y, axis=1) for x, y in ((spot, one), (one, two), (two, end)))
+    position = path / width_m - 0.5
+    low = np.floor(position).astype(int)
+    shape = np.bincount(low + 1, weight * (1 - position + low), 80) + np.bincount(
+        low + 2, weight * (position - low), 80
+    )
+    return shape[1:61] / weight.sum()
+
+
+CORNERS = {
+    "open wall": one_point_capture(),
+    "1 mm from two walls": one_point_capture((0, -1.499, 0.001)),
+    "FoV in the same corner": one_point_capture((0, -1.499, 0.001), (0, -1.3, 0.2), 0.2),
+    "confocal at an object": one_point_capture((0, 1.45, 2.45), (0, 1.4, 2.4), 0.1),
+}
+
+
+@pytest.mark.parametrize("place", CORNERS)
+def test_agrees_with_the_walk(place: str) -> None:
+    """8 runs of each: energy and every filled bin, Student's t with 7 degrees at least, family-wise level 10⁻³."""
+    scene, capture = furnished_box(), CORNERS[place]
+    ours = np.array([secondary_of(scene, capture, lookins=1024, seed=s).mean[0, 0] for s in range(8)])
+    walk = np.array(
+        [
+            simulate(scene, capture, Accuracy(1 << 14, 16, 4, 1), seed=s).components["secondary"][0, 0]
+            for s in range(8)
+        ]
+    )
+    # Bins of 0.5 m, so that each holds many paths of every run and its spread is near normal.
+    ours, walk = (np.column_stack([x.reshape(8, 40, 5).sum(axis=2), x.sum(axis=1)]) for x in (ours, walk))
+    error = np.sqrt((ours.var(axis=0, ddof=1) + walk.var(axis=0, ddof=1)) / 8)
+    filled = walk.mean(axis=0) > 3e-3 * walk.mean(axis=0)[:-1].max()
+    t = np.abs(ours.mean(axis=0) - walk.mean(axis=0))[filled] / error[filled]
+    assert t.max() < stats.t.ppf(1 - 0.5e-3 / filled.sum(), 7)
+    assert error[-1] < 0.02 * walk.mean(axis=0)[-1]
+
+
+def test_one_sample_is_unbiased_and_bounded() -> None:
+    """1 lookin, 1 observed point, 1 FoV point, laser point 1 mm from a corner: no sample rules the mean."""
+    scene, capture = furnished_box(), CORNERS["1 mm from two walls"]
+    truth = energies([secondary_of(scene, capture, lookins=1 << 13, seed=9)])[0]
+    ones = energies([secondary_of(scene, capture, lookins=1, observed=1, fov_samples=1, seed=s) for s in range(600)])
+    assert abs(ones.mean() - truth) < stats.norm.ppf(1 - 0.5e-3) * ones.std(ddof=1) / np.sqrt(len(ones))
+    assert ones.max() < 200 * truth
+
+
+def test_lookins_placed_by_the_laser_miss_those_in_its_shadow() -> None:
+    """A plate that a screen hides from the laser point but not from the FoV: the paper's placement never finds it."""
+    box = furnished_box()
+    parts = [
+        Part(name, trimesh.Trimesh(box.vertices, box.triangles[box.faces_of(name)], process=False), Lambertian(0.8))
+        for name in ("relay_wall", "walls", "floor", "ceiling")
+    ]
+    screen = rectangle((1.2, 0.2, 1.25), (0, 0.6, 0), (0, 0, 1.25))
+    plate = rectangle((3.5, 1.0, 1.3), (0, 0.3, 0), (0, 0, 0.3))
+    scene = Scene.from_parts([*parts, Part("screen", screen, Lambertian(0.8)), Part("plate", plate, Lambertian(0.8))])
+    capture = one_point_capture((0, -0.2, 1.4), (0, 1.2, 1.2), device=(0.8, 0.1, 1.3))
+    plate_only = np.array([name == "plate" for name in scene.part_names])
+    settings = {"lookins": 4096, "carriers": plate_only}
+    assert secondary_of(scene, capture, **settings, placement="laser").mean.sum() == 0.0
+    ours = energies([secondary_of(scene, capture, **settings, seed=s) for s in range(8)])
+    walk = walk_by_third_vertex(scene, capture, plate_only)
+    error = np.sqrt((ours.var(ddof=1) + walk.var(ddof=1)) / 8)
+    assert abs(ours.mean() - walk.mean()) < stats.t.ppf(1 - 0.5e-3, 7) * error
+    assert ours.mean() > 20 * error
+
+
+def test_more_of_the_strongest_paths_keep_more_energy() -> None:
+    """k = 1, 4, 16 … of 64: energy rises to that of all; Ñ of them are all of them."""
+    scene, capture = furnished_box(), one_point_capture()
+    kept = [secondary_of(scene, capture, strongest=k).mean.sum() for k in (1, 4, 16, 63, 64, 1000)]
+    assert kept == sorted(kept)
+    assert kept[0] < 0.3 * kept[-1]
+    assert kept[-2] == pytest.approx(kept[-1], rel=1e-12)
+
+
+def test_confocal_scan_gives_what_each_point_gives_alone() -> None:
+    scene, points = furnished_box(), np.array([(0, -0.8, 1.4), (0, 0.4, 0.7), (0, 1.2, 2.2)])
+    axis = bins_of_path(200, 0.1, 0.0)
+    together = Capture(Laser(DEVICE, points), Sensor(DEVICE, square_pixels(points, 0.1)), axis, "confocal")
+    scans = np.array([secondary_of(scene, together, seed=s).mean.sum(axis=(1, 2)) for s in range(8)])
+    for k, point in enumerate(points):
+        alone = one_point_capture(point, point, 0.1)
+        single = energies([secondary_of(scene, alone, seed=100 + s) for s in range(8)])
+        error = np.sqrt((scans[:, k].var(ddof=1) + single.var(ddof=1)) / 8)
+        assert abs(scans[:, k].mean() - single.mean()) < stats.t.ppf(1 - 0.5e-3 / 3, 7) * error
+
+
+def test_lookins_by_part_add_up_and_other_materials_are_refused() -> None:
+    """Parts that carry lookins partition the light; one that does not factorise has to be left out by name."""
+    scene, capture = furnished_box(), one_point_capture()
+    everything = secondary_of(scene, capture).mean.sum()
+    some = np.arange(6) % 2 == 0
+    halves = [secondary_of(scene, capture, carriers=mask).mean.sum() for mask in (some, ~some)]
+    assert sum(halves) == pytest.approx(everything, rel=1e-10)
+
+    mesh = rectangle((1.0, 0.0, 1.0), (0, 0.2, 0), (0, 0, 0.2))
+    wall = rectangle((0, 0, 1), (0, 2, 0), (0, 0, 2))
+    other = Scene.from_parts(
+        [Part("wall", wall, Lambertian(0.8), "relay_wall"), Part("gloss", mesh, Phong(0.5, exponent=20))]
+    )
+    with pytest.raises(InputError, match=r"gloss.*does not factorise"):
+        secondary_of(other, capture)
+    with pytest.raises(InputError, match="strongest = 0"):
+        secondary_of(scene, capture, strongest=0)
+
+
+def test_observed_points_and_fov_may_have_any_brdf() -> None:
+    """Glossy pillar, box and relay wall: lookins on Lambertian parts against the walk restricted to them."""
+    base = furnished_box()
+    glossy = {"relay_wall", "box", "pillar"}
+    parts = [
+        Part(
+            name, trimesh.Trimesh(base.vertices, base.triangles[base.faces_of(name)], process=False),
+            Phong(0.7, exponent=8) if name in glossy else Lambertian(0.7), role,
+        )
+        for name, role in zip(base.part_names, base.roles, strict=True)
+    ]  # fmt: skip
+    capture = one_point_capture()
+    scene = Scene.from_parts(parts)
+    carriers = np.array([name not in glossy for name in scene.part_names])
+    ours = energies([secondary_of(scene, capture, lookins=1024, carriers=carriers, seed=s) for s in range(8)])
+    walk = walk_by_third_vertex(scene, capture, carriers)
+    error = np.sqrt((ours.var(ddof=1) + walk.var(ddof=1)) / 8)
+    assert abs(ours.mean() - walk.mean()) < stats.t.ppf(1 - 0.5e-3, 7) * error
+    assert error < 0.02 * walk.mean()
+
+
+def walk_by_third_vertex(scene: Scene, capture: Capture, carriers: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Energies of 8 plain random walks x₁ → o → b, b on a carrier, joined to one random FoV point: brute force."""
+    caster, cones = Raycaster(scene), PixelCones.of(capture.sensor)
+    materials, points = MaterialTable.of(scene.materials), LaserPoints.of(caster, scene, capture.laser)
+    nothing = AreaTarget(0.0, np.empty(0, np.int64), np.empty(0), 1.0, np.zeros(len(caster.corners), np.bool_))
+    count = 1 << 15
+    out = []
+    for seed in range(8):
+        o = draw_lookins(caster, scene, materials, points, np.array([0]), count, nothing, seed, 0, 2)
+        b = continued(scene, o, *scattered_rays(caster, materials, o, o.numbers(0)))
+        b = b.take(np.flatnonzero(carriers[b.part]))
+        pool = fov_pool(caster, scene, capture.sensor, cones, np.array([0]), 1, count, stream_seeds(seed, 99, 0))
+        q = np.random.default_rng(seed).permutation(count)[: len(b)]
+        span = pool.position[0, q] - b.position
+        square = (span**2).sum(axis=1)
+        cosines = np.einsum("nk,nk->n", span, b.normal) * -np.einsum("nk,nk->n", span, pool.normal[0, q])
+        f4 = np.array(
+            [
+                _evaluate(materials, int(part), normal, -d / np.linalg.norm(d), to_sensor)
+                for part, normal, d, to_sensor in zip(
+                    pool.part[0, q], pool.normal[0, q], span, pool.to_sensor[0, q], strict=True
+                )
+            ]
+        )
+        lifted = b.position + caster.offset_m * b.normal
+        seen = ~caster.occluded(lifted, pool.position[0, q] + caster.offset_m * pool.normal[0, q])
+        form = np.maximum(cosines, 0.0) / square**2 * seen
+        f3 = materials.values[b.part, 0] / np.pi
+        out.append((b.power * f3 * form * f4 * pool.weight[0, q]).sum())
+    return np.array(out)
+
+
+def _evaluate(materials: MaterialTable, part: int, *vectors: NDArray[np.float64]) -> float:
+    n, w_in, w_out = (tuple(float(x) for x in vector) for vector in vectors)
+    return float(evaluate(materials.kind[part], materials.values[part], n, w_in, w_out))
+
+
+def test_attenuation_dims_each_bin_by_its_path() -> None:
+    """exp(−a path) with the same samples: time origin `source`, so a bin is a path length."""
+    clear, capture = furnished_box(), scan(800, 0.025, "source")
+    hazy = Scene(**{**clear.__dict__, "attenuation_per_m": 0.2})
+    estimates = [secondary_of(scene, capture).mean for scene in (clear, hazy)]
+    path = (np.arange(800) + 0.5) * 0.025
+    expected = estimates[0] * np.exp(-0.2 * path)
+    np.testing.assert_allclose(estimates[1].sum(axis=2), expected.sum(axis=2), rtol=1e-3)
+    assert np.abs(estimates[1] - expected).sum() < 0.01 * expected.sum()
+
+
+def test_standard_error_is_that_of_repeated_runs() -> None:
+    scene, capture = furnished_box(), one_point_capture()
+    estimates = [secondary_of(scene, capture, scramblings=8, seed=s) for s in range(12)]
+    means = np.array([e.mean[0, 0] for e in estimates])
+    filled = means.mean(axis=0) > 0.05 * means.mean(axis=0).max()
+    claimed = np.sqrt(np.mean([e.stderr[0, 0, filled] ** 2 for e in estimates], axis=0))
+    ratio = (claimed / means.std(axis=0, ddof=1)[filled]).mean()
+    assert 0.8 < ratio < 1.25
+    assert np.isnan(secondary_of(scene, capture).stderr).all()
+
+
+def test_nothing_to_see_is_zero() -> None:
+    """A bare wall; a laser ray and a pixel that meet nothing; black walls."""
+    wall = Scene.from_parts([Part("wall", rectangle((0, 0, 1), (0, 2, 0), (0, 0, 2)), Lambertian(0.8), "relay_wall")])
+    away = Capture(
+        Laser(DEVICE, [(0, 0, 1), (9, 9, 9), (0, 1, 1)]),
+        Sensor(DEVICE, square_pixels([(0, 0.4, 1.2), (0, 40.0, 1.2)], 0.2)),
+        bins_of_path(50, 0.1, 0.0),
+    )
+    for scene in (wall, furnished_box(0.0)):
+        estimate = secondary_of(scene, away)
+        assert (estimate.mean == 0).all()
+        assert (estimate.overflow == 0).all()
+    lit = secondary_of(furnished_box(), Capture(away.laser, away.sensor, bins_of_path(200, 0.1, 0.0)))
+    assert np.isfinite(lit.mean).all()
+    assert (lit.mean[[0, 2], 0].sum(axis=1) > 0).all()
+
+
+def test_the_paper_s_capture_is_fully_inside_its_window() -> None:
+    estimate = secondary_of(demonstration_room(), demonstration_capture(), lookins=128, observed=256)
+    assert estimate.overflow.sum() < 0.01 * estimate.mean.sum()
+    assert estimate.mean.sum() > 0
