@@ -16,7 +16,21 @@ if TYPE_CHECKING:
     from datagen.config import load_config
     from datagen.detector import Exposure, Spad, detect, expected_histogram
     from datagen.loader import TransientDataset
-    from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
+    from datagen.records import (
+        GGX,
+        Accuracy,
+        Capture,
+        Lambertian,
+        Laser,
+        OrenNayar,
+        Part,
+        Phong,
+        Retroreflector,
+        Scene,
+        Sensor,
+        SinLobe,
+        TimeAxis,
+    )
     from datagen.scene import generate_scene
     from datagen.transport import simulate
 
@@ -24,11 +38,16 @@ _HOME = {
     "Accuracy": "datagen.records",
     "Capture": "datagen.records",
     "Exposure": "datagen.detector",
+    "GGX": "datagen.records",
     "Lambertian": "datagen.records",
     "Laser": "datagen.records",
+    "OrenNayar": "datagen.records",
     "Part": "datagen.records",
+    "Phong": "datagen.records",
+    "Retroreflector": "datagen.records",
     "Scene": "datagen.records",
     "Sensor": "datagen.records",
+    "SinLobe": "datagen.records",
     "Spad": "datagen.detector",
     "TimeAxis": "datagen.records",
     "TransientDataset": "datagen.loader",
@@ -42,14 +61,19 @@ _HOME = {
 }
 
 __all__ = [
+    "GGX",
     "Accuracy",
     "Capture",
     "Exposure",
     "Lambertian",
     "Laser",
+    "OrenNayar",
     "Part",
+    "Phong",
+    "Retroreflector",
     "Scene",
     "Sensor",
+    "SinLobe",
     "Spad",
     "TimeAxis",
     "TransientDataset",

@@ -2,25 +2,30 @@
 
 from datagen.records.accuracy import Accuracy
 from datagen.records.capture import Capture, Laser, Origin, Pairing, Sensor, TimeAxis
-from datagen.records.materials import Lambertian, Material
+from datagen.records.materials import GGX, Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
 from datagen.records.sample import Sample, Scalar, Transient
 from datagen.records.scene import Part, Rectangle, Role, Scene
 
 __all__ = [
+    "GGX",
     "Accuracy",
     "Capture",
     "Lambertian",
     "Laser",
     "Material",
+    "OrenNayar",
     "Origin",
     "Pairing",
     "Part",
+    "Phong",
     "Rectangle",
+    "Retroreflector",
     "Role",
     "Sample",
     "Scalar",
     "Scene",
     "Sensor",
+    "SinLobe",
     "TimeAxis",
     "Transient",
 ]

@@ -1,0 +1,60 @@
+"""Unit vectors as tuples: products, frames about a normal, cosine-distributed directions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Vector = tuple[float, float, float]
+
+
+@njit(cache=True, inline="always")
+def dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True)
+def sample_cosine(n: Vector, u: float, v: float) -> Vector:
+    """Direction about `n` with density cosθ/π, by Malley's projection of Shirley's concentric disk map."""
+    a, b = 2.0 * u - 1.0, 2.0 * v - 1.0
+    if abs(a) > abs(b):
+        radius, angle = a, (math.pi / 4.0) * (b / a)
+    else:
+        radius, angle = b, math.pi / 2.0 - (math.pi / 4.0) * (a / b if b != 0.0 else 0.0)
+    z = math.sqrt(max(1.0 - radius * radius, 0.0))
+    return in_frame_of(n, radius * math.cos(angle), radius * math.sin(angle), z)
+
+
+@njit(cache=True)
+def in_frame_of(n: Vector, x: float, y: float, z: float) -> Vector:
+    """The vector with components x, y, z in a right-handed frame whose third axis is the unit vector `n`."""
+    # Without a branch on n's largest component: Duff et al., JCGT 6(1) (2017).
+    sign = 1.0 if n[2] >= 0.0 else -1.0
+    p = -1.0 / (sign + n[2])
+    q = n[0] * n[1] * p
+    return (
+        x * (1.0 + sign * n[0] * n[0] * p) + y * q + z * n[0],
+        x * sign * q + y * (sign + n[1] * n[1] * p) + z * n[1],
+        -x * sign * n[0] - y * n[1] + z * n[2],
+    )
+
+
+@njit(cache=True)
+def around(axis: Vector, one_minus_cos: float, turn: float) -> Vector:
+    """The direction at the angle arccos(1 − `one_minus_cos`) from `axis`, at azimuth 2π · `turn` about it."""
+    cosine, azimuth = 1.0 - one_minus_cos, 2.0 * math.pi * turn
+    sine = math.sqrt(max(one_minus_cos * (1.0 + cosine), 0.0))
+    return in_frame_of(axis, sine * math.cos(azimuth), sine * math.sin(azimuth), cosine)
+
+
+@njit(cache=True)
+def cosine_directions(normals: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) directions about (n, 3) normals from (n, ≥ 2) points, of which the first two coordinates are used."""
+    out = np.empty((len(points), 3))
+    for i in range(len(points)):
+        n = (normals[i, 0], normals[i, 1], normals[i, 2])
+        out[i, 0], out[i, 1], out[i, 2] = sample_cosine(n, points[i, 0], points[i, 1])
+    return out

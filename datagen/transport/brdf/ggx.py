@@ -1,0 +1,192 @@
+"""Mirror facets with the GGX distribution (`records.GGX`). Row: albedo, α, f0, Ē, then E at `NODES` incidences.
+
+With S(c) = √(α² + (1 − α²) c²) the Smith terms need no division by a cosine (Heitz, JCGT 3(2) (2014)):
+
+    G₂ / (4 cosθ_in cosθ_out) = 1 / (2 (cosθ_out S(cosθ_in) + cosθ_in S(cosθ_out)))
+    G₁ / cosθ = 2 / (cosθ + S(cosθ))
+
+Facets are drawn from those visible (Heitz, JCGT 7(4) (2018)). What single scattering loses comes back as the
+separable term of Kulla & Conty (SIGGRAPH 2017 course), (1 − E(θ_in)) (1 − E(θ_out)) / (π (1 − Ē)), from a table of
+the directional albedo E of white facets.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from datagen.transport.brdf.directions import Vector, dot, in_frame_of, sample_cosine
+
+PANELS = 32
+NODES = 2 * PANELS + 1
+FIRST_NODE = 4
+MARGIN = 8e-5
+"""Added to the tabulated E, more than interpolation can miss, so that the two terms never exceed 1."""
+
+
+@njit(cache=True)
+def smith_root(alpha: float, cosine: float) -> float:
+    return math.sqrt(alpha * alpha + (1.0 - alpha * alpha) * cosine * cosine)
+
+
+@njit(cache=True)
+def schlick(f0: float, cosine: float) -> float:
+    away = 1.0 - min(max(cosine, 0.0), 1.0)
+    return f0 + (1.0 - f0) * away * away * away * away * away
+
+
+@njit(cache=True)
+def visible_facet(alpha: float, w: Vector, u: float, v: float) -> Vector:
+    """Facet normal drawn in proportion to its area seen from `w`; both in the surface's frame, w[2] ≥ 0."""
+    stretched = (alpha * w[0], alpha * w[1], w[2])
+    length = math.sqrt(dot(stretched, stretched))
+    h = (stretched[0] / length, stretched[1] / length, stretched[2] / length)
+    across = math.sqrt(h[0] * h[0] + h[1] * h[1])
+    t = (-h[1] / across, h[0] / across, 0.0) if across > 0.0 else (1.0, 0.0, 0.0)
+    b = (h[1] * t[2] - h[2] * t[1], h[2] * t[0] - h[0] * t[2], h[0] * t[1] - h[1] * t[0])
+    radius, angle = math.sqrt(u), 2.0 * math.pi * v
+    p, q = radius * math.cos(angle), radius * math.sin(angle)
+    lit = 0.5 * (1.0 + h[2])
+    q = (1.0 - lit) * math.sqrt(max(1.0 - p * p, 0.0)) + lit * q
+    r = math.sqrt(max(1.0 - p * p - q * q, 0.0))
+    x, y = alpha * (p * t[0] + q * b[0] + r * h[0]), alpha * (p * t[1] + q * b[1] + r * h[1])
+    z = max(p * t[2] + q * b[2] + r * h[2], 1e-30)
+    length = math.sqrt(x * x + y * y + z * z)
+    return (x / length, y / length, z / length)
+
+
+@njit(cache=True)
+def facet_and_density(
+    alpha: float, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
+) -> tuple[float, float]:
+    """Cosine between the light and the facet that mirrors it, and the distribution D of that facet."""
+    h = (w_in[0] + w_out[0], w_in[1] + w_out[1], w_in[2] + w_out[2])
+    length = math.sqrt(dot(h, h))
+    if length == 0.0:
+        return 0.0, 0.0
+    # Both products of the half vector with the light are the same cosine; the mean is symmetric to rounding.
+    to_facet = 0.5 * length
+    facet_cos = min((cos_in + cos_out) / length, 1.0)
+    spread = facet_cos * facet_cos * (alpha * alpha - 1.0) + 1.0
+    return to_facet, alpha * alpha / (math.pi * spread * spread)
+
+
+@njit(cache=True)
+def tabulated(values: NDArray[np.float64], cosine: float) -> float:
+    """E between the nodes: parabolas in √(c (1 + α)/(c + α)), which spreads the steep rise from grazing, c ≲ α."""
+    alpha = values[1]
+    position = math.sqrt(min(cosine * (1.0 + alpha) / (cosine + alpha), 1.0)) * PANELS
+    panel = min(int(position), PANELS - 1)
+    t, node = position - panel, FIRST_NODE + 2 * panel
+    middle = 4.0 * t * (1.0 - t) * values[node + 1]
+    return values[node] * (1.0 - t) * (1.0 - 2.0 * t) + middle + values[node + 2] * t * (2.0 * t - 1.0)
+
+
+@njit(cache=True)
+def multiple_share(f0: float, mean: float) -> float:
+    """Share of the light lost to single scattering that leaves in the end: geometric series of Fresnel's mean."""
+    fresnel = (1.0 + 20.0 * f0) / 21.0
+    return fresnel * fresnel * mean / (1.0 - fresnel * (1.0 - mean))
+
+
+@njit(cache=True)
+def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    alpha, f0, mean = values[1], values[2], values[3]
+    to_facet, facets = facet_and_density(alpha, w_in, w_out, cos_in, cos_out)
+    masking = 0.5 / (cos_out * smith_root(alpha, cos_in) + cos_in * smith_root(alpha, cos_out))
+    lost = (1.0 - tabulated(values, cos_in)) * (1.0 - tabulated(values, cos_out))
+    multiple = multiple_share(f0, mean) * lost / (math.pi * (1.0 - mean)) if mean < 1.0 else 0.0
+    return values[0] * (schlick(f0, to_facet) * facets * masking + multiple)
+
+
+@njit(cache=True)
+def facet_share(values: NDArray[np.float64], cos_in: float) -> float:
+    """How often `sample` draws a facet rather than a direction of the diffuse multiple scattering."""
+    f0, once = values[2], tabulated(values, cos_in)
+    single = max(schlick(f0, cos_in), (1.0 + 20.0 * f0) / 21.0) * once
+    return single / (single + multiple_share(f0, values[3]) * (1.0 - once))
+
+
+@njit(cache=True)
+def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    alpha, share = values[1], facet_share(values, cos_in)
+    _, facets = facet_and_density(alpha, w_in, w_out, cos_in, cos_out)
+    return share * 0.5 * facets / (cos_in + smith_root(alpha, cos_in)) + (1.0 - share) * cos_out / math.pi
+
+
+@njit(cache=True)
+def sample(values: NDArray[np.float64], n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
+    share = facet_share(values, cos_in)
+    if u >= share and share < 1.0:
+        return sample_cosine(n, (u - share) / (1.0 - share), v)
+    # The surface's own frame, by its axes: no model property depends on their azimuth.
+    across, along = in_frame_of(n, 1.0, 0.0, 0.0), in_frame_of(n, 0.0, 1.0, 0.0)
+    local = (dot(across, w_in), dot(along, w_in), cos_in)
+    h = visible_facet(values[1], local, u / share, v)
+    twice = 2.0 * dot(local, h)
+    return in_frame_of(n, twice * h[0] - local[0], twice * h[1] - local[1], twice * h[2] - local[2])
+
+
+@njit(cache=True)
+def single_albedo(alpha: float, f0: float, cos_in: float, gauss: NDArray[np.float64]) -> float:
+    """Directional albedo of single scattering, ∫ F D G₂ / (4 cosθ_in) dω_out, over facets rather than directions.
+
+    Facets of slope t = tanθ_h weigh D cosθ_h dω = du dφ/(2π) with u = t²/(α² + t²); the azimuths at which they send
+    light above the surface are an interval about the light's own: all of them up to θ_h = (π/2 − θ_in)/2, none from
+    (π/2 + θ_in)/2. So both integrals run over smooth pieces. `gauss` (2, k): nodes in 0 … 1, weights that sum to 1.
+    """
+    theta_in = math.acos(min(cos_in, 1.0))
+    sin_in, root_in = math.sin(theta_in), smith_root(alpha, cos_in)
+    total, start = 0.0, 0.0
+    for piece in range(2):
+        end = math.atan(math.tan(0.5 * (0.5 * math.pi + (2 * piece - 1) * theta_in)) / alpha)
+        if not end > start:
+            continue
+        for i in range(gauss.shape[1]):
+            # u = sin²y, and nodes drawn towards both ends of the piece, where the interval opens like a root.
+            z = gauss[0, i]
+            y = start + (end - start) * z * z * (3.0 - 2.0 * z)
+            weight = gauss[1, i] * (end - start) * 6.0 * z * (1.0 - z) * 2.0 * math.sin(y) * math.cos(y)
+            slope = alpha * math.tan(y)
+            cos_facet = 1.0 / math.sqrt(1.0 + slope * slope)
+            sin_facet, opening = slope * cos_facet, math.pi
+            if piece == 1:
+                least = cos_in * (1.0 - 2.0 * cos_facet * cos_facet)
+                opening = math.acos(min(max(least / (2.0 * cos_facet * sin_facet * sin_in), -1.0), 1.0))
+            for k in range(gauss.shape[1]):
+                to_facet = sin_in * sin_facet * math.cos(opening * gauss[0, k]) + cos_in * cos_facet
+                cos_out = max(2.0 * to_facet * cos_facet - cos_in, 0.0)
+                if cos_out > 0.0:
+                    masking = 2.0 * cos_out / (cos_out * root_in + cos_in * smith_root(alpha, cos_out))
+                    share = weight * gauss[1, k] * opening / (math.pi * cos_facet)
+                    total += share * schlick(f0, to_facet) * to_facet * masking
+        start = end
+    return total
+
+
+def unit_gauss(count: int) -> NDArray[np.float64]:
+    """(2, count): Gauss–Legendre nodes on 0 … 1 and weights that sum to 1."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return np.stack([0.5 * (nodes + 1), 0.5 * weights])
+
+
+@lru_cache(maxsize=256)
+def white_table(alpha: float) -> tuple[float, ...]:
+    """Ē and E at the nodes, for f0 = 1: what a row of the material table holds from its fourth number on."""
+    gauss = unit_gauss(32)
+    warped = np.linspace(0.0, 1.0, NODES) ** 2
+    cosines = np.minimum(alpha * warped / (1.0 + alpha - warped), 1.0)
+    table = np.minimum([single_albedo(alpha, 1.0, c, gauss) + MARGIN for c in cosines], 1.0)
+    row = np.concatenate([[1.0, alpha, 1.0, 0.0], table])
+    # Ē = ∫ 2c E dc of the interpolated E, so that what both terms return adds up; panel by panel in its coordinate.
+    x, weight = unit_gauss(8)
+    places = (np.arange(PANELS)[:, None] + x).ravel() / PANELS
+    c = alpha * places**2 / (1.0 + alpha - places**2)
+    slope = 2.0 * alpha * (1.0 + alpha) * places / (1.0 + alpha - places**2) ** 2
+    between = np.array([tabulated(row, cosine) for cosine in c])
+    mean = float((2.0 * c * slope * between * np.tile(weight, PANELS)).sum() / PANELS)
+    return (mean, *(float(e) for e in table))

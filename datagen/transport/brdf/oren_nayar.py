@@ -1,0 +1,69 @@
+"""The energy-preserving Oren–Nayar model (`records.OrenNayar`). Row: albedo, roughness r.
+
+Portsmouth, Kutz & Hill, JCGT 14(1) (2025), for white facets:
+
+    π f / ρ = A (1 + r s/t) + (1 − E(θ_in)) (1 − E(θ_out)) / (1 − Ē),   s = w_in·w_out − cosθ_in cosθ_out,
+    t = max(cosθ_in, cosθ_out) where s > 0, else 1;   A = 1 / (1 + (1/2 − 2/(3π)) r)
+
+E is the directional albedo of the first term, Ē its cosine-weighted mean; both have closed forms, and the second term
+returns exactly what the first loses.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
+
+LOSS = 0.5 - 2.0 / (3.0 * math.pi)
+MEAN_GAIN = 2.0 / 3.0 - 28.0 / (15.0 * math.pi)
+
+
+def roughness(sigma_rad: float) -> float:
+    """The r for which both terms are in the proportion that Oren & Nayar's qualitative model gives them, B/A."""
+    square = sigma_rad**2
+    return (0.45 * square / (square + 0.09)) / (1.0 - 0.5 * square / (square + 0.33))
+
+
+@njit(cache=True)
+def single_albedo(r: float, cosine: float) -> float:
+    """E: directional albedo of single scattering from white facets."""
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    # (1 − sin³)/cos written without the division, which is 0/0 at grazing incidence.
+    rise = cosine * (1.0 + sine + sine * sine) / (1.0 + sine)
+    g = sine * (math.acos(min(cosine, 1.0)) - sine * cosine) + (2.0 / 3.0) * sine * (rise - 1.0)
+    return min((1.0 + r * g / math.pi) / (1.0 + LOSS * r), 1.0)
+
+
+@njit(cache=True)
+def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    r = values[1]
+    s = dot(w_in, w_out) - cos_in * cos_out
+    single = (1.0 + r * (s / max(cos_in, cos_out) if s > 0.0 else s)) / (1.0 + LOSS * r)
+    lost = 1.0 - (1.0 + MEAN_GAIN * r) / (1.0 + LOSS * r)
+    multiple = (1.0 - single_albedo(r, cos_in)) * (1.0 - single_albedo(r, cos_out)) / lost if lost > 1e-12 else 0.0
+    return values[0] / math.pi * (single + multiple)
+
+
+@njit(cache=True)
+def uniform_share(r: float, cos_in: float) -> float:
+    """How often `sample` draws evenly from the hemisphere: at grazing incidence most light leaves at grazing."""
+    return 0.5 * r * (1.0 - cos_in)
+
+
+@njit(cache=True)
+def pdf(values: NDArray[np.float64], cos_in: float, cos_out: float) -> float:
+    share = uniform_share(values[1], cos_in)
+    return share / (2.0 * math.pi) + (1.0 - share) * cos_out / math.pi
+
+
+@njit(cache=True)
+def sample(values: NDArray[np.float64], n: Vector, cos_in: float, u: float, v: float) -> Vector:
+    share = uniform_share(values[1], cos_in)
+    if u < share:
+        return around(n, 1.0 - u / share, v)
+    return sample_cosine(n, (u - share) / (1.0 - share), v)

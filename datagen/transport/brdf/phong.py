@@ -1,0 +1,38 @@
+"""The modified Phong lobe (`records.Phong`). Row: albedo, exponent, specular share."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
+
+
+@njit(cache=True)
+def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    exponent, specular = values[1], values[2]
+    from_mirror = 2.0 * cos_in * cos_out - dot(w_in, w_out)
+    lobe = (exponent + 2.0) / (2.0 * math.pi) * from_mirror**exponent if from_mirror > 0.0 else 0.0
+    return values[0] * (specular * lobe + (1.0 - specular) / math.pi)
+
+
+@njit(cache=True)
+def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    exponent, specular = values[1], values[2]
+    from_mirror = 2.0 * cos_in * cos_out - dot(w_in, w_out)
+    lobe = (exponent + 1.0) / (2.0 * math.pi) * from_mirror**exponent if from_mirror > 0.0 else 0.0
+    return specular * lobe + (1.0 - specular) * cos_out / math.pi
+
+
+@njit(cache=True)
+def sample(values: NDArray[np.float64], n: Vector, w_in: Vector, u: float, v: float) -> Vector:
+    exponent, specular = values[1], values[2]
+    if u >= specular and specular < 1.0:
+        return sample_cosine(n, (u - specular) / (1.0 - specular), v)
+    twice = 2.0 * dot(n, w_in)
+    mirror = (twice * n[0] - w_in[0], twice * n[1] - w_in[1], twice * n[2] - w_in[2])
+    # cos α = u^(1/(n+1)); of a narrow lobe 1 − cos α keeps its digits.
+    return around(mirror, -math.expm1(math.log(max(u / specular, 1e-300)) / (exponent + 1.0)), v)

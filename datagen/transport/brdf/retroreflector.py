@@ -1,0 +1,46 @@
+"""A lobe back towards the light (`records.Retroreflector`). Row: albedo, concentration κ, share in the lobe."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from datagen.transport.brdf.directions import Vector, around, sample_cosine
+
+
+def concentration(half_width_rad: float) -> float:
+    """κ for which exp(κ (cos w − 1)) = 1/2 at the half width w."""
+    return math.log(2.0) / (2.0 * math.sin(half_width_rad / 2.0) ** 2)
+
+
+@njit(cache=True)
+def density(kappa: float, w_in: Vector, w_out: Vector) -> float:
+    """Von Mises and Fisher's density on the sphere about `w_in`, 1/sr."""
+    # 1 − cos of the angle as |difference|²/2, which keeps its digits for a narrow lobe.
+    d = (w_in[0] - w_out[0], w_in[1] - w_out[1], w_in[2] - w_out[2])
+    one_minus_cos = 0.5 * (d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    return kappa / (2.0 * math.pi * -math.expm1(-2.0 * kappa)) * math.exp(-kappa * one_minus_cos)
+
+
+@njit(cache=True)
+def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    retro = values[2]
+    lobe = density(values[1], w_in, w_out) / max(cos_in, cos_out)
+    return values[0] * (retro * lobe + (1.0 - retro) / math.pi)
+
+
+@njit(cache=True)
+def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_out: float) -> float:
+    retro = values[2]
+    return retro * density(values[1], w_in, w_out) + (1.0 - retro) * cos_out / math.pi
+
+
+@njit(cache=True)
+def sample(values: NDArray[np.float64], n: Vector, w_in: Vector, u: float, v: float) -> Vector:
+    kappa, retro = values[1], values[2]
+    if u >= retro and retro < 1.0:
+        return sample_cosine(n, (u - retro) / (1.0 - retro), v)
+    return around(w_in, min(-math.log1p(u / retro * math.expm1(-2.0 * kappa)) / kappa, 2.0), v)

@@ -1,0 +1,60 @@
+"""The |sin θ| lobe (`records.SinLobe`): f = (ρ/2) |sin θ_in| |sin θ_out|. Row: albedo, axis (3)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from datagen.transport.brdf.directions import Vector, dot, sample_cosine
+
+MEAN_SINE = 2.0 / math.pi
+"""Mean of |sin θ| over all azimuths, which stands where an azimuth has no meaning."""
+ALONG_SQUARED = 1e-12
+"""Squared length of a projection on the surface below which its direction is taken for rounding noise."""
+
+
+@njit(cache=True)
+def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
+    """|sin θ| of the azimuth of `w` about the normal, from the projection of `axis` on the surface."""
+    along_axis, along_w = dot(axis, n), dot(w, n)
+    t = (axis[0] - along_axis * n[0], axis[1] - along_axis * n[1], axis[2] - along_axis * n[2])
+    p = (w[0] - along_w * n[0], w[1] - along_w * n[1], w[2] - along_w * n[2])
+    tt, pp = dot(t, t), dot(p, p)
+    if tt < ALONG_SQUARED or pp < ALONG_SQUARED:
+        return MEAN_SINE
+    cross = (t[1] * p[2] - t[2] * p[1], t[2] * p[0] - t[0] * p[2], t[0] * p[1] - t[1] * p[0])
+    return min(abs(dot(cross, n)) / math.sqrt(tt * pp), 1.0)
+
+
+@njit(cache=True)
+def evaluate(values: NDArray[np.float64], n: Vector, w_in: Vector, w_out: Vector) -> float:
+    axis = (values[1], values[2], values[3])
+    return 0.5 * values[0] * azimuth_sine(axis, n, w_in) * azimuth_sine(axis, n, w_out)
+
+
+@njit(cache=True)
+def pdf(values: NDArray[np.float64], n: Vector, cos_out: float, w_out: Vector) -> float:
+    return 0.5 * cos_out * azimuth_sine((values[1], values[2], values[3]), n, w_out)
+
+
+@njit(cache=True)
+def sample(values: NDArray[np.float64], n: Vector, u: float, v: float) -> Vector:
+    axis = (values[1], values[2], values[3])
+    along = dot(axis, n)
+    t = (axis[0] - along * n[0], axis[1] - along * n[1], axis[2] - along * n[2])
+    square = dot(t, t)
+    if square < ALONG_SQUARED:
+        return sample_cosine(n, u, v)
+    inverse = 1.0 / math.sqrt(square)
+    t = (t[0] * inverse, t[1] * inverse, t[2] * inverse)
+    s = (n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2], n[0] * t[1] - n[1] * t[0])
+    # |sin θ| dθ = |d cos θ|: each half turn takes half of u, and cos θ is uniform in it.
+    side = 1.0 if u < 0.5 else -1.0
+    cosine = 1.0 - 2.0 * (2.0 * u if u < 0.5 else 2.0 * u - 1.0)
+    sine = side * math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    radius, z = math.sqrt(v), math.sqrt(max(1.0 - v, 0.0))
+    a, b = radius * cosine, radius * sine
+    return (a * t[0] + b * s[0] + z * n[0], a * t[1] + b * s[1] + z * n[1], a * t[2] + b * s[2] + z * n[2])

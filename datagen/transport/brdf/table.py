@@ -1,0 +1,58 @@
+"""A scene's materials as plain numbers for the compiled loops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.records.materials import GGX, Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
+from datagen.transport.brdf import ggx, oren_nayar, retroreflector
+
+LAMBERTIAN, SIN_LOBE, PHONG, OREN_NAYAR, GGX_LOBE, RETROREFLECTOR = range(6)
+NARROWEST_ROW = 4
+
+
+@dataclass(frozen=True)
+class MaterialTable:
+    """What each of K parts is made of.
+
+    kind : (K,) int64, or uint8 where all are Lambertian, for which the loops are then compiled (see `models.py`).
+    values : (K, ≥ 4) float64, the albedo first, then what the kind needs.
+    """
+
+    kind: NDArray[np.int64] | NDArray[np.uint8]
+    values: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, materials: tuple[Material, ...]) -> MaterialTable:
+        """Raises `InputError` for a material the transport does not know."""
+        described = [_described(material) for material in materials]
+        values = np.zeros((len(described), max([NARROWEST_ROW, *(len(row) for _, row in described)])))
+        for place, (_, row) in zip(values, described, strict=True):
+            place[: len(row)] = row
+        kind = np.array([kind for kind, _ in described], np.int64)
+        return cls(kind if kind.any() else kind.astype(np.uint8), values)
+
+
+def _described(material: Material) -> tuple[int, tuple[float, ...]]:
+    """Kind and row; the layout of each row stands at the head of its model's file."""
+    match material:
+        case Lambertian() | Phong(exponent=0):
+            return LAMBERTIAN, (material.albedo,)
+        case SinLobe():
+            return SIN_LOBE, (material.albedo, *material.axis)
+        case Phong():
+            return PHONG, (material.albedo, material.exponent, material.specular)
+        case OrenNayar():
+            return OREN_NAYAR, (material.albedo, oren_nayar.roughness(material.sigma_rad))
+        case GGX():
+            alpha = float(material.roughness) ** 2
+            return GGX_LOBE, (material.albedo, alpha, material.f0, *ggx.white_table(alpha))
+        case Retroreflector():
+            kappa = retroreflector.concentration(material.half_width_rad)
+            return RETROREFLECTOR, (material.albedo, kappa, material.retro)
+    known = "Lambertian, SinLobe, Phong, OrenNayar, GGX, Retroreflector"
+    raise InputError(f"material {type(material).__name__}: the transport knows {known}")
