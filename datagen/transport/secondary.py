@@ -159,21 +159,24 @@ def secondary_transient(
     )  # fmt: skip
     total, squares = np.zeros(capture.shape), np.zeros(capture.shape)
     overflow = np.zeros(capture.shape[:2])
+    sums = Sums.zeros(*capture.shape)
     scramblings = min(scramblings, lookins)
     for scrambling in range(scramblings):
         count = lookins // scramblings + (scrambling < lookins % scramblings)
-        sums = Sums.zeros(*capture.shape)
+        for array in sums:
+            array.fill(0.0)
         for lasers, pixels in job.groups():
             _add_group(job, lasers, pixels, count, scrambling, sums.take(lasers))
         total += sums.transient
         overflow += sums.overflow
-        if scramblings > 1:
-            squares += np.square(sums.transient, out=sums.transient)
+        squares += np.square(sums.transient, out=sums.transient)
     total /= scramblings
     if scramblings > 1:
         squares /= scramblings
-        squares -= total**2
-        np.sqrt(np.maximum(squares, 0.0, out=squares) / (scramblings - 1), out=squares)
+        squares -= np.square(total, out=sums.transient)
+        np.maximum(squares, 0.0, out=squares)
+        squares /= scramblings - 1
+        np.sqrt(squares, out=squares)
     else:
         squares.fill(np.nan)
     return SecondaryEstimate(total, squares, overflow / scramblings)

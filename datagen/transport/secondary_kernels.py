@@ -33,7 +33,7 @@ class Surfaces(NamedTuple):
     corner: NDArray[np.float64]
     normal: NDArray[np.float64]
     part: NDArray[np.int32]
-    kind: NDArray[np.int64]
+    kind: NDArray[np.int64] | NDArray[np.uint8]
     values: NDArray[np.float64]
 
 
