@@ -36,7 +36,7 @@ def simulate_sample(config: DatasetConfig, index: int) -> Sample:
     seed, seconds = config.seed, dict[str, float]()
     with _timed(seconds, "scene"):
         scene = generate_scene(config.scene, seed, index)
-        capture = capture_for(config, scene)
+        capture = capture_for(config, scene, seed, index)
     with _timed(seconds, "transport"):
         own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
         transient = simulate(scene, capture, config.transport.accuracy(), seed=own_seed, split_parts=False)
@@ -67,7 +67,7 @@ def check_inputs(config: DatasetConfig) -> None:
     """
     check_scene_config(config.scene)
     scene = generate_scene(config.scene, config.seed, 0)
-    capture = capture_for(config, scene)
+    capture = capture_for(config, scene, config.seed, 0)
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
     dark = np.zeros((1, *capture.shape[1:]))
     allowed = _Allowed(tolerance=config.detector.tolerance, approximate=config.detector.approximate)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datagen.config import DatasetConfig
-from datagen.store import measurement_shape, schema_of
+from datagen.store import schema_of
 from datagen.store.card import readable
 
 PILOT_LOOKINS = 256
@@ -20,7 +20,7 @@ def plan_text(config: DatasetConfig) -> str:
 
     check_inputs(config)
     schema = schema_of(config)
-    lasers, pixels, bins = measurement_shape(config)
+    lasers, pixels, bins = config.capture.shape
     accuracy = config.transport.accuracy()
     bounces = "all orders" if accuracy.max_bounces is None else f"up to {accuracy.max_bounces} bounces"
     lines = [
@@ -52,7 +52,7 @@ def _detector_lines(config: DatasetConfig) -> list[str]:
     from datagen.transport import simulate
 
     scene = generate_scene(config.scene, config.seed, 0)
-    capture = capture_for(config, scene)
+    capture = capture_for(config, scene, config.seed, 0)
     full = config.transport.accuracy()
     few = Accuracy(min(full.lookins, PILOT_LOOKINS), 1, full.max_bounces, 1, full.direct)
     pilot = simulate(scene, capture, few, seed=0, split_parts=False)

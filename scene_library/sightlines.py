@@ -45,6 +45,25 @@ def seen_fractions(
     return fractions
 
 
+def first_faces(
+    triangles: NDArray[np.float64], eye: NDArray[np.float64], points: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """(n,) index of the triangle that blocks the way from `eye` (3,) to each of `points` (n, 3); −1: the way is free.
+
+    triangles : (F, 3, 3) of the whole room. A surface at the point itself does not block.
+    """
+    middle = triangles.reshape(-1, 3).mean(axis=0)
+    scene = EmbreeScene()
+    TriangleMesh(scene, (triangles - middle).astype(np.float32))
+    toward = points - eye
+    distance = np.linalg.norm(toward, axis=1)
+    direction = (toward / distance[:, None]).astype(np.float32)
+    origin = np.broadcast_to((eye - middle).astype(np.float32), direction.shape)
+    hit = scene.run(origin, direction, query="DISTANCE")
+    face = np.asarray(scene.run(origin, direction, query="INTERSECT"), np.int64)
+    return np.where(hit < distance * (1 - 1e-3), face, -1)
+
+
 def _surface_points(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
     """(64, 3) points spread evenly over the area of (F, 3, 3) triangles."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]

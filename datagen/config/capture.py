@@ -2,30 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
+from datagen.config.scans import AnyScan, Coordinate, Count, GridScan, Metres, Place
 from datagen.records import TimeAxis
 
-Count = Annotated[int, Field(ge=1, le=65536)]
-Metres = Annotated[float, Field(gt=0, le=1e5)]
-Point = tuple[float, float, float]
-
-
-class GridScan(Settings):
-    """Laser targets on a regular grid centred on the visible part of the relay wall."""
-
-    kind: Literal["grid"] = "grid"
-    rows: Count = 16
-    """Laser points from top to bottom."""
-    columns: Count = 16
-    """Laser points from left to right, as seen from the room."""
-    width_m: Metres | None = None
-    """Distance between the first and last column; left out: 80 % of the visible width."""
-    height_m: Metres | None = None
-    """Distance between the first and last row; left out: 80 % of the visible height."""
+Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class FieldOfView(Settings):
@@ -40,6 +25,9 @@ class FieldOfView(Settings):
     Left out: 0.05 m (confocal), 80 % of the visible width (exhaustive)."""
     height_m: Metres | None = None
     """Height likewise."""
+    center_m: Place | None = None
+    """Middle of the grid (exhaustive pairing only): (right, up) from the middle of the visible relay wall, or
+    (x, y, z) on it. Left out: that middle."""
     aperture_radius_mm: Annotated[float, Field(gt=0, le=1e4)] = 20.0
     """Radius of the round entrance aperture."""
 
@@ -64,20 +52,50 @@ class CaptureConfig(Settings):
 
     pairing: Literal["confocal", "exhaustive"] = "confocal"
     """`confocal`: pixel i looks at laser point i; `exhaustive`: every pixel for every laser point."""
-    scan: GridScan = GridScan()
+    scan: AnyScan = GridScan()
+    """Where the laser points are: a grid, or of another `kind`."""
     field_of_view: FieldOfView = FieldOfView()
     time: TimeConfig = TimeConfig()
     laser_position_m: Point | None = None
     """(x, y, z) of the laser; left out: where the scene puts the device."""
     sensor_position_m: Point | None = None
     """(x, y, z) of the sensor; left out: where the scene puts the device."""
+    laser_offset_m: Point | None = None
+    """From where the scene puts the device to the laser, along x (ahead), y (left) and z (up)."""
+    sensor_offset_m: Point | None = None
+    """From where the scene puts the device to the sensor, likewise."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(laser, pixel, bin) of every transient, known without a scene; confocal has pixel = 1."""
+        view = self.field_of_view
+        pixels = 1 if self.pairing == "confocal" else view.rows * view.columns
+        return self.scan.laser_points, pixels, self.time.bins
 
     @model_validator(mode="after")
-    def _confocal_has_one_pixel(self) -> CaptureConfig:
+    def _confocal_has_one_pixel(self) -> Self:
         view = self.field_of_view
-        if self.pairing == "confocal" and view.rows * view.columns != 1:
+        if self.pairing != "confocal":
+            return self
+        if view.rows * view.columns != 1:
             raise ValueError(
                 f"field_of_view: {view.rows} × {view.columns} pixels with pairing 'confocal', which has one pixel "
                 "a laser point; leave rows and columns out or set pairing: exhaustive"
             )
+        if view.center_m is not None:
+            raise ValueError(
+                f"field_of_view.center_m = {list(view.center_m)}: with pairing 'confocal' the pixels lie around the "
+                "laser points; set scan.center_m instead, or pairing: exhaustive"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _one_place_each(self) -> Self:
+        for device in ("laser", "sensor"):
+            place, offset = getattr(self, f"{device}_position_m"), getattr(self, f"{device}_offset_m")
+            if place is not None and offset is not None:
+                raise ValueError(
+                    f"{device}_position_m = {list(place)} and {device}_offset_m = {list(offset)}: only one of both "
+                    "can hold; leave one out"
+                )
         return self

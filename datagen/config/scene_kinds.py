@@ -27,11 +27,13 @@ def _kind(value: Any) -> Any:
     return value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
 
 
-def kind_of(*kinds: str) -> Discriminator:
-    """A discriminator on the key `kind`."""
+def kind_of(*kinds: str, default: str | None = None) -> Discriminator:
+    """A discriminator on the key `kind`; a mapping without it is of the kind `default`, if there is one."""
 
     def member(value: Any) -> str:
         kind = _kind(value)
+        if kind is None and default is not None and isinstance(value, dict):
+            kind = default
         return tag(kind if kind in kinds else _UNKNOWN)
 
     return Discriminator(member)

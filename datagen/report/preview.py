@@ -142,7 +142,7 @@ def _rooms(config: DatasetConfig, chosen: Sequence[SceneRecord]) -> Figure:
     rooms = []
     for record in chosen:
         scene = generate_scene(config.scene, config.seed, record.index)
-        targets = capture_for(config, scene).laser.targets
+        targets = capture_for(config, scene, config.seed, record.index).laser.targets
         rooms.append(RoomPicture(scene, laser_points=targets, pixels=180))
     title = f"{config.name}: {len(rooms)} rooms, by scene index"
     return sheet_figure(rooms, [str(record.index) for record in chosen], title, columns=4)

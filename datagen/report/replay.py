@@ -94,7 +94,7 @@ def replay(stored: StoredScene) -> Replay:
     """Simulate a stored scene again: a scene depends on (configuration, seed, index) alone."""
     config, index = stored.config, stored.index
     scene = generate_scene(config.scene, config.seed, index)
-    capture = capture_for(config, scene)
+    capture = capture_for(config, scene, config.seed, index)
     accuracy = config.transport.accuracy()
     transient = simulate(scene, capture, accuracy, seed=derived_seed(config.seed, index, Purpose.TRANSPORT))
     spad, exposure = detector_for(config.detector, config.seed, index, capture.time)

@@ -139,6 +139,8 @@ def raster_of(capture: Capture, channel: tuple[int, int]) -> Raster | None:
 def _columns(places: NDArray[np.float64]) -> int | None:
     """Length of the rows of a regular grid listed row by row, or None."""
     steps = np.diff(places, axis=0)
+    if (np.linalg.norm(steps, axis=1) == 0).any():
+        return None
     tolerance = 1e-6 * float(np.ptp(places, axis=0).max()) + 1e-12
     along = np.linalg.norm(steps - steps[0], axis=1) <= tolerance
     columns = len(places) if along.all() else int(np.argmin(along)) + 1

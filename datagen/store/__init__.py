@@ -4,7 +4,7 @@ from datagen.store.card import write_card
 from datagen.store.files import check_writable
 from datagen.store.manifest import Manifest, check_output, is_fresh, prepare, read_manifest
 from datagen.store.record import ShardRecord, running_path
-from datagen.store.schema import Field, Schema, measurement_shape, schema_of
+from datagen.store.schema import Field, Schema, schema_of
 from datagen.store.shard import discard_shard, write_shard
 from datagen.store.verify import Verification, committed, finish, verify
 
@@ -20,7 +20,6 @@ __all__ = [
     "discard_shard",
     "finish",
     "is_fresh",
-    "measurement_shape",
     "prepare",
     "read_manifest",
     "running_path",

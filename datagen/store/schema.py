@@ -125,7 +125,7 @@ def _scenes_per_shard(fields: tuple[Field, ...], scenes: int) -> int:
 
 
 def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
-    measured = measurement_shape(config)
+    measured = config.capture.shape
     image, volume = (config.labels.rows, config.labels.columns), config.labels.voxels
     photons = "photons at the aperture per emitted photon"
     known = (
@@ -149,7 +149,7 @@ def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
 
 
 def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
-    lasers, pixels, _ = measurement_shape(config)
+    lasers, pixels, _ = config.capture.shape
     all_pixels = lasers if config.capture.pairing == "confocal" else pixels
     rectangle = ("scene", "vector", "axis")
     small = (
@@ -166,11 +166,3 @@ def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
          "two opposite corners of the box that holds the hidden part; NaN when unknown"),
     )  # fmt: skip
     return tuple(Field(name, dims, shape, "float64", "m", text, sharded=False) for name, dims, shape, text in small)
-
-
-def measurement_shape(config: DatasetConfig) -> tuple[int, int, int]:
-    """(laser, pixel, bin) of every histogram and transient; confocal has pixel = 1."""
-    capture = config.capture
-    confocal = capture.pairing == "confocal"
-    view = capture.field_of_view
-    return capture.scan.rows * capture.scan.columns, 1 if confocal else view.rows * view.columns, capture.time.bins

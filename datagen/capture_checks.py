@@ -1,0 +1,59 @@
+"""Whether devices that stand elsewhere than the scene put them still look around the corner, checked by rays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.records import Scene
+from scene_library.sightlines import first_faces, seen_fractions
+
+INWARD = 0.02
+"""Corners of a pixel are checked this share of the way towards its middle: an edge may lie exactly on a wall's."""
+
+
+def check_in_sight(key: str, what: str, scene: Scene, eye: NDArray[np.float64], points: NDArray[np.float64]) -> None:
+    """Raise `InputError` naming `capture.<key>` when something other than the relay wall hides one of `points` (n, 3)
+    from `eye`.
+    """
+    wall = scene.relay_wall
+    if wall is not None and (eye - wall.center) @ np.cross(wall.right, wall.up) <= 0:
+        raise InputError(
+            f"capture.{key}: {_place(eye)} lies behind the plane of the relay wall; move the device into the room"
+        )
+    face = first_faces(scene.corners, eye, points)
+    relay = np.array([role == "relay_wall" for role in scene.roles])
+    hidden = (face >= 0) & ~relay[scene.face_part[face]]
+    if hidden.any():
+        first = int(np.argmax(hidden))
+        name = scene.part_names[scene.face_part[face[first]]]
+        raise InputError(
+            f"capture.{key}: from {_place(eye)} the part {name!r} hides {int(hidden.sum())} of {len(points)} {what} "
+            f"(the first at {_place(points[first])}); move the device, or make scan and field of view smaller"
+        )
+
+
+def check_hidden(key: str, scene: Scene, eye: NDArray[np.float64]) -> None:
+    """Raise `InputError` naming `capture.<key>` when `eye` sees an object, which has to lie around the corner."""
+    objects = np.array([i for i, role in enumerate(scene.roles) if role == "object"], np.int64)
+    if not len(objects):
+        return
+    seen = seen_fractions(scene.corners, scene.face_part, objects, eye[None])
+    if (seen > 0).any():
+        name = scene.part_names[objects[int(np.argmax(seen))]]
+        raise InputError(
+            f"capture.{key}: from {_place(eye)} the object {name!r} is in plain sight; move the device towards the "
+            "place that the scene gives it, or leave the key out"
+        )
+
+
+def pixel_points(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(5 P, 3) middle and corners, a little inward, of pixels (P, 4, 3)."""
+    middle = pixels.mean(axis=1, keepdims=True)
+    inner = pixels + INWARD * (middle - pixels)
+    return np.concatenate([middle, inner], axis=1).reshape(-1, 3)
+
+
+def _place(point: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{x:.3g}" for x in point) + ")"

@@ -1,0 +1,151 @@
+"""The key `capture.scan`: where the laser points are, as a grid, a list, a circle, or drawn anew for every scene."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import ConfigDict, Field, Tag, model_validator
+
+from datagen.config.base import Settings, tag
+from datagen.config.scene_kinds import kind_of, unknown_kind
+
+LARGEST_SCAN = 65536
+Count = Annotated[int, Field(ge=1, le=LARGEST_SCAN)]
+Metres = Annotated[float, Field(gt=0, le=1e5)]
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+Place = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=3)]
+"""Two numbers: metres right and up of the middle of the visible relay wall, as the device sees it; three: (x, y, z)
+in the room."""
+
+
+def _kind_required(schema: dict[str, Any]) -> None:
+    # Only a grid may leave `kind` out, which its default alone would not tell an editor.
+    schema["required"] = ["kind", *schema.get("required", [])]
+
+
+class _Spread(Settings):
+    """Scans that fill a rectangle on the relay wall."""
+
+    width_m: Metres | None = None
+    """Width of the rectangle, for a grid from its first to its last column; left out: 80 % of the visible width, of
+    what is left of it around a `center_m`."""
+    height_m: Metres | None = None
+    """Its height, likewise."""
+    center_m: Place | None = None
+    """Its middle: (right, up) from the middle of the visible relay wall, or (x, y, z) on it; left out: that one."""
+
+
+class GridScan(_Spread):
+    """Laser targets on a regular grid on the visible part of the relay wall."""
+
+    kind: Literal["grid"] = "grid"
+    rows: Count = 16
+    """Laser points from top to bottom."""
+    columns: Count = 16
+    """Laser points from left to right, as seen from the room."""
+
+    @property
+    def laser_points(self) -> int:
+        return self.rows * self.columns
+
+    @model_validator(mode="after")
+    def _not_too_many(self) -> Self:
+        _refuse_too_many(self.rows, self.columns)
+        return self
+
+
+class PointsScan(Settings):
+    """Laser targets one by one."""
+
+    model_config = ConfigDict(json_schema_extra=_kind_required)
+
+    kind: Literal["points"] = "points"
+    points_m: Annotated[tuple[Place, ...], Field(min_length=1, max_length=LARGEST_SCAN)]
+    """Each either (right, up) from the middle of the visible relay wall, or (x, y, z), on any surface the laser
+    reaches."""
+
+    @property
+    def laser_points(self) -> int:
+        return len(self.points_m)
+
+
+class CircleScan(Settings):
+    """Laser targets at equal steps on a circle."""
+
+    model_config = ConfigDict(json_schema_extra=_kind_required)
+
+    kind: Literal["circle"] = "circle"
+    count: Count
+    """How many, counter-clockwise as the device sees them."""
+    radius_m: Metres | None = None
+    """Left out: 80 % of the largest circle on the visible relay wall."""
+    center_m: Place | None = None
+    """(right, up) from the middle of the visible relay wall, or (x, y, z) on it. Left out: that middle."""
+    start_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+    """Where the first stands: 0 to the right, 90 at the top."""
+
+    @property
+    def laser_points(self) -> int:
+        return self.count
+
+
+class RandomScan(_Spread):
+    """Laser targets anywhere in a rectangle, equally likely, drawn anew for every scene."""
+
+    model_config = ConfigDict(json_schema_extra=_kind_required)
+
+    kind: Literal["random"] = "random"
+    count: Count
+    """How many."""
+
+    @property
+    def laser_points(self) -> int:
+        return self.count
+
+
+class SubsetScan(_Spread):
+    """Some laser targets of a regular grid, drawn anew for every scene, in the grid's order."""
+
+    model_config = ConfigDict(json_schema_extra=_kind_required)
+
+    kind: Literal["subset"] = "subset"
+    count: Count
+    """How many of the grid's points; all choices are equally likely."""
+    rows: Count = 16
+    """Rows of the whole grid."""
+    columns: Count = 16
+    """Columns of the whole grid."""
+
+    @property
+    def laser_points(self) -> int:
+        return self.count
+
+    @model_validator(mode="after")
+    def _part_of_the_grid(self) -> Self:
+        if self.count > self.rows * self.columns:
+            raise ValueError(
+                f"count = {self.count}: the grid has only {self.rows} × {self.columns} = {self.rows * self.columns} "
+                "points; lower count or raise rows and columns"
+            )
+        _refuse_too_many(self.rows, self.columns)
+        return self
+
+
+def _refuse_too_many(rows: int, columns: int) -> None:
+    if rows * columns > LARGEST_SCAN:
+        raise ValueError(
+            f"rows × columns = {rows} × {columns} = {rows * columns}: at most {LARGEST_SCAN} points are possible; "
+            "lower one of them"
+        )
+
+
+SCAN_KINDS = ("grid", "points", "circle", "random", "subset")
+AnyScan = Annotated[
+    Annotated[GridScan, Tag(tag("grid"))]
+    | Annotated[PointsScan, Tag(tag("points"))]
+    | Annotated[CircleScan, Tag(tag("circle"))]
+    | Annotated[RandomScan, Tag(tag("random"))]
+    | Annotated[SubsetScan, Tag(tag("subset"))]
+    | Annotated[GridScan, *unknown_kind(*SCAN_KINDS)],
+    kind_of(*SCAN_KINDS, default="grid"),
+]

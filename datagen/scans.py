@@ -1,0 +1,133 @@
+"""Scan patterns on a relay wall: from the settings of `capture.scan` to laser targets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.config.scans import AnyScan, CircleScan, GridScan, PointsScan, RandomScan, SubsetScan
+from datagen.errors import InputError
+from datagen.records import Rectangle
+
+DEFAULT_FILL = 0.8
+"""Share of the visible wall that a scan or a field of view covers when no size is configured."""
+ON_THE_WALL_M = 0.01
+"""A place given as (x, y, z) may be so far off the wall's plane."""
+
+Vector = NDArray[np.float64]
+
+
+def scan_targets(scan: AnyScan, wall: Rectangle, rng: np.random.Generator) -> Vector:
+    """(L, 3) laser targets, metres, in the scan's order.
+
+    Grids go row by row from the top left as the device sees them. `rng` serves the kinds drawn anew for every scene;
+    the others leave it untouched. Raises `InputError` when the pattern is larger than the visible wall.
+    """
+    match scan:
+        case PointsScan():
+            return np.array([_listed(f"scan.points_m[{i}]", p, wall) for i, p in enumerate(scan.points_m)])
+        case CircleScan():
+            return _circle(scan, wall)
+    center, right, up = rectangle_on("scan", wall, scan.center_m, scan.width_m, scan.height_m)
+    match scan:
+        case RandomScan():
+            place = rng.uniform(-1, 1, (scan.count, 2))
+            return np.asarray(center + place[:, :1] * right + place[:, 1:] * up)
+        case SubsetScan():
+            chosen = rng.choice(scan.rows * scan.columns, scan.count, replace=False, shuffle=False)
+            return _grid(scan, center, right, up)[np.sort(chosen)]
+        case GridScan():
+            return _grid(scan, center, right, up)
+    raise TypeError(f"no pattern is known for {type(scan).__name__}")
+
+
+def rectangle_on(
+    key: str, wall: Rectangle, center_m: Sequence[float] | None, width_m: float | None, height_m: float | None
+) -> tuple[Vector, Vector, Vector]:
+    """Centre and half-extent vectors right and up of a rectangle on the wall.
+
+    A size left out takes `DEFAULT_FILL` of what the wall leaves around the centre. Raises `InputError`, with keys
+    below `capture.<key>`, when the rectangle leaves the visible wall.
+    """
+    middle = _in_plane(f"{key}.center_m", center_m, wall)
+    halves = []
+    for name, asked, axis, offset in zip(
+        ("width_m", "height_m"), (width_m, height_m), (wall.right, wall.up), middle, strict=True
+    ):
+        visible = 2 * float(np.linalg.norm(axis))
+        most = visible - 2 * abs(float(offset))
+        if most <= 0:
+            raise _off_the_wall(f"{key}.center_m", center_m, wall)
+        if asked is not None and asked > most + 1e-9 * visible:
+            around = "" if center_m is None else f" and {most:.3g} m around the centre asked for"
+            raise InputError(
+                f"capture.{key}.{name} = {asked:g}: the device sees only {visible:.3g} m of this scene's relay wall"
+                f"{around}; make it smaller or leave it out"
+            )
+        halves.append(axis * ((DEFAULT_FILL * most if asked is None else asked) / visible))
+    return _at(wall, *middle), halves[0], halves[1]
+
+
+def _grid(scan: GridScan | SubsetScan, center: Vector, right: Vector, up: Vector) -> Vector:
+    across = np.linspace(-1, 1, scan.columns) if scan.columns > 1 else np.zeros(1)
+    upward = np.linspace(1, -1, scan.rows) if scan.rows > 1 else np.zeros(1)
+    return np.asarray(center + across[None, :, None] * right + upward[:, None, None] * up).reshape(-1, 3)
+
+
+def _circle(scan: CircleScan, wall: Rectangle) -> Vector:
+    middle = _in_plane("scan.center_m", scan.center_m, wall)
+    room = np.linalg.norm([wall.right, wall.up], axis=1) - np.abs(middle)
+    largest = float(room.min())
+    if largest <= 0:
+        raise _off_the_wall("scan.center_m", scan.center_m, wall)
+    radius = DEFAULT_FILL * largest if scan.radius_m is None else scan.radius_m
+    if radius > largest * (1 + 1e-9):
+        raise InputError(
+            f"capture.scan.radius_m = {radius:g}: around its centre the device sees only {largest:.3g} m of this "
+            "scene's relay wall; make it smaller or leave it out"
+        )
+    angle = np.radians(scan.start_deg) + 2 * np.pi * np.arange(scan.count) / scan.count
+    return np.stack([_at(wall, *(middle + radius * np.array([np.cos(a), np.sin(a)]))) for a in angle])
+
+
+def _listed(key: str, place: Sequence[float], wall: Rectangle) -> Vector:
+    """A point in the room as it is, or one on the visible wall."""
+    if len(place) == 3:
+        return np.asarray(place, np.float64)
+    right, up = place
+    reach = np.linalg.norm([wall.right, wall.up], axis=1) * (1 + 1e-9)
+    if abs(right) > reach[0] or abs(up) > reach[1]:
+        raise _off_the_wall(key, place, wall)
+    return _at(wall, right, up)
+
+
+def _in_plane(key: str, place: Sequence[float] | None, wall: Rectangle) -> Vector:
+    """(2,) metres right and up of the wall's centre."""
+    if place is None:
+        return np.zeros(2)
+    if len(place) == 2:
+        return np.asarray(place, np.float64)
+    right, up = (axis / np.linalg.norm(axis) for axis in (wall.right, wall.up))
+    from_center = np.asarray(place, np.float64) - wall.center
+    off = abs(float(from_center @ np.cross(right, up)))
+    if off > ON_THE_WALL_M:
+        raise InputError(
+            f"capture.{key} = {list(place)}: lies {off:.3g} m off this scene's relay wall; give a point on it, or "
+            "(right, up) from the middle of its visible part"
+        )
+    return np.array([from_center @ right, from_center @ up])
+
+
+def _at(wall: Rectangle, right_m: float, up_m: float) -> Vector:
+    right, up = (axis / np.linalg.norm(axis) for axis in (wall.right, wall.up))
+    return np.asarray(wall.center + right_m * right + up_m * up)
+
+
+def _off_the_wall(key: str, place: Sequence[float] | None, wall: Rectangle) -> InputError:
+    width, height = 2 * np.linalg.norm([wall.right, wall.up], axis=1)
+    return InputError(
+        f"capture.{key} = {None if place is None else list(place)}: lies outside the {width:.3g} × {height:.3g} m of "
+        "this scene's relay wall that the device sees; move it nearer to the middle"
+    )

@@ -1,0 +1,116 @@
+"""Laser and sensor where the scene puts the device, elsewhere, and where they must not be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from test_scans import SQUARE_ROOM, configured
+
+import datagen as dg
+from datagen.config import config_from_mapping
+from datagen.errors import InputError
+from datagen.records import Capture, Scene
+from datagen.report.replay import read_scene, replay
+
+BOX = {"kind": "box", "width_m": 0.4, "depth_m": 0.4, "height_m": 1.0, "along": 0.6, "across": 0.5, "rotation_deg": 0}
+"""Stands 4.8 m ahead and 2.5 m to the left of the device, behind the inner corner 3 m ahead and 1 m to the left."""
+PATCH = {"pairing": "exhaustive", "field_of_view": {"rows": 2, "columns": 2, "width_m": 1.5, "height_m": 1.5}}
+
+
+def furnished() -> Scene:
+    spec = {"scene": {**SQUARE_ROOM, "contents": [BOX]}}
+    return dg.generate_scene(config_from_mapping(spec).scene, seed=5, index=0)
+
+
+def fitted(scene: Scene, **capture: Any) -> Capture:
+    return dg.capture_for(configured({"rows": 2, "columns": 2, "width_m": 1.5}, **capture), scene)
+
+
+@pytest.mark.parametrize("pairing", [{}, PATCH], ids=["confocal", "exhaustive"])
+def test_laser_and_sensor_stand_where_they_are_put(pairing: dict[str, Any]) -> None:
+    scene = furnished()
+    device = scene.device_position
+    assert device is not None
+    own = fitted(scene, **pairing)
+    np.testing.assert_array_equal([own.laser.position, own.sensor.position], [device, device])
+    apart = fitted(scene, laser_offset_m=[-0.5, 0.3, 0.2], sensor_position_m=[0.4, -0.2, 1.5], **pairing)
+    np.testing.assert_allclose(apart.laser.position, device + np.array([-0.5, 0.3, 0.2]))
+    np.testing.assert_array_equal(apart.sensor.position, [0.4, -0.2, 1.5])
+    np.testing.assert_array_equal(apart.laser.targets, own.laser.targets)
+    np.testing.assert_array_equal(apart.sensor.pixels, own.sensor.pixels)
+
+
+@pytest.mark.parametrize("device", ["laser", "sensor"])
+@pytest.mark.parametrize(
+    ("offset", "words"),
+    [
+        ([7.0, 0.0, 0.0], "behind the plane of the relay wall"),
+        ([0.0, 3.0, 0.0], "the part 'walls' hides"),
+        ([0.0, 0.0, 5.0], "the part 'ceiling' hides"),
+        ([2.9, 0.8, 0.0], "the object 'box' is in plain sight"),
+    ],
+)
+@pytest.mark.parametrize("pairing", [{}, PATCH], ids=["confocal", "exhaustive"])
+def test_impossible_places_are_refused(device: str, offset: list[float], words: str, pairing: dict[str, Any]) -> None:
+    scene = furnished()
+    assert scene.device_position is not None
+    place = (scene.device_position + offset).tolist()
+    for key, value in ((f"{device}_offset_m", offset), (f"{device}_position_m", place)):
+        with pytest.raises(InputError) as caught:
+            fitted(scene, **{key: value}, **pairing)
+        assert str(caught.value).startswith(f"capture.{key}: ")
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_sight_ends_at_the_corner() -> None:
+    """The corner 3 m ahead hides the box from where its sight line through that corner passes, and not beyond."""
+    scene = furnished()
+    nearest = np.array([5.0, 2.3])
+    corner = np.array([3.0, 1.0])
+    slope = (nearest - corner)[1] / (nearest - corner)[0]
+    for x in (0.5, 1.5, 2.5):
+        line = 1.0 - slope * (3.0 - x)
+        fitted(scene, sensor_position_m=[x, line + 0.05, 1.0])
+        with pytest.raises(InputError, match="plain sight"):
+            fitted(scene, sensor_position_m=[x, line - 0.3, 1.0])
+
+
+def test_one_place_for_each_device() -> None:
+    for device in ("laser", "sensor"):
+        with pytest.raises(InputError, match=f"{device}_position_m.*{device}_offset_m"):
+            configured({}, **{f"{device}_position_m": [0, 0, 1], f"{device}_offset_m": [0, 0, 0]})
+
+
+def test_a_listed_point_may_be_on_another_surface_but_not_behind_one() -> None:
+    scene = furnished()
+    capture = dg.capture_for(configured({"kind": "points", "points_m": [[4, 0, 0], [0, 0]]}), scene)
+    transient = dg.simulate(scene, capture, dg.Accuracy(lookins=16))
+    np.testing.assert_allclose(transient.laser_points[0], [4, 0, 0], atol=1e-9)
+    for behind in ([4, 0, -0.5], [5.0, 2.5, 1.2]):
+        with pytest.raises(InputError, match=r"capture\.scan\.points_m: .* hides 1 of 1 laser points"):
+            dg.capture_for(configured({"kind": "points", "points_m": [behind]}), scene)
+
+
+def test_a_scene_without_a_place_for_the_device_needs_one() -> None:
+    scene = furnished()
+    bare = Scene(**{**scene.__dict__, "device_position": None})
+    with pytest.raises(InputError, match=r"capture\.laser_position_m: missing"):
+        fitted(bare)
+    assert fitted(bare, laser_position_m=[0, 0, 1], sensor_position_m=[0, 0, 1]).shape[0] == 4
+
+
+def test_scans_drawn_for_every_scene_are_built_and_simulated_again(tmp_path: Any) -> None:
+    spec = {
+        "seed": 3, "scenes": 2,
+        "scene": {**SQUARE_ROOM, "contents": [BOX]},
+        "capture": {"scan": {"kind": "random", "count": 4}, "sensor_offset_m": [0.2, 0.1, 0], "time": {"bins": 128}},
+        "transport": {"lookins": 32},
+        "store": {"fields": ["transient"]},
+    }  # fmt: skip
+    dg.build(config_from_mapping(spec), tmp_path / "set", progress=False)
+    stored = [read_scene(tmp_path / "set", index) for index in (0, 1)]
+    assert all(replay(scene).reproduced for scene in stored)
+    assert not np.array_equal(*(scene.arrays["laser_points"] for scene in stored))
