@@ -47,7 +47,7 @@ CASES: dict[str, tuple[Spad, bool]] = {
 
 @dataclass(frozen=True)
 class Row:
-    """One case at one flux; milliseconds of processor time per histogram, the best of several runs.
+    """One case at one flux; milliseconds of processor time per histogram, medians of several runs.
 
     ms, mean_ms : of `detect` and `expected_histogram`, on `BLOCK` histograms at once where each takes little.
 
@@ -84,8 +84,8 @@ def measure(fluxes: Sequence[float] = FLUXES, naive: bool = True) -> list[Row]:
             mean = partial(expected_histogram, block, axis, spad, exposure, approximate=True)
             plain, compiled = naive_seconds(shape, spad) if naive else (np.nan, np.nan)
             rows.append(
-                Row(case, flux, plan.sampler, float(draw().sum()) / size, 1e3 * _best(draw) / size,
-                    1e3 * _best(mean) / size, 1e3 * plain, 1e3 * compiled)
+                Row(case, flux, plan.sampler, float(draw().sum()) / size, 1e3 * _typical(draw) / size,
+                    1e3 * _typical(mean) / size, 1e3 * plain, 1e3 * compiled)
             )  # fmt: skip
     return rows
 
@@ -105,8 +105,8 @@ def naive_seconds(flux: NDArray[np.float64], spad: Spad) -> tuple[float, float]:
     rng = np.random.default_rng(0)
     synchronous, dead_time = spad.mode == "synchronous", spad.dead_time_s if spad.mode != "ideal" else 0.0
     _rule_compiled(np.zeros(1), PERIOD_S, dead_time, synchronous)
-    best = [np.inf, np.inf]
-    for _ in range(2):
+    seconds: tuple[list[float], list[float]] = ([], [])
+    for _ in range(3):
         rules: tuple[Callable[..., Any], ...] = (_rule, _rule_compiled)
         for which, rule in enumerate(rules):
             start = time.process_time()
@@ -117,8 +117,8 @@ def naive_seconds(flux: NDArray[np.float64], spad: Spad) -> tuple[float, float]:
             arrivals: Any = photons if which else photons.tolist()
             kept = rule(arrivals, PERIOD_S, dead_time, synchronous)
             np.histogram(np.asarray(kept) % PERIOD_S, BINS, (0, PERIOD_S))
-            best[which] = min(best[which], time.process_time() - start)
-    return best[0], best[1]
+            seconds[which].append(time.process_time() - start)
+    return float(np.median(seconds[0])), float(np.median(seconds[1]))
 
 
 def _rule(photons: Any, period: float, dead_time: float, synchronous: bool) -> list[float]:
@@ -137,19 +137,19 @@ def _rule(photons: Any, period: float, dead_time: float, synchronous: bool) -> l
 _rule_compiled: Callable[..., Any] = numba.njit(_rule)
 
 
-def _best(call: Callable[[], object]) -> float:
-    """Seconds of one call: the best of a few runs, each long enough to be timed."""
+def _typical(call: Callable[[], object]) -> float:
+    """Seconds of one call: the median of a few runs, each long enough to be timed."""
     start = time.process_time()
     call()
     once = time.process_time() - start
     inner = max(1, min(200, int(_SECONDS / _REPEATS / max(once, 1e-6))))
-    best = once
+    seconds = []
     for _ in range(_REPEATS if once < 1.0 else 1):
         start = time.process_time()
         for _ in range(inner):
             call()
-        best = min(best, (time.process_time() - start) / inner)
-    return best
+        seconds.append((time.process_time() - start) / inner)
+    return float(np.median(seconds))
 
 
 def scan_milliseconds() -> float:
@@ -157,7 +157,7 @@ def scan_milliseconds() -> float:
     axis, exposure = TimeAxis(BINS, BIN_WIDTH_S), Exposure(1.0 / PERIOD_S, CYCLES, 1.0)
     block = np.tile(0.1 * demonstration_shape(), (256, 1, 1))
     spad = Spad(pde=1.0, mode="ideal", jitter_fwhm_s=60e-12)
-    return 1e3 * _best(lambda: detect(block, axis, spad, exposure)) / 256
+    return 1e3 * _typical(lambda: detect(block, axis, spad, exposure)) / 256
 
 
 def table(rows: Sequence[Row]) -> str:

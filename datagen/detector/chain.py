@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from datagen.detector.binomials import binomial
 from datagen.detector.equilibrium import Equilibrium
-from datagen.detector.renewal import Pieces, edge_at, return_shares, return_weights
+from datagen.detector.renewal import Pieces, early_share, edge_at, return_weights
 
 Flux = NDArray[np.float64]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def draw_hazard_chain(flux: Flux, cycles: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """At most one detection in a cycle: n_i ~ Binomial(R, q_i), R ← R − n_i, from R = `cycles`.
 
@@ -27,11 +27,8 @@ def draw_hazard_chain(flux: Flux, cycles: int, rng: np.random.Generator) -> NDAr
     counts = np.zeros(len(flux), np.int64)
     left = cycles
     for i in range(len(flux)):
-        if left == 0:
-            break
-        if flux[i] > 0.0:
-            counts[i] = binomial(left, -np.expm1(-flux[i]), rng)
-            left -= counts[i]
+        counts[i] = binomial(left, -np.expm1(-flux[i]), rng)
+        left -= counts[i]
     return counts
 
 
@@ -39,18 +36,75 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, rng: np.random.Gen
     """Several detections in a cycle: those that fired come back after the dead time and can fire again.
 
     A detection is uniform within its piece (pieces carry at most 0.05 events), so its return is uniform in the piece
-    shifted by the dead time: the returns are shared out among the pieces it touches as `renewal.return_shares` has
-    it, exactly for whatever flux these carry.
+    shifted by the dead time. Where in the few pieces that it touches they come back need not be drawn: how many fire
+    there decides one rare binomial, and all others are armed from the next piece on. Pieces must be shorter than
+    the dead time.
     """
-    return _return_chain(pieces.flux, pieces.edges, pieces.bin_of, pieces.dead_time, bins, cycles, rng)
+    flux, edges, dead_time = pieces.flux, pieces.edges, pieces.dead_time
+    fires, soon, first, after = _windows(flux, edges, dead_time)
+    return _return_chain(flux, fires, edges, pieces.bin_of, dead_time, soon, first, after, bins, cycles, rng)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
+def _windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Flux, NDArray[np.int64], NDArray[np.int64]]:
+    """For each piece: the chance q to fire in it if armed, and then that to fire again right upon the return.
+
+    The latter is meant for pieces `first … after − 1`, in which one returns; `first` is the number of pieces where
+    that is after the end of the cycle.
+    """
+    n = len(flux)
+    fires = np.empty(n)
+    # Not by numpy's expm1: its AVX-512 form leaves the processor slow for the scalar functions of the loops to come.
+    for i in range(n):
+        fires[i] = -np.expm1(-flux[i])
+    soon, first, after = np.zeros(n), np.full(n, n), np.full(n, n)
+    hazards, target = np.empty(n + 3), 0
+    for i in range(n):
+        start = edges[i] + dead_time
+        if start >= edges[n]:
+            break
+        while edges[target + 1] <= start:
+            target += 1
+        count = _hazards(start, edges[i + 1] + dead_time, target, flux, fires, edges, hazards)
+        for k in range(count):
+            soon[i] += hazards[k]
+        first[i], after[i] = target, min(target + count, n)
+    return fires, soon, first, after
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _hazards(start: float, stop: float, first: int, flux: Flux, fires: Flux, edges: Flux, out: Flux) -> int:
+    """Chance to fire in pieces `first`, `first + 1`, … of who returns at a uniform moment of `start … stop`.
+
+    They are put into `out`, and the number of these pieces is returned. What returns after the end of the cycle is
+    of no use to it.
+    """
+    n = len(flux)
+    slack = 1e-9 * (stop - start)
+    per_length = 1.0 / (stop - start)
+    back, k = 0.0, 0
+    while True:
+        low, high, x = edges[first + k], edges[first + k + 1], flux[first + k]
+        begin, end = max(start, low), min(stop, high)
+        share = max(end - begin, 0.0) * per_length
+        early = early_share(x, (high - end) / (high - low), (high - begin) / (high - low)) if x > 0.0 else 0.0
+        out[k] = back * fires[first + k] + share * early
+        back += share - out[k]
+        k += 1
+        if stop <= high + slack or first + k >= n:
+            return k
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _return_chain(
     flux: Flux,
-    edges: NDArray[np.float64],
+    fires: Flux,
+    edges: Flux,
     bin_of: NDArray[np.int64],
     dead_time: float,
+    soon: Flux,
+    first: NDArray[np.int64],
+    after: NDArray[np.int64],
     bins: int,
     cycles: int,
     rng: np.random.Generator,
@@ -58,35 +112,32 @@ def _return_chain(
     n = len(flux)
     counts = np.zeros(bins, np.int64)
     # Decided ahead for each piece: how many just returned fire in it, how many are armed from its start on.
-    firing, arming = np.zeros(n + 3, np.int64), np.zeros(n + 3, np.int64)
-    shares, early = np.empty(n + 3), np.empty(n + 3)
+    firing, arming = np.zeros(n, np.int64), np.zeros(n + 1, np.int64)
+    hazards = np.empty(n + 3)
     armed = cycles
-    target = 0
     for i in range(n):
         armed += arming[i]
-        fired = binomial(armed, -np.expm1(-flux[i]), rng) if flux[i] > 0.0 else 0
+        fired = binomial(armed, fires[i], rng)
         armed -= fired
         fired += firing[i]
         if fired == 0:
             continue
         counts[bin_of[i]] += fired
-        start, stop = edges[i] + dead_time, edges[i + 1] + dead_time
-        if start >= edges[n]:
+        if first[i] == n:
             continue
-        while edges[target + 1] <= start:
-            target += 1
-        count = return_shares(start, stop, target, edges, flux, shares, early)
-        left, rest = fired, 1.0
+        left = binomial(fired, soon[i], rng)
+        arming[after[i]] += fired - left
+        if left == 0:
+            continue
+        rest = soon[i]
+        count = _hazards(edges[i] + dead_time, edges[i + 1] + dead_time, first[i], flux, fires, edges, hazards)
         for k in range(count):
-            # What returns after the end of the cycle is of no use to it.
-            if left == 0 or target + k >= n:
+            again = left if k == count - 1 else binomial(left, hazards[k] / rest, rng)
+            firing[first[i] + k] += again
+            left -= again
+            rest -= hazards[k]
+            if left == 0:
                 break
-            moved = left if k == count - 1 else binomial(left, shares[k] / rest, rng)
-            again = binomial(moved, early[k], rng)
-            firing[target + k] += again
-            arming[target + k + 1] += moved - again
-            left -= moved
-            rest -= shares[k]
     return counts
 
 

@@ -145,34 +145,37 @@ def _equations(
     return rows[:used], columns[:used], values[:used], gain, pending
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def most_in_window(flux: Array, edges: Array, length: float) -> float:
     """The most flux in any interval of `length` < period seconds, across the end of the period too."""
     m = len(flux)
     period = edges[m]
-    # Two periods end to end: edges, and the flux before each.
-    at, before = np.empty(2 * m + 1), np.zeros(2 * m + 1)
-    for i in range(2 * m):
-        k = i if i < m else i - m
-        at[i] = edges[k] if i < m else edges[k] + period
-        before[i + 1] = before[i] + flux[k]
-    at[2 * m] = 2.0 * period
-    # The integral over a sliding interval is piecewise linear: it peaks where one of its ends meets an edge.
-    most = 0.0
-    j = 0
+    total = flux.sum()
+    # The integral over a sliding interval is piecewise linear: it peaks where one of its ends meets an edge. So it is
+    # followed from edge to edge: `ahead` and `behind` are Λ at the far end of intervals that start, end at edge i.
+    most, before = 0.0, 0.0
+    j, until, j_lap, shift = 0, 0.0, 0.0, 0.0
+    k, since, k_lap, back = 0, 0.0, -total, -period
+    while edges[k + 1] + back < edges[0] - length:
+        since += flux[k]
+        k += 1
     for i in range(m):
-        stop = at[i] + length
-        while at[j + 1] < stop:
+        stop = edges[i] + length
+        while edges[j + 1] + shift < stop:
+            until += flux[j]
             j += 1
-        inside = before[j] + (before[j + 1] - before[j]) * (stop - at[j]) / (at[j + 1] - at[j]) - before[i]
-        most = max(most, inside)
-    j = 0
-    for i in range(m, 2 * m + 1):
-        start = at[i] - length
-        while at[j + 1] < start:
-            j += 1
-        inside = before[i] - before[j] - (before[j + 1] - before[j]) * (start - at[j]) / (at[j + 1] - at[j])
-        most = max(most, inside)
+            if j == m:
+                j, until, j_lap, shift = 0, 0.0, total, period
+        ahead = j_lap + until + flux[j] * (stop - shift - edges[j]) / (edges[j + 1] - edges[j])
+        start = edges[i] - length
+        while edges[k + 1] + back < start:
+            since += flux[k]
+            k += 1
+            if k == m:
+                k, since, k_lap, back = 0, 0.0, 0.0, 0.0
+        behind = k_lap + since + flux[k] * (start - back - edges[k]) / (edges[k + 1] - edges[k])
+        most = max(most, ahead - before, before - behind)
+        before += flux[i]
     return most
 
 

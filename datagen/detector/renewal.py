@@ -65,16 +65,19 @@ def pieces_of(
 def _parts(flux: Array, edges: Array, width: float, dead_time: float, shorter: bool) -> Array:
     """(n,) number of pieces of each bin, as floats: they may be too many to count."""
     most = max(PIECE_FLUX, flux.sum() / _FLUX_PIECES)
-    parts = np.empty(len(flux))
+    parts = np.ones(len(flux))
     for i in range(len(flux)):
         length = edges[i + 1] - edges[i]
+        is_short = not shorter or length * (1.0 + 1e-12) <= dead_time
+        if is_short and flux[i] <= most and length <= 1.5 * width:
+            continue
         if length > 1.5 * width:
             part = np.ceil(flux[i] / min(_LONG_PIECE_FLUX, most))
             if dead_time > 0.0:
                 part = max(part, min(np.ceil(4.0 * length / dead_time), 4096.0))
         else:
             part = np.ceil(flux[i] / most)
-        if shorter:
+        if not is_short:
             part = max(part, np.ceil(length / dead_time * (1.0 + 1e-12)))
         parts[i] = max(part, 1.0)
     return parts
@@ -87,6 +90,10 @@ def _cut(flux: Array, edges: Array, count: NDArray[np.int64]) -> tuple[Array, ND
     pieces, bin_of, cut = np.empty(total), np.empty(total, np.int64), np.empty(total + 1)
     k = 0
     for i in range(len(flux)):
+        if count[i] == 1:
+            pieces[k], bin_of[k], cut[k] = flux[i], i, edges[i]
+            k += 1
+            continue
         length = (edges[i + 1] - edges[i]) / count[i]
         for part in range(count[i]):
             pieces[k], bin_of[k], cut[k] = flux[i] / count[i], i, edges[i] + part * length
@@ -110,9 +117,8 @@ def return_shares(
 ) -> int:
     """Where returns, uniform in `start … stop`, end up: in pieces `first`, `first + 1`, …; how many pieces.
 
-    `shares[k]` of them return in piece `first + k`, and of these `early[k]` fire in it: with the remaining share ρ of
-    a piece of flux x one does so with probability 1 − e^{−xρ}, of which this is the mean over ρ. Piece numbers run on
-    past the end of the period into the next one.
+    `shares[k]` of them return in piece `first + k`, and of these `early[k]` fire in it. Piece numbers run on past the
+    end of the period into the next one.
     """
     m = len(flux)
     period = edges[m]
@@ -124,22 +130,27 @@ def return_shares(
         low, high = edges[index] + lap, edges[index + 1] + lap
         shares[k] = max((min(stop, high) - max(start, low)) / (stop - start), 0.0)
         x = flux[index]
-        rho_high = (high - max(start, low)) / (high - low)
-        rho_low = (high - min(stop, high)) / (high - low)
-        middle, half = 0.5 * (rho_high + rho_low), 0.5 * (rho_high - rho_low)
-        if x <= 0.0 or shares[k] <= 0.0:
-            early[k] = 0.0
-        elif x < 1e-3:
-            # The closed form cancels here; the series is good to 10⁻¹⁰.
-            square, cube = middle * middle + half * half / 3.0, middle * (middle * middle + half * half)
-            early[k] = x * (middle - x * (0.5 * square - x * cube / 6.0))
-        else:
-            argument = x * half
-            mean = 1.0 if argument < 1e-6 else np.sinh(argument) / argument
-            early[k] = 1.0 - np.exp(-x * middle) * mean
+        rho_low, rho_high = (high - min(stop, high)) / (high - low), (high - max(start, low)) / (high - low)
+        early[k] = early_share(x, rho_low, rho_high) if x > 0.0 and shares[k] > 0.0 else 0.0
         k += 1
         if stop <= high or k >= m:
             return k
+
+
+@numba.njit(cache=True)
+def early_share(x: float, low: float, high: float) -> float:
+    """Chance to fire in the piece of flux x of one's return, of which a uniform share ρ of `low … high` is left.
+
+    The mean over ρ of 1 − e^{−xρ}.
+    """
+    middle, half = 0.5 * (high + low), 0.5 * (high - low)
+    if x < 1e-3:
+        # The closed form cancels here; the series is good to 10⁻¹⁰.
+        square, cube = middle * middle + half * half / 3.0, middle * (middle * middle + half * half)
+        return x * (middle - x * (0.5 * square - x * cube / 6.0))
+    argument = x * half
+    mean = 1.0 if argument < 1e-6 else np.sinh(argument) / argument
+    return float(1.0 - np.exp(-x * middle) * mean)
 
 
 @numba.njit(cache=True)
