@@ -18,7 +18,7 @@ from datagen.config.scene_contents import Content, Mesh, MeshFolder, draw_count
 from datagen.config.scene_files import label_of
 from datagen.config.scene_materials import Surface
 from datagen.errors import InputError
-from datagen.records import Lambertian, Rectangle, Role, Scalar, Scene
+from datagen.records import Lambertian, Material, Rectangle, Role, Scalar, Scene
 from datagen.scene_checks import explain
 from datagen.scene_draws import draw_object, draw_plan, load_mesh
 from datagen.scene_placing import Unmet, place
@@ -40,16 +40,16 @@ class _Parts:
 
     names: list[str] = field(default_factory=list)
     roles: list[Role] = field(default_factory=list)
-    albedos: list[float] = field(default_factory=list)
+    materials: list[Material] = field(default_factory=list)
     vertices: list[NDArray[np.float64]] = field(default_factory=list)
     triangles: list[NDArray[np.int64]] = field(default_factory=list)
 
     def add(
-        self, name: str, role: Role, albedo: float, vertices: NDArray[np.float64], faces: NDArray[np.int64]
+        self, name: str, role: Role, material: Material, vertices: NDArray[np.float64], faces: NDArray[np.int64]
     ) -> None:
         self.names.append(name)
         self.roles.append(role)
-        self.albedos.append(albedo)
+        self.materials.append(material)
         self.vertices.append(vertices)
         self.triangles.append(faces)
 
@@ -98,8 +98,8 @@ def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene
 
     parts = _Parts()
     for name, (vertices, faces) in surfaces(plan, floor=spec.layout.floor, ceiling=spec.layout.ceiling).items():
-        albedo = _albedo(spec, getattr(spec.materials, name), name, parameters, rng)
-        parts.add(name, "relay_wall" if name == "relay_wall" else "structure", albedo, vertices, faces)
+        material = _material(spec, getattr(spec.materials, name), name, parameters, rng)
+        parts.add(name, "relay_wall" if name == "relay_wall" else "structure", material, vertices, faces)
 
     space = FreeSpace(plan.outline, plan.hidden, plan.walls, plan.height_m, fan, spec.clearance_m)
     objects: list[tuple[str, str]] = []
@@ -107,8 +107,8 @@ def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene
         drawn_object = draw_object(item, plan.height_m, rng)
         spot = place(where, item, drawn_object.solid, plan, space, rng)
         name = parts.free_name(item.name or label_of(drawn_object.label))
-        albedo = _albedo(spec, item, name, parameters, rng)
-        parts.add(name, "object", albedo, spot.vertices(drawn_object.solid), drawn_object.solid.triangles)
+        material = _material(spec, item, name, parameters, rng)
+        parts.add(name, "object", material, spot.vertices(drawn_object.solid), drawn_object.solid.triangles)
         parameters |= {f"{name}.kind": item.kind, f"{name}.class": drawn_object.label}
         parameters |= {f"{name}.{key}": value for key, value in (drawn_object.sizes | asdict(spot)).items()}
         objects.append((where, name))
@@ -128,7 +128,7 @@ def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene
         triangles=triangles,
         face_part=face_part,
         part_names=tuple(parts.names),
-        materials=tuple(Lambertian(a) for a in parts.albedos),
+        materials=tuple(parts.materials),
         roles=tuple(parts.roles),
         relay_wall=relay_wall,
         hidden_view=_hidden_view(plan),
@@ -145,15 +145,18 @@ def _items(spec: SceneConfig, rng: np.random.Generator) -> Iterator[tuple[str, C
             yield f"contents[{i}]", item
 
 
-def _albedo(
+def _material(
     spec: SceneConfig, surface: Surface, name: str, parameters: dict[str, Scalar], rng: np.random.Generator
-) -> float:
-    """Draw the albedo of the part `name`, and note it with its material."""
-    albedo, material = surface.draw_albedo(spec.wavelength_nm, rng)
-    parameters[f"{name}.albedo"] = albedo
-    if material is not None:
-        parameters[f"{name}.material"] = material
-    return albedo
+) -> Material:
+    """Draw the material of the part `name`, and note its numbers."""
+    material, catalogue_name = surface.draw_material(spec.wavelength_nm, rng)
+    if catalogue_name is not None:
+        parameters[f"{name}.material"] = catalogue_name
+    numbers = {key: value for key, value in asdict(material).items() if isinstance(value, (int, float))}
+    parameters |= {f"{name}.{key}": value for key, value in numbers.items()}
+    if not isinstance(material, Lambertian):
+        parameters[f"{name}.brdf"] = type(material).__name__
+    return material
 
 
 def _visible_relay_wall(plan: Plan, fan: NDArray[np.float64]) -> Rectangle:

@@ -10,6 +10,8 @@ from pydantic import AfterValidator, model_validator
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Fraction, Uniform, draw
+from datagen.config.scene_brdfs import BrdfSettings, CatalogueBrdf, LambertianBrdf
+from datagen.records import Material
 from scene_library.materials import MATERIALS
 
 
@@ -23,13 +25,22 @@ def _known_materials(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 class Surface(Settings):
-    """The material of one part, Lambertian."""
+    """The material of one part: how much light it returns, and how it scatters it."""
 
     albedo: Fraction = Uniform(uniform=(0.3, 0.9))
     """Share of light that the surface returns."""
     material: Annotated[tuple[str, ...], AfterValidator(_known_materials)] = ()
     """Materials of the catalogue to draw from, instead of `albedo`: the reflectance is taken at
     `scene.wavelength_nm`, with a random tint inside the material's spread."""
+
+    brdf: BrdfSettings = LambertianBrdf()
+    """How the surface scatters; `kind: catalogue` takes the lobe that the catalogue gives for `material`."""
+
+    @model_validator(mode="after")
+    def _catalogue_needs_a_material(self) -> Self:
+        if isinstance(self.brdf, CatalogueBrdf) and not self.material:
+            raise ValueError("brdf: kind 'catalogue' takes the lobe of a catalogue material; name one under material")
+        return self
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
@@ -38,12 +49,17 @@ class Surface(Settings):
             raise ValueError("albedo and material are both given; leave one of them out")
         return self
 
-    def draw_albedo(self, wavelength_nm: float, rng: np.random.Generator) -> tuple[float, str | None]:
-        """An albedo, and the name of the catalogue material that it belongs to, if any."""
-        if not self.material:
-            return draw(self.albedo, rng), None
-        name = self.material[int(rng.integers(len(self.material)))]
-        return MATERIALS[name].albedo(wavelength_nm, tint=2 * rng.random() - 1), name
+    def draw_material(self, wavelength_nm: float, rng: np.random.Generator) -> tuple[Material, str | None]:
+        """A material, and its name in the catalogue, if it has one."""
+        name = self.material[int(rng.integers(len(self.material)))] if self.material else None
+        if name is None:
+            albedo = draw(self.albedo, rng)
+        else:
+            albedo = MATERIALS[name].albedo(wavelength_nm, tint=2 * rng.random() - 1)
+        if isinstance(self.brdf, CatalogueBrdf):
+            assert name is not None
+            return self.brdf.of(name, albedo), name
+        return self.brdf.material(albedo, rng), name
 
 
 class BrightSurface(Surface):
