@@ -1,0 +1,68 @@
+"""The paper's demonstration room: what its text gives, and where Fig. 7 has its peaks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import datagen as dg
+from datagen.config import load_config
+from datagen.records import Capture, Scene, Transient
+from datagen.report.components import component_curves
+
+CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demonstration_room.yaml"
+PUBLISHED_PEAKS_NS = {"walls, floor, ceiling": 25.6, "box": 24.9, "pillar": 35.3}
+TOLERANCE_NS = 0.3
+
+
+@pytest.fixture(scope="module")
+def room() -> tuple[Scene, Capture, Transient]:
+    config = load_config(CONFIG)
+    scene = dg.generate_scene(config.scene, config.seed, 0)
+    capture = dg.capture_for(config, scene)
+    accuracy = replace(config.transport.accuracy(), lookins=1 << 17, max_bounces=4)
+    return scene, capture, dg.simulate(scene, capture, accuracy, seed=7)
+
+
+def test_what_the_paper_says_about_room_and_capture(room: tuple[Scene, Capture, Transient]) -> None:
+    scene, capture, transient = room
+    np.testing.assert_allclose([capture.laser.position, capture.sensor.position], [[0, 0, 1]] * 2, atol=1e-12)
+    np.testing.assert_allclose(transient.laser_points, [[6, 0, 2.5]], atol=1e-9)
+    corners = capture.sensor.pixels.reshape(-1, 3)
+    np.testing.assert_allclose(corners.min(axis=0), [6, -1, 0.5], atol=1e-9)
+    np.testing.assert_allclose(corners.max(axis=0), [6, 1, 2.5], atol=1e-9)
+    assert capture.sensor.aperture_radius_m == pytest.approx(0.02)
+    leg_s = np.hypot(6, 1.5) / 299_792_458
+    np.testing.assert_allclose(capture.time.centers_s - leg_s, np.linspace(0, 100e-9, 1001), atol=1e-15)
+    assert [m.albedo for m in scene.materials] == [1.0] * len(scene.materials)
+    pillar = scene.corners[scene.face_part == scene.part_names.index("pillar")]
+    assert pillar[..., 2].min() == 0 and pillar[..., 2].max() == scene.vertices[:, 2].max()
+    assert scene.parameters["pillar.rotation_deg"] == 45
+
+
+def test_every_scene_is_the_same_room() -> None:
+    config = load_config(CONFIG)
+    one, other = (dg.generate_scene(config.scene, config.seed, index) for index in (0, 5))
+    np.testing.assert_array_equal(one.corners, other.corners)
+
+
+def test_peaks_lie_where_the_paper_has_them_in_the_order_of_its_figure(
+    room: tuple[Scene, Capture, Transient],
+) -> None:
+    curves = component_curves(load_config(CONFIG), *room)
+    assert set(curves.parts) == set(PUBLISHED_PEAKS_NS)
+    peaks = {name: float(curves.time_ns[np.argmax(curve)]) for name, curve in curves.parts.items()}
+    for name, published in PUBLISHED_PEAKS_NS.items():
+        assert abs(peaks[name] - published) <= TOLERANCE_NS, (name, peaks[name])
+    walls, box, pillar = (curves.parts[name].max() for name in ("walls, floor, ceiling", "box", "pillar"))
+    assert walls > 3 * box > 9 * pillar
+
+
+def test_the_curves_add_up(room: tuple[Scene, Capture, Transient]) -> None:
+    curves = component_curves(load_config(CONFIG), *room)
+    total = sum(curves.parts.values()) + sum(curves.orders.values())
+    np.testing.assert_allclose(curves.total, total, rtol=1e-9, atol=curves.total.max() * 1e-12)
+    assert curves.total.sum() == pytest.approx(room[2].total.sum(), rel=1e-6)

@@ -1,0 +1,116 @@
+"""The picture of components: its curves for odd scenes and scans, and its command."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import datagen as dg
+from datagen.config import DatasetConfig, config_from_mapping
+from datagen.errors import InputError
+from datagen.report.components import (
+    ComponentCurves,
+    component_curves,
+    components_picture,
+    draw_components,
+)
+
+FAST = {"lookins": 64, "fov_samples": 2, "scramblings": 2}
+
+
+def configured(capture: dict[str, Any], detector: dict[str, Any] | None = None, **scene: Any) -> DatasetConfig:
+    return config_from_mapping(
+        {"seed": 4, "scene": scene, "capture": capture, "detector": detector or {}, "transport": FAST}
+    )
+
+
+def curves_of(config: DatasetConfig, **accuracy: Any) -> ComponentCurves:
+    scene = dg.generate_scene(config.scene, config.seed, 0)
+    capture = dg.capture_for(config, scene)
+    wanted = replace(config.transport.accuracy(), max_bounces=5, **accuracy)
+    return component_curves(config, scene, capture, dg.simulate(scene, capture, wanted, seed=1))
+
+
+@pytest.mark.parametrize("direct", [False, True])
+def test_the_curves_add_up_to_the_total(direct: bool) -> None:
+    curves = curves_of(configured({"scan": {"rows": 2, "columns": 2}}, {"pde": 0.5}), direct=direct)
+    assert set(curves.orders) == {"secondary", "higher"} | ({"direct"} if direct else set())
+    total = sum(curves.parts.values()) + sum(curves.orders.values())
+    np.testing.assert_allclose(curves.total, total, rtol=1e-9, atol=curves.total.max() * 1e-12)
+
+
+def test_both_origins_give_the_same_clock() -> None:
+    """Counted from the laser point, the two origins differ by the sensor's leg alone, within a bin."""
+    peaks = []
+    shared = {"scan": {"kind": "points", "points_m": [[0.2, 0.3]]}}
+    sharp = {"pulse_fwhm_ps": 0, "jitter_fwhm_ps": 0}
+    for origin in ("wall", "source"):
+        config = configured({**shared, "time": {"bins": 1024, "bin_width_ps": 100, "origin": origin}}, sharp)
+        curves = curves_of(config)
+        peaks.append(float((curves.time_ns * curves.total).sum() / curves.total.sum()))
+        scene = dg.generate_scene(config.scene, config.seed, 0)
+        capture = dg.capture_for(config, scene)
+    leg_ns = np.linalg.norm(capture.laser.targets[0] - capture.sensor.position) / 0.299792458
+    assert peaks[1] - peaks[0] == pytest.approx(leg_ns, abs=0.15)
+
+
+def test_efficiency_and_pulse_act_as_they_should() -> None:
+    scan = {"scan": {"rows": 1, "columns": 1}, "time": {"bins": 1024}}
+    sharp = curves_of(configured(scan, {"pde": 1, "pulse_fwhm_ps": 0, "jitter_fwhm_ps": 0}))
+    broad = curves_of(configured(scan, {"pde": 0.25, "pulse_fwhm_ps": 1500, "jitter_fwhm_ps": 800}))
+    assert broad.total.sum() == pytest.approx(0.25 * sharp.total.sum(), rel=1e-6)
+    moments = []
+    for curves in (sharp, broad):
+        mean = np.average(curves.time_ns, weights=curves.total)
+        moments.append((mean, np.average((curves.time_ns - mean) ** 2, weights=curves.total)))
+    assert moments[1][0] == pytest.approx(moments[0][0], abs=1e-3)
+    added = (1.5**2 + 0.8**2) / (8 * np.log(2))
+    assert moments[1][1] - moments[0][1] == pytest.approx(added, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("capture", "scene"),
+    [
+        ({"scan": {"rows": 1, "columns": 1}, "time": {"bins": 1}}, {}),
+        ({"scan": {"rows": 2, "columns": 1}, "time": {"bins": 16, "bin_width_ps": 1}}, {}),
+        ({"scan": {"kind": "circle", "count": 3}}, {"contents": []}),
+        ({"scan": {"rows": 1, "columns": 1}}, {"contents": [{"kind": "box", "count": 8, "width_m": 0.2}]}),
+    ],
+    ids=["one bin", "no light", "no objects", "more objects than colours"],
+)
+def test_odd_scenes_have_pictures(capture: dict[str, Any], scene: dict[str, Any], tmp_path: Path) -> None:
+    out = components_picture(configured(capture, **scene), tmp_path / "new" / "picture.png")
+    assert out.stat().st_size > 10_000
+
+
+def test_nothing_to_see_is_said() -> None:
+    dark = np.zeros(8)
+    curves = ComponentCurves(np.arange(8.0), {"walls": dark}, {"secondary": dark}, dark, (0, 0))
+    axes = draw_components(curves, "dark", "no light").axes[0]
+    assert any("no light" in text.get_text() for text in axes.texts)
+
+
+def test_unwritable_output_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    config = configured({"scan": {"rows": 1, "columns": 1}})
+    with pytest.raises(InputError, match="cannot be written"):
+        components_picture(config, tmp_path / "file" / "picture.png")
+
+
+def test_the_command_refuses_bad_input_without_a_traceback(tmp_path: Path) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "datagen.report.components",
+        str(tmp_path / "none.yaml"),
+        str(tmp_path / "a.png"),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "no such file" in done.stderr and "Traceback" not in done.stderr
