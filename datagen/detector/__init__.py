@@ -1,5 +1,8 @@
 """The detector: flux per laser cycle → what a SPAD and its TDC make of it → counts, and their exact mean."""
 
+from pathlib import Path
+
+from datagen.compiled import drop_stale_kernels
 from datagen.detector.classes import DETECTOR_CLASSES
 from datagen.detector.detect import detect, expected_histogram, plan_detector
 from datagen.detector.draw import detector_for
@@ -20,3 +23,5 @@ __all__ = [
     "expected_histogram",
     "plan_detector",
 ]
+
+drop_stale_kernels(Path(__file__).parent)

@@ -5,7 +5,12 @@ If the relay wall were a window, what would stand behind it? All labels share on
 normal right × up, which points from the wall into the room. See `datagen.labels.frame`.
 """
 
+from pathlib import Path
+
+from datagen.compiled import drop_stale_kernels
 from datagen.labels.frame import ViewFrame
 from datagen.labels.make import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
 
 __all__ = ["IMAGE_FIELDS", "VOLUME_FIELDS", "ViewFrame", "make_labels"]
+
+drop_stale_kernels(Path(__file__).parent)

@@ -1,5 +1,10 @@
 """Light transport: from a scene and a capture to the transient."""
 
+from pathlib import Path
+
+from datagen.compiled import drop_stale_kernels
 from datagen.transport.solver import simulate
 
 __all__ = ["simulate"]
+
+drop_stale_kernels(Path(__file__).parent)
