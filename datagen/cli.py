@@ -5,11 +5,12 @@ Exit status: 0 success, 1 a check failed, 2 bad input (one line on standard erro
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import NoReturn
+from typing import ClassVar, NoReturn, cast
 
 import click
 
@@ -118,6 +119,48 @@ def preview(dataset: str, out: str | None, scenes: int) -> None:
     from datagen.report.preview import preview as make_page
 
     click.echo(make_page(dataset, out, scenes))
+
+
+@cli.command()
+@click.argument("config")
+@click.argument("out")
+@click.option("--rooms", type=int, default=64, show_default=True, help="How many rooms.")
+def sheet(config: str, out: str, rooms: int) -> None:
+    """Draw the first rooms of CONFIG, plan and 3D, as one picture OUT; no light is simulated."""
+    from datagen.config import load_config
+    from datagen.report.contact_sheet import contact_sheet
+
+    click.echo(contact_sheet(load_config(config), rooms, out))
+
+
+class _Benches(click.Group):
+    """Benchmarks, each imported only when it runs."""
+
+    MODULES: ClassVar[dict[str, str]] = {
+        "speed": "Error against seconds, beside other ways of computing the same.",
+        "paper_case": "All secondary paths of the paper's case, beside its published times.",
+        "scaling": "Cost and memory against every size.",
+        "detector": "Milliseconds per histogram of every sampler, beside a photon-by-photon simulation.",
+        "stages": "Where a build's time goes, and scenes per second on 1 and 2 workers.",
+    }
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.MODULES)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in self.MODULES:
+            return None
+        return cast(click.Command, importlib.import_module(f"datagen.bench.{cmd_name}").main)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        # The summaries stand here, so that listing them imports nothing.
+        with formatter.section("Commands"):
+            formatter.write_dl(list(self.MODULES.items()))
+
+
+@cli.group(cls=_Benches)
+def bench() -> None:
+    """Measure speed; tables name the machine."""
 
 
 @cli.command()

@@ -5,6 +5,7 @@
   knows that there is nothing else in the scene.
 - *Furnished room*: closed, with a box and a pillar, three and four bounces; relative L2 error per 0.1 m bin against
   a long run of ours (its own error is printed). Ours and mitransient, seen from one point and from a 4 × 4 grid.
+- *The paper's case*: all secondary paths, beside its published times (`datagen.bench.paper_case`).
 
 Times are compared by processor seconds, all threads together, so that a busy machine does not decide; the wall clock
 of an idle one is what they come to divided by the threads at work (mitransient takes all cores).
@@ -26,6 +27,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from datagen.bench import paper_case
 from datagen.bench.peers import (
     MitransientPeer,
     grid_points,
@@ -235,6 +237,8 @@ def main(repeats: int) -> None:
     for make in cases:
         case = make()
         click.echo(table(case, measure(case, repeats)) + "\n")
+    # Last, because it keeps the process on one core.
+    click.get_current_context().invoke(paper_case.main, repeats=repeats)
 
 
 if __name__ == "__main__":

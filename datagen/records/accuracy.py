@@ -67,5 +67,5 @@ class Accuracy:
             )
         if self.strongest is not None and self.observed is None:
             raise InputError(
-                f"Accuracy.secondary = {self.secondary!r}: ranks paths through observed points; set observed, say 3600"
+                f"Accuracy.secondary = {self.secondary!r}: ranks observed points' paths; set observed, such as 3600"
             )

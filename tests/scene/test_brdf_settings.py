@@ -1,4 +1,4 @@
-"""The key `brdf`: every kind reaches the scene with numbers from the declared ranges; mistakes are told in one line."""
+"""The key `brdf`: every kind reaches the scene, with numbers as declared; mistakes are told in one line."""
 
 from __future__ import annotations
 

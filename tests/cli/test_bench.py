@@ -1,0 +1,35 @@
+"""`datagen bench` and `datagen sheet` as a user types them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from datagen.cli import run
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_benches_are_listed_and_each_has_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["bench", "--help"]) == 0
+    listed = capsys.readouterr().out
+    for name in ("speed", "paper_case", "scaling", "detector", "stages"):
+        assert name in listed
+        assert run(["bench", name, "--help"]) == 0
+        assert "Usage" in capsys.readouterr().out
+
+
+def test_an_unknown_bench_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["bench", "spede"]) == 2
+    error = capsys.readouterr().err
+    assert "spede" in error
+    assert error.count("\n") == 1
+
+
+def test_sheet_draws_rooms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "sheet.png"
+    assert run(["sheet", str(ROOT / "configs/quickstart.yaml"), str(out), "--rooms", "2"]) == 0
+    assert out.read_bytes()[:4] == b"\x89PNG"
+    assert run(["sheet", str(ROOT / "configs/quickstart.yaml"), str(out), "--rooms", "0"]) == 2
+    assert "count" in capsys.readouterr().err
