@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from datagen.detector.avalanches import draw_avalanches
 from datagen.detector.chain import draw_cycle_ensemble, draw_hazard_chain, draw_return_chain
-from datagen.detector.equilibrium import equilibrium
+from datagen.detector.equilibrium import FOR_A_START, equilibrium
 from datagen.detector.events import draw_free_running
 from datagen.detector.expected import has_exact_mean, mean_detections, saturated_mean
 from datagen.detector.flux import Cycle, checked_transient, cycle_of, flux_per_cycle
@@ -232,10 +232,11 @@ def _draw_one(setup: _Setup, flux: Array, sampler: Sampler, rng: np.random.Gener
         return draw_return_chain(pieces, bins, cycles, rng)
     if sampler is Sampler.AVALANCHES:
         return draw_avalanches(flux[None, :], cycle, spad, cycles, rng)[0]
-    ensemble = sampler is Sampler.CYCLE_ENSEMBLE
-    state = equilibrium(flux, edges, width, dead_time, shorter_than_dead_time=ensemble)
-    if ensemble:
-        return draw_cycle_ensemble(state, bins, cycles, rng)
+    if sampler is Sampler.CYCLE_ENSEMBLE:
+        return draw_cycle_ensemble(
+            equilibrium(flux, edges, width, dead_time, shorter_than_dead_time=True), bins, cycles, rng
+        )
+    state = equilibrium(flux, edges, width, dead_time, settled=FOR_A_START)
     front = cycle.front if cycle.front < bins else bins - 1
     return draw_free_running(flux, edges, width, front, dead_time, cycles, state, rng)
 

@@ -10,10 +10,13 @@ import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 
-from datagen.detector.renewal import Array, Pieces, edge_at, pieces_of, return_weights, run_cycle
+from datagen.detector.renewal import Array, Pieces, Table, pieces_of, return_table, run_cycle
 
 _SWEEPS = 24
 _SETTLED = 1e-13
+
+FOR_A_START = 1e-8
+"""Change of a sweep at which the state is settled enough to begin an exposure in: 10⁻⁸ detections, once."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,13 @@ class Equilibrium:
 
 
 def equilibrium(
-    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False
+    flux: Array,
+    edges_s: Array,
+    width_s: float,
+    dead_time_s: float,
+    *,
+    shorter_than_dead_time: bool = False,
+    settled: float = _SETTLED,
 ) -> Equilibrium:
     """Expected detections per cycle of a free-running detector, dead time of any length.
 
@@ -50,7 +59,8 @@ def equilibrium(
         rest = 0.0
     cut = shorter_than_dead_time and whole == 0
     pieces = pieces_of(flux, edges_s, width_s, rest, shorter_than_dead_time=cut)
-    detections = _fixed_point(pieces, most_in_window(flux, edges_s, rest)) if rest > 0.0 else pieces.flux
+    most = most_in_window(flux, edges_s, rest)
+    detections = _fixed_point(pieces, most, settled) if rest > 0.0 else pieces.flux
     scale = 1.0 / (1.0 + whole * float(detections.sum()))
     detections = detections * scale
     dead = whole * float(detections.sum()) + _tail_sum(pieces.edges, detections, rest)
@@ -67,34 +77,34 @@ def _tail_sum(edges: Array, values: Array, length: float) -> float:
     return float(cumulative[-1] - np.interp(edges[-1] - length, edges, cumulative))
 
 
-def _fixed_point(pieces: Pieces, most: float) -> Array:
+def _fixed_point(pieces: Pieces, most: float, settled: float) -> Array:
     """(m,) detections per cycle that one cycle hands on to the next unchanged, dead time below a period."""
-    flux, edges, rest = pieces.flux, pieces.edges, pieces.dead_time
-    m = len(flux)
+    table = return_table(pieces.flux, pieces.edges, pieces.dead_time)
+    m = len(pieces.flux)
     # Near equilibrium: every piece scaled alike, by what keeps the detector's dead share below 1.
     returning = np.zeros(m + 1)
-    push_returns(flux / (1.0 + most), flux, edges, rest, returning)
+    _push_returns(pieces.flux / (1.0 + most), table, returning)
     armed = max(1.0 - returning.sum(), 0.0)
     scale = armed + returning.sum()
     armed, returning = armed / scale, returning / scale
     for _ in range(_SWEEPS):
         following = np.zeros(m + 1)
-        detections, armed_after = run_cycle(flux, edges, rest, armed, returning.copy(), following)
+        detections, armed_after = run_cycle(table, armed, returning.copy(), following)
         change = abs(armed_after - armed) + np.abs(following - returning).sum()
         armed, returning = armed_after, following
-        if change < _SETTLED:
+        if change < settled:
             return detections
-    return _solve(flux, edges, rest)
+    return _solve(table)
 
 
-def _solve(flux: Array, edges: Array, rest: float) -> Array:
+def _solve(table: Table) -> Array:
     """The fixed point from A_{i+1} − A_i + D_i − Σ_k w_{k→i+1} D_k = 0 with D_k = g_k A_k.
 
     These add up to 0 = 0, so one of them makes room for the sum of all shares, armed or due to return, being 1. The
     equations couple neighbours and pieces a dead time apart, a narrow helix, so that elimination stays cheap.
     """
-    m = len(flux)
-    rows, columns, values, gain, pending = _equations(flux, edges, rest)
+    m = len(table[0])
+    rows, columns, values, gain, pending = _equations(table)
     ones = np.append(1.0, np.zeros(m - 1)) + pending
     keep = rows != m - 1
     tail = np.flatnonzero(ones)
@@ -108,40 +118,33 @@ def _solve(flux: Array, edges: Array, rest: float) -> Array:
     return gain * np.maximum(armed, 0.0)
 
 
-@numba.njit(cache=True)
-def _equations(
-    flux: Array, edges: Array, rest: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, Array]:
+@numba.njit(cache=True, error_model="numpy")
+def _equations(table: Table) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, Array]:
     """Entries (row, column, value) of the equations for A, the gains g, and each A's share due beyond piece 0."""
-    m = len(flux)
-    period = edges[m]
-    # Three entries a piece, and one for each piece that its returns touch: the shifted pieces have m edges to cross,
-    # so these are at most 2 m and one more each for those that wait.
-    size = 8 * m + 64
+    q, first, offset, weights = table
+    m = len(q)
+    size = 3 * m + len(weights)
     rows, columns, values = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
     gain, pending = np.zeros(m), np.zeros(m)
-    weights, scratch = np.empty(m + 3), np.empty((2, m + 3))
-    used, target = 0, 0
+    used = 0
     for i in range(m):
         # Row j holds the equation for A_{j+1}; row m − 1 that for A_0 of the next cycle.
         rows[used], columns[used], values[used] = i, i, -1.0
         rows[used + 1], columns[used + 1], values[used + 1] = i, (i + 1) % m, 1.0
         used += 2
-        if flux[i] <= 0.0:
+        if q[i] <= 0.0:
             continue
-        while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + rest:
-            target += 1
-        count = return_weights(edges[i] + rest, edges[i + 1] + rest, target, edges, flux, weights, scratch)
-        q = -np.expm1(-flux[i])
-        itself = weights[0] if target == i else 0.0
-        gain[i] = q / (1.0 - itself * q)
+        start = offset[i]
+        itself = weights[start] if first[i] == i else 0.0
+        gain[i] = q[i] / (1.0 - itself * q[i])
         rows[used], columns[used], values[used] = i, i, gain[i] * (1.0 - itself)
         used += 1
-        for k in range(1 if target == i else 0, count):
-            rows[used], columns[used], values[used] = (target + k - 1) % m, i, -weights[k] * gain[i]
+        for k in range(1 if first[i] == i else 0, offset[i + 1] - start):
+            due = weights[start + k] * gain[i]
+            rows[used], columns[used], values[used] = (first[i] + k - 1) % m, i, -due
             used += 1
-            if target + k > m:
-                pending[i] += weights[k] * gain[i]
+            if first[i] + k > m:
+                pending[i] += due
     return rows[:used], columns[:used], values[:used], gain, pending
 
 
@@ -179,19 +182,13 @@ def most_in_window(flux: Array, edges: Array, length: float) -> float:
     return most
 
 
-@numba.njit(cache=True)
-def push_returns(detections: Array, flux: Array, edges: Array, dead_time: float, following: Array) -> None:
+@numba.njit(cache=True, error_model="numpy")
+def _push_returns(detections: Array, table: Table, following: Array) -> None:
     """Returns due in the next cycle, were `detections` those of this one."""
-    m = len(flux)
-    period = edges[m]
-    weights, scratch = np.empty(m + 3), np.empty((2, m + 3))
-    target = 0
+    q, first, offset, weights = table
+    m = len(q)
     for i in range(m):
-        while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + dead_time:
-            target += 1
-        if detections[i] <= 0.0:
-            continue
-        count = return_weights(edges[i] + dead_time, edges[i + 1] + dead_time, target, edges, flux, weights, scratch)
-        for k in range(count):
-            if target + k >= m:
-                following[target + k - m] += weights[k] * detections[i]
+        for k in range(offset[i], offset[i + 1]):
+            where = first[i] + k - offset[i]
+            if where >= m:
+                following[where - m] += weights[k] * detections[i]

@@ -31,7 +31,7 @@ ENSEMBLE_EVENTS = 2e6
 MOST_EVENTS = 2e7
 """Events per histogram above which event-driven samplers would take seconds and more, and are refused."""
 
-_CHAIN_NS, _EVENT_NS = 250.0, 200.0
+_CHAIN_NS, _EVENT_NS = 180.0, 90.0
 
 
 class Sampler(IntEnum):

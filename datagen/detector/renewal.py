@@ -107,7 +107,8 @@ def synchronous_mean(flux: Array, edges_s: Array, width_s: float, dead_time_s: f
     dead_time_s = min(dead_time_s, float(edges_s[-1]))
     pieces = pieces_of(flux, edges_s, width_s, dead_time_s)
     returning = np.zeros(len(pieces.flux) + 1)
-    detections = run_cycle(pieces.flux, pieces.edges, dead_time_s, 1.0, returning, np.zeros_like(returning))[0]
+    table = return_table(pieces.flux, pieces.edges, dead_time_s)
+    detections = run_cycle(table, 1.0, returning, np.zeros_like(returning))[0]
     return pieces.per_bin(detections, len(flux))
 
 
@@ -174,37 +175,61 @@ def return_weights(
     return count + 1
 
 
-@numba.njit(cache=True)
-def run_cycle(
-    flux: Array, edges: Array, dead_time: float, armed: float, returning: Array, following: Array
-) -> tuple[Array, float]:
-    """One cycle: detections per piece and the share still armed; returns due later are added to `following`."""
+Table = tuple[Array, NDArray[np.int64], NDArray[np.int64], Array]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def return_table(flux: Array, edges: Array, dead_time: float) -> Table:
+    """What one cycle after the other needs of every piece: q, first piece of its returns, and their weights.
+
+    Piece i returns to pieces `first[i]`, `first[i] + 1`, … with `weights[offset[i]:offset[i + 1]]`; none for pieces
+    in which nothing happens.
+    """
     m = len(flux)
     period = edges[m]
-    detections = np.zeros(m)
-    weights, scratch = np.empty(m + 3), np.empty((2, m + 3))
-    target, shift = 0, dead_time
+    q, first, offset = np.zeros(m), np.zeros(m, np.int64), np.zeros(m + 1, np.int64)
+    # Shifted pieces cross m edges between them, and each may end within a piece and wait for the next one.
+    weights = np.empty(5 * m + 64)
+    here, scratch = np.empty(m + 3), np.empty((2, m + 3))
+    target = 0
     for i in range(m):
-        armed += returning[i]
+        offset[i + 1] = offset[i]
         if flux[i] <= 0.0:
             continue
-        while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + shift:
+        while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + dead_time:
             target += 1
-        count = return_weights(edges[i] + shift, edges[i + 1] + shift, target, edges, flux, weights, scratch)
-        q = -np.expm1(-flux[i])
-        fired = armed * q
-        if target == i:
+        count = return_weights(edges[i] + dead_time, edges[i + 1] + dead_time, target, edges, flux, here, scratch)
+        q[i], first[i] = -np.expm1(-flux[i]), target
+        for k in range(count):
+            weights[offset[i] + k] = here[k]
+        offset[i + 1] += count
+    return q, first, offset, weights[: offset[m]]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def run_cycle(table: Table, armed: float, returning: Array, following: Array) -> tuple[Array, float]:
+    """One cycle: detections per piece and the share still armed; returns due later are added to `following`."""
+    q, first, offset, weights = table
+    m = len(q)
+    detections = np.zeros(m)
+    for i in range(m):
+        armed += returning[i]
+        if q[i] <= 0.0:
+            continue
+        fired = armed * q[i]
+        start = offset[i]
+        if first[i] == i:
             # Part returns within the same piece and may fire again: a geometric series.
-            fired /= 1.0 - weights[0] * q
-            armed += weights[0] * fired
+            fired /= 1.0 - weights[start] * q[i]
+            armed += weights[start] * fired
         detections[i] = fired
         armed -= fired
-        for k in range(1 if target == i else 0, count):
-            where = target + k
+        for k in range(1 if first[i] == i else 0, offset[i + 1] - start):
+            where = first[i] + k
             if where < m:
-                returning[where] += weights[k] * fired
+                returning[where] += weights[start + k] * fired
             else:
-                following[where - m] += weights[k] * fired
+                following[where - m] += weights[start + k] * fired
     following[0] += returning[m]
     return detections, armed
 
