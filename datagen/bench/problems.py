@@ -11,11 +11,6 @@ from numpy.typing import NDArray
 
 from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Rectangle, Scene, Sensor, TimeAxis
 from datagen.transport import simulate
-from datagen.transport.brdf import MaterialTable
-from datagen.transport.fov import PixelCones, PixelPatches
-from datagen.transport.raycast import Raycaster
-from datagen.transport.secondary import SecondaryEstimate, secondary_transient
-from datagen.transport.vertices import LaserPoints
 from datagen.units import time_from_path
 
 WALL = Rectangle.of((0, 0, 1.25), (0, 1.2, 0), (0, 0, 1.0))
@@ -24,10 +19,15 @@ DEVICE = np.array([1.5, 0.1, 1.3])
 
 @dataclass(frozen=True)
 class Problem:
-    """The sizes that are varied, at the values they have while another is."""
+    """The sizes that are varied, at the values they have while another is.
+
+    observed : points each lookin sees, for the factorised sum of all secondary paths; None for the walk.
+    """
 
     lookins: int = 2048
+    fov_samples: int = 4
     bounces: int = 4
+    observed: int | None = None
     lasers_a_side: int = 2
     pixels_a_side: int = 4
     bins: int = 512
@@ -46,37 +46,11 @@ class Problem:
         else:
             sensor = Sensor.grid(DEVICE, WALL.center, WALL.right, WALL.up, self.pixels_a_side, self.pixels_a_side)
         capture = Capture(Laser(DEVICE, points), sensor, axis, "confocal" if self.confocal else "exhaustive")
-        accuracy = Accuracy(lookins=self.lookins, fov_samples=4, max_bounces=self.bounces, scramblings=2)
+        accuracy = Accuracy(
+            lookins=self.lookins, fov_samples=self.fov_samples, max_bounces=self.bounces, scramblings=2,
+            observed=self.observed,
+        )  # fmt: skip
         return lambda: simulate(scene, capture, accuracy, seed=1, split_parts=False)
-
-
-@dataclass(frozen=True)
-class Secondary:
-    """All secondary paths of one laser point and one pixel by the factorised sum: the paper's N, Ñ and FoV points."""
-
-    lookins: int = 512
-    observed: int = 512
-    fov_samples: int = 512
-    triangles: int = 100
-
-    def prepared(self) -> Callable[[], object]:
-        """The call that is timed; the scene and the capture are made beforehand."""
-        scene = tessellated_room(self.triangles)
-        sensor = Sensor.grid(DEVICE, WALL.center, WALL.right / 2, WALL.up / 2, 1, 1)
-        capture = Capture(Laser(DEVICE, _grid(1)), sensor, TimeAxis(512, time_from_path(20.0 / 512), 0.0, "wall"))
-        return lambda: full_secondary(scene, capture, self.lookins, self.observed, self.fov_samples, seed=1)
-
-
-def full_secondary(
-    scene: Scene, capture: Capture, lookins: int, observed: int, fov_samples: int, seed: int
-) -> SecondaryEstimate:
-    """Four bounces by the factorised sum alone, from building the ray caster to the transient; one scrambling."""
-    caster, cones = Raycaster(scene), PixelCones.of(capture.sensor)
-    return secondary_transient(
-        caster, scene, MaterialTable.of(scene.materials), capture, LaserPoints.of(caster, scene, capture.laser),
-        cones, PixelPatches.of(caster, capture.sensor, cones, fov_samples),
-        lookins=lookins, observed=observed, fov_samples=fov_samples, scramblings=1, strongest=None, seed=seed,
-    )  # fmt: skip
 
 
 def _grid(side: int) -> NDArray[np.float64]:

@@ -15,13 +15,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
 import numpy as np
 
-from datagen.bench.problems import Problem, Secondary
+from datagen.bench.problems import Problem
 from datagen.cli import guarded
 from datagen.store.environment import cores, processor
 
@@ -35,7 +35,7 @@ class Sweep:
     """name : what grows; problems : (size, problem) from small to large."""
 
     name: str
-    problems: tuple[tuple[int, Problem | Secondary], ...]
+    problems: tuple[tuple[int, Problem], ...]
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,12 @@ class Curve:
 
 
 def sweeps() -> tuple[Sweep, ...]:
+    full = Problem(lookins=512, observed=512, fov_samples=512, lasers_a_side=1, pixels_a_side=1)
     return (
         Sweep("lookins", tuple((n, Problem(lookins=n)) for n in (256, 1024, 4096, 16384))),
-        Sweep("bounces", tuple((n - 2, Problem(bounces=n, lookins=4096)) for n in (3, 4, 6, 10, 18))),
+        Sweep(
+            "bounces after the second", tuple((n - 2, Problem(bounces=n, lookins=4096)) for n in (3, 4, 6, 10, 18))
+        ),
         Sweep("laser points", tuple((n * n, Problem(lasers_a_side=n)) for n in (1, 2, 4, 8))),
         Sweep("confocal points", tuple((n * n, Problem(lasers_a_side=n, confocal=True)) for n in (2, 4, 8, 16, 32))),
         Sweep("pixels", tuple((n * n, Problem(pixels_a_side=n)) for n in (1, 2, 4, 8, 16))),
@@ -63,10 +66,12 @@ def sweeps() -> tuple[Sweep, ...]:
             Sweep(f"triangles, {name}", tuple((n, Problem(triangles=n, scene=name)) for n in TRIANGLES))
             for name in ("room", "sphere")
         ),
-        Sweep("lookins, full secondary", tuple((n, Secondary(lookins=n)) for n in (64, 256, 1024, 4096))),
-        Sweep("observed points, full secondary", tuple((n, Secondary(observed=n)) for n in (64, 256, 1024, 4096))),
-        Sweep("FoV points, full secondary", tuple((n, Secondary(fov_samples=n)) for n in (64, 256, 1024, 4096))),
-        Sweep("triangles, full secondary", tuple((n, Secondary(triangles=n)) for n in TRIANGLES)),
+        Sweep("lookins, full secondary", tuple((n, replace(full, lookins=n)) for n in (64, 256, 1024, 4096))),
+        Sweep(
+            "observed points, full secondary", tuple((n, replace(full, observed=n)) for n in (64, 256, 1024, 4096))
+        ),
+        Sweep("FoV points, full secondary", tuple((n, replace(full, fov_samples=n)) for n in (64, 256, 1024, 4096))),
+        Sweep("triangles, full secondary", tuple((n, replace(full, triangles=n)) for n in TRIANGLES)),
     )
 
 
@@ -130,10 +135,16 @@ def report_peak(scan: int, lookins: int) -> None:
     began = time.perf_counter()
     kept = call()
     seconds = time.perf_counter() - began
-    # Kilobytes on Linux, bytes on macOS.
-    unit = 1 if sys.platform == "darwin" else 1024
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit, seconds)
+    print(_peak_resident_bytes(), seconds)
     del kept
+
+
+def _peak_resident_bytes() -> int:
+    """This process's, and not its parent's, which Linux counts in `ru_maxrss` of a process it started."""
+    status = Path("/proc/self/status")
+    if status.is_file():
+        return 1024 * next(int(line.split()[1]) for line in status.read_text().splitlines() if "VmHWM" in line)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 def table(curves: Sequence[Curve]) -> str:
@@ -159,6 +170,7 @@ def picture(curves: Sequence[Curve], path: Path, machine: str) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     columns = 4
     figure, axes = plt.subplots(
@@ -168,8 +180,10 @@ def picture(curves: Sequence[Curve], path: Path, machine: str) -> None:
         sizes, seconds = np.array(curve.sizes), np.array(curve.seconds)
         axis.loglog(sizes, seconds[-1] * sizes / sizes[-1], color="0.75", lw=1, label="linear")
         axis.loglog(sizes, seconds, "o-", color="tab:blue", ms=4, label=f"exponent {curve.exponent:.2f}")
-        axis.set_ylim(seconds.min() / 2, seconds.max() * 2)
+        axis.set_ylim(min(seconds.min() / 2, seconds.max() / 20), seconds.max() * 2)
         axis.set_xlabel(curve.name)
+        axis.yaxis.set_minor_formatter(NullFormatter())
+        axis.yaxis.set_major_locator(LogLocator(numticks=4))
         axis.legend(frameon=False, fontsize=8, loc="upper left")
     for axis in axes[:, 0]:
         axis.set_ylabel("processor seconds")

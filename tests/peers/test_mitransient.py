@@ -30,7 +30,6 @@ from datagen.bench.peers import (
     plate_quadrature,
     point_capture,
 )
-from datagen.bench.problems import full_secondary
 from datagen.records import Accuracy, Capture, Lambertian, Part, Rectangle, Scene
 from datagen.transport import simulate
 
@@ -127,8 +126,9 @@ def test_three_and_four_bounces_in_a_furnished_room() -> None:
     compare("4 bounces alone", ours[:, 1], both - three, energy_tolerance=1e-2, largest_noise=0.1)
     # The same light by the factorised sum: its convolution in time takes every arriving path with every leaving one.
     capture = room_capture()
-    whole = [full_secondary(room(), capture, 4096, 256, 1, seed).mean for seed in range(RUNS)]
-    factorised = np.array([photons_to_radiance(mean, capture)[0] for mean in whole])
+    accuracy = Accuracy(lookins=4096, fov_samples=1, max_bounces=4, scramblings=1, observed=256)
+    whole = [simulate(room(), capture, accuracy, seed, split_parts=False) for seed in range(RUNS)]
+    factorised = np.array([photons_to_radiance(run.components["secondary"], capture)[0] for run in whole])
     compare("4 bounces, factorised", factorised, both - three, energy_tolerance=1e-2, largest_noise=0.1)
 
 
