@@ -17,11 +17,16 @@ if TYPE_CHECKING:
 COUNTS = "#9A9A9A"
 
 
-def draw_counts(axes: Axes, counts: NDArray[Any], expected: NDArray[np.float64], time: TimeAxis) -> None:
-    """(bin,) counts as bars, (bin,) expectation as a line; logarithmic when the peak is 30 times the median bin."""
+def draw_counts(
+    axes: Axes, counts: NDArray[Any], expected: NDArray[np.float64], time: TimeAxis, *, mean: str = "exact mean"
+) -> None:
+    """(bin,) counts as bars, (bin,) expectation as a line; logarithmic when the peak is 30 times the median bin.
+
+    `mean` says in the legend what kind of expectation it is.
+    """
     edges = time.edges_s * 1e9
     axes.stairs(counts, edges, fill=True, color=COUNTS, linewidth=0, label="counts")
-    axes.stairs(expected, edges, color=EXPECTED, linewidth=1.2, label="expectation (exact mean)")
+    axes.stairs(expected, edges, color=EXPECTED, linewidth=1.2, label=f"expectation ({mean})")
     axes.set(xlabel=time_label(time), ylabel=f"counts per bin of {time.width_s * 1e12:g} ps")
     highest = max(float(counts.max()), float(expected.max()))
     if highest <= 0:
@@ -42,10 +47,13 @@ def residuals(counts: NDArray[Any], expected: NDArray[np.float64]) -> NDArray[np
         return np.where((expected > 0) | (counts > 0), (counts - expected) / np.sqrt(expected), np.nan)
 
 
-def draw_residuals(axes: Axes, counts: NDArray[Any], expected: NDArray[np.float64], time: TimeAxis) -> None:
-    """Residuals in units of the Poisson spread, with the band that holds 95 % of them for a normal distribution."""
+def draw_residuals(
+    axes: Axes, counts: NDArray[Any], expected: NDArray[np.float64], time: TimeAxis, *, is_poisson: bool = True
+) -> None:
+    """Residuals in units of the Poisson spread; for Poisson counts the band that holds 95 % of them where many."""
     values = residuals(counts, expected)
-    axes.axhspan(-2, 2, color=EXPECTED, alpha=0.12, linewidth=0)
+    if is_poisson:
+        axes.axhspan(-2, 2, color=EXPECTED, alpha=0.12, linewidth=0)
     axes.axhline(0, color=EXPECTED, linewidth=0.8)
     axes.plot(time.centers_s * 1e9, values, linestyle="", marker=".", markersize=2.5, color=INK)
     finite = values[np.isfinite(values)]

@@ -98,9 +98,9 @@ def histogram_page(stored: StoredScene, again: Replay) -> Figure:
         )
     ):
         upper, lower = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
-        draw_counts(upper, counts, expected, time)
+        draw_counts(upper, counts, expected, time, mean=_mean_name(again))
         upper.set(title=title, xlabel="")
-        draw_residuals(lower, counts, expected, time)
+        draw_residuals(lower, counts, expected, time, is_poisson=again.is_poisson)
         for axes in (upper, lower):
             axes.set_xlim(*busy_window(expected if expected.any() else counts, time))
     caption(figure, figure.add_subplot(grid[2, :]), text)
@@ -179,7 +179,7 @@ def overview_page(
     text = (
         "Above: the room from above and opened, with laser points on the relay wall; the green window is where the "
         "depth label looks from. Below: the expected light of the whole scan split by part (stacked, logarithmic), "
-        f"photon counts over their exact mean in one channel, and the depth label. {_provenance(again)}"
+        f"photon counts over their {_mean_name(again)} in one channel, and the depth label. {_provenance(again)}"
     )
     entries = len(again.scene.part_names) + 4
     legend_in = 0.2 * np.ceil(entries / 8) + 0.1
@@ -203,7 +203,7 @@ def overview_page(
     stack, counted, depth = (figure.add_subplot(grid[2, 2 * k : 2 * k + 2]) for k in range(3))
     draw_stack(stack, again.scene, _curves(again, None), time)
     stack.set_title(f"Transient, {_whole_name(again).lower()}")
-    draw_counts(counted, again.counts[channel], again.expected[channel], time)
+    draw_counts(counted, again.counts[channel], again.expected[channel], time, mean=_mean_name(again))
     counted.set_xlim(*busy_window(again.expected[channel], time))
     counted.set_title(f"Counts, {_channel_name(again, *channel).lower()}")
     draw_label(figure, depth, again.scene, "depth", labels["depth"])
@@ -246,10 +246,21 @@ def _provenance(again: Replay) -> str:
 
 def _histogram_caption(stored: StoredScene, again: Replay) -> str:
     source = "Stored photon counts" if "histogram" in stored.arrays else "Photon counts, drawn again (none stored),"
-    text = (
-        f"{source} over the exact mean of the detector model. Below, what is left in units of the Poisson spread; "
-        "the band is ± 2, which holds about 95 % where counts are high (where few are expected, residuals jump "
-        "between 0 and 1 counts and are lopsided)."
+    text = f"{source} over the {_mean_name(again)} of the detector model"
+    if not again.mean_is_exact:
+        text += (
+            " (afterpulses, crosstalk or saturation under a dead time have no exact one in closed form; its error is "
+            "of second order in their probabilities)"
+        )
+    text += ". Below, what is left in units of the square root of the expectation, "
+    if not again.is_poisson:
+        return text + (
+            "which is the spread that Poisson counts would have. These are none: dead time makes counts spread less "
+            "and ties bins to each other, afterpulses and crosstalk make them spread more. Hence no band."
+        )
+    text += (
+        "the Poisson spread; the band is ± 2, which holds about 95 % where counts are high (where few are expected, "
+        "residuals jump between 0 and 1 counts and are lopsided)."
     )
     found = mean_square_residual(again.counts, again.expected)
     if found is not None:
@@ -258,6 +269,10 @@ def _histogram_caption(stored: StoredScene, again: Replay) -> str:
             f"Poisson counts give 1 ± {found[1]:.2g}."
         )
     return text
+
+
+def _mean_name(again: Replay) -> str:
+    return "exact mean" if again.mean_is_exact else "approximate mean"
 
 
 def _n(count: int, what: str) -> str:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
-from datagen.detector import detect, detector_for, expected_histogram
+from datagen.detector import Exposure, Spad, detect, detector_for, expected_histogram, plan_detector
 from datagen.errors import InputError
-from datagen.records import Capture, Scene, Transient
+from datagen.records import Capture, Scene, TimeAxis, Transient
 from datagen.scene import generate_scene
 from datagen.seeding import Purpose, derived_seed
 from datagen.store import read_manifest
@@ -46,7 +46,9 @@ class Replay:
     """One scene simulated again.
 
     counts : (laser, pixel, bin) of the stored histogram, or drawn again where none is stored.
-    expected : (laser, pixel, bin) its exact mean.
+    expected : (laser, pixel, bin) its mean.
+    mean_is_exact : whether that mean is exact, or the detector's approximate one.
+    is_poisson : whether all counts are independent Poisson numbers of that mean.
     difference : relative L2 distance of the new transient from the stored one; None where none is stored.
     moved_m : how far the farthest laser point now lies from where it is stored, metres.
     """
@@ -58,6 +60,8 @@ class Replay:
     expected: NDArray[np.float64]
     difference: float | None
     moved_m: float = 0.0
+    mean_is_exact: bool = True
+    is_poisson: bool = True
 
     @property
     def reproduced(self) -> bool:
@@ -98,13 +102,28 @@ def replay(stored: StoredScene) -> Replay:
     accuracy = config.transport.accuracy()
     transient = simulate(scene, capture, accuracy, seed=derived_seed(config.seed, index, Purpose.TRANSPORT))
     spad, exposure = detector_for(config.detector, config.seed, index, capture.time)
-    expected = expected_histogram(transient.total, capture.time, spad, exposure)
+    expected, mean_is_exact = _mean(transient.total, capture.time, spad, exposure)
+    tolerance, approximate = config.detector.tolerance, config.detector.approximate
+    plan = plan_detector(transient.total, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
+    is_poisson = set(plan.histograms) == {"poisson"} and spad.counter_max is None
     counts = stored.arrays.get("histogram")
     if counts is None:
         seed = derived_seed(config.seed, index, Purpose.DETECTOR)
-        counts = detect(transient.total, capture.time, spad, exposure, seed=seed)
+        counts = detect(
+            transient.total, capture.time, spad, exposure, seed=seed, tolerance=tolerance, approximate=approximate
+        )
     difference, moved_m = _difference(stored, transient.total), _moved_m(stored, transient.laser_points)
-    return Replay(scene, capture, transient, counts, expected, difference, moved_m)
+    return Replay(scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact, is_poisson)
+
+
+def _mean(
+    total: NDArray[np.float64], time: TimeAxis, spad: Spad, exposure: Exposure
+) -> tuple[NDArray[np.float64], bool]:
+    """Expected counts, and whether exactly so: the approximate mean where the detector has no exact one."""
+    try:
+        return expected_histogram(total, time, spad, exposure), True
+    except InputError:
+        return expected_histogram(total, time, spad, exposure, approximate=True), False
 
 
 def _difference(stored: StoredScene, total: NDArray[np.float64]) -> float | None:
