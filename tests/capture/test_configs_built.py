@@ -1,0 +1,88 @@
+"""Every ready configuration is built, verified and read, with fewer laser points, pixels and rays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import datagen as dg
+from datagen.capture import capture_for
+from datagen.config import DatasetConfig, config_from_mapping, load_config
+from datagen.scene import generate_scene
+from datagen.store import verify
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+READY = sorted(CONFIGS.glob("*.yaml"))
+MOST = {"rows": 3, "columns": 3, "count": 4}
+"""Of a scan or a field of view."""
+
+
+def reduced(config: DatasetConfig) -> DatasetConfig:
+    """One scene with fewer of everything, and otherwise the same."""
+    values: dict[str, Any] = config.model_dump(mode="json")
+    for section in ("scan", "field_of_view"):
+        part = values["capture"][section]
+        for number, size in (("rows", "height_m"), ("columns", "width_m")):
+            if part.get(number) and part.get(size) and section == "field_of_view":
+                # Pixels of the same size, so that as many photons meet one.
+                part[size] *= min(part[number], MOST[number]) / part[number]
+        part |= {key: min(part[key], most) for key, most in MOST.items() if key in part}
+    if values["detector"]["array_columns"] is not None:
+        values["detector"]["array_columns"] = values["capture"]["field_of_view"]["columns"]
+    values["transport"] |= {"lookins": 32, "fov_samples": 1, "scramblings": 2}
+    values["labels"] |= {"rows": 16, "columns": 16, "voxels": [8, 8, 8]}
+    values["scenes"] = 1
+    return config_from_mapping(values, base_directory=CONFIGS)
+
+
+class HereAndNow:
+    """Runs each job in this process: starting another takes longer than the small builds of this file."""
+
+    capacity = 1
+    deaths = ()
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        done: Future[Any] = Future()
+        done.set_result(function(*arguments))
+        return done
+
+    def close(self, kill: bool) -> None:
+        pass
+
+
+@contextmanager
+def here(*_: Any) -> Iterator[HereAndNow]:
+    yield HereAndNow()
+
+
+def test_there_are_at_least_eight() -> None:
+    assert len(READY) >= 8
+    kinds = {(config.capture.pairing, config.capture.scan.kind) for config in map(load_config, READY)}
+    assert {("confocal", "grid"), ("confocal", "subset"), ("exhaustive", "grid"), ("exhaustive", "points")} <= kinds
+
+
+@pytest.mark.parametrize("path", READY, ids=lambda path: path.stem)
+def test_every_ready_configuration_is_built(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.builder.started", here)
+    config = reduced(load_config(path))
+    result = dg.build(config, tmp_path / "set", progress=False)
+    assert result.complete
+    assert verify(tmp_path / "set").problems == ()
+    data = dg.TransientDataset(str(tmp_path / "set"), fields=("histogram",))
+    counts = np.asarray(data[0]["histogram"])
+    assert counts.shape == config.capture.shape
+    assert counts.sum() > 0
+
+
+@pytest.mark.parametrize("path", READY, ids=lambda path: path.stem)
+def test_the_whole_scan_fits_every_scene(path: Path) -> None:
+    config = load_config(path)
+    for index in range(6):
+        scene = generate_scene(config.scene, config.seed, index)
+        assert capture_for(config, scene, config.seed, index).shape == config.capture.shape
