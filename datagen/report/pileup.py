@@ -1,7 +1,7 @@
-"""How wrong Poisson is: `python -m datagen.report.pileup OUT`.
+"""How wrong Poisson is: `python -m datagen.report.pileup configs/demonstration_room.yaml OUT`.
 
 The bias of a Poisson detector (flux × cycles, no dead time) against the exact mean of a real one, over flux, with the
-direct return in view and gated out. As picture and table, for any transient.
+direct return in view and gated out. As picture and table, for a simulated room or any transient.
 """
 
 from __future__ import annotations
@@ -16,13 +16,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.cli import guarded
-from datagen.detector import Exposure, Spad, expected_histogram
+from datagen.detector import Exposure, Spad, detector_for, expected_histogram
 from datagen.errors import InputError
-from datagen.records import TimeAxis
+from datagen.records import Accuracy, TimeAxis
 from datagen.report.style import EXPECTED, INK, LASER, caption, caption_height, house_style, new_figure, save_png
+from datagen.report.transient_plots import busy_window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from datagen.config import DatasetConfig
 
 Array = NDArray[np.float64]
 
@@ -35,6 +38,7 @@ DETECTORS: dict[str, Spad] = {
     "free running, 50 ns dead time": Spad(pde=1.0, dead_time_s=50e-9),
 }
 _PURPLE = "#882255"
+_LOOKINS = 16_384
 
 
 @dataclass(frozen=True)
@@ -116,11 +120,17 @@ def table(rows: Sequence[PileupRow]) -> str:
     lines = [f"| {' | '.join(head)} |", "|---|---|" + "---:|" * 4]
     for row in rows:
         cells = [
-            row.detector, "gated out" if row.gated else "in view", f"{row.flux:g}", f"{100 * row.signal_bias:+.3g} %",
-            f"{100 * row.worst_bias:.3g} %", f"{row.delay_ps:+.3g}",
+            row.detector, "gated out" if row.gated else "in view", f"{row.flux:g}",
+            f"{_three_digits(100 * row.signal_bias, '+')} %", f"{_three_digits(100 * row.worst_bias)} %",
+            _three_digits(row.delay_ps, "+"),
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _three_digits(value: float, sign: str = "") -> str:
+    """Three significant digits, never with an exponent for large numbers."""
+    return f"{value:{sign}.3g}" if abs(value) < 999.5 else f"{value:{sign}.0f}"
 
 
 def draw_pileup(
@@ -135,7 +145,7 @@ def draw_pileup(
         "do, divided by the same number of cycles; the direct return comes first. Right: how many counts too many "
         "Poisson gives to what comes after the direct return, the direct return in view (solid) or gated out "
         "(dashed; the flux is that without the gate). Above the dotted line Poisson is wrong by more than 5 %. "
-        "A dead time that ends between direct return and signal does what a gate does: its two curves coincide."
+        "A dead time that ends before the signal begins would do what a gate does."
     )
     with house_style():
         height = caption_height(11, text)
@@ -167,6 +177,7 @@ def _draw_histograms(axes: Axes, shape: Array, time: TimeAxis, repetition_rate_h
             linewidth=_LINEWIDTHS.get(label, 2.4),
         )
     axes.set(yscale="log", ylim=(1e-6, 1), xlabel="time (ns)", ylabel="counts per cycle and bin")
+    axes.set_xlim(*busy_window(shape, time))
     axes.set_title("One event per cycle, direct return in view")
     axes.legend(loc="upper right")
 
@@ -185,13 +196,48 @@ def _draw_bias(axes: Axes, rows: Sequence[PileupRow]) -> None:
     axes.legend(loc="upper left")
 
 
+def room_channel(config: DatasetConfig, index: int = 0) -> tuple[Array, TimeAxis, float]:
+    """Scene `index` of a configuration, its direct return simulated too: (bin,) transient, time axis, when that ends.
+
+    Of all histograms the one with most light from the hidden scene. Raises `InputError` where no direct return is
+    seen, or nothing after it.
+    """
+    from datagen.capture import capture_for
+    from datagen.scene import generate_scene
+    from datagen.seeding import Purpose, derived_seed
+    from datagen.transport import simulate
+
+    scene = generate_scene(config.scene, config.seed, index)
+    capture = capture_for(config, scene, config.seed, index)
+    accuracy = Accuracy(min(config.transport.lookins, _LOOKINS), max_bounces=4, direct=True)
+    seed = derived_seed(config.seed, index, Purpose.TRANSPORT)
+    transient = simulate(scene, capture, accuracy, seed=seed, split_parts=False)
+    direct = transient.components["direct"]
+    channel = np.unravel_index(np.argmax((transient.total - direct).sum(-1)), direct.shape[:2])
+    lit = np.flatnonzero(direct[channel] > 0)
+    if len(lit) == 0:
+        raise InputError(
+            f"{config.name}, scene {index}: no direct return falls into the time window; let the field of view see a "
+            "laser point (pairing exhaustive or confocal) and the time axis begin before it"
+        )
+    return transient.total[channel], capture.time, float(capture.time.edges_s[lit[-1] + 1])
+
+
 @click.command()
+@click.argument("config", type=click.Path(path_type=Path))
 @click.argument("out", type=click.Path(path_type=Path))
-def main(out: Path) -> None:
-    """Write OUT/pileup.png for a corner in outline and print the table."""
-    transient, time, direct_until_s = synthetic_corner()
-    click.echo(table(pileup_rows(transient, time, direct_until_s)))
-    click.echo(f"\n{draw_pileup(transient, time, direct_until_s, out / 'pileup.png')}")
+@click.option("--index", default=0, show_default=True, help="Which scene of the configuration.")
+def main(config: Path, out: Path, index: int) -> None:
+    """Write OUT/pileup.png for a scene of CONFIG and print the table."""
+    from datagen.config import load_config
+
+    settings = load_config(config)
+    transient, time, direct_until_s = room_channel(settings, index)
+    rate_hz = detector_for(settings.detector, settings.seed, index, time)[1].repetition_rate_hz
+    direct = transient[time.edges_s[:-1] < direct_until_s].sum() / transient.sum()
+    click.echo(f"{settings.name}, scene {index}: the direct return carries {100 * direct:.3g} % of the light\n")
+    click.echo(table(pileup_rows(transient, time, direct_until_s, rate_hz)))
+    click.echo(f"\n{draw_pileup(transient, time, direct_until_s, out / 'pileup.png', rate_hz)}")
 
 
 if __name__ == "__main__":

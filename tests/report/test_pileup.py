@@ -1,0 +1,89 @@
+"""The bias of Poisson counting against closed forms, and its picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from datagen.config import config_from_mapping
+from datagen.errors import InputError
+from datagen.records import TimeAxis
+from datagen.report.pileup import DETECTORS, draw_pileup, pileup_rows, room_channel, synthetic_corner, table
+
+ONE = "synchronous, one a cycle"
+
+
+def test_a_single_bin_after_the_direct_return_has_the_closed_form() -> None:
+    """One detection a cycle: a bin of λ behind a direct return of D is seen with (1 − e^−λ) e^−D."""
+    time = TimeAxis(64, 1e-9)
+    transient = np.zeros(64)
+    transient[10], transient[30] = 0.9, 0.1
+    rows = pileup_rows(transient, time, 20e-9, fluxes=(0.5, 2.0))
+    for row in rows:
+        if row.detector != ONE:
+            continue
+        signal, direct = 0.1 * row.flux, 0.0 if row.gated else 0.9 * row.flux
+        seen = -np.expm1(-signal) * np.exp(-direct)
+        assert row.signal_bias == pytest.approx(signal / seen - 1, rel=1e-9)
+        assert row.worst_bias == pytest.approx(row.signal_bias)
+        assert row.delay_ps == pytest.approx(0, abs=1e-6)
+
+
+def test_bias_grows_with_flux_and_the_gate_lowers_it() -> None:
+    transient, time, direct_until_s = synthetic_corner()
+    rows = pileup_rows(transient, time, direct_until_s)
+    for name in DETECTORS:
+        bias = {gated: [r.signal_bias for r in rows if r.detector == name and r.gated is gated] for gated in (0, 1)}
+        assert np.all(np.diff(bias[0]) > 0) and np.all(np.diff(bias[1]) > 0)
+        assert np.all(np.array(bias[1]) <= np.array(bias[0]) * (1 + 1e-9))
+    free = [r for r in rows if r.detector == ONE and not r.gated]
+    # 80 % of the light comes first: to first order Poisson is too high by that and by half of the signal.
+    assert free[0].signal_bias == pytest.approx(0.9 * free[0].flux, rel=0.01)
+    assert all(r.delay_ps > 0 for r in free)
+
+
+def test_every_row_is_in_the_table_and_the_picture_is_drawn(tmp_path: Path) -> None:
+    transient, time, direct_until_s = synthetic_corner()
+    rows = pileup_rows(transient, time, direct_until_s, fluxes=(0.1,))
+    lines = table(rows).splitlines()
+    assert len(lines) == 2 + len(rows) == 2 + 2 * len(DETECTORS)
+    assert f"{100 * rows[0].signal_bias:+.3g} %" in lines[2]
+    picture = imread(draw_pileup(transient, time, direct_until_s, tmp_path / "pileup.png"))
+    assert picture.shape[1] > 800 and picture[..., :3].std() > 0.05
+
+
+def test_what_has_no_signal_is_refused() -> None:
+    time = TimeAxis(8, 1e-9)
+    with pytest.raises(InputError, match="some light"):
+        pileup_rows(np.zeros(8), time, 2e-9)
+    with pytest.raises(InputError, match="nothing arrives after"):
+        pileup_rows(np.eye(8)[0], time, 2e-9)
+
+
+def _room(**time: float) -> tuple[np.ndarray, TimeAxis, float]:
+    config = {
+        "name": "room",
+        "seed": 5,
+        "scenes": 1,
+        "capture": {"scan": {"rows": 1, "columns": 1}, "time": {"bins": 256, "bin_width_ps": 200, **time}},
+        "transport": {"lookins": 256, "scramblings": 1},
+    }
+    return room_channel(config_from_mapping(config))
+
+
+def test_a_room_has_its_direct_return_before_everything_else() -> None:
+    transient, time, until = _room()
+    before = time.edges_s[:-1] < until
+    assert transient[before].sum() > 10 * transient[~before].sum() > 0
+    rows = pileup_rows(transient, time, until, fluxes=(0.1,))
+    in_view, gated = (r for r in rows if r.detector == ONE)
+    assert in_view.signal_bias == pytest.approx(np.expm1(0.1), rel=0.1)
+    assert 0 < gated.signal_bias < 0.02
+
+
+def test_a_window_after_the_direct_return_is_refused() -> None:
+    with pytest.raises(InputError, match="no direct return"):
+        _room(start_ns=2.0)
