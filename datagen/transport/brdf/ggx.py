@@ -1,4 +1,5 @@
-"""Mirror facets with the GGX distribution (`records.GGX`). Row: albedo, α, f0, Ē, then E at `NODES` incidences.
+"""Mirror facets with the GGX distribution (`records.GGX`). Row: albedo, α, f0, Ē, E at `NODES` incidences, and the
+`PANELS` shares of multiple scattering between them, summed up.
 
 With S(c) = √(α² + (1 − α²) c²) the Smith terms need no division by a cosine (Heitz, JCGT 3(2) (2014)):
 
@@ -7,7 +8,7 @@ With S(c) = √(α² + (1 − α²) c²) the Smith terms need no division by a c
 
 Facets are drawn from those visible (Heitz, JCGT 7(4) (2018)). What single scattering loses comes back as the
 separable term of Kulla & Conty (SIGGRAPH 2017 course), (1 − E(θ_in)) (1 − E(θ_out)) / (π (1 − Ē)), from a table of
-the directional albedo E of white facets.
+the directional albedo E of white facets, and is drawn from that table too: of a smooth surface it leaves at grazing.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from datagen.transport.brdf.directions import Vector, dot, in_frame_of, sample_cosine
+from datagen.transport.brdf.directions import Vector, around, dot, in_frame_of
 
 PANELS = 32
 NODES = 2 * PANELS + 1
 FIRST_NODE = 4
-MARGIN = 8e-5
+FIRST_SHARE = FIRST_NODE + NODES
+MARGIN = 1e-4
 """Added to the tabulated E, more than interpolation can miss, so that the two terms never exceed 1."""
 
 
@@ -76,14 +78,47 @@ def facet_and_density(
 
 
 @njit(cache=True)
+def place(alpha: float, cosine: float) -> float:
+    """The table's coordinate 0 … `PANELS` of an incidence: it spreads the steep rise from grazing, cosθ ≲ α."""
+    return math.sqrt(min(cosine * (1.0 + alpha) / (cosine + alpha), 1.0)) * PANELS
+
+
+@njit(cache=True)
+def cosine_at(alpha: float, place: float) -> float:
+    square = (place / PANELS) * (place / PANELS)
+    return min(alpha * square / (1.0 + alpha - square), 1.0)
+
+
+@njit(cache=True)
 def tabulated(values: NDArray[np.float64], cosine: float) -> float:
-    """E between the nodes: parabolas in √(c (1 + α)/(c + α)), which spreads the steep rise from grazing, c ≲ α."""
-    alpha = values[1]
-    position = math.sqrt(min(cosine * (1.0 + alpha) / (cosine + alpha), 1.0)) * PANELS
+    """E between the nodes: a parabola over each panel."""
+    position = place(values[1], cosine)
     panel = min(int(position), PANELS - 1)
     t, node = position - panel, FIRST_NODE + 2 * panel
     middle = 4.0 * t * (1.0 - t) * values[node + 1]
-    return values[node] * (1.0 - t) * (1.0 - 2.0 * t) + middle + values[node + 2] * t * (2.0 * t - 1.0)
+    return min(values[node] * (1.0 - t) * (1.0 - 2.0 * t) + middle + values[node + 2] * t * (2.0 * t - 1.0), 1.0)
+
+
+@njit(cache=True)
+def multiple_pdf(values: NDArray[np.float64], cos_out: float) -> float:
+    """Density of the directions drawn for multiple scattering: even in the table's coordinate within each panel."""
+    alpha = values[1]
+    position = place(alpha, cos_out)
+    panel = min(int(position), PANELS - 1)
+    below = values[FIRST_SHARE + panel - 1] if panel > 0 else 0.0
+    # dc of the coordinate that `place` is: with x = place / PANELS, dx/dc = α (1 + α) / (2 x (c + α)²).
+    slope = 0.5 * alpha * (1.0 + alpha) * PANELS * PANELS / (position * (cos_out + alpha) * (cos_out + alpha))
+    return (values[FIRST_SHARE + panel] - below) * slope / (2.0 * math.pi)
+
+
+@njit(cache=True)
+def multiple_cosine(values: NDArray[np.float64], u: float) -> float:
+    panel, below = 0, 0.0
+    while panel < PANELS - 1 and u >= values[FIRST_SHARE + panel]:
+        below = values[FIRST_SHARE + panel]
+        panel += 1
+    share = values[FIRST_SHARE + panel] - below
+    return cosine_at(values[1], panel + (min((u - below) / share, 1.0) if share > 0.0 else 0.5))
 
 
 @njit(cache=True)
@@ -105,7 +140,7 @@ def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: f
 
 @njit(cache=True)
 def facet_share(values: NDArray[np.float64], cos_in: float) -> float:
-    """How often `sample` draws a facet rather than a direction of the diffuse multiple scattering."""
+    """How often `sample` draws a facet rather than a direction of multiple scattering."""
     f0, once = values[2], tabulated(values, cos_in)
     single = max(schlick(f0, cos_in), (1.0 + 20.0 * f0) / 21.0) * once
     return single / (single + multiple_share(f0, values[3]) * (1.0 - once))
@@ -115,14 +150,15 @@ def facet_share(values: NDArray[np.float64], cos_in: float) -> float:
 def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     alpha, share = values[1], facet_share(values, cos_in)
     _, facets = facet_and_density(alpha, w_in, w_out, cos_in, cos_out)
-    return share * 0.5 * facets / (cos_in + smith_root(alpha, cos_in)) + (1.0 - share) * cos_out / math.pi
+    single = 0.5 * facets / (cos_in + smith_root(alpha, cos_in))
+    return share * single + (1.0 - share) * multiple_pdf(values, cos_out)
 
 
 @njit(cache=True)
 def sample(values: NDArray[np.float64], n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     share = facet_share(values, cos_in)
     if u >= share and share < 1.0:
-        return sample_cosine(n, (u - share) / (1.0 - share), v)
+        return around(n, 1.0 - multiple_cosine(values, (u - share) / (1.0 - share)), v)
     # The surface's own frame, by its axes: no model property depends on their azimuth.
     across, along = in_frame_of(n, 1.0, 0.0, 0.0), in_frame_of(n, 0.0, 1.0, 0.0)
     local = (dot(across, w_in), dot(along, w_in), cos_in)
@@ -176,17 +212,16 @@ def unit_gauss(count: int) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=256)
 def white_table(alpha: float) -> tuple[float, ...]:
-    """Ē and E at the nodes, for f0 = 1: what a row of the material table holds from its fourth number on."""
+    """Ē, E at the nodes, and the running shares of what E leaves: a row of the table from its fourth number on."""
     gauss = unit_gauss(32)
-    warped = np.linspace(0.0, 1.0, NODES) ** 2
-    cosines = np.minimum(alpha * warped / (1.0 + alpha - warped), 1.0)
-    table = np.minimum([single_albedo(alpha, 1.0, c, gauss) + MARGIN for c in cosines], 1.0)
-    row = np.concatenate([[1.0, alpha, 1.0, 0.0], table])
+    places = np.linspace(0.0, PANELS, NODES)
+    table = [single_albedo(alpha, 1.0, cosine_at(alpha, p), gauss) + MARGIN for p in places]
+    row = np.array([1.0, alpha, 1.0, 0.0, *table])
     # Ē = ∫ 2c E dc of the interpolated E, so that what both terms return adds up; panel by panel in its coordinate.
     x, weight = unit_gauss(8)
-    places = (np.arange(PANELS)[:, None] + x).ravel() / PANELS
-    c = alpha * places**2 / (1.0 + alpha - places**2)
-    slope = 2.0 * alpha * (1.0 + alpha) * places / (1.0 + alpha - places**2) ** 2
-    between = np.array([tabulated(row, cosine) for cosine in c])
-    mean = float((2.0 * c * slope * between * np.tile(weight, PANELS)).sum() / PANELS)
-    return (mean, *(float(e) for e in table))
+    within = (np.arange(PANELS)[:, None] + x) / PANELS
+    cosines = alpha * within**2 / (1.0 + alpha - within**2)
+    cells = 2.0 * cosines * weight * 2.0 * alpha * (1.0 + alpha) * within / (1.0 + alpha - within**2) ** 2 / PANELS
+    lost = np.array([[1.0 - tabulated(row, c) for c in panel] for panel in cosines]) * cells
+    shares = np.cumsum(lost.sum(axis=1)) / lost.sum()
+    return (1.0 - float(lost.sum()), *(float(v) for v in table), *(float(v) for v in shares))
