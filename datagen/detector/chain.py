@@ -35,8 +35,8 @@ def draw_hazard_chain(flux: Flux, cycles: int, rng: np.random.Generator) -> NDAr
 def draw_return_chain(pieces: Pieces, bins: int, cycles: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Several detections in a cycle: those that fired come back after the dead time and can fire again.
 
-    A detection is uniform within its piece (pieces carry at most 0.05 events), so its return is uniform in the piece
-    shifted by the dead time. Where in the few pieces that it touches they come back need not be drawn: how many fire
+    A detection is uniform within its piece (`renewal.PIECE_FLUX` keeps it so), hence its return in the piece shifted
+    by the dead time. Where in the few pieces that it touches they come back need not be drawn: how many fire
     there decides one rare binomial, and all others are armed from the next piece on. Pieces must be shorter than
     the dead time.
     """

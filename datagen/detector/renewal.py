@@ -1,6 +1,6 @@
 """Counting with a non-paralyzable dead time, in the mean: the armed share of cycles, piece by piece.
 
-Bins are cut into pieces of at most 0.05 events. With A_i the share of cycles that are armed for piece i,
+Bins are cut into pieces of at most `PIECE_FLUX` events. With A_i the share of cycles that are armed for piece i,
 
     D_i = q_i A_i,   A_{i+1} = A_i − D_i + Σ_k w_{k → i+1} D_k,   q_i = −expm1(−λ_i)
 
@@ -20,8 +20,8 @@ from datagen.errors import InputError
 
 Array = NDArray[np.float64]
 
-PIECE_FLUX = 0.05
-"""Most events in a piece: what is neglected, the slope of the detections within it, moves returns by 1/240 of it."""
+PIECE_FLUX = 0.0125
+"""Most events in a piece. What is neglected, the slope of the detections within it, is of second order in this."""
 
 _FLUX_PIECES = 16_384
 """At a flux of hundreds and more per cycle pieces carry 1/16384 of it instead, for which they are short enough."""
@@ -46,10 +46,16 @@ class Pieces:
 
 
 def pieces_of(
-    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False
+    flux: Array,
+    edges_s: Array,
+    width_s: float,
+    dead_time_s: float,
+    *,
+    shorter_than_dead_time: bool = False,
+    piece_flux: float = PIECE_FLUX,
 ) -> Pieces:
     """Cut the bins of the period; bins longer than `width_s` are background and cut more finely."""
-    count = _parts(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time)
+    count = _parts(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time, piece_flux)
     total = float(count.sum())
     if not total <= _MOST_PIECES:
         raise InputError(
@@ -62,9 +68,9 @@ def pieces_of(
 
 
 @numba.njit(cache=True)
-def _parts(flux: Array, edges: Array, width: float, dead_time: float, shorter: bool) -> Array:
+def _parts(flux: Array, edges: Array, width: float, dead_time: float, shorter: bool, piece_flux: float) -> Array:
     """(n,) number of pieces of each bin, as floats: they may be too many to count."""
-    most = max(PIECE_FLUX, flux.sum() / _FLUX_PIECES)
+    most = max(piece_flux, flux.sum() / _FLUX_PIECES)
     parts = np.ones(len(flux))
     for i in range(len(flux)):
         length = edges[i + 1] - edges[i]
@@ -102,10 +108,12 @@ def _cut(flux: Array, edges: Array, count: NDArray[np.int64]) -> tuple[Array, ND
     return pieces, bin_of, cut
 
 
-def synchronous_mean(flux: Array, edges_s: Array, width_s: float, dead_time_s: float) -> Array:
+def synchronous_mean(
+    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, piece_flux: float = PIECE_FLUX
+) -> Array:
     """(n,) expected detections per cycle and bin when every cycle starts armed."""
     dead_time_s = min(dead_time_s, float(edges_s[-1]))
-    pieces = pieces_of(flux, edges_s, width_s, dead_time_s)
+    pieces = pieces_of(flux, edges_s, width_s, dead_time_s, piece_flux=piece_flux)
     returning = np.zeros(len(pieces.flux) + 1)
     table = return_table(pieces.flux, pieces.edges, dead_time_s)
     detections = run_cycle(table, 1.0, returning, np.zeros_like(returning))[0]

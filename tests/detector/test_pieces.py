@@ -1,0 +1,37 @@
+"""How fine the pieces are: order and size of the only error of the chain and of the means under a dead time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from datagen.detector.renewal import PIECE_FLUX, synchronous_mean
+
+BINS, WIDTH = 64, 1e-9
+EDGES = WIDTH * np.arange(BINS + 1)
+
+
+def _mean(flux: float, dead_time_s: float, piece_flux: float) -> np.ndarray:
+    shape = 0.02 + np.exp(-(((np.arange(BINS) - 20) / 6.0) ** 2))
+    return synchronous_mean(shape * flux / shape.sum(), EDGES, WIDTH, dead_time_s, piece_flux=piece_flux)
+
+
+@pytest.mark.parametrize("dead_time_s", [0.37e-9, 7.3e-9, 31.4e-9])
+@pytest.mark.parametrize("flux", [1.0, 4.0])
+def test_the_error_falls_with_the_square_of_the_piece(flux: float, dead_time_s: float) -> None:
+    finest = _mean(flux, dead_time_s, PIECE_FLUX / 32)
+    sizes = PIECE_FLUX * np.array([4.0, 2.0, 1.0])
+    errors = [np.abs(_mean(flux, dead_time_s, size) - finest).sum() / finest.sum() for size in sizes]
+    order = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    # Bins are cut into whole numbers of pieces, so single steps are rough.
+    assert 1.3 < order < 3.0, f"errors {errors}"
+
+
+@pytest.mark.parametrize("dead_time_s", [0.37e-9, 7.3e-9, 31.4e-9])
+@pytest.mark.parametrize("flux", [0.1, 1.0, 4.0, 40.0])
+def test_no_exposure_of_a_hundred_million_cycles_shows_it(flux: float, dead_time_s: float) -> None:
+    mean, finest = (_mean(flux, dead_time_s, size) for size in (PIECE_FLUX, PIECE_FLUX / 16))
+    # What χ² over all 64 bins, 64 ± 11, would grow by.
+    assert 1e8 * np.sum((mean - finest) ** 2 / finest) < 0.2
+    if flux <= 4.0:
+        assert np.max(np.abs(mean / finest - 1)) < 2e-4
