@@ -14,14 +14,15 @@ JOBS ?= 2
 CONFIG ?= configs/quickstart.yaml
 OUT ?= out/quickstart.zarr
 
-.PHONY: help setup demo test tests check lint types format schema bench fuzz wheel clean
+.PHONY: help setup demo test tests check lint types format schema bench peers wheel clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
 	@echo "make setup   the virtual environment .venv and nothing else"
 	@echo "make tests   the tests alone;  make check   lint, format and types alone"
 	@echo "make format  rewrite the sources in house style;  make schema   regenerate configs/schema.json"
-	@echo "make bench   the tables of the README;  make wheel   a wheel in dist/;  make clean   remove what was made"
+	@echo "make bench   the tables of the README;  make peers   compare with mitransient (needs LLVM 16 or newer)"
+	@echo "make wheel   a wheel in dist/;  make clean   remove what was made"
 
 setup: $(STAMP)
 
@@ -59,8 +60,15 @@ schema: setup
 	$(BIN)/datagen schema > configs/schema.json
 
 bench: setup
-	$(BIN)/python -m datagen.bench.stages $(CONFIG)
-	$(BIN)/python -m datagen.bench.detector
+	$(BIN)/datagen bench stages $(CONFIG)
+	$(BIN)/datagen bench speed
+	$(BIN)/datagen bench scaling out/scaling
+	$(BIN)/datagen bench detector
+	$(BIN)/python -m datagen.report.pileup configs/demonstration_room.yaml out/pileup
+
+peers: setup
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[tests,peers]'
+	$(BIN)/python -m pytest -m peers -s tests/peers
 
 wheel: setup
 	$(BIN)/python -m pip wheel --quiet --no-deps -w dist .

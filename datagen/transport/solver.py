@@ -169,7 +169,7 @@ def _estimate(job: _Job) -> _Estimate:
     splits, lookins = job.splits, job.accuracy.lookins
     scramblings = min(job.accuracy.scramblings, lookins)
     confocal = job.capture.pairing == "confocal"
-    total, squares = np.zeros((lasers, pixels, bins)), np.zeros((lasers, pixels, bins))
+    squares = np.zeros((lasers, pixels, bins))
     overflow = np.zeros((lasers, pixels))
     rows = [np.zeros((lasers, pixels, bins)) for _ in range(splits.count)]
     existing = np.flatnonzero(job.points.part >= 0)
@@ -181,10 +181,8 @@ def _estimate(job: _Job) -> _Estimate:
             pool = _pool(job, chunk, count, scrambling) if shared is None else shared
             tally = _trace_chunk(job, chunk, pool, count, scrambling)
             histogram = tally.histogram.reshape(-1, pixels, splits.count, bins)
-            summed = histogram.sum(axis=2)
             place = slice(chunk[0], chunk[0] + len(chunk))
-            total[place] += summed
-            squares[place] += summed**2
+            squares[place] += histogram.sum(axis=2) ** 2
             overflow[place] += tally.overflow.reshape(-1, pixels, splits.count).sum(axis=2)
             for k, row in enumerate(rows):
                 row[place] += histogram[:, :, k]
@@ -192,13 +190,15 @@ def _estimate(job: _Job) -> _Estimate:
         row /= scramblings
     parts = dict(zip(splits.parts, rows, strict=False))
     others = dict(zip(splits.components, rows[splits.primary :], strict=True))
-    primary = sum(rows[1 : splits.primary], start=rows[0].copy())
+    primary = rows[0].copy() if splits.primary > 1 else rows[0]
+    for row in rows[1 : splits.primary]:
+        primary += row
     components = {
         name: primary if name == "primary" else others[name]
         for name in COMPONENTS
         if name == "primary" or name in others
     }
-    return _Estimate(components, parts, _standard_error(total, squares, scramblings), overflow / scramblings)
+    return _Estimate(components, parts, _standard_error(rows, squares, scramblings), overflow / scramblings)
 
 
 def _walked(accuracy: Accuracy, materials: MaterialTable) -> NDArray[np.bool_]:
@@ -222,16 +222,19 @@ def _add_factorised(job: _Job, estimate: _Estimate) -> None:
 
 
 def _standard_error(
-    total: NDArray[np.float64], squares: NDArray[np.float64], scramblings: int
+    means: list[NDArray[np.float64]], squares: NDArray[np.float64], scramblings: int
 ) -> NDArray[np.float64]:
-    """Standard error of the mean from the sum and the sum of squares over the scramblings; overwrites `squares`."""
+    """Standard error of the sum of `means` from the scramblings' sum of squares, which it overwrites.
+
+    Laser point by laser point, so that no further array of a scan's full size is needed.
+    """
     if scramblings == 1:
-        return np.full_like(total, np.nan)
-    squares /= scramblings
-    squares -= (total / scramblings) ** 2
-    np.maximum(squares, 0.0, out=squares)
-    squares /= scramblings - 1
-    return np.sqrt(squares, out=squares)
+        squares.fill(np.nan)
+        return squares
+    for laser, row in enumerate(squares):
+        mean = sum(component[laser] for component in means)
+        np.sqrt(np.maximum(row / scramblings - mean**2, 0.0) / (scramblings - 1), out=row)
+    return squares
 
 
 def _chunks(lasers: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
@@ -311,7 +314,7 @@ def _pool(job: _Job, pixels: NDArray[np.int64], count: int, scrambling: int) -> 
     samples = job.accuracy.fov_samples
     detail_m = min(float(path_from_time(job.capture.time.width_s)), job.caster.half_extent_m / 50)
     across = 2 * float(job.patches.radius[pixels].max()) / detail_m
-    useful = 16 * (1 + across) ** 2 / samples
+    useful = 64 * (1 + across) ** 2 / samples
     affordable = FOV_POINTS_PER_POOL / (len(pixels) * samples)
     blocks = 1 << max(0, int(min(count, affordable, useful)).bit_length() - 1)
     return fov_pool(

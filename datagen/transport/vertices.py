@@ -198,6 +198,7 @@ def draw_lookins(
     kept, normal, to_previous, distance, power = light_lookins(
         face, position, owner, points.position, points.normal, points.to_laser, points.part, materials.kind,
         materials.values, caster.face_normal, target.contains, float(by_ray), by_area / target.area_m2,
+        caster.offset_m,
     )  # fmt: skip
     owner = owner[kept]
     power *= np.exp(-scene.attenuation_per_m * (points.leg[owner] + distance))
