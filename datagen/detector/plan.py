@@ -115,7 +115,7 @@ def choose(
     bias = poisson_bias(flux, cycle, spad)
     deviation = float(bias * np.sqrt(events))
     detections = events
-    if spad.dead_time_s > 0 and not spad.paralyzable:
+    if spad.dead_time_s > 0 and not spad.paralyzable and spad.mode != "ideal":
         share = spad.dead_time_s / cycle.period_s
         most = 1.0 / share + (1.0 if spad.mode == "synchronous" else 0.0)
         detections = min(events, exposure.cycles * most)
