@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from datagen.detector.equilibrium import most_in_window
 from datagen.detector.expected import active_span
 from datagen.detector.flux import Cycle
+from datagen.detector.poisson import check_countable
 from datagen.detector.renewal import PIECE_FLUX
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
@@ -134,6 +135,8 @@ def choose(
     else:
         sampler, why = _beyond_poisson(flux, cycle, spad, events, detections, approximate, where)
         reason = f"Poisson would be biased by up to {bias:.2g} ({deviation:.2g} standard deviations); {why}"
+    if sampler is Sampler.POISSON:
+        check_countable(flux * exposure.cycles, where)
     return Choice(sampler, reason, total, bias, deviation, detections)
 
 

@@ -296,3 +296,15 @@ def test_class_rates_leave_room_for_the_time_axis():
     assert all(detector_for(config, 0, i, long)[1].period_s >= 1e-6 * (1 - 1e-12) for i in range(20))
     fixed = DetectorConfig(detector_class="si_array", repetition_rate_mhz=20.0)
     assert detector_for(fixed, 0, 0, long)[1].repetition_rate_hz == pytest.approx(20e6)
+
+
+def test_the_plan_refuses_what_cannot_be_counted() -> None:
+    """What `detect` would refuse for counts beyond 64 bits, the planner refuses first, with the same line."""
+    time = TimeAxis(8, 1e-10)
+    exposure = Exposure(photons_per_pulse=1e30, cycles=10**15)
+    messages = []
+    for call in (plan_detector, detect):
+        with pytest.raises(InputError, match="expected counts") as caught:
+            call(np.full((1, 1, 8), 1e-3), time, Spad(mode="ideal"), exposure)
+        messages.append(str(caught.value))
+    assert messages[0] == messages[1]

@@ -256,7 +256,8 @@ def test_old_configurations_open_without_their_meshes(tmp_path: Path) -> None:
     lump().export(tmp_path / "lump.ply")
     text = spec_with("lump.ply", tmp_path).model_dump_json()
     (tmp_path / "lump.ply").unlink()
-    DatasetConfig.model_validate_json(text)
+    content = DatasetConfig.model_validate_json(text).scene.contents[0]
+    assert content.path == "lump.ply"  # type: ignore[union-attr]
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="the real meshes are not part of the repository")
