@@ -12,13 +12,13 @@ from datagen.config.base import Settings, tag
 from datagen.config.distributions import Distribution, Fraction, draw, within
 from datagen.config.scene_kinds import kind_of, unknown_kind
 from datagen.records import GGX, Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
+from datagen.records.materials import MIN_RETRO_HALF_WIDTH
 from scene_library.materials import MATERIALS
 
 Exponent = Annotated[Distribution, within(0, 10_000)]
 Roughness = Annotated[Distribution, within(0.1, 1)]
 SlopeAngle = Annotated[Distribution, within(0, 90)]
 LobeAngle = Annotated[Distribution, within(0.0573, 45)]
-MIN_LOBE_RAD = 1e-3
 
 
 class LambertianBrdf(Settings):
@@ -100,7 +100,7 @@ class RetroreflectorBrdf(Settings):
     """Share of the albedo in the lobe, the rest is diffuse."""
 
     def material(self, albedo: float, rng: np.random.Generator) -> Material:
-        width = max(math.radians(draw(self.half_width_deg, rng)), MIN_LOBE_RAD)
+        width = max(math.radians(draw(self.half_width_deg, rng)), MIN_RETRO_HALF_WIDTH)
         return Retroreflector(albedo, half_width_rad=width, retro=draw(self.retro, rng))
 
 

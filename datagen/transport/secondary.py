@@ -63,6 +63,7 @@ from datagen.transport.secondary_samples import (
     laser_spots,
     place_lookins,
 )
+from datagen.transport.spread import standard_error
 from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
 from datagen.units import path_from_time
 
@@ -171,15 +172,7 @@ def secondary_transient(
         overflow += sums.overflow
         squares += np.square(sums.transient, out=sums.transient)
     total /= scramblings
-    if scramblings > 1:
-        squares /= scramblings
-        squares -= np.square(total, out=sums.transient)
-        np.maximum(squares, 0.0, out=squares)
-        squares /= scramblings - 1
-        np.sqrt(squares, out=squares)
-    else:
-        squares.fill(np.nan)
-    return SecondaryEstimate(total, squares, overflow / scramblings)
+    return SecondaryEstimate(total, standard_error([total], squares, scramblings), overflow / scramblings)
 
 
 def _add_group(

@@ -16,6 +16,7 @@ from datagen.transport.fov import FovPool, PixelCones, PixelPatches, fov_pool
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.secondary import factorising, secondary_transient
+from datagen.transport.spread import standard_error
 from datagen.transport.vertices import (
     SOBOL_STEPS,
     AreaTarget,
@@ -88,7 +89,7 @@ def simulate(
     prepared = clock_time.perf_counter()
     estimate = _estimate(job)
     traced = clock_time.perf_counter()
-    if "secondary" in estimate.components and not job.walked.all() and accuracy.secondary != "none":
+    if "secondary" in estimate.components and not job.walked.all():
         _add_factorised(job, estimate)
     finished = clock_time.perf_counter()
     return Transient(
@@ -198,7 +199,7 @@ def _estimate(job: _Job) -> _Estimate:
         for name in COMPONENTS
         if name == "primary" or name in others
     }
-    return _Estimate(components, parts, _standard_error(rows, squares, scramblings), overflow / scramblings)
+    return _Estimate(components, parts, standard_error(rows, squares, scramblings), overflow / scramblings)
 
 
 def _walked(accuracy: Accuracy, materials: MaterialTable) -> NDArray[np.bool_]:
@@ -219,22 +220,6 @@ def _add_factorised(job: _Job, estimate: _Estimate) -> None:
     estimate.components["secondary"] += more.mean
     np.hypot(estimate.stderr, more.stderr, out=estimate.stderr)
     estimate.overflow[:] += more.overflow
-
-
-def _standard_error(
-    means: list[NDArray[np.float64]], squares: NDArray[np.float64], scramblings: int
-) -> NDArray[np.float64]:
-    """Standard error of the sum of `means` from the scramblings' sum of squares, which it overwrites.
-
-    Laser point by laser point, so that no further array of a scan's full size is needed.
-    """
-    if scramblings == 1:
-        squares.fill(np.nan)
-        return squares
-    for laser, row in enumerate(squares):
-        mean = sum(component[laser] for component in means)
-        np.sqrt(np.maximum(row / scramblings - mean**2, 0.0) / (scramblings - 1), out=row)
-    return squares
 
 
 def _chunks(lasers: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:

@@ -119,7 +119,7 @@ class AreaTarget:
             return nothing
         pilots = np.repeat(seen[np.linspace(0, len(seen) - 1, min(len(seen), 8)).astype(int)], 256)
         seeds = stream_seeds(seed, PILOT_STREAM, pilots[::256])
-        hits, _ = _rays(caster, materials, points, pilots, scrambled_sobol(seeds, 256, 2).reshape(-1, 2))
+        hits = _rays(caster, materials, points, pilots, scrambled_sobol(seeds, 256, 2).reshape(-1, 2))
         met = scene.face_part[hits.face[hits.valid]]
         frequency = np.bincount(met, minlength=len(scene.part_names)) / len(pilots)
         # A part the laser spot itself lies on (a wall made of one part) is lit by nothing of its own plane.
@@ -181,7 +181,7 @@ def draw_lookins(
     sobol = scrambled_sobol(stream_seeds(seed, COSINE_STREAM, scrambling, lasers), by_ray, dimensions)
     sobol = sobol.reshape(-1, dimensions)
     owner = np.repeat(lasers, by_ray)
-    hits, _ = _rays(caster, materials, points, owner, sobol)
+    hits = _rays(caster, materials, points, owner, sobol)
     face, position = hits.face, hits.position
     if by_area:
         area_sobol = scrambled_sobol(stream_seeds(seed, AREA_STREAM, scrambling, lasers), by_area, dimensions)
@@ -252,10 +252,10 @@ def _rays(
     points: LaserPoints,
     owner: NDArray[np.int64],
     uv: NDArray[np.float64],
-) -> tuple[Hits, NDArray[np.float64]]:
+) -> Hits:
     normals = points.normal[owner]
     directions, _ = scatter(materials.kind, materials.values, points.part[owner], normals, points.to_laser[owner], uv)
-    return caster.closest(points.position[owner] + caster.offset_m * normals, directions), directions
+    return caster.closest(points.position[owner] + caster.offset_m * normals, directions)
 
 
 def _no_stream(owner: NDArray[np.int64]) -> NDArray[np.uint64]:
