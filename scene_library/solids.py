@@ -180,9 +180,3 @@ def hollow(diameter_m: float, height_m: float, wall_m: float, top_diameter_m: fl
     r = diameter_m / 2
     top = (top_diameter_m or diameter_m) / 2
     return lathed([(0, 0), (r, 0), (top, height_m), (top - wall_m, height_m), (r - wall_m, wall_m), (0, wall_m)])
-
-
-def extruded_upright(outline: Polygon, thickness_m: float) -> Surface:
-    """A plate cut to an outline in (x, z), as thick along y, standing upright with its front at −y."""
-    vertices, faces = extruded(outline, thickness_m)
-    return np.stack([vertices[:, 0], thickness_m / 2 - vertices[:, 2], vertices[:, 1]], axis=1), faces
