@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from datagen.config.base import Settings
+from datagen.errors import InputError
 from datagen.records import Accuracy
+from datagen.records.accuracy import chosen_by_target
+
+CHOSEN_BY_TARGET = ("lookins", "fov_samples", "scramblings")
 
 
 class TransportConfig(Settings):
@@ -28,7 +32,21 @@ class TransportConfig(Settings):
     direct: bool = False
     """Also the direct return (1 and 2 bounces), which a gated measurement keeps out."""
 
+    target: Annotated[float, Field(ge=1e-4, le=1)] | None = None
+    """Relative L2 error of each transient to be met: then the sample counts are chosen, and may not be given."""
+    max_lookins: Annotated[int, Field(ge=1, le=2**40)] = 1 << 20
+    """With `target`: give up before more rays than this leave each laser point, on average, in all."""
+
     def accuracy(self) -> Accuracy:
+        if self.target is not None:
+            return Accuracy(
+                max_bounces=self.max_bounces,
+                direct=self.direct,
+                observed=self.observed,
+                secondary=self.secondary,
+                target=self.target,
+                max_lookins=self.max_lookins,
+            )
         return Accuracy(
             lookins=self.lookins,
             fov_samples=self.fov_samples,
@@ -41,5 +59,15 @@ class TransportConfig(Settings):
 
     @model_validator(mode="after")
     def _consistent(self) -> TransportConfig:
+        if self.target is not None:
+            for name in CHOSEN_BY_TARGET:
+                if name in self.model_fields_set:
+                    raise InputError(chosen_by_target("", name, getattr(self, name)))
         self.accuracy()
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_chosen(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Counts that the target chooses are left out, so that what is written can be read again."""
+        values: dict[str, Any] = written(self)
+        return values if self.target is None else {k: v for k, v in values.items() if k not in CHOSEN_BY_TARGET}

@@ -3,8 +3,8 @@
 from datagen.records.accuracy import Accuracy
 from datagen.records.capture import Capture, Laser, Origin, Pairing, Sensor, TimeAxis
 from datagen.records.materials import GGX, Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
-from datagen.records.sample import Sample, Scalar, Transient
-from datagen.records.scene import Part, Rectangle, Role, Scene
+from datagen.records.sample import Sample, Scalar, Spend, Transient
+from datagen.records.scene import Part, Pose, Rectangle, Role, Scene
 
 __all__ = [
     "GGX",
@@ -18,6 +18,7 @@ __all__ = [
     "Pairing",
     "Part",
     "Phong",
+    "Pose",
     "Rectangle",
     "Retroreflector",
     "Role",
@@ -26,6 +27,7 @@ __all__ = [
     "Scene",
     "Sensor",
     "SinLobe",
+    "Spend",
     "TimeAxis",
     "Transient",
 ]

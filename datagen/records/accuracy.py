@@ -8,11 +8,16 @@ from typing import Literal
 from datagen.errors import InputError
 
 MAX_BOUNCES = 64
+TARGETS = (1e-4, 1.0)
+
+
+class _Default(int):
+    """A count that nobody asked for: an integer that remembers it was left out, so that `target` may choose it."""
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Sample counts of the transport solver.
+    """How exactly to follow the light: sample counts, or a `target` from which the solver chooses them itself.
 
     Attributes
     ----------
@@ -30,15 +35,28 @@ class Accuracy:
         `observed`.
     direct : also compute the direct return (1 and 2 bounces: the laser point, or a surface it lights, inside the
         FoV), which a gated measurement keeps out.
+    occlusion : how it is found whether anything stands between a vertex and a FoV point. `"auto"`: connections proven
+        free of occluders (`transport/clearance.py`) are added as they are, the others asked by a shadow ray; `"on"`:
+        every one is asked, which gives the same transient up to the order of summation; `"off"`: none is asked, as if
+        no occluder stood behind the first surface that light meets. That adds light wherever one does.
+    target : relative L2 error of the whole transient to be met, ‖error‖ / ‖truth‖ over all laser points, pixels and
+        bins, 0.0001 … 1. Then the solver chooses lookins, fov_samples, scramblings and the way of the secondary, and
+        naming one of them too is refused (`observed` belongs to the k strongest paths and stays). What it is held to
+        is the upper bound of its own error estimate; the bias of the k strongest paths is not part of it.
+    max_lookins : with a target: give up (`Transient.met_target` False) before more rays than this would leave each
+        laser point, on average, over all components.
     """
 
-    lookins: int = 2048
-    fov_samples: int = 16
+    lookins: int = _Default(2048)
+    fov_samples: int = _Default(16)
     max_bounces: int | None = 3
-    scramblings: int = 8
+    scramblings: int = _Default(8)
     direct: bool = False
     observed: int | None = None
     secondary: Literal["all", "none", "strongest"] | int = "all"
+    occlusion: Literal["auto", "on", "off"] = "auto"
+    target: float | None = None
+    max_lookins: int = 1 << 20
 
     @property
     def strongest(self) -> int | None:
@@ -54,6 +72,7 @@ class Accuracy:
             ("max_bounces", 3, MAX_BOUNCES),
             ("scramblings", 1, 1024),
             ("observed", 1, 2**24),
+            ("max_lookins", 1, 2**40),
         ):
             value = getattr(self, name)
             if name in ("max_bounces", "observed") and value is None:
@@ -65,7 +84,29 @@ class Accuracy:
             raise InputError(
                 f"Accuracy.secondary = {self.secondary!r}: must be 'all', 'none', 'strongest' or an integer ≥ 1"
             )
+        if self.occlusion not in ("auto", "on", "off"):
+            raise InputError(f"Accuracy.occlusion = {self.occlusion!r}: must be 'auto', 'on' or 'off'")
         if self.strongest is not None and self.observed is None:
             raise InputError(
                 f"Accuracy.secondary = {self.secondary!r}: ranks observed points' paths; set observed, such as 3600"
             )
+        if self.target is not None:
+            self._check_target(self.target)
+
+    def _check_target(self, target: float) -> None:
+        low, high = TARGETS
+        if not isinstance(target, (int, float)) or isinstance(target, bool) or not low <= target <= high:
+            raise InputError(f"Accuracy.target = {target!r}: must be a number in {low} … {high}")
+        for name in ("lookins", "fov_samples", "scramblings"):
+            if not isinstance(getattr(self, name), _Default):
+                raise InputError(chosen_by_target("Accuracy.", name, getattr(self, name)))
+        if self.observed is not None and self.strongest is None:
+            raise InputError(chosen_by_target("Accuracy.", "observed", self.observed))
+
+
+def chosen_by_target(prefix: str, name: str, value: object) -> str:
+    """What to say when both a target and a sample count that it chooses are given."""
+    return (
+        f"{prefix}{name} = {value!r}: given together with {prefix}target, which wins and chooses it; "
+        f"leave out {name}, or leave out target to fix the counts yourself"
+    )

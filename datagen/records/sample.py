@@ -15,6 +15,37 @@ Scalar = float | int | str | bool
 
 
 @dataclass(frozen=True)
+class Spend:
+    """Where the work of a transient went.
+
+    Attributes
+    ----------
+    lookins : component → lookins from each laser point, on average over the laser points, over all scramblings.
+        Components that one walk finds together share its lookins.
+    share : component → share of the cost, which adds to 1; those of a shared walk have equal parts of it.
+    way : component → "walk" or "factorised", and "walk + factorised" where both find a part of the secondary.
+    fov_samples : component → FoV points for each vertex and pixel.
+    rounds : passes over the scene; 1 for fixed sample counts.
+    cost : all work in units of one shadow ray (`transport.allocation`), a function of counts alone.
+    """
+
+    lookins: Mapping[str, float]
+    share: Mapping[str, float]
+    way: Mapping[str, str]
+    fov_samples: Mapping[str, int]
+    rounds: int
+    cost: float
+
+    def parameters(self) -> dict[str, Scalar]:
+        """As flat scalars, `primary.lookins`, `primary.share` … `rounds`, `cost`."""
+        flat: dict[str, Scalar] = {}
+        for name, lookins in self.lookins.items():
+            flat |= {f"{name}.lookins": lookins, f"{name}.share": self.share[name], f"{name}.way": self.way[name]}
+            flat[f"{name}.fov_samples"] = self.fov_samples[name]
+        return flat | {"rounds": self.rounds, "cost": self.cost}
+
+
+@dataclass(frozen=True)
 class Transient:
     """Expected photons at the aperture per emitted photon and time bin, as an impulse response.
 
@@ -27,6 +58,12 @@ class Transient:
     overflow : (L, P) energy that arrives outside the window.
     laser_points : (L, 3) where each laser ray met the scene, metres; NaN where it met nothing.
     seconds : wall-clock seconds of the simulation by stage.
+    rays : connections from vertices to FoV points by how their visibility was found: "asked" by a shadow ray,
+        "proven" free of occluders, "assumed" so (`Accuracy.occlusion = "off"`).
+    spend : where the work went; None where nothing was counted.
+    error_bound : with an accuracy target, the upper confidence bound of the relative L2 error that was held against
+        it; None with fixed sample counts.
+    met_target : whether `error_bound` is within the target; None with fixed sample counts.
     """
 
     time: TimeAxis
@@ -36,6 +73,10 @@ class Transient:
     overflow: NDArray[np.float64]
     laser_points: NDArray[np.float64]
     seconds: Mapping[str, float] = field(default_factory=dict)
+    rays: Mapping[str, int] = field(default_factory=dict)
+    spend: Spend | None = None
+    error_bound: float | None = None
+    met_target: bool | None = None
 
     @cached_property
     def total(self) -> NDArray[np.float64]:
@@ -45,7 +86,10 @@ class Transient:
 
     @property
     def relative_error(self) -> float:
-        """Estimated relative L2 error of the whole transient: ‖stderr‖ / ‖total‖ (0 for an empty transient)."""
+        """Relative L2 error of the whole transient: with a target the upper bound held against it, else the bare
+        estimate ‖stderr‖ / ‖total‖. 0 for an empty transient."""
+        if self.error_bound is not None:
+            return self.error_bound
         norm = float(np.linalg.norm(self.total))
         return float(np.linalg.norm(self.stderr)) / norm if norm > 0 else 0.0
 
