@@ -1,30 +1,28 @@
 """Scene settings + scene library → Scene: draw a room, furnish it, check it, or say why that cannot be done.
 
-`generate_scene` is a pure function of (settings, seed, index). Every attempt at a room has its own random stream, so
-what one attempt consumed never shifts the next.
+`generate_scene` is a pure function of (settings, seed, index). Every room drawn has its own random stream, and so has
+every try at placing its objects, so what one consumed never shifts the next.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.config.distributions import draw
 from datagen.config.scene import SceneConfig
-from datagen.config.scene_contents import Content, Mesh, MeshFolder, draw_count
-from datagen.config.scene_files import label_of
-from datagen.config.scene_materials import Surface
+from datagen.config.scene_contents import Mesh, MeshFolder
 from datagen.errors import InputError
-from datagen.records import Lambertian, Material, Rectangle, Role, Scalar, Scene
+from datagen.records import Material, Rectangle, Role, Scalar, Scene
 from datagen.scene_checks import explain
-from datagen.scene_draws import draw_object, draw_plan, load_mesh
+from datagen.scene_draws import DrawnRoom, draw_room, load_mesh
 from datagen.scene_placing import Unmet, place
 from datagen.seeding import Purpose, generator
 from scene_library.placement import FreeSpace
-from scene_library.rooms import Plan, RoomDoesNotClose, surfaces
+from scene_library.rooms import Plan, RoomDoesNotClose
 from scene_library.sightlines import even_points, seen_fractions
 from scene_library.visibility import visible_fan, visible_interval
 
@@ -53,14 +51,6 @@ class _Parts:
         self.vertices.append(vertices)
         self.triangles.append(faces)
 
-    def free_name(self, wanted: str) -> str:
-        """The name itself, or numbered from 2 when it is taken."""
-        number, name = 1, wanted
-        while name in self.names:
-            number += 1
-            name = f"{wanted}_{number}"
-        return name
-
     def joined(self) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]]:
         offsets = np.cumsum([0] + [len(v) for v in self.vertices])
         faces = np.concatenate([f + o for f, o in zip(self.triangles, offsets, strict=False)])
@@ -71,58 +61,91 @@ class _Parts:
 def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
     """Draw scene `index` of the dataset with this `seed`.
 
-    The first attempt that meets every constraint is taken: the room closes, every object stands inside with
-    `clearance_m` to walls and other objects, none can be seen from the device, and each is seen from the visible part
-    of the relay wall (`minimum_seen`). The same arguments give the same scene, whoever asks and when.
+    A room is drawn with everything in it, then its objects are placed: inside, with `clearance_m` to walls and other
+    objects, none to be seen from the device, and each seen from the visible part of the relay wall (`minimum_seen`).
+    Where that fails the same objects are placed anew; only after many tries (`placings`) is the room given up and all
+    of it drawn again, so that what is declared is what is found in the dataset, whether it is easy to place or not.
+    The same arguments give the same scene, whoever asks and when.
 
-    Raises `InputError` when `spec.max_attempts` rooms failed, naming what failed how often and what to change.
+    Raises `InputError` after `spec.max_attempts` placings in all, naming what failed how often and what to change.
     """
     reasons: Counter[tuple[str, str]] = Counter()
-    for attempt in range(spec.max_attempts):
+    draws = 0
+    while (left := spec.max_attempts - reasons.total()) > 0:
         try:
-            return _attempt(spec, generator(seed, index, Purpose.SCENE, attempt), attempt)
-        except Unmet as unmet:
-            reasons[unmet.args] += 1
+            room = draw_room(spec, generator(seed, index, Purpose.SCENE, draws))
+            view = _View.of(room.plan)
+        except RoomDoesNotClose as error:
+            reasons["layout", str(error)] += 1
+        else:
+            tries = min(left, placings(spec.max_attempts, draws))
+            for number in range(tries):
+                rng = generator(seed, index, Purpose.SCENE, draws, 1 + number)
+                counted: dict[str, Scalar] = {"attempts": reasons.total() + 1, "draws": draws + 1}
+                try:
+                    return _furnished(spec, room, view, rng, counted, turn_anew=2 * number > tries)
+                except Unmet as unmet:
+                    reasons[unmet.args] += 1
+                    if unmet.final:
+                        break
+        draws += 1
     raise InputError(explain(spec, seed, index, reasons))
 
 
-def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene:
-    parameters: dict[str, Scalar] = {"attempts": attempt + 1, "layout.kind": spec.layout.kind}
-    try:
-        plan, drawn = draw_plan(spec.layout, rng)
-    except RoomDoesNotClose as error:
-        raise Unmet("layout", str(error)) from None
-    parameters.update({f"layout.{name}": value for name, value in drawn.items()})
-    fan = visible_fan(plan.limits, plan.device[:2])
-    relay_wall = _visible_relay_wall(plan, fan)
+def placings(max_attempts: int, draw_number: int) -> int:
+    """How often the objects of a drawn room are placed before it is given up.
 
+    An eighth of all attempts for the first room, half as many for each further one, at least one: most attempts are
+    left for rooms drawn anew, in case few of those that can be drawn are possible at all.
+    """
+    return max(1, max_attempts >> min(3 + draw_number, 62))
+
+
+@dataclass(frozen=True)
+class _View:
+    """What the device sees: `fan` (n, 3, 2) in plan, and the part of the relay wall in it."""
+
+    fan: NDArray[np.float64]
+    relay_wall: Rectangle
+
+    @classmethod
+    def of(cls, plan: Plan) -> _View:
+        fan = visible_fan(plan.limits, plan.device[:2])
+        return cls(fan, _visible_relay_wall(plan, fan))
+
+
+def _furnished(
+    spec: SceneConfig,
+    room: DrawnRoom,
+    view: _View,
+    rng: np.random.Generator,
+    counted: dict[str, Scalar],
+    turn_anew: bool,
+) -> Scene:
+    """Place every object and check what is seen of it. Raises `Unmet`.
+
+    turn_anew : draw rotations afresh too, since an object may only fit in turned otherwise.
+    """
+    plan, parameters = room.plan, counted | room.parameters
     parts = _Parts()
-    for name, (vertices, faces) in surfaces(plan, floor=spec.layout.floor, ceiling=spec.layout.ceiling).items():
-        material = _material(spec, getattr(spec.materials, name), name, parameters, rng)
-        parts.add(name, "relay_wall" if name == "relay_wall" else "structure", material, vertices, faces)
-
-    space = FreeSpace(plan.outline, plan.hidden, plan.walls, plan.height_m, fan, spec.clearance_m)
-    objects: list[tuple[str, str]] = []
-    for where, item in _items(spec, rng):
-        drawn_object = draw_object(item, plan.height_m, rng)
-        spot = place(where, item, drawn_object.solid, plan, space, rng)
-        name = parts.free_name(item.name or label_of(drawn_object.label))
-        material = _material(spec, item, name, parameters, rng)
-        parts.add(name, "object", material, spot.vertices(drawn_object.solid), drawn_object.solid.triangles)
-        parameters |= {f"{name}.kind": item.kind, f"{name}.class": drawn_object.label}
-        parameters |= {f"{name}.{key}": value for key, value in (drawn_object.sizes | asdict(spot)).items()}
-        objects.append((where, name))
-    parameters["objects"] = len(objects)
+    for name, (vertices, faces) in room.surfaces.items():
+        role: Role = "relay_wall" if name == "relay_wall" else "structure"
+        parts.add(name, role, room.materials[name], vertices, faces)
+    space = FreeSpace(plan.outline, plan.hidden, plan.walls, plan.height_m, view.fan, spec.clearance_m)
+    for thing in room.things:
+        rotation = draw(thing.item.rotation_deg, rng) if turn_anew else thing.rotation_deg
+        spot = place(thing, rotation, plan, space, rng)
+        parts.add(thing.name, "object", thing.material, spot.vertices(thing.solid), thing.solid.triangles)
+        parameters |= {f"{thing.name}.{key}": value for key, value in asdict(spot).items()}
 
     corners, triangles, face_part = parts.joined()
-    if objects:
-        first = len(parts.names) - len(objects)
-        wanted = np.arange(first, len(parts.names))
-        seen = seen_fractions(corners[triangles], face_part, wanted, even_points(*_spread(relay_wall)))
-        for (where, name), fraction in zip(objects, seen, strict=True):
+    if room.things:
+        wanted = np.arange(len(room.surfaces), len(parts.names))
+        seen = seen_fractions(corners[triangles], face_part, wanted, even_points(*_spread(view.relay_wall)))
+        for thing, fraction in zip(room.things, seen, strict=True):
             if fraction <= spec.minimum_seen:
-                raise Unmet(where, "unseen")
-            parameters[f"{name}.seen_fraction"] = float(fraction)
+                raise Unmet(thing.where, "unseen")
+            parameters[f"{thing.name}.seen_fraction"] = float(fraction)
     return Scene(
         vertices=corners,
         triangles=triangles,
@@ -130,7 +153,7 @@ def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene
         part_names=tuple(parts.names),
         materials=tuple(parts.materials),
         roles=tuple(parts.roles),
-        relay_wall=relay_wall,
+        relay_wall=view.relay_wall,
         hidden_view=_hidden_view(plan),
         hidden_bounds=np.array([[*plan.hidden[0], 0.0], [*plan.hidden[1], plan.height_m]]),
         device_position=plan.device,
@@ -138,32 +161,11 @@ def _attempt(spec: SceneConfig, rng: np.random.Generator, attempt: int) -> Scene
     )
 
 
-def _items(spec: SceneConfig, rng: np.random.Generator) -> Iterator[tuple[str, Content]]:
-    """The objects to place, one after the other, with where their settings stand."""
-    for i, item in enumerate(spec.contents):
-        for _ in range(draw_count(item.count, rng)):
-            yield f"contents[{i}]", item
-
-
-def _material(
-    spec: SceneConfig, surface: Surface, name: str, parameters: dict[str, Scalar], rng: np.random.Generator
-) -> Material:
-    """Draw the material of the part `name`, and note its numbers."""
-    material, catalogue_name = surface.draw_material(spec.wavelength_nm, rng)
-    if catalogue_name is not None:
-        parameters[f"{name}.material"] = catalogue_name
-    numbers = {key: value for key, value in asdict(material).items() if isinstance(value, (int, float))}
-    parameters |= {f"{name}.{key}": value for key, value in numbers.items()}
-    if not isinstance(material, Lambertian):
-        parameters[f"{name}.brdf"] = type(material).__name__
-    return material
-
-
 def _visible_relay_wall(plan: Plan, fan: NDArray[np.float64]) -> Rectangle:
     start, end = plan.relay_segment
     seen = visible_interval(fan, start, end)
     if seen is None or seen[1] - seen[0] < SMALLEST_VIEW_M:
-        raise Unmet("layout", f"the device sees less than {SMALLEST_VIEW_M} m of the relay wall: widen the corridor")
+        raise RoomDoesNotClose(f"the device sees less than {SMALLEST_VIEW_M} m of the relay wall: widen the corridor")
     unit = (end - start) / np.linalg.norm(end - start)
     return _upright(start + seen[0] * unit, start + seen[1] * unit, plan.visible_top_m)
 

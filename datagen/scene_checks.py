@@ -10,7 +10,7 @@ from datagen.config.scene_contents import Item
 
 
 def explain(spec: SceneConfig, seed: int, index: int, reasons: Counter[tuple[str, str]]) -> str:
-    """The message for a scene that was given up; `reasons` counts (where, what) over the attempts."""
+    """The message for a scene that was given up; `reasons` counts (where, what) over the tries."""
     told = [_told(spec, where, what, times) for (where, what), times in reasons.most_common(3)]
     others = sum(reasons.values()) - sum(times for _, times in reasons.most_common(3))
     more = f"; {others} × other reasons" if others else ""

@@ -1,23 +1,26 @@
-"""Draws from settings to geometry: a layout's plan, an item's solid."""
+"""Draws from settings to things: a layout's plan, an item's solid, surfaces' materials; no object has a place yet."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from datagen.config.distributions import draw
-from datagen.config.scene_contents import Box, Item, Library, Mesh, MeshFolder, Pillar
+from datagen.config.scene import SceneConfig
+from datagen.config.scene_contents import Box, Content, Item, Library, Mesh, MeshFolder, Pillar, Standing, draw_count
+from datagen.config.scene_files import label_of
 from datagen.config.scene_layouts import AnyLayout, Closed
+from datagen.config.scene_materials import Surface as SurfaceSettings
 from datagen.errors import InputError
-from datagen.records import Scalar
+from datagen.records import Lambertian, Material, Scalar
 from scene_library import layouts
 from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
 from scene_library.objects import build
-from scene_library.rooms import Plan, mirrored, out_of_square, wall_groups
-from scene_library.solids import Solid, prism, rectangle, regular_polygon
+from scene_library.rooms import Plan, mirrored, out_of_square, surfaces, wall_groups
+from scene_library.solids import Solid, Surface, prism, rectangle, regular_polygon
 
 PLANS: dict[str, Callable[..., Plan]] = {
     "straight_corridor": layouts.straight_corridor,
@@ -28,6 +31,85 @@ PLANS: dict[str, Callable[..., Plan]] = {
     "doorway_room": layouts.doorway_room,
     "isolated_wall": layouts.isolated_wall,
 }
+
+
+@dataclass(frozen=True)
+class Thing:
+    """An object to be placed: all that is drawn for it but its place.
+
+    where : its settings, such as contents[0]. name : of its part. rotation_deg, elevation_m : as declared.
+    """
+
+    where: str
+    item: Content
+    name: str
+    solid: Solid
+    material: Material
+    rotation_deg: float
+    elevation_m: float
+
+
+@dataclass(frozen=True)
+class DrawnRoom:
+    """Everything of a room that is drawn once: what is left are the places of its objects.
+
+    surfaces, materials : of the room's own parts, by name. parameters : every number drawn, by dotted name.
+    """
+
+    plan: Plan
+    surfaces: dict[str, Surface]
+    materials: dict[str, Material]
+    things: tuple[Thing, ...]
+    parameters: dict[str, Scalar]
+
+
+def draw_room(spec: SceneConfig, rng: np.random.Generator) -> DrawnRoom:
+    """Layout, materials, and the objects with their number, classes and sizes, each from its declared distribution.
+
+    Raises `scene_library.rooms.RoomDoesNotClose`.
+    """
+    plan, drawn = draw_plan(spec.layout, rng)
+    parameters: dict[str, Scalar] = {"layout.kind": spec.layout.kind}
+    parameters |= {f"layout.{name}": value for name, value in drawn.items()}
+    room = surfaces(plan, floor=spec.layout.floor, ceiling=spec.layout.ceiling)
+    materials = {name: _material(spec, getattr(spec.materials, name), name, parameters, rng) for name in room}
+    names, things = set(room), []
+    for i, item in enumerate(spec.contents):
+        for _ in range(draw_count(item.count, rng)):
+            found = draw_object(item, plan.height_m, rng)
+            name = _free_name(item.name or label_of(found.label), names)
+            names.add(name)
+            parameters |= {f"{name}.kind": item.kind, f"{name}.class": found.label}
+            parameters |= {f"{name}.{key}": value for key, value in found.sizes.items()}
+            rotation = draw(item.rotation_deg, rng)
+            elevation = draw(item.elevation_m, rng) if isinstance(item, Standing) else 0.0
+            material = _material(spec, item, name, parameters, rng)
+            things.append(Thing(f"contents[{i}]", item, name, found.solid, material, rotation, elevation))
+    parameters["objects"] = len(things)
+    return DrawnRoom(plan, room, materials, tuple(things), parameters)
+
+
+def _free_name(wanted: str, taken: set[str]) -> str:
+    """The name itself, or numbered from 2 when it is taken."""
+    number, name = 1, wanted
+    while name in taken:
+        number += 1
+        name = f"{wanted}_{number}"
+    return name
+
+
+def _material(
+    spec: SceneConfig, surface: SurfaceSettings, name: str, parameters: dict[str, Scalar], rng: np.random.Generator
+) -> Material:
+    """Draw the material of the part `name`, and note its numbers."""
+    material, catalogue_name = surface.draw_material(spec.wavelength_nm, rng)
+    if catalogue_name is not None:
+        parameters[f"{name}.material"] = catalogue_name
+    numbers = {key: value for key, value in asdict(material).items() if isinstance(value, (int, float))}
+    parameters |= {f"{name}.{key}": value for key, value in numbers.items()}
+    if not isinstance(material, Lambertian):
+        parameters[f"{name}.brdf"] = type(material).__name__
+    return material
 
 
 def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[Plan, dict[str, Scalar]]:

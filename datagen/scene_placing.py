@@ -9,17 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.config.distributions import draw
-from datagen.config.scene_contents import Item, Standing
+from datagen.config.scene_contents import Standing
+from datagen.scene_draws import Thing
 from scene_library.placement import FreeSpace, Occupied, WallSpots
 from scene_library.rooms import Plan
 from scene_library.solids import Solid
 
 POSITIONS_PER_OBJECT = 40
-"""Positions tried for one object before its room is given up and everything is drawn again."""
+"""Positions tried for one object before all objects of the room are placed anew."""
 
 
 class Unmet(Exception):
-    """One attempt at a room failed; the arguments are (where, what) for the tally."""
+    """One attempt at a room failed; the arguments are (where, what) for the tally.
+
+    `final`: no other places of the objects would mend it.
+    """
+
+    def __init__(self, where: str, what: str, *, final: bool = False) -> None:
+        super().__init__(where, what)
+        self.final = final
 
 
 @dataclass(frozen=True)
@@ -37,22 +45,21 @@ class Spot:
         return solid.placed(self.x_m, self.y_m, self.z_m, self.rotation_deg)
 
 
-def place(where: str, item: Item, solid: Solid, plan: Plan, space: FreeSpace, rng: np.random.Generator) -> Spot:
-    """Try poses until one is free, and take it. Raises `Unmet` with the commonest obstacle."""
+def place(thing: Thing, rotation_deg: float, plan: Plan, space: FreeSpace, rng: np.random.Generator) -> Spot:
+    """Try positions until one is free, and take it. Raises `Unmet` with the commonest obstacle."""
+    where, item, solid = thing.where, thing.item, thing.solid
     placement = item.placement if isinstance(item, Standing) else "floor"
-    elevation = draw(item.elevation_m, rng) if isinstance(item, Standing) else 0.0
-    z = plan.height_m - elevation - solid.top_m if placement == "hanging" else elevation
+    z = plan.height_m - thing.elevation_m - solid.top_m if placement == "hanging" else thing.elevation_m
     spots = _wall_spots(plan) if placement == "wall" else None
-    rotation = draw(item.rotation_deg, rng)
     obstacles: Counter[str] = Counter()
     for _ in range(POSITIONS_PER_OBJECT):
         if spots is None:
-            spot = _spot(plan, z, rotation, draw(item.along, rng), draw(item.across, rng))
+            spot = _spot(plan, z, rotation_deg, draw(item.along, rng), draw(item.across, rng))
         else:
             # A hair more than the clearance, which rounding must not eat.
             pose = spots.pose(solid.hull, space.clearance_m * (1 + 1e-6) + 1e-9, rng)
             if pose is None:
-                raise Unmet(where, "no_wall")
+                raise Unmet(where, "no_wall", final=True)
             spot = _spot_at(plan, z, *pose)
         taken = Occupied(solid.footprint(spot.x_m, spot.y_m, spot.rotation_deg), z, z + solid.top_m)
         obstacle = space.obstacle(taken)
@@ -61,7 +68,7 @@ def place(where: str, item: Item, solid: Solid, plan: Plan, space: FreeSpace, rn
             return spot
         obstacles[obstacle] += 1
         if obstacle == "height":
-            break
+            raise Unmet(where, "height", final=True)
     raise Unmet(where, obstacles.most_common(1)[0][0])
 
 

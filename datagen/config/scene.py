@@ -30,7 +30,9 @@ class SceneConfig(Settings):
     """Every object is seen from the visible part of the relay wall along more than this share of the straight lines
     between the two surfaces (a closed object turns half of itself away, so it stays below about 0.5)."""
     max_attempts: Annotated[int, Field(ge=1, le=100_000)] = 200
-    """Rooms drawn for one scene until one meets every constraint; then the scene is given up with the reason."""
+    """Tries for one scene until every constraint is met; then the scene is given up with the reason. A try places the
+    objects of a drawn room anew; the room itself (dimensions, number of objects, their classes, sizes and materials)
+    is only drawn again when an eighth of the tries have failed with it, the next one after half of that, and so on."""
 
     @model_validator(mode="after")
     def _possible(self) -> SceneConfig:

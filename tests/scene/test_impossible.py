@@ -113,5 +113,5 @@ def test_given_up_with_the_reason(scene: dict[str, Any], told: list[str]) -> Non
 def test_a_range_that_is_partly_possible_is_met_by_trying_again() -> None:
     layout = {"kind": "l_corridor", "room_length_m": {"uniform": [4.0, 9.0]}}
     spec = config_from_mapping({"scene": {"layout": layout, "max_attempts": 200}}).scene
-    attempts = [generate_scene(spec, 0, i).parameters["attempts"] for i in range(20)]
-    assert max(attempts) > 1
+    draws = [generate_scene(spec, 0, i).parameters["draws"] for i in range(20)]
+    assert max(draws) > 1

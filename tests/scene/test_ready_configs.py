@@ -1,4 +1,4 @@
-"""Every configuration that ships draws rooms that meet every law, without many tries."""
+"""Every configuration that ships draws rooms that meet every law, and hardly ever gives a drawn room up."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def test_rooms_of_every_ready_configuration(path: Path) -> None:
     assert config.name == path.stem
     assert config.description
     check_scene_config(config.scene)
-    attempts = []
+    draws = []
     for index in range(8):
         scene = generate_scene(config.scene, config.seed, index)
-        attempts.append(scene.parameters["attempts"])
+        draws.append(scene.parameters["draws"])
         assert_room_laws(scene, np.random.default_rng(index))
-    assert np.mean(attempts) < 5
+    assert np.mean(draws) < 1.5
