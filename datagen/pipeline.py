@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.detector import DetectorPlan, Exposure, Spad, detect, detector_for, plan_detector
-from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
+from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
 from datagen.seeding import Purpose, derived_seed
@@ -47,8 +47,8 @@ def simulate_sample(config: DatasetConfig, index: int) -> Sample:
         plan = plan_detector(*seen, **allowed)
         counts = detect(*seen, seed=derived_seed(seed, index, Purpose.DETECTOR), **allowed)
     with _timed(seconds, "labels"):
-        wanted = [field for field in config.store.fields if field in IMAGE_FIELDS + VOLUME_FIELDS]
-        labels = make_labels(config.labels, scene, wanted)
+        wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
+        labels = make_labels(config.labels, scene, wanted, _slots(config))
     measured: dict[str, NDArray[Any]] = {
         "histogram": counts,
         "transient": transient.total,
@@ -59,6 +59,10 @@ def simulate_sample(config: DatasetConfig, index: int) -> Sample:
     }
     arrays |= labels | _geometry(scene, capture, transient)
     return Sample(index, arrays, _parameters(scene, spad, exposure, plan, transient, counts), seconds)
+
+
+def _slots(config: DatasetConfig) -> ObjectSlots:
+    return ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
 
 
 def check_inputs(config: DatasetConfig) -> None:

@@ -16,7 +16,7 @@ from datagen.config.distributions import draw
 from datagen.config.scene import SceneConfig
 from datagen.config.scene_contents import Mesh, MeshFolder
 from datagen.errors import InputError
-from datagen.records import Material, Rectangle, Role, Scalar, Scene
+from datagen.records import Material, Pose, Rectangle, Role, Scalar, Scene
 from datagen.scene_checks import explain
 from datagen.scene_draws import DrawnRoom, draw_room, load_mesh
 from datagen.scene_placing import Unmet, place
@@ -127,7 +127,7 @@ def _furnished(
     turn_anew : draw rotations afresh too, since an object may only fit in turned otherwise.
     """
     plan, parameters = room.plan, counted | room.parameters
-    parts = _Parts()
+    parts, poses = _Parts(), dict[str, Pose]()
     for name, (vertices, faces) in room.surfaces.items():
         role: Role = "relay_wall" if name == "relay_wall" else "structure"
         parts.add(name, role, room.materials[name], vertices, faces)
@@ -136,6 +136,7 @@ def _furnished(
         rotation = draw(thing.item.rotation_deg, rng) if turn_anew else thing.rotation_deg
         spot = place(thing, rotation, plan, space, rng)
         parts.add(thing.name, "object", thing.material, spot.vertices(thing.solid), thing.solid.triangles)
+        poses[thing.name] = Pose.upright(thing.label, spot.rotation_deg)
         parameters |= {f"{thing.name}.{key}": value for key, value in asdict(spot).items()}
 
     corners, triangles, face_part = parts.joined()
@@ -158,6 +159,7 @@ def _furnished(
         hidden_bounds=np.array([[*plan.hidden[0], 0.0], [*plan.hidden[1], plan.height_m]]),
         device_position=plan.device,
         parameters=parameters,
+        poses=poses,
     )
 
 

@@ -37,12 +37,14 @@ PLANS: dict[str, Callable[..., Plan]] = {
 class Thing:
     """An object to be placed: all that is drawn for it but its place.
 
-    where : its settings, such as contents[0]. name : of its part. rotation_deg, elevation_m : as declared.
+    where : its settings, such as contents[0]. name : of its part. label : its class.
+    rotation_deg, elevation_m : as declared.
     """
 
     where: str
     item: Content
     name: str
+    label: str
     solid: Solid
     material: Material
     rotation_deg: float
@@ -84,7 +86,9 @@ def draw_room(spec: SceneConfig, rng: np.random.Generator) -> DrawnRoom:
             rotation = draw(item.rotation_deg, rng)
             elevation = draw(item.elevation_m, rng) if isinstance(item, Standing) else 0.0
             material = _material(spec, item, name, parameters, rng)
-            things.append(Thing(f"contents[{i}]", item, name, found.solid, material, rotation, elevation))
+            things.append(
+                Thing(f"contents[{i}]", item, name, found.label, found.solid, material, rotation, elevation)
+            )
     parameters["objects"] = len(things)
     return DrawnRoom(plan, room, materials, tuple(things), parameters)
 

@@ -85,3 +85,18 @@ def even_points(
     k = np.arange(_POINTS)
     u, v = (0.5 + k * _GOLDEN[0]) % 1.0, (0.5 + k * _GOLDEN[1]) % 1.0
     return np.asarray(center + (2 * u - 1)[:, None] * right + (2 * v - 1)[:, None] * up)
+
+
+def blocked(
+    triangles: NDArray[np.float64], starts: NDArray[np.float64], ends: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """(n,) whether one of `triangles` (F, 3, 3) cuts the segment from `starts` to `ends` (n, 3), both in the open."""
+    if not len(triangles):
+        return np.zeros(len(starts), np.bool_)
+    middle = triangles.reshape(-1, 3).mean(axis=0)
+    scene = EmbreeScene()
+    TriangleMesh(scene, (triangles - middle).astype(np.float32))
+    span = (ends - starts).astype(np.float32)
+    reach = np.ones(len(starts), np.float32)
+    hit = scene.run((starts - middle).astype(np.float32), span, dists=reach, query="OCCLUDED")
+    return np.asarray(hit >= 0)

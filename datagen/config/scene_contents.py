@@ -48,6 +48,12 @@ def draw_count(count: Distribution, rng: np.random.Generator) -> int:
     return round(draw(count, rng))
 
 
+def largest_count(count: Distribution) -> int:
+    """The most that `draw_count` can give."""
+    high = support(count)[1]
+    return int(high) if isinstance(count, Uniform) else round(high)
+
+
 Angle = Annotated[Distribution, within(-360, 360)]
 ANY_ANGLE = Uniform(uniform=(0.0, 360.0))
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,40}$")]
@@ -79,6 +85,11 @@ class Item(Surface):
     @property
     def part_name(self) -> str:
         return self.name or str(getattr(self, "kind", "object"))
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """The classes of object that this item can give."""
+        return (self.part_name,)
 
     def smallest_footprint_m(self) -> tuple[float, float] | None:
         """Short and long side of the smallest footprint, or None if only the drawn object tells."""
@@ -165,6 +176,10 @@ class Library(Standing):
         """The classes, groups resolved."""
         return classes_of(self.classes)
 
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        return self.names
+
     def smallest_height_m(self) -> float:
         return 0.0 if self.height_m is None else support(self.height_m)[0]
 
@@ -242,6 +257,10 @@ class MeshFolder(Standing):
     def folder(self) -> Path:
         """Where `path` led when the configuration was read."""
         return self._folder
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        return tuple(self.files())
 
     def files(self) -> dict[str, tuple[Path, ...]]:
         """Class → its files, both sorted by name, of the classes wanted."""

@@ -9,7 +9,17 @@ from pydantic import Field, model_validator
 from datagen.config.base import Settings
 
 StoredField = Literal[
-    "histogram", "transient", "transient_stderr", "depth", "normal", "albedo", "part_id", "occupancy", "sdf"
+    "histogram",
+    "transient",
+    "transient_stderr",
+    "depth",
+    "normal",
+    "albedo",
+    "part_id",
+    "shaded",
+    "occupancy",
+    "sdf",
+    "objects",
 ]
 
 
@@ -17,7 +27,7 @@ class StoreConfig(Settings):
     """What is written. Small fields (laser points, pixels, parameters) are always there."""
 
     fields: Annotated[tuple[StoredField, ...], Field(min_length=1)] = ("histogram", "transient", "depth")
-    """The large fields to store."""
+    """The fields to store. `objects` stands for the tables of object classes, poses and boxes."""
     scenes_per_shard: Annotated[int, Field(ge=1, le=256)] | None = None
     """A power of two; left out: chosen from the size of a sample and the number of scenes (8 to 256, shards of at
     most 256 MiB)."""

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import NDArray
 
 from datagen.config import LabelsConfig
 from datagen.errors import InputError
+from datagen.labels.boxes import ObjectBoxes, classes_in
 from datagen.labels.images import HiddenSurface, albedo_image, depth_image, hidden_surface, normal_image, part_image
+from datagen.labels.shading import shaded_image
 from datagen.labels.solids import Surface
 from datagen.labels.volumes import VoxelGrid, object_surfaces, occupancy, signed_distance
 from datagen.records import Scene
@@ -21,14 +24,28 @@ _IMAGES: dict[str, Callable[[HiddenSurface], Array]] = {
     "normal": normal_image,
     "albedo": albedo_image,
     "part_id": part_image,
+    "shaded": shaded_image,
 }
 _VOLUMES: dict[str, Callable[[VoxelGrid, list[Surface]], Array]] = {"occupancy": occupancy, "sdf": signed_distance}
 
 IMAGE_FIELDS = tuple(_IMAGES)
 VOLUME_FIELDS = tuple(_VOLUMES)
+TABLE_FIELDS = ("objects",)
+LABEL_FIELDS = IMAGE_FIELDS + VOLUME_FIELDS + TABLE_FIELDS
+"""All labels. `objects` stands for several arrays (`OBJECT_TABLES`), every other one for the array of its name."""
 
 
-def make_labels(config: LabelsConfig, scene: Scene, fields: Sequence[str]) -> dict[str, Array]:
+@dataclass(frozen=True)
+class ObjectSlots:
+    """The form of the object tables: the classes their numbers stand for, and how many rows they have."""
+
+    classes: tuple[str, ...]
+    capacity: int
+
+
+def make_labels(
+    config: LabelsConfig, scene: Scene, fields: Sequence[str], slots: ObjectSlots | None = None
+) -> dict[str, Array]:
     """Ground truth of one scene, aligned with the relay wall.
 
     ============  =======================  =======  ==================================================================
@@ -38,20 +55,24 @@ def make_labels(config: LabelsConfig, scene: Scene, fields: Sequence[str]) -> di
     `normal`      (row, column, 3)         float32  unit normal along (right, up, wall normal); third ≤ 0; 0: empty
     `albedo`      (row, column)            float32  albedo of the surface seen; 0: empty
     `part_id`     (row, column)            int16    index into `scene.part_names`; −1: empty
+    `shaded`      (row, column)            float32  radiance, lit by the visible relay wall, 0 … 1; 0: empty
     `occupancy`   (depth, row, column)     uint8    1 where an object is
     `sdf`         (depth, row, column)     float32  metres to the nearest object surface, negative inside
     ============  =======================  =======  ==================================================================
 
     Images show `scene.hidden_view` orthographically along its normal, row 0 at the top, column 0 at −right, with the
-    relay wall taken as a window. Volumes fill the box along the same axes that holds `scene.hidden_bounds`.
+    relay wall taken as a window. Volumes fill the box along the same axes that holds `scene.hidden_bounds`. `objects`
+    gives the tables of `ObjectBoxes`, for the classes and the number of rows of `slots` (left out: this scene's own),
+    whose boxes lie in the frame that images and volumes share.
 
     Raises
     ------
-    InputError : a field that is no label; a scene without `hidden_view` or `hidden_bounds`; `sdf` without open3d.
+    InputError : a field that is no label; a scene without `hidden_view`, `hidden_bounds` or `relay_wall`; `sdf`
+        without open3d; more objects than rows.
     """
     for field in fields:
-        if field not in _IMAGES and field not in _VOLUMES:
-            raise InputError(f"labels: {field!r} is no label; known are {', '.join(IMAGE_FIELDS + VOLUME_FIELDS)}")
+        if field not in LABEL_FIELDS:
+            raise InputError(f"labels: {field!r} is no label; known are {', '.join(LABEL_FIELDS)}")
     labels: dict[str, Array] = {}
     if any(field in _IMAGES for field in fields):
         surface = hidden_surface(scene, config.rows, config.columns)
@@ -59,4 +80,7 @@ def make_labels(config: LabelsConfig, scene: Scene, fields: Sequence[str]) -> di
     if any(field in _VOLUMES for field in fields):
         grid, found = VoxelGrid.of(scene, config.voxels), object_surfaces(scene)
         labels |= {field: make(grid, found) for field, make in _VOLUMES.items() if field in fields}
+    if "objects" in fields:
+        slots = slots or ObjectSlots(classes_in(scene), scene.roles.count("object"))
+        labels |= ObjectBoxes.of(scene, slots.classes, slots.capacity).tables()
     return labels

@@ -20,17 +20,38 @@ Role = Literal["relay_wall", "structure", "object"]
 
 
 @dataclass(frozen=True)
+class Pose:
+    """What an object is and how it stands, which its triangles alone do not tell.
+
+    label : its class.
+    axes : (3, 3) rows: the object's own unit axes in the scene's frame, right-handed: width, depth (the back lies at
+        +depth, so a front looks along −depth) and height.
+    """
+
+    label: str
+    axes: NDArray[np.float64]
+
+    @classmethod
+    def upright(cls, label: str, rotation_deg: float = 0.0) -> Pose:
+        """Height along z; width and depth along x and y, turned by `rotation_deg` about z."""
+        c, s = np.cos(np.radians(rotation_deg)), np.sin(np.radians(rotation_deg))
+        return cls(label, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+
+
+@dataclass(frozen=True)
 class Part:
     """A named surface with one material.
 
     `mesh` is a `trimesh.Trimesh` in metres, or anything with `vertices` (V, 3) and `faces` (F, 3).
-    Triangles are shaded on both sides, so their winding does not matter.
+    Triangles are shaded on both sides, so their winding does not matter. `pose` serves the label of boxes; left out,
+    the part's name is its class and its axes are those of the scene.
     """
 
     name: str
     mesh: trimesh.Trimesh
     material: Material
     role: Role = "object"
+    pose: Pose | None = None
 
 
 @dataclass(frozen=True)
@@ -82,6 +103,7 @@ class Scene:
     device_position : (3,) where a generated room puts laser and sensor; or None.
     parameters : every number drawn for this scene, by dotted name; stored with the sample.
     attenuation_per_m : Napierian attenuation of the air, 1/m: every leg R passes exp(−a R).
+    poses : object part → its class and axes; a part without one stands along the scene's axes, named by its part.
     """
 
     vertices: NDArray[np.float64]
@@ -96,6 +118,7 @@ class Scene:
     device_position: NDArray[np.float64] | None = None
     parameters: Mapping[str, float | int | str | bool] = field(default_factory=dict)
     attenuation_per_m: float = 0.0
+    poses: Mapping[str, Pose] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not 0 <= self.attenuation_per_m < np.inf:
@@ -145,7 +168,12 @@ class Scene:
             device_position=None if device_position is None else np.asarray(device_position, np.float64),
             parameters=dict(parameters or {}),
             attenuation_per_m=attenuation_per_m,
+            poses={part.name: part.pose for part in parts if part.pose is not None},
         )
+
+    def pose_of(self, part: str) -> Pose:
+        """Class and axes of a part."""
+        return self.poses.get(part) or Pose.upright(part)
 
     @property
     def corners(self) -> NDArray[np.float64]:
@@ -163,6 +191,8 @@ class Scene:
 def _checked_triangles(part: Part) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     vertices = np.asarray(part.mesh.vertices, np.float64)
     faces = np.asarray(part.mesh.faces, np.int64)
+    if part.pose is not None and not np.allclose(part.pose.axes @ part.pose.axes.T, np.eye(3), atol=1e-6):
+        raise InputError(f"part {part.name!r}: the rows of its pose's axes must be orthogonal unit vectors")
     if part.role not in get_args(Role):
         raise InputError(f"part {part.name!r}: role {part.role!r} must be one of {', '.join(get_args(Role))}")
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:

@@ -70,5 +70,6 @@ def _create(group: zarr.Group, field: Field, schema: Schema) -> None:
         ],
         fill_value=float("nan") if dtype.kind == "f" else 0,
         dimension_names=field.dims,
-        attributes={"unit": field.unit, "meaning": field.meaning},
+        attributes={"unit": field.unit, "meaning": field.meaning}
+        | ({"classes": list(field.classes)} if field.classes else {}),
     )

@@ -235,6 +235,7 @@ def _field_row(field: Field, schema: Schema) -> dict[str, Any]:
         "meaning": field.meaning,
         "chunk": [1, *field.chunk] if field.sharded else [k, *field.shape],
         "shard": list(shard_shape(field, k)) if field.sharded else None,
+        **({"classes": list(field.classes)} if field.classes else {}),
     }
 
 
@@ -247,4 +248,5 @@ def _field_of(row: dict[str, Any]) -> Field:
         row["unit"],
         row["meaning"],
         sharded=row["shard"] is not None,
+        classes=tuple(row.get("classes", ())),
     )

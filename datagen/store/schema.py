@@ -37,6 +37,7 @@ class Field:
     dims : dimension names; the first is `scene`.
     shape : the shape of one scene's value, without the scene axis.
     sharded : large fields have one chunk a scene in shards of K scenes; small ones one chunk of K scenes, no shard.
+    classes : what the numbers 0, 1, 2 … of a field stand for, where they are classes.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Field:
     unit: str
     meaning: str
     sharded: bool = True
+    classes: tuple[str, ...] = ()
 
     @property
     def bytes_per_scene(self) -> int:
@@ -98,7 +100,7 @@ def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Sch
 
     Raises `InputError` when one time series is larger than a chunk can be.
     """
-    fields = _large_fields(config) + _small_fields(config)
+    fields = _large_fields(config) + _object_tables(config) + _small_fields(config)
     for field in fields:
         chunk_bytes = math.prod(field.chunk) * np.dtype(field.dtype).itemsize
         if chunk_bytes > LARGEST_CHUNK_BYTES:
@@ -142,10 +144,37 @@ def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
         Field("albedo", _IMAGE, image, "float32", "1", "albedo of the surface seen; 0: empty"),
         Field("part_id", _IMAGE, image, "int16", "1",
               "index of the part seen in the parameter scene.part_names; -1: empty"),
+        Field("shaded", _IMAGE, image, "float32", "radiance of the lamp",
+              "radiance of the surface seen, lit by the visible relay wall (radiance 1) and dimly from elsewhere, with "
+              "shadows; linear; 0: empty"),
         Field("occupancy", _VOLUME, volume, "uint8", "1", "1 where an object is"),
         Field("sdf", _VOLUME, volume, "float32", "m", "distance to the nearest object surface, negative inside"),
     )  # fmt: skip
     return tuple(field for field in known if field.name in config.store.fields)
+
+
+def _object_tables(config: DatasetConfig) -> tuple[Field, ...]:
+    """What the label `objects` stands for, with rows enough for every scene that the configuration can give."""
+    if "objects" not in config.store.fields:
+        return ()
+    classes, rows = config.scene.object_classes(), config.scene.most_objects()
+    if len(classes) > np.iinfo(np.int16).max:
+        raise InputError(f"store.fields: 'objects' can number 32767 classes, scene.contents has {len(classes)}")
+    row, frame = ("scene", "object"), "of the label frame (right, up, depth from the middle of hidden_view)"
+    return (
+        Field("object_count", ("scene",), (), "int32", "1", "number of objects; rows beyond it are fill", False),
+        Field("object_class", row, (rows,), "int16", "1", "class of the object, an index into this field's list of "
+              "classes; -1: no object in this row", False, classes),
+        Field("object_part", row, (rows,), "int16", "1",
+              "index of the object in the parameter scene.part_names, as in part_id; -1: no object", False),
+        Field("object_box_center", (*row, "axis"), (rows, 3), "float32", "m",
+              f"middle of the object's box along the axes {frame}; 0: no object", False),
+        Field("object_box_size", (*row, "axis"), (rows, 3), "float32", "m",
+              "extent of the box along the object's own width, depth and height; 0: no object", False),
+        Field("object_box_rotation", (*row, "axis", "own_axis"), (rows, 3, 3), "float32", "1",
+              f"columns: unit vectors of the object's own width, depth (its back at +) and height along the axes "
+              f"{frame}; 0: no object", False),
+    )  # fmt: skip
 
 
 def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:

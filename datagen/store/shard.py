@@ -51,7 +51,7 @@ def encoded(field: Field, value: NDArray[np.generic]) -> NDArray[np.generic]:
         return value.astype(target)
     with np.errstate(over="ignore"):
         stored = value.astype(target)
-    if field.name in ("transient", "depth", "normal", "albedo", "sdf") and not np.isfinite(stored).all():
+    if field.name in ("transient", "depth", "normal", "albedo", "shaded", "sdf") and not np.isfinite(stored).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(stored))[0])
         raise InputError(f"field {field.name!r}: {value[where]} at {where} is not a finite {field.dtype}")
     return stored

@@ -1,0 +1,95 @@
+"""Which objects a scene holds, and the oriented box about each, as tables of one length for all scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.labels.frame import ViewFrame
+from datagen.records import Scene
+
+OBJECT_TABLES = (
+    "object_count",
+    "object_class",
+    "object_part",
+    "object_box_center",
+    "object_box_size",
+    "object_box_rotation",
+)
+"""The arrays that the label `objects` stands for."""
+NO_OBJECT = -1
+"""Class and part of a row that holds no object; its box is all zeros."""
+
+
+@dataclass(frozen=True)
+class ObjectBoxes:
+    """The objects of one scene in the order of its parts; rows beyond `count` hold none.
+
+    count : how many objects there are.
+    label : (K,) int16 class, an index into the dataset's list of classes; −1 in rows without an object.
+    part : (K,) int16 index into `Scene.part_names`, as in the label `part_id`; −1 likewise.
+    center : (K, 3) float32 middle of the box along (right, up, depth) of the label frame, metres.
+    size : (K, 3) float32 full extents along the object's own width, depth and height, metres.
+    rotation : (K, 3, 3) float32; its columns are those own axes in the label frame, so a box corner is
+        `center + rotation @ (± size / 2)`. Rows without an object are zeros.
+    """
+
+    count: int
+    label: NDArray[np.int16]
+    part: NDArray[np.int16]
+    center: NDArray[np.float32]
+    size: NDArray[np.float32]
+    rotation: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, scene: Scene, classes: Sequence[str], capacity: int) -> ObjectBoxes:
+        """Boxes that just hold the objects' vertices, along the axes of `Scene.poses`.
+
+        Raises `InputError` for more objects than `capacity`, or a class that is not in `classes`.
+        """
+        frame = ViewFrame.of(scene)
+        parts = [k for k, role in enumerate(scene.roles) if role == "object"]
+        if len(parts) > capacity:
+            raise InputError(f"label 'objects': {len(parts)} objects in a scene, the table has room for {capacity}")
+        label, part = np.full(capacity, NO_OBJECT, np.int16), np.full(capacity, NO_OBJECT, np.int16)
+        center, size = np.zeros((capacity, 3), np.float32), np.zeros((capacity, 3), np.float32)
+        rotation = np.zeros((capacity, 3, 3), np.float32)
+        for row, k in enumerate(parts):
+            pose = scene.pose_of(scene.part_names[k])
+            if pose.label not in classes:
+                raise InputError(f"label 'objects': class {pose.label!r} is none of {', '.join(classes)}")
+            own = scene.vertices[np.unique(scene.triangles[scene.face_part == k])] @ pose.axes.T
+            low, high = own.min(axis=0), own.max(axis=0)
+            label[row], part[row] = classes.index(pose.label), k
+            center[row], size[row] = frame.to_view((low + high) / 2 @ pose.axes), high - low
+            rotation[row] = frame.axes @ pose.axes.T
+        return cls(len(parts), label, part, center, size, rotation)
+
+    @classmethod
+    def from_tables(cls, tables: dict[str, NDArray[Any]]) -> ObjectBoxes:
+        """The inverse of `tables`: field → array of one scene."""
+        count, *rest = (np.asarray(tables[name]) for name in OBJECT_TABLES)
+        return cls(int(count), *rest)
+
+    def tables(self) -> dict[str, NDArray[Any]]:
+        """Field → array, in the order of `OBJECT_TABLES`."""
+        values = (np.int32(self.count), self.label, self.part, self.center, self.size, self.rotation)
+        return {name: np.asarray(value) for name, value in zip(OBJECT_TABLES, values, strict=True)}
+
+    def corners(self) -> NDArray[np.float64]:
+        """(count, 8, 3) corners along (right, up, depth); corner k lies on the positive side of the box's width,
+        depth or height where bit 0, 1 or 2 of k is set."""
+        sides = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) - 0.5
+        offset = sides * self.size[: self.count, None].astype(np.float64)
+        return self.center[: self.count, None] + np.einsum("nij,nkj->nki", self.rotation[: self.count], offset)
+
+
+def classes_in(scene: Scene) -> tuple[str, ...]:
+    """The classes of a scene's objects, sorted."""
+    objects = (name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object")
+    return tuple(sorted({scene.pose_of(name).label for name in objects}))

@@ -1,0 +1,127 @@
+"""The shaded label: the hidden part as a camera in the relay wall would see it, lit by the visible relay wall.
+
+The lamp is the light that the measurement itself uses: the part of the relay wall that the device sees
+(`Scene.relay_wall`) is a Lambertian lamp of radiance 1, and every direction that does not meet it, or meets something
+in between, shows the radiance `AMBIENT_RADIANCE`. A surface of albedo ρ then has the radiance
+
+    L = ρ (F + (1 − F) · AMBIENT_RADIANCE),    F = ∫ cosθ cosθ′ V / (π R²) dA over the lamp,
+
+F its form factor to the lamp (0 … 1) with V the visibility, so L lies in 0 … ρ. Every material counts as Lambertian
+with its albedo. Without occluders F is Lambert's formula for a polygon, exactly (as in Baum, Rushmeier & Winget,
+SIGGRAPH 1989); shadows take from it the share of the lamp that is hidden, found with `LAMP_POINTS` rays a pixel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.labels.images import HiddenSurface, albedo_image, normal_image
+from datagen.records import Rectangle
+from scene_library.sightlines import blocked, even_points
+
+AMBIENT_RADIANCE = 0.15
+"""Radiance of all directions that do not meet the lamp, in units of the lamp's."""
+LAMP_POINTS = 64
+"""Points of the lamp that each pixel's surface looks for (those of `even_points`)."""
+_PIXELS_AT_ONCE = 1 << 14
+_LIFT = 1e-5
+"""Ray ends are lifted off their surfaces by this share of the scene's size."""
+
+
+def shaded_image(surface: HiddenSurface) -> NDArray[np.float32]:
+    """(rows, columns) radiance towards the relay wall in units of the lamp's, 0 … 1; 0 where nothing is hit.
+
+    Linear in light: take the square root, or a display's gamma, to look at it. Raises `InputError` for a scene
+    without `relay_wall`.
+    """
+    scene, frame = surface.scene, surface.frame
+    if scene.relay_wall is None:
+        raise InputError(
+            "label 'shaded': this scene names no relay wall, which is its lamp; give "
+            "Scene.from_parts(..., relay_wall=Rectangle.of(center, right, up)) or leave shaded out of store.fields"
+        )
+    rows, columns = surface.face.shape
+    row, column = np.nonzero(surface.face >= 0)
+    across = ((column + 0.5) / columns * 2 - 1) * frame.half_width_m
+    upward = (1 - (row + 0.5) / rows * 2) * frame.half_height_m
+    points = frame.to_world(np.stack([across, upward, surface.depth[row, column]], axis=1))
+    normals = normal_image(surface)[row, column].astype(np.float64) @ frame.axes
+    occluders = scene.corners[np.array([role != "relay_wall" for role in scene.roles])[scene.face_part]]
+    lift = _LIFT * float(np.ptp(scene.vertices, axis=0).max())
+    lit = np.concatenate(
+        [np.empty(0)]
+        + [
+            _lit(points[some], normals[some], scene.relay_wall, occluders, lift)
+            for some in (slice(k, k + _PIXELS_AT_ONCE) for k in range(0, len(points), _PIXELS_AT_ONCE))
+        ]
+    )
+    image = np.zeros((rows, columns))
+    image[row, column] = lit + (1 - lit) * AMBIENT_RADIANCE
+    return (image * albedo_image(surface)).astype(np.float32)
+
+
+def _lit(
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    lamp: Rectangle,
+    occluders: NDArray[np.float64],
+    lift_m: float,
+) -> NDArray[np.float64]:
+    """(n,) form factor to what each point (n, 3) sees of the lamp.
+
+    The exact form factor of the whole lamp times the seen share of it, lamp points weighted by what they would send.
+    """
+    whole = form_factors(points, normals, lamp.corners)
+    on_lamp = even_points(lamp.center, lamp.right, lamp.up)
+    toward = on_lamp - points[:, None]
+    square = np.maximum(np.einsum("pqk,pqk->pq", toward, toward), np.finfo(np.float64).tiny)
+    leaving = np.maximum(np.einsum("pqk,pk->pq", toward, normals), 0.0)
+    arriving = np.maximum(-(toward @ lamp.normal), 0.0)
+    weight = leaving * arriving / square**2
+    sent = weight.sum(axis=1)
+    pixel, lamp_point = np.nonzero(weight)
+    start, end = points[pixel] + lift_m * normals[pixel], on_lamp[lamp_point] + lift_m * lamp.normal
+    weight[pixel, lamp_point] *= ~blocked(occluders, start, end)
+    share = np.divide(weight.sum(axis=1), sent, out=np.zeros(len(points)), where=sent > 0)
+    return np.asarray(whole * share)
+
+
+@njit(cache=True)
+def form_factors(
+    points: NDArray[np.float64], normals: NDArray[np.float64], corners: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(n,) form factor from small patches at `points` with unit `normals` (n, 3) to the whole convex polygon
+    `corners` (m, 3), of which only what lies before the patch counts.
+
+    Lambert's formula, F = |Σ Θ n·Γ| / 2π over the edges: Θ is the angle an edge subtends and Γ the unit normal of the
+    plane through it and the point. The polygon is first cut at the patch's plane.
+    """
+    count = len(corners)
+    result = np.zeros(len(points))
+    kept = np.empty((2 * count, 3))
+    for p in range(len(points)):
+        n = normals[p]
+        held = 0
+        for k in range(count):
+            a, b = corners[k] - points[p], corners[(k + 1) % count] - points[p]
+            height_a, height_b = (a * n).sum(), (b * n).sum()
+            if height_a > 0.0:
+                kept[held] = a
+                held += 1
+            if (height_a > 0.0) != (height_b > 0.0):
+                kept[held] = a + (b - a) * (height_a / (height_a - height_b))
+                held += 1
+        total = 0.0
+        for k in range(held):
+            a, b = kept[k], kept[(k + 1) % held]
+            x = a[1] * b[2] - a[2] * b[1]
+            y = a[2] * b[0] - a[0] * b[2]
+            z = a[0] * b[1] - a[1] * b[0]
+            length = np.sqrt(x * x + y * y + z * z)
+            if length > 0.0:
+                total += np.arctan2(length, (a * b).sum()) * (n[0] * x + n[1] * y + n[2] * z) / length
+        result[p] = abs(total) / (2 * np.pi)
+    return result
