@@ -49,13 +49,9 @@ def random_numbers(streams, step, count):
 @njit(cache=True)
 def light_lookins(
     face, position, owner, position1, normal1, to_laser1, part1, kind, values, face_normal, by_area_too, rays,
-    area_density, offset,
+    area_density,
 ):  # fmt: skip
-    """Which candidates are lit, their facing normal, direction and distance to the laser point, and their power.
-
-    Rays start `offset` off the laser point, so their density is that seen from there: a hair's difference, but one
-    that shows when a surface is a millimetre away.
-    """
+    """Which candidates are lit, their facing normal, direction and distance to the laser point, and their power."""
     kept = np.empty(len(face), np.int64)
     normal, to_laser_point = np.empty((len(face), 3)), np.empty((len(face), 3))
     distance, power = np.empty(len(face)), np.empty(len(face))
@@ -78,12 +74,7 @@ def light_lookins(
         side = 1.0 if cos2 > 0.0 else -1.0
         k1, material1 = kind[part1[o]], values[part1[o]]
         spread = abs(cos2) / square
-        s = (d[0] - offset * n1[0], d[1] - offset * n1[1], d[2] - offset * n1[2])
-        reach = math.sqrt(dot(s, s))
-        density = 0.0
-        if dot(n1, s) > 0.0:
-            start = (s[0] / reach, s[1] / reach, s[2] / reach)
-            density = rays * pdf(k1, material1, n1, w_in, start) * abs(dot(facing, start)) / (reach * reach)
+        density = rays * pdf(k1, material1, n1, w_in, w) * spread
         if by_area_too[f]:
             density += area_density
         if density <= 0.0:
@@ -128,13 +119,15 @@ def gather(
     start, stop, laser, position2, normal2, to_previous, part2, power, path, block, position3, normal3, to_sensor,
     part3, weight3, footprint3, last_leg, patch_center, patch_reach, kind, values, points_per_vertex, attenuation,
     first_laser, confocal, pixels, split_of_part, splits, per_metre, clock_start, device_leg, center, half_extent,
-    offset, origins, spans, rows, positions, energies,
+    offset, tile3, clear, histogram, overflow, origins, spans, rows, positions, energies,
 ):  # fmt: skip
     """Every connection of vertices start … stop that can carry energy: shadow ray, row, fractional bin, energy.
 
+    Where the vertex is known to see the tile of the FoV point (`clear_sight.py`) the energy is added at once instead.
     `device_leg` (laser,) is the path from laser to laser point where device legs count for the time, else −1.
+    Returns how many connections wait for their rays, and how many needed none.
     """
-    found = 0
+    found, added = 0, 0
     for i in range(start, stop):
         local = laser[i] - first_laser
         x2, n2, w_in = _at(position2, i), _at(normal2, i), _at(to_previous, i)
@@ -172,17 +165,21 @@ def gather(
                     energy *= math.exp(-attenuation * (distance + last_leg[p, q]))
                 if not energy > 0.0:
                     continue
+                device = device_leg[local] + last_leg[p, q] if device_leg[local] >= 0.0 else 0.0
+                at = (path[i] + distance + device) * per_metre - clock_start
+                tile = tile3[p, q]
+                if tile >= 0 and (clear[i - start] >> np.uint64(tile)) & np.uint64(1):
+                    overflow[row] += splat(histogram[row], at, energy)
+                    added += 1
+                    continue
                 tx = np.float32((x3[0] + offset * n3[0] - center[0]) / half_extent)
                 ty = np.float32((x3[1] + offset * n3[1] - center[1]) / half_extent)
                 tz = np.float32((x3[2] + offset * n3[2] - center[2]) / half_extent)
                 origins[found, 0], origins[found, 1], origins[found, 2] = ox, oy, oz
                 spans[found, 0], spans[found, 1], spans[found, 2] = tx - ox, ty - oy, tz - oz
-                rows[found] = row
-                device = device_leg[local] + last_leg[p, q] if device_leg[local] >= 0.0 else 0.0
-                positions[found] = (path[i] + distance + device) * per_metre - clock_start
-                energies[found] = energy
+                rows[found], positions[found], energies[found] = row, at, energy
                 found += 1
-    return found
+    return found, added
 
 
 @njit(cache=True)

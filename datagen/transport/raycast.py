@@ -69,13 +69,29 @@ class Raycaster:
     def closest(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> Hits:
         """First surface along each ray: origins (n, 3) metres, off any surface; directions (n, 3) of any length."""
         origins = np.broadcast_to(origins, directions.shape)
+        face = self._met(origins, directions)
+        return Hits(face, *_refine(face, origins, directions, self.corners, self.face_normal))
+
+    def leaving(
+        self, positions: NDArray[np.float64], normals: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> Hits:
+        """First surface along rays that leave a surface: positions (n, 3) on it, unit normals and directions (n, 3).
+
+        Only the question of which triangle is met is asked a little above the surface; where, is found from
+        `positions` themselves. So the hits have the density of rays from there, down to the foot of a wall that is
+        nearer than the rays are lifted, and nothing of what leaves a point beside an edge is lost.
+        """
+        face = self._met(positions + self.offset_m * normals, directions)
+        return Hits(face, *_refine(face, positions, directions, self.corners, self.face_normal))
+
+    def _met(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.int32]:
         face = np.empty(len(directions), np.int32)
         for start in range(0, len(directions), RAYS_PER_BATCH):
             batch = slice(start, start + RAYS_PER_BATCH)
             face[batch] = self._embree.run(
                 self._scaled(origins[batch]), directions[batch].astype(np.float32), query="INTERSECT"
             )
-        return Hits(face, *_refine(face, origins, directions, self.corners, self.face_normal))
+        return face
 
     def closest_scaled(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.int32]:
         """First triangle along rays already in embree's unit frame, −1 for none; origins, directions (n, 3)."""

@@ -198,7 +198,6 @@ def draw_lookins(
     kept, normal, to_previous, distance, power = light_lookins(
         face, position, owner, points.position, points.normal, points.to_laser, points.part, materials.kind,
         materials.values, caster.face_normal, target.contains, float(by_ray), by_area / target.area_m2,
-        caster.offset_m,
     )  # fmt: skip
     owner = owner[kept]
     power *= np.exp(-scene.attenuation_per_m * (points.leg[owner] + distance))
@@ -243,7 +242,7 @@ def scattered_rays(
     directions, throughput = scatter(
         materials.kind, materials.values, vertices.part, vertices.normal, vertices.to_previous, numbers[:, 1:3]
     )
-    return caster.closest(vertices.position + caster.offset_m * vertices.normal, directions), directions, throughput
+    return caster.leaving(vertices.position, vertices.normal, directions), directions, throughput
 
 
 def _rays(
@@ -255,7 +254,7 @@ def _rays(
 ) -> Hits:
     normals = points.normal[owner]
     directions, _ = scatter(materials.kind, materials.values, points.part[owner], normals, points.to_laser[owner], uv)
-    return caster.closest(points.position[owner] + caster.offset_m * normals, directions)
+    return caster.leaving(points.position[owner], normals, directions)
 
 
 def _no_stream(owner: NDArray[np.int64]) -> NDArray[np.uint64]:
