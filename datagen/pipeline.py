@@ -123,6 +123,8 @@ def _parameters(
         "transient.energy": inside,
         "transient.overflow": outside / (inside + outside) if inside + outside > 0 else 0.0,
         "transient.relative_error": transient.relative_error,
+        **({} if transient.met_target is None else {"transient.target_met": transient.met_target}),
+        **({} if transient.spend is None else _scalars("transport.spend", transient.spend.parameters())),
         "histogram.counts": int(counts.sum()),
     }
 

@@ -26,7 +26,8 @@ class Spend:
     way : component → "walk" or "factorised", and "walk + factorised" where both find a part of the secondary.
     fov_samples : component → FoV points for each vertex and pixel.
     rounds : passes over the scene; 1 for fixed sample counts.
-    cost : all work in units of one shadow ray (`transport.allocation`), a function of counts alone.
+    cost : all work in units of one connection with its shadow ray (`transport/cost.py`), a function of counts alone.
+    outcome : why it ended, in words.
     """
 
     lookins: Mapping[str, float]
@@ -35,6 +36,7 @@ class Spend:
     fov_samples: Mapping[str, int]
     rounds: int
     cost: float
+    outcome: str
 
     def parameters(self) -> dict[str, Scalar]:
         """As flat scalars, `primary.lookins`, `primary.share` … `rounds`, `cost`."""
@@ -42,7 +44,7 @@ class Spend:
         for name, lookins in self.lookins.items():
             flat |= {f"{name}.lookins": lookins, f"{name}.share": self.share[name], f"{name}.way": self.way[name]}
             flat[f"{name}.fov_samples"] = self.fov_samples[name]
-        return flat | {"rounds": self.rounds, "cost": self.cost}
+        return flat | {"rounds": self.rounds, "cost": self.cost, "outcome": self.outcome}
 
 
 @dataclass(frozen=True)

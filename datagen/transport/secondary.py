@@ -49,6 +49,7 @@ from datagen.transport.convolution import (
     recentre,
     take_rows,
 )
+from datagen.transport.cost import Work, factorised_work
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
@@ -63,7 +64,7 @@ from datagen.transport.secondary_samples import (
     laser_spots,
     place_lookins,
 )
-from datagen.transport.spread import standard_error
+from datagen.transport.spread import Sketch, standard_error
 from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
 from datagen.units import path_from_time
 
@@ -83,11 +84,12 @@ EVERY_BIN = 1 << 60
 @dataclass(frozen=True)
 class SecondaryEstimate:
     """mean, stderr : (L, P, T) photons at the aperture per emitted photon and bin (stderr NaN for one scrambling);
-    overflow : (L, P) energy outside the time window."""
+    overflow : (L, P) energy outside the time window. work : what was done."""
 
     mean: NDArray[np.float64]
     stderr: NDArray[np.float64]
     overflow: NDArray[np.float64]
+    work: Work
 
 
 def factorising(materials: MaterialTable) -> NDArray[np.bool_]:
@@ -113,6 +115,7 @@ def secondary_transient(
     placement: Placement = "fov",
     carriers: NDArray[np.bool_] | None = None,
     plain: bool = False,
+    sketch: Sketch | None = None,
 ) -> SecondaryEstimate:
     """The four-bounce transient, every path from `observed` observed points through `fov_samples` FoV points.
 
@@ -130,6 +133,7 @@ def secondary_transient(
         another part are left out, for another method to add. None: all parts, which then must all be Lambertian.
         The other vertices may have any BRDF.
     plain : form Eq. 8's double sum as it is written, O(Ñ²), over the very same points: what tests compare with.
+    sketch : gets each scrambling's transient too, for the correlations between bins.
 
     Raises
     ------
@@ -170,9 +174,14 @@ def secondary_transient(
             _add_group(job, lasers, pixels, count, scrambling, sums.take(lasers))
         total += sums.transient
         overflow += sums.overflow
+        if sketch is not None:
+            sketch.add(scrambling, sums.transient, 0)
         squares += np.square(sums.transient, out=sums.transient)
     total /= scramblings
-    return SecondaryEstimate(total, standard_error([total], squares, scramblings), overflow / scramblings)
+    work = Work(0, 0, total.size * scramblings, 0)
+    for lasers, pixels in job.groups():
+        work += factorised_work(lookins, observed, len(lasers), len(pixels), fov_samples, axis.bins, scramblings)
+    return SecondaryEstimate(total, standard_error([total], squares, scramblings), overflow / scramblings, work)
 
 
 def _add_group(

@@ -1,11 +1,16 @@
-"""The standard error of a mean over independent scramblings."""
+"""The spread of independent scramblings: the standard error of their mean, and how many ways it can go wrong."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+
+from datagen.transport.sampling import mix
+
+SKETCH_SIZE = 4096
 
 
 def standard_error(
@@ -22,3 +27,41 @@ def standard_error(
         mean = sum(component[laser] for component in means)
         np.sqrt(np.maximum(row / scramblings - mean**2, 0.0) / (scramblings - 1), out=row)
     return squares
+
+
+class Sketch:
+    """Scalar products between the scramblings' transients, without keeping them.
+
+    Each transient is folded, with pseudo-random signs, into `SKETCH_SIZE` numbers, which keeps scalar products on
+    average and to about 1/√size (Charikar, Chen & Farach-Colton, "Finding frequent items in data streams" (2004)).
+    """
+
+    def __init__(self, scramblings: int) -> None:
+        self.folded = np.zeros((scramblings, SKETCH_SIZE))
+
+    def add(self, scrambling: int, transient: NDArray[np.float64], first: int) -> None:
+        """Add a piece of a scrambling's transient whose first entry has the flat index `first` in the whole."""
+        _fold(transient.reshape(-1), first, self.folded[scrambling])
+
+    def freedom(self) -> float:
+        """Effective number ν of independent ways in which a scrambling deviates: for deviations of covariance Σ,
+        ‖deviation‖² has mean tr Σ and variance 2 tr Σ² (if Gaussian), like χ² of ν = (tr Σ)² / tr Σ² degrees of
+        freedom (Satterthwaite 1946). At least 1; tr Σ² by its unbiased estimate.
+        """
+        n = len(self.folded) - 1
+        deviation = self.folded - self.folded.mean(axis=0)
+        products = deviation @ deviation.T / n
+        trace, square = float(np.trace(products)), float((products**2).sum())
+        if n < 2 or trace <= 0.0:
+            return 1.0
+        unbiased = n * n / ((n - 1) * (n + 2)) * (square - trace * trace / n)
+        return float(np.clip(trace * trace / max(unbiased, trace * trace / SKETCH_SIZE), 1.0, SKETCH_SIZE))
+
+
+@njit(cache=True)
+def _fold(values: NDArray[np.float64], first: int, out: NDArray[np.float64]) -> None:
+    for i in range(len(values)):
+        if values[i] != 0.0:
+            word = mix(np.uint64(first + i), np.uint64(1))
+            place = np.int64(word >> np.uint64(1)) % len(out)
+            out[place] += values[i] if word & np.uint64(1) else -values[i]

@@ -1,0 +1,214 @@
+"""One walk of light from a run of laser points: the vertices of the orders asked for are joined to the FoV.
+
+A walk gives all orders at once. Where orders are found apart (`adaptive.py`) it still visits the vertices of lower
+orders but saves their connections, which are most of its cost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.records import Accuracy, Capture, Scene
+from datagen.transport.brdf import MaterialTable
+from datagen.transport.connections import Clock, Receiver, Rows, Tally
+from datagen.transport.cost import Work
+from datagen.transport.fov import FovPool, PixelCones, PixelPatches, fov_pool
+from datagen.transport.raycast import Raycaster
+from datagen.transport.sampling import stream_seeds
+from datagen.transport.vertices import (
+    SOBOL_STEPS,
+    AreaTarget,
+    LaserPoints,
+    continued,
+    draw_lookins,
+    scattered_rays,
+    spot_vertices,
+)
+from datagen.units import path_from_time
+
+COMPONENTS: tuple[str, ...] = ("direct", "primary", "secondary", "higher")
+FOV_STREAM = 16
+FOV_POINTS_PER_POOL = 1 << 19
+"""FoV points kept at once, over all pixels of a chunk."""
+ROULETTE_FROM = 4
+"""Bounce order of the first vertices that Russian roulette may end, when all orders are followed."""
+SURVIVAL = (0.05, 0.95)
+"""Bounds of the survival probability: the first keeps weights bounded, the second ends every walk."""
+
+
+def component_of(order: int) -> str:
+    """The component that paths of `order` bounces belong to."""
+    return "direct" if order < 3 else "primary" if order == 3 else "secondary" if order == 4 else "higher"
+
+
+def components_asked(accuracy: Accuracy) -> tuple[str, ...]:
+    """The components that an accuracy asks for, in the order of `COMPONENTS`."""
+    orders = accuracy.max_bounces or 5
+    asked = {
+        "direct": accuracy.direct,
+        "primary": True,
+        "secondary": orders >= 4 and accuracy.secondary != "none",
+        "higher": orders >= 5,
+    }
+    return tuple(name for name in COMPONENTS if asked[name])
+
+
+@dataclass(frozen=True)
+class Splits:
+    """Rows of the tally for each laser point and pixel: one for each part of the primary (or one for all of it), then
+    one for each other component.
+
+    parts : names of the parts that the primary is split by; none for all of it in one row.
+    components : those computed. all_parts : how many parts the scene has.
+    """
+
+    parts: tuple[str, ...]
+    components: tuple[str, ...]
+    all_parts: int
+
+    @property
+    def primary(self) -> int:
+        """How many rows the primary takes."""
+        return max(len(self.parts), 1) if "primary" in self.components else 0
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        return tuple(name for name in self.components if name != "primary")
+
+    @property
+    def count(self) -> int:
+        return self.primary + len(self.others)
+
+    def of_part(self, order: int) -> NDArray[np.int64]:
+        """(K,) the row of a contribution of `order` bounces that comes from a vertex on each part."""
+        name = component_of(order)
+        if name == "primary":
+            return np.arange(self.all_parts) if self.parts else np.zeros(self.all_parts, np.int64)
+        return np.full(self.all_parts, self.primary + self.others.index(name))
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is looked at, how finely, and the scene as the kernels want it.
+
+    `capture`, `cones`, `patches` and `points` may be some laser points (and, confocally, their pixels) of a larger
+    capture. The components computed are those of `splits`.
+    """
+
+    scene: Scene
+    capture: Capture
+    accuracy: Accuracy
+    caster: Raycaster
+    materials: MaterialTable
+    cones: PixelCones
+    patches: PixelPatches
+    points: LaserPoints
+    target: AreaTarget
+    seed: int
+    splits: Splits
+    walked: NDArray[np.bool_]
+    """(K,) parts whose vertices the walk joins to the FoV in fourth-bounce paths; the others are left out, or left to
+    the factorised form of `secondary.py`."""
+
+    @property
+    def last_order(self) -> int | None:
+        """The highest order to be followed; None for all."""
+        asked = self.splits.components
+        if "higher" in asked:
+            return self.accuracy.max_bounces
+        return 4 if "secondary" in asked and self.walked.any() else 3
+
+
+def trace_chunk(job: Job, chunk: NDArray[np.int64], pool: FovPool, count: int, scrambling: int) -> tuple[Tally, Work]:
+    """One scrambling's light from a run of laser points, and the work of finding it."""
+    receiver = _receiver(job, chunk, pool)
+    asked, last = job.splits.components, job.last_order
+    rays, connections = 0, 0
+    per_vertex = job.accuracy.fov_samples * (1 if receiver.rows.confocal else receiver.rows.pixels)
+    if "direct" in asked:
+        _add_direct(job, receiver, chunk, count, scrambling)
+        rays += count * len(chunk)
+        connections += count * len(chunk) * per_vertex
+    if asked == ("direct",):
+        return receiver.tally, Work(rays, connections, receiver.tally.histogram.size)
+    vertices = draw_lookins(
+        job.caster, job.scene, job.materials, job.points, chunk, count, job.target, job.seed, scrambling,
+        SOBOL_STEPS + 1 if last is None else last - 2,
+    )  # fmt: skip
+    rays += count * len(chunk)
+    order = 3
+    while len(vertices):
+        numbers = vertices.numbers(order - 3)
+        name = component_of(order)
+        joined = np.arange(len(vertices)) if name in asked else np.empty(0, np.int64)
+        if order == 4:
+            joined = joined[job.walked[vertices.part[joined]]]
+        if len(joined):
+            split_of_part = job.splits.of_part(order)
+            receiver.connect(vertices.take(joined), numbers[joined, 0], split_of_part)
+            connections += len(joined) * per_vertex
+        if order == last:
+            joined = joined[receiver.near(vertices.take(joined))]
+            vertices, numbers, joined = vertices.take(joined), numbers[joined], np.arange(len(joined))
+        hits, directions, throughput = scattered_rays(job.caster, job.materials, vertices, numbers)
+        rays += len(vertices)
+        if len(joined):
+            receiver.follow(
+                vertices.take(joined), hits.take(joined), directions[joined], throughput[joined], split_of_part
+            )
+        if order == last:
+            break
+        if last is None and order >= ROULETTE_FROM:
+            survival = np.clip(throughput, *SURVIVAL)
+            throughput = np.where(numbers[:, 3] < survival, throughput / survival, 0.0)
+        vertices = continued(job.scene, vertices, hits, directions, throughput)
+        order += 1
+    return receiver.tally, Work(rays, connections, receiver.tally.histogram.size)
+
+
+def _add_direct(job: Job, receiver: Receiver, chunk: NDArray[np.int64], count: int, scrambling: int) -> None:
+    """One bounce: the laser point seen by a pixel. Two: a surface in the FoV that the laser point lights."""
+    split_of_part = job.splits.of_part(2)
+    receiver.spots(job.points, chunk, int(split_of_part[0]))
+    spots = spot_vertices(job.points, chunk, count, job.seed, scrambling, job.scene.attenuation_per_m)
+    numbers = spots.numbers(0)
+    receiver.connect(spots, numbers[:, 0], split_of_part)
+    near = receiver.near(spots)
+    spots, numbers = spots.take(near), numbers[near]
+    hits, directions, throughput = scattered_rays(job.caster, job.materials, spots, numbers)
+    receiver.follow(spots, hits, directions, throughput, split_of_part)
+
+
+def _receiver(job: Job, chunk: NDArray[np.int64], pool: FovPool) -> Receiver:
+    _, pixels, bins = job.capture.shape
+    confocal = job.capture.pairing == "confocal"
+    axis = job.capture.time
+    seen = chunk if confocal else np.arange(pixels)
+    device_leg = job.points.leg[chunk] if axis.origin == "source" else np.full(len(chunk), -1.0)
+    rows = len(chunk) * pixels * job.splits.count
+    return Receiver(
+        job.caster, job.scene, job.materials, job.capture.sensor, pool, job.cones.take(seen), job.patches.take(seen),
+        job.accuracy.fov_samples,
+        Clock(1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s, device_leg),
+        Rows(int(chunk[0]), confocal, pixels, job.splits.count),
+        Tally(np.zeros((rows, bins)), np.zeros(rows)),
+    )  # fmt: skip
+
+
+def pool_for(job: Job, pixels: NDArray[np.int64], count: int, scrambling: int) -> FovPool:
+    """Enough blocks of FoV points for what varies across the pixel (arrival times by the bin, amplitudes by some
+    hundredth of the scene), never more than lookins to use them or memory to hold them; a power of two, so that they
+    cover the pixel evenly."""
+    samples = job.accuracy.fov_samples
+    detail_m = min(float(path_from_time(job.capture.time.width_s)), job.caster.half_extent_m / 50)
+    across = 2 * float(job.patches.radius[pixels].max()) / detail_m
+    useful = 64 * (1 + across) ** 2 / samples
+    affordable = FOV_POINTS_PER_POOL / (len(pixels) * samples)
+    blocks = 1 << max(0, int(min(count, affordable, useful)).bit_length() - 1)
+    return fov_pool(
+        job.caster, job.scene, job.capture.sensor, job.cones, pixels, samples, blocks,
+        stream_seeds(job.seed, FOV_STREAM, scrambling, pixels),
+    )  # fmt: skip
