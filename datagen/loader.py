@@ -42,7 +42,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     Parameters
     ----------
-    fields : any of the dataset's fields; `data.fields` lists all.
+    fields : any of the dataset's fields; `data.fields` lists all, and "objects" stands for those that begin with
+        `object_` (the classes, poses and boxes of the objects; `data.classes` names the classes).
     counts : dtype that histograms are handed over in, since torch lacks most operations for uint16 and uint32.
         float32 is exact up to 2²⁴ counts a bin. `"stored"` leaves them as they are, the least to move from worker to
         device: cast them there, `batch["histogram"].to(device).float()`. Other fields keep their dtype.
@@ -72,7 +73,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         manifest = read_manifest(path)
         self._schema = manifest.schema
         self.fields = tuple(self._schema.by_name)
-        self.selected = (fields,) if isinstance(fields, str) else tuple(fields)
+        tables = tuple(name for name in self.fields if name.startswith("object_")) or ("objects",)
+        asked = (fields,) if isinstance(fields, str) else tuple(fields)
+        self.selected = tuple(dict.fromkeys(f for name in asked for f in (tables if name == "objects" else (name,))))
         for name in self.selected:
             if name not in self.fields and not (name == "histogram" and redraw_noise):
                 raise InputError(f"fields: {name!r} is not in {path}; it has {', '.join(self.fields)}")
@@ -121,6 +124,12 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """The shape of one scene's value of a field."""
         stored = "transient" if field == "histogram" and self._noise else field
         return self._schema.by_name[stored].shape
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """What the numbers of `object_class` stand for; empty where the dataset has no such field."""
+        field = self._schema.by_name.get("object_class")
+        return () if field is None else field.classes
 
     def parameters(self, name: str) -> NDArray[np.generic]:
         """A column of `samples.parquet` (scene parameters, error estimates) in the order of the items."""

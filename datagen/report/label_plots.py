@@ -1,14 +1,14 @@
-"""Label images and volumes, with their axes in metres on the plane of the relay wall."""
+"""Label images, volumes and boxes, with their axes in metres on the plane of the relay wall."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.labels import ViewFrame
+from datagen.labels import ObjectBoxes, ViewFrame
 from datagen.labels.volumes import VoxelGrid
 from datagen.records import Scene
 from datagen.report.style import empty_note, part_colors
@@ -23,6 +23,7 @@ TITLES = {
     "normal": "Surface normal (colour = direction)",
     "albedo": "Albedo",
     "part_id": "Part",
+    "shaded": "Shaded view (brightness = √radiance)",
     "occupancy": "Occupancy: voxels taken along depth",
     "sdf": "Signed distance, slice",
 }
@@ -33,6 +34,35 @@ def draw_label(figure: Figure, axes: Axes, scene: Scene, field: str, values: NDA
     axes.set_title(TITLES[field])
     axes.set(xlabel="right (m)", ylabel="up (m)")
     _DRAW[field](figure, axes, scene, values)
+
+
+def draw_boxes(
+    axes: Axes, scene: Scene, boxes: ObjectBoxes, classes: Sequence[str], behind: NDArray[Any] | None
+) -> None:
+    """Outlines of the object boxes with their classes, over an image of the same view; thick: the front of each."""
+    from matplotlib.collections import LineCollection
+
+    axes.set_title("Objects: boxes and classes (thick: front)")
+    axes.set(xlabel="right (m)", ylabel="up (m)")
+    if behind is not None:
+        shown = np.ma.masked_where(behind <= 0, behind)
+        axes.imshow(shown, extent=_image_extent(scene), cmap="gray_r", interpolation="nearest", alpha=0.45)
+    colors = part_colors(scene)
+    for corners, label, part in zip(boxes.corners(), boxes.label, boxes.part, strict=False):
+        color = colors[scene.part_names[part]]
+        edges = [(a, a ^ bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
+        lines = [corners[list(edge), :2] for edge in edges]
+        # Corners without bit 1 lie at −depth: the object's own front.
+        widths = [2.4 if not (a | b) & 2 else 0.9 for a, b in edges]
+        axes.add_collection(LineCollection(lines, colors="white", linewidths=np.add(widths, 1.2), zorder=3))
+        axes.add_collection(LineCollection(lines, colors=color, linewidths=widths, zorder=4))
+        x, y = (corners[:, :2].min(axis=0) + corners[:, :2].max(axis=0)) / 2
+        box = {"facecolor": "white", "edgecolor": color, "boxstyle": "round,pad=0.15", "linewidth": 0.8}
+        axes.text(x, y, classes[label], fontsize=7, ha="center", va="center", bbox=box, zorder=5)
+    left, right, bottom, top = _image_extent(scene)
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    if boxes.count == 0:
+        empty_note(axes, "no objects")
 
 
 def _image_extent(scene: Scene) -> tuple[float, float, float, float]:
@@ -54,6 +84,13 @@ def _draw_depth(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) 
 def _draw_albedo(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
     image = axes.imshow(values, extent=_image_extent(scene), cmap="gray", interpolation="nearest", vmin=0.0, vmax=1.0)
     _color_bar(figure, axes, image, "albedo (0: empty)")
+
+
+def _draw_shaded(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
+    image = axes.imshow(np.sqrt(values), extent=_image_extent(scene), cmap="gray", interpolation="nearest", vmin=0.0)
+    ticks = [t for t in (0.0, 0.01, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0) if t <= values.max()]
+    bar = figure.colorbar(image, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label="radiance (lit relay wall: 1)")
+    bar.set_ticks([float(np.sqrt(t)) for t in ticks], labels=[f"{t:g}" for t in ticks])
 
 
 def _draw_normal(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
@@ -111,6 +148,7 @@ _DRAW: dict[str, Callable[[Figure, Axes, Scene, NDArray[Any]], None]] = {
     "normal": _draw_normal,
     "albedo": _draw_albedo,
     "part_id": _draw_parts,
+    "shaded": _draw_shaded,
     "occupancy": _draw_occupancy,
     "sdf": _draw_sdf,
 }

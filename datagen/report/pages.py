@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, ViewFrame
+from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ObjectBoxes, ViewFrame
 from datagen.report.histogram_plots import draw_counts, draw_residuals, mean_square_residual
-from datagen.report.label_plots import draw_label
+from datagen.report.label_plots import draw_boxes, draw_label
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.scan_plots import clear_row, draw_moment, draw_time_slice, moments, scan_of, time_limits
@@ -40,6 +40,8 @@ def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
         "ceiling and the walls in the way are taken off (dashed edges). The green rectangle is the window that the "
         "label images look through, along the arrow."
     )
+    if room.boxes is not None:
+        text += " Black outlines in the plan: the objects' boxes as stored, a tick at the front of each."
     if not again.reproduced:
         text += " CAUTION: simulating the stored scene again gave another one; this room may not be the stored one."
     entries = len(again.scene.part_names) + 4
@@ -118,11 +120,15 @@ def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray
         text += " Normals: red grows to the right, green upwards, blue towards the wall."
     if "sdf" in labels:
         text += " Signed distance: seen from above, the black line is the objects' surface."
+    if "shaded" in labels:
+        text += " Shaded view: lit by the part of the relay wall that the device sees, with shadows."
+    boxes = boxes_of(stored)
     absent = [name for name in labels if name not in stored.arrays]
     if absent:
         text += f" Not stored in this dataset, computed for this picture: {', '.join(absent)}."
-    columns = min(3, len(labels))
-    rows = -(-len(labels) // columns)
+    panels = len(labels) + (boxes is not None)
+    columns = min(3, panels)
+    rows = -(-panels // columns)
     width = 4.6 * columns if columns > 1 else 7.0
     frame = ViewFrame.of(again.scene)
     high = float(np.clip(0.7 * width / columns * frame.half_height_m / frame.half_width_m, 1.5, 5.0)) + 1.0
@@ -131,6 +137,9 @@ def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray
     figure.suptitle(f"{stored.title}: labels", fontweight="bold")
     for number, (field, values) in enumerate(labels.items()):
         draw_label(figure, figure.add_subplot(grid[divmod(number, columns)]), again.scene, field, values)
+    if boxes is not None:
+        axes = figure.add_subplot(grid[divmod(len(labels), columns)])
+        draw_boxes(axes, again.scene, boxes, stored.config.scene.object_classes(), labels.get("depth"))
     caption(figure, figure.add_subplot(grid[rows, :]), text)
     return figure
 
@@ -209,6 +218,13 @@ def overview_page(
     draw_label(figure, depth, again.scene, "depth", labels["depth"])
     caption(figure, figure.add_subplot(grid[3, :]), text)
     return figure
+
+
+def boxes_of(stored: StoredScene) -> ObjectBoxes | None:
+    """The stored boxes of the objects, if there are any."""
+    if OBJECT_TABLES[0] not in stored.arrays:
+        return None
+    return ObjectBoxes.from_tables({name: stored.arrays[name] for name in OBJECT_TABLES})
 
 
 def labels_of(stored: StoredScene) -> list[str]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.labels import ObjectBoxes, ViewFrame
 from datagen.labels.raster import first_hits
 from datagen.records import Capture, Scene
 from datagen.report.cutaway import (
@@ -41,12 +42,14 @@ class RoomPicture:
 
     laser_points : (L, 3) where the laser rays met the scene; NaN where they met nothing.
     pixels : about how wide the shaded pictures are.
+    boxes : of the objects, outlined in the plan.
     """
 
     scene: Scene
     capture: Capture | None = None
     laser_points: NDArray[np.float64] | None = None
     pixels: int = 560
+    boxes: ObjectBoxes | None = None
 
     @cached_property
     def opened(self) -> tuple[Camera, Cutaway, Shaded]:
@@ -86,6 +89,7 @@ def draw_plan(axes: Axes, room: RoomPicture) -> None:
         corners = scene.corners[relay][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
         _lines(axes, corners[..., :2], color=_relay_color(scene), linewidth=4.5, zorder=4)
     _mark_hidden_view(axes, scene, camera)
+    _mark_boxes(axes, room, camera)
     _mark_capture(axes, room, camera)
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal")
@@ -205,6 +209,18 @@ def _mark_hidden_view(axes: Axes, scene: Scene, camera: Camera) -> None:
     start, end = camera.project(np.stack([view.center, view.center + reach * view.normal]))[:, :2]
     style = {"arrowstyle": "-|>", "color": HIDDEN_VIEW, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", xy=tuple(end), xytext=tuple(start), arrowprops=style, zorder=7)
+
+
+def _mark_boxes(axes: Axes, room: RoomPicture, camera: Camera) -> None:
+    """The stored boxes from above, with a tick where each object's front is."""
+    if room.boxes is None:
+        return
+    for corners in ViewFrame.of(room.scene).to_world(room.boxes.corners()):
+        left, right, back_left, back_right = camera.project(corners[:4])[:, :2]
+        front, behind = (left + right) / 2, (back_left + back_right) / 2
+        tick = np.stack([front, front + 0.25 * (front - behind)])
+        loop = [(left, right), (right, back_right), (back_right, back_left), (back_left, left), tuple(tick)]
+        _lines(axes, np.array(loop), color="black", linewidth=0.9, zorder=7)
 
 
 def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera) -> None:

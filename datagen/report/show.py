@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from datagen.labels import make_labels
 from datagen.report.pages import (
+    boxes_of,
     histogram_page,
     labels_of,
     labels_page,
@@ -67,7 +68,7 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
     kept = {name: stored.arrays[name] for name in wanted if name in stored.arrays}
     made = make_labels(stored.config.labels, again.scene, [name for name in wanted if name not in kept])
     labels = {name: (kept | made)[name] for name in wanted}
-    room = RoomPicture(again.scene, again.capture, again.transient.laser_points)
+    room = RoomPicture(again.scene, again.capture, again.transient.laser_points, boxes=boxes_of(stored))
     makers: dict[str, Callable[[], Figure | None]] = {
         "overview": lambda: overview_page(stored, again, room, labels),
         "room": lambda: room_page(stored, again, room),

@@ -14,6 +14,7 @@ from datagen.store.arrays import GROUP
 from datagen.store.files import json_bytes, sha256_of, write_if_changed
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
+from datagen.store.schema import Schema
 from datagen.store.table import TABLE, table_of
 
 CARD = "README.md"
@@ -61,6 +62,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
             for f in schema.fields
         ),
         "",
+        *_class_lines(schema),
         *_time_lines(config["capture"]),
         *(_parameter_lines(table_of(records, ())) if whole else []),
         "## Reading it",
@@ -98,6 +100,19 @@ def _failure_lines(failures: dict[int, str]) -> list[str]:
     shown = [f"- scene {scene}: {reason}" for scene, reason in sorted(failures.items())[:20]]
     more = [f"- and {len(failures) - 20} more, see `{TABLE}`"] if len(failures) > 20 else []
     return [f"{len(failures)} scenes could not be made; their values are fill values:", "", *shown, *more, ""]
+
+
+def _class_lines(schema: Schema) -> list[str]:
+    """What numbers stand for, where they are classes."""
+    return [
+        line
+        for field in schema.fields
+        if field.classes
+        for line in (
+            f"Classes of `{field.name}`: {', '.join(f'{k} {name}' for k, name in enumerate(field.classes))}.",
+            "",
+        )
+    ]
 
 
 def _time_lines(capture: dict[str, Any]) -> list[str]:

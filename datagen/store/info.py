@@ -35,14 +35,15 @@ def info(path: str | Path) -> str:
         f"made by      datagen {manifest.versions['datagen']}, commit {(manifest.commit or 'unknown')[:12]}, "
         f"on {manifest.hardware['processor']}, {manifest.hardware['cores']} cores",
         "",
-        f"{'field':18}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
+        f"{'field':20}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
     ]
     for field in schema.fields:
         shape = " × ".join(map(str, (schema.scenes, *field.shape)))
         decoded = readable(scenes * field.bytes_per_scene)
         lines.append(
-            f"{field.name:18}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
+            f"{field.name:20}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
         )
+    lines += [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
     lines += ["", *_times(records), *_decisions(records), *_failures(records)]
     return "\n".join(lines)
 

@@ -145,8 +145,8 @@ def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
         Field("part_id", _IMAGE, image, "int16", "1",
               "index of the part seen in the parameter scene.part_names; -1: empty"),
         Field("shaded", _IMAGE, image, "float32", "radiance of the lamp",
-              "radiance of the surface seen, lit by the visible relay wall (radiance 1) and dimly from elsewhere, with "
-              "shadows; linear; 0: empty"),
+              "radiance of the surface seen, lit by the visible relay wall (radiance 1) and dimly from elsewhere, "
+              "with shadows; linear; 0: empty"),
         Field("occupancy", _VOLUME, volume, "uint8", "1", "1 where an object is"),
         Field("sdf", _VOLUME, volume, "float32", "m", "distance to the nearest object surface, negative inside"),
     )  # fmt: skip

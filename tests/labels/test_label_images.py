@@ -9,10 +9,12 @@ from handmade_rooms import DISTANCE_M, HEIGHT_M, box_mesh, l_corridor, rectangle
 
 from datagen.config import LabelsConfig
 from datagen.errors import InputError
-from datagen.labels import IMAGE_FIELDS, ViewFrame, make_labels
+from datagen.labels import ViewFrame, make_labels
 from datagen.records import Lambertian, Part, Rectangle, Scene, Sensor
 
 CONFIG = LabelsConfig(rows=50, columns=60)
+IMAGE_FIELDS = ("depth", "normal", "albedo", "part_id")
+"""Those that need no light; `test_shading.py` has the other."""
 
 
 def free_space(*objects: Part, view: Rectangle | None = None) -> Scene:
