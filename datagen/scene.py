@@ -129,9 +129,11 @@ def _furnished(
     plan, parameters = room.plan, counted | room.parameters
     parts, poses = _Parts(), dict[str, Pose]()
     for name, (vertices, faces) in room.surfaces.items():
-        role: Role = "relay_wall" if name == "relay_wall" else "structure"
+        # What stands before the relay wall scatters like it: labels look through it, scans may meet it.
+        role: Role = "relay_wall" if name == "relay_wall" or name in room.clutter else "structure"
         parts.add(name, role, room.materials[name], vertices, faces)
     space = FreeSpace(plan.outline, plan.hidden, plan.walls, plan.height_m, view.fan, spec.clearance_m)
+    space.taken.extend(room.clutter.values())
     for thing in room.things:
         rotation = draw(thing.item.rotation_deg, rng) if turn_anew else thing.rotation_deg
         spot = place(thing, rotation, plan, space, rng)

@@ -8,17 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.config.distributions import draw
+from datagen.config.distributions import draw, draw_count
 from datagen.config.scene import SceneConfig
-from datagen.config.scene_contents import Box, Content, Item, Library, Mesh, MeshFolder, Pillar, Standing, draw_count
+from datagen.config.scene_contents import Box, Content, Item, Library, Mesh, MeshFolder, Pillar, Standing
 from datagen.config.scene_files import label_of
 from datagen.config.scene_layouts import AnyLayout, Closed
 from datagen.config.scene_materials import Surface as SurfaceSettings
 from datagen.errors import InputError
 from datagen.records import Lambertian, Material, Scalar
+from datagen.scene_relay import draw_clutter, draw_relay_wall
 from scene_library import layouts
 from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
 from scene_library.objects import build
+from scene_library.placement import Occupied
 from scene_library.rooms import Plan, mirrored, out_of_square, surfaces, wall_groups
 from scene_library.solids import Solid, Surface, prism, rectangle, regular_polygon
 
@@ -55,12 +57,14 @@ class Thing:
 class DrawnRoom:
     """Everything of a room that is drawn once: what is left are the places of its objects.
 
-    surfaces, materials : of the room's own parts, by name. parameters : every number drawn, by dotted name.
+    surfaces, materials : of the room's own parts, by name. clutter : those of them that stand before the relay wall,
+    and the place they take. parameters : every number drawn, by dotted name.
     """
 
     plan: Plan
     surfaces: dict[str, Surface]
     materials: dict[str, Material]
+    clutter: dict[str, Occupied]
     things: tuple[Thing, ...]
     parameters: dict[str, Scalar]
 
@@ -74,8 +78,18 @@ def draw_room(spec: SceneConfig, rng: np.random.Generator) -> DrawnRoom:
     parameters: dict[str, Scalar] = {"layout.kind": spec.layout.kind}
     parameters |= {f"layout.{name}": value for name, value in drawn.items()}
     room = surfaces(plan, floor=spec.layout.floor, ceiling=spec.layout.ceiling)
+    uneven, numbers = draw_relay_wall(spec.layout.relay_wall, plan, rng)
+    if uneven is not None:
+        room["relay_wall"] = uneven
+    parameters |= numbers
     materials = {name: _material(spec, getattr(spec.materials, name), name, parameters, rng) for name in room}
-    names, things = set(room), []
+    names, things, clutter = set(room), [], dict[str, Occupied]()
+    for piece in draw_clutter(spec.layout.relay_wall, plan, spec.clearance_m, rng):
+        name = _free_name(f"clutter_{piece.kind}", names)
+        names.add(name)
+        room[name], clutter[name] = piece.surface, piece.occupied
+        materials[name] = _material(spec, spec.layout.relay_wall.clutter, name, parameters, rng)
+        parameters |= {f"{name}.{key}": value for key, value in piece.parameters.items()}
     for i, item in enumerate(spec.contents):
         for _ in range(draw_count(item.count, rng)):
             found = draw_object(item, plan.height_m, rng)
@@ -85,12 +99,14 @@ def draw_room(spec: SceneConfig, rng: np.random.Generator) -> DrawnRoom:
             parameters |= {f"{name}.{key}": value for key, value in found.sizes.items()}
             rotation = draw(item.rotation_deg, rng)
             elevation = draw(item.elevation_m, rng) if isinstance(item, Standing) else 0.0
+            if isinstance(item, Standing):
+                parameters |= {f"{name}.placement": item.placement, f"{name}.elevation_m": elevation}
             material = _material(spec, item, name, parameters, rng)
             things.append(
                 Thing(f"contents[{i}]", item, name, found.label, found.solid, material, rotation, elevation)
             )
     parameters["objects"] = len(things)
-    return DrawnRoom(plan, room, materials, tuple(things), parameters)
+    return DrawnRoom(plan, room, materials, clutter, tuple(things), parameters)
 
 
 def _free_name(wanted: str, taken: set[str]) -> str:

@@ -184,3 +184,29 @@ Length = Annotated[Distribution, within(0, open_low=True)]
 """A distribution of positive lengths, metres."""
 Fraction = Annotated[Distribution, within(0, 1)]
 """A distribution of values in 0 … 1, such as an albedo."""
+
+
+def _whole(value: Distribution) -> Distribution:
+    bounds = value.choice if isinstance(value, Choice) else support(value)
+    if any(b != int(b) or b < 0 for b in bounds):
+        shown = ", ".join(f"{b:g}" for b in dict.fromkeys(bounds))
+        raise ValueError(f"{shown} given; whole numbers ≥ 0 are needed")
+    return value
+
+
+Count = Annotated[Distribution, AfterValidator(_whole)]
+"""A distribution of whole numbers; `{uniform: [1, 3]}` makes 1, 2 and 3 equally likely."""
+
+
+def draw_count(count: Distribution, rng: np.random.Generator) -> int:
+    """A whole number; continuous distributions other than the uniform are rounded."""
+    if isinstance(count, Uniform):
+        low, high = count.uniform
+        return int(rng.integers(int(low), int(high), endpoint=True))
+    return round(draw(count, rng))
+
+
+def largest_count(count: Distribution) -> int:
+    """The most that `draw_count` can give."""
+    high = support(count)[1]
+    return int(high) if isinstance(count, Uniform) else round(high)

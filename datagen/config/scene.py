@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
-from datagen.config.distributions import support
-from datagen.config.scene_contents import Box, Content, Mesh, MeshFolder, Pillar, largest_count
+from datagen.config.distributions import largest_count, support
+from datagen.config.scene_contents import Box, Content, Mesh, MeshFolder, Pillar
 from datagen.config.scene_layouts import AnyLayout, LCorridor
 from datagen.config.scene_materials import Materials
 from datagen.errors import InputError
@@ -32,7 +32,7 @@ class SceneConfig(Settings):
     max_attempts: Annotated[int, Field(ge=1, le=100_000)] = 200
     """Tries for one scene until every constraint is met; then the scene is given up with the reason. A try places the
     objects of a drawn room anew; the room itself (dimensions, number of objects, their classes, sizes and materials)
-    is only drawn again when an eighth of the tries have failed with it, the next one after half of that, and so on."""
+    is only drawn again when an eighth of the tries have failed with it, the next after half of that, and so on."""
 
     @model_validator(mode="after")
     def _possible(self) -> SceneConfig:

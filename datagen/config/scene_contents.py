@@ -7,11 +7,10 @@ import hashlib
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
-import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, Tag, ValidationInfo, model_validator
 
 from datagen.config.base import tag
-from datagen.config.distributions import Choice, Distribution, Fraction, Length, Uniform, draw, support, within
+from datagen.config.distributions import Count, Distribution, Fraction, Length, Uniform, support, within
 from datagen.config.scene_files import (
     RESERVED_NAMES,
     FolderPath,
@@ -26,33 +25,6 @@ from datagen.config.scene_kinds import kind_of, unknown_kind
 from datagen.config.scene_layouts import NonNegative
 from datagen.config.scene_materials import Surface
 from scene_library.objects.classes import CLASSES, GROUPS, classes_of
-
-
-def _whole(value: Distribution) -> Distribution:
-    bounds = value.choice if isinstance(value, Choice) else support(value)
-    if any(b != int(b) or b < 0 for b in bounds):
-        shown = ", ".join(f"{b:g}" for b in dict.fromkeys(bounds))
-        raise ValueError(f"{shown} given; whole numbers ≥ 0 are needed")
-    return value
-
-
-Count = Annotated[Distribution, AfterValidator(_whole)]
-"""A distribution of whole numbers; `{uniform: [1, 3]}` makes 1, 2 and 3 equally likely."""
-
-
-def draw_count(count: Distribution, rng: np.random.Generator) -> int:
-    """A whole number; continuous distributions other than the uniform are rounded."""
-    if isinstance(count, Uniform):
-        low, high = count.uniform
-        return int(rng.integers(int(low), int(high), endpoint=True))
-    return round(draw(count, rng))
-
-
-def largest_count(count: Distribution) -> int:
-    """The most that `draw_count` can give."""
-    high = support(count)[1]
-    return int(high) if isinstance(count, Uniform) else round(high)
-
 
 Angle = Annotated[Distribution, within(-360, 360)]
 ANY_ANGLE = Uniform(uniform=(0.0, 360.0))

@@ -12,6 +12,7 @@ from pydantic import Tag, model_validator
 from datagen.config.base import Settings, tag
 from datagen.config.distributions import Distribution, Fraction, Length, Uniform, support, within
 from datagen.config.scene_kinds import kind_of, unknown_kind
+from datagen.config.scene_relay import RelayWall
 
 NonNegative = Annotated[Distribution, within(0)]
 
@@ -32,7 +33,12 @@ class Layout(Settings):
     device_offset: Annotated[Distribution, within(0.02, 0.98)] = Uniform(uniform=(0.35, 0.65))
     """Where the device stands across the corridor: 0 at the side away from the hidden part, 1 at its side."""
 
-    choices: ClassVar[frozenset[str]] = frozenset({"kind", "turn", "floor", "ceiling", "out_of_square_deg"})
+    relay_wall: RelayWall = RelayWall()
+    """Whether the relay wall is flat, and what stands before it."""
+
+    choices: ClassVar[frozenset[str]] = frozenset(
+        {"kind", "turn", "floor", "ceiling", "out_of_square_deg", "relay_wall"}
+    )
     """Keys that are no dimensions of the plan."""
 
     def dimensions(self) -> dict[str, Distribution]:

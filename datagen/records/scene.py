@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     import trimesh
 
 Role = Literal["relay_wall", "structure", "object"]
-"""`structure` is walls, floor and ceiling; `object` is what a reconstruction would want to find."""
+"""`relay_wall` is the visible wall and what stands before it; `structure` the other walls, floor and ceiling; `object`
+what a reconstruction would want to find."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,8 @@ class Scene:
     vertices : (V, 3) float64, metres; right-handed frame, z up.
     triangles : (F, 3) int32 indices into `vertices`.
     face_part : (F,) int32, index into `part_names`, `materials`, `roles`.
-    relay_wall : the rectangle of the relay wall that the device can see, or None if nobody said.
+    relay_wall : the rectangle of the relay wall that the device can see, or None if nobody said; where the wall is
+        uneven, the part of its nominal plane.
     hidden_view : the rectangle in the plane of the relay wall from which the hidden part is looked at
         (orthographically, along its normal) to make label images; None if nobody said.
     hidden_bounds : (2, 3) corners of the box that holds the hidden part, for volume labels; or None.
