@@ -16,14 +16,14 @@ import os
 import warnings
 from collections.abc import Iterator, Sequence, Sized
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, Sampler, default_collate
 
-from datagen.config import CaptureConfig, DetectorConfig
+from datagen.config import CaptureConfig, DetectorConfig, EffectsConfig
 from datagen.errors import InputError
 from datagen.seeding import Purpose, generator, seed_sequence
 from datagen.store import Manifest, committed, read_manifest
@@ -31,6 +31,9 @@ from datagen.store.arrays import open_array
 from datagen.store.reader import ShardReader
 from datagen.store.record import recorded_shards
 from datagen.store.table import TABLE
+
+if TYPE_CHECKING:
+    from datagen.detector import Exposure, Spad
 
 MEMORY_BYTES = 64 * 2**20
 """Fields that decode to no more than this in all are read once and kept in memory."""
@@ -231,13 +234,15 @@ class _NoiseSource:
     def __init__(self, manifest: Manifest) -> None:
         # Only the sections needed: the scene's mesh files may be gone.
         self._detector = DetectorConfig.model_validate_json(json.dumps(manifest.config["detector"]))
+        self._effects = EffectsConfig.model_validate_json(json.dumps(manifest.config.get("effects", {})))
         self._time = CaptureConfig.model_validate_json(json.dumps(manifest.config["capture"])).time.axis()
         self._seed = manifest.seed
+        self._decided: dict[int, tuple[Spad, Exposure, float]] = {}
 
     def draw(self, transient: NDArray[np.generic], scene: int, seed: int, epoch: int) -> NDArray[np.integer[Any]]:
-        from datagen.detector import detect, detector_for
+        from datagen.detector import detect
 
-        spad, exposure = detector_for(self._detector, self._seed, scene, self._time)
+        spad, exposure, tolerance = self._detector_of(scene, transient)
         stream = seed_sequence(seed, scene, Purpose.LOADER, attempt=epoch)
         noise_seed = int(stream.generate_state(1, np.uint64)[0])
         return detect(
@@ -246,9 +251,21 @@ class _NoiseSource:
             spad,
             exposure,
             seed=noise_seed,
-            tolerance=self._detector.tolerance,
+            tolerance=tolerance,
             approximate=self._detector.approximate,
         )
+
+    def _detector_of(self, scene: int, transient: NDArray[np.generic]) -> tuple[Spad, Exposure, float]:
+        """The detector of a scene with the effects that its transient calls for, decided once."""
+        if scene not in self._decided:
+            from datagen.detector import detector_for
+            from datagen.effects import plan_detector_effects
+
+            given = detector_for(self._detector, self._seed, scene, self._time)
+            seen = transient.astype(np.float64)
+            plan = plan_detector_effects(seen, self._time, *given, self._effects, self._detector.tolerance)
+            self._decided[scene] = plan.apply_detector(*given, self._detector.tolerance)
+        return self._decided[scene]
 
 
 class EpochSampler(Sampler[int]):

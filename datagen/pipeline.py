@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.detector import DetectorPlan, Exposure, Spad, detect, detector_for, plan_detector
+from datagen.effects import EffectPlan, plan_detector_effects, plan_transport_effects
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
@@ -37,13 +38,19 @@ def simulate_sample(config: DatasetConfig, index: int) -> Sample:
     with _timed(seconds, "scene"):
         scene = generate_scene(config.scene, seed, index)
         capture = capture_for(config, scene, seed, index)
+    with _timed(seconds, "effects"):
+        effects = transport_effects(config, scene, capture, index)
     with _timed(seconds, "transport"):
         own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
-        transient = simulate(scene, capture, config.transport.accuracy(), seed=own_seed, split_parts=False)
-    with _timed(seconds, "detector"):
+        lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
+        transient = simulate(lit, capture, accuracy, seed=own_seed, split_parts=False)
+    with _timed(seconds, "effects"):
         spad, exposure = detector_for(config.detector, seed, index, capture.time)
-        seen = (transient.total, capture.time, spad, exposure)
-        allowed = _Allowed(tolerance=config.detector.tolerance, approximate=config.detector.approximate)
+        effects += detector_effects(config, transient, spad, exposure)
+    with _timed(seconds, "detector"):
+        used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
+        seen = (transient.total, capture.time, used, conditions)
+        allowed = _Allowed(tolerance=tolerance, approximate=config.detector.approximate)
         plan = plan_detector(*seen, **allowed)
         counts = detect(*seen, seed=derived_seed(seed, index, Purpose.DETECTOR), **allowed)
     with _timed(seconds, "labels"):
@@ -58,7 +65,19 @@ def simulate_sample(config: DatasetConfig, index: int) -> Sample:
         name: measured[name] for name in measured if name in config.store.fields
     }
     arrays |= labels | _geometry(scene, capture, transient)
-    return Sample(index, arrays, _parameters(scene, spad, exposure, plan, transient, counts), seconds)
+    return Sample(index, arrays, _parameters(scene, spad, exposure, effects, plan, transient, counts), seconds)
+
+
+def transport_effects(config: DatasetConfig, scene: Scene, capture: Capture, index: int) -> EffectPlan:
+    """What of scene `index` the transport is to simulate, and why."""
+    seed = derived_seed(config.seed, index, Purpose.EFFECTS)
+    return plan_transport_effects(scene, capture, config.transport.accuracy(), config.effects, seed)
+
+
+def detector_effects(config: DatasetConfig, transient: Transient, spad: Spad, exposure: Exposure) -> EffectPlan:
+    """What the detector is to simulate for a transient, and why."""
+    seen = (transient.total, transient.time, spad, exposure)
+    return plan_detector_effects(*seen, config.effects, config.detector.tolerance)
 
 
 def _slots(config: DatasetConfig) -> ObjectSlots:
@@ -82,7 +101,7 @@ def check_inputs(config: DatasetConfig) -> None:
 def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
-    seconds[stage] = time.perf_counter() - start
+    seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start
 
 
 def _geometry(scene: Scene, capture: Capture, transient: Transient) -> dict[str, NDArray[np.float64]]:
@@ -108,6 +127,7 @@ def _parameters(
     scene: Scene,
     spad: Spad,
     exposure: Exposure,
+    effects: EffectPlan,
     plan: DetectorPlan,
     transient: Transient,
     counts: NDArray[np.integer],
@@ -118,6 +138,7 @@ def _parameters(
         "scene.part_names": ",".join(scene.part_names),
         **_scalars("detector", asdict(spad)),
         **_scalars("exposure", asdict(exposure)),
+        **effects.parameters(),
         "decision.detector": plan.sampler,
         **_scalars("detector_plan", plan.parameters()),
         "transient.energy": inside,

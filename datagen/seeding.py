@@ -22,6 +22,7 @@ class Purpose(IntEnum):
     DETECTOR_PARAMETERS = 5
     LABELS = 6
     LOADER = 7
+    EFFECTS = 8
 
 
 def seed_sequence(

@@ -3,6 +3,7 @@
 from datagen.config.capture import CaptureConfig
 from datagen.config.dataset import DatasetConfig, config_from_mapping, fingerprint_of, json_schema, load_config
 from datagen.config.detector import DetectorConfig
+from datagen.config.effects import EffectsConfig
 from datagen.config.labels import LabelsConfig
 from datagen.config.scene import SceneConfig
 from datagen.config.store import StoreConfig
@@ -12,6 +13,7 @@ __all__ = [
     "CaptureConfig",
     "DatasetConfig",
     "DetectorConfig",
+    "EffectsConfig",
     "LabelsConfig",
     "SceneConfig",
     "StoreConfig",

@@ -13,6 +13,7 @@ from pydantic import Field
 from datagen.config.base import Settings, raise_input_error
 from datagen.config.capture import CaptureConfig
 from datagen.config.detector import DetectorConfig
+from datagen.config.effects import EffectsConfig
 from datagen.config.labels import LabelsConfig
 from datagen.config.scene import SceneConfig
 from datagen.config.store import StoreConfig
@@ -37,6 +38,7 @@ class DatasetConfig(Settings):
     capture: CaptureConfig = CaptureConfig()
     transport: TransportConfig = TransportConfig()
     detector: DetectorConfig = DetectorConfig()
+    effects: EffectsConfig = EffectsConfig()
     labels: LabelsConfig = LabelsConfig()
     store: StoreConfig = StoreConfig()
 

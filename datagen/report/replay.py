@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.detector import Exposure, Spad, detect, detector_for, expected_histogram, plan_detector
+from datagen.effects import EffectPlan
 from datagen.errors import InputError
+from datagen.pipeline import detector_effects, transport_effects
 from datagen.records import Capture, Scene, TimeAxis, Transient
 from datagen.scene import generate_scene
 from datagen.seeding import Purpose, derived_seed
@@ -51,6 +53,7 @@ class Replay:
     is_poisson : whether all counts are independent Poisson numbers of that mean.
     difference : relative L2 distance of the new transient from the stored one; None where none is stored.
     moved_m : how far the farthest laser point now lies from where it is stored, metres.
+    effects : what was simulated of the scene, and why.
     """
 
     scene: Scene
@@ -62,6 +65,7 @@ class Replay:
     moved_m: float = 0.0
     mean_is_exact: bool = True
     is_poisson: bool = True
+    effects: EffectPlan = EffectPlan((), 0.0)
 
     @property
     def reproduced(self) -> bool:
@@ -99,11 +103,14 @@ def replay(stored: StoredScene) -> Replay:
     config, index = stored.config, stored.index
     scene = generate_scene(config.scene, config.seed, index)
     capture = capture_for(config, scene, config.seed, index)
-    accuracy = config.transport.accuracy()
-    transient = simulate(scene, capture, accuracy, seed=derived_seed(config.seed, index, Purpose.TRANSPORT))
-    spad, exposure = detector_for(config.detector, config.seed, index, capture.time)
+    effects = transport_effects(config, scene, capture, index)
+    lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
+    transient = simulate(lit, capture, accuracy, seed=derived_seed(config.seed, index, Purpose.TRANSPORT))
+    given = detector_for(config.detector, config.seed, index, capture.time)
+    effects += detector_effects(config, transient, *given)
+    spad, exposure, tolerance = effects.apply_detector(*given, config.detector.tolerance)
+    approximate = config.detector.approximate
     expected, mean_is_exact = _mean(transient.total, capture.time, spad, exposure)
-    tolerance, approximate = config.detector.tolerance, config.detector.approximate
     plan = plan_detector(transient.total, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
     is_poisson = set(plan.histograms) == {"poisson"} and spad.counter_max is None
     counts = stored.arrays.get("histogram")
@@ -113,7 +120,9 @@ def replay(stored: StoredScene) -> Replay:
             transient.total, capture.time, spad, exposure, seed=seed, tolerance=tolerance, approximate=approximate
         )
     difference, moved_m = _difference(stored, transient.total), _moved_m(stored, transient.laser_points)
-    return Replay(scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact, is_poisson)
+    return Replay(
+        scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact, is_poisson, effects
+    )
 
 
 def _mean(

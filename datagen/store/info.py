@@ -11,7 +11,7 @@ from datagen.store.manifest import read_manifest
 from datagen.store.record import ShardRecord
 from datagen.store.verify import committed
 
-STAGES = ("scene", "transport", "detector", "labels", "store")
+STAGES = ("scene", "effects", "transport", "detector", "labels", "store")
 
 
 def info(path: str | Path) -> str:

@@ -1,0 +1,83 @@
+"""The section `effects`: which effects are simulated; `datagen/effects` holds the table and the decisions."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from datagen.config.base import Settings
+
+
+def _as_word(value: Any) -> Any:
+    """YAML reads a bare `on` or `off` as true or false."""
+    return {True: "on", False: "off"}[value] if isinstance(value, bool) else value
+
+
+Switch = Annotated[Literal["auto", "on", "off"], BeforeValidator(_as_word)]
+"""`on`: always simulated; `off`: never; `auto`: unless leaving it out provably or measurably changes too little."""
+
+
+class EffectsConfig(Settings):
+    """What of the world that the other sections describe is simulated: `auto`, `on` or `off` for each effect.
+
+    The other sections say what there is (bounce orders, materials, dead time …); an effect that they leave no room
+    for stays absent whatever stands here.
+    """
+
+    tolerance: Annotated[float, Field(ge=0, le=1)] = 0.01
+    """How much all effects left out by `auto` may change the answer together: relative L2 of the transient, and of
+    the expected histogram for the detector's effects. Effects of the dead time are also held to `detector.tolerance`.
+    With 0 only what changes nothing at all is left out."""
+    direct_return: Switch = "auto"
+    """One and two bounces: the laser point, or a surface it lights, inside the field of view."""
+    occlusion: Switch = "auto"
+    """Shadow rays from light paths to the field of view. `auto` sends those that no proof makes needless, which is
+    exact; `on` sends all; `off` none, as if nothing stood in between."""
+    secondary_bounce: Annotated[
+        Literal["auto", "on", "off", "strongest"] | Annotated[int, Field(ge=1)], BeforeValidator(_as_word)
+    ] = "auto"
+    """Four bounces. A number k, or `strongest` (k = 1): only the k strongest arriving paths of each lookin, which
+    needs `transport.observed`."""
+    higher_bounces: Switch = "auto"
+    """Five bounces and more, as far as `transport.max_bounces` goes."""
+    brdf: Switch = "auto"
+    """Lobes of surfaces that are not Lambertian; left out, such a surface is Lambertian and as bright on average."""
+    attenuation: Switch = "auto"
+    """Absorption and scattering by the air."""
+    extended_surfaces: Switch = "auto"
+    """Light by way of walls, floor and ceiling; left out, only objects scatter light back to the relay wall."""
+    timing_response: Switch = "auto"
+    """Laser pulse, carrier diffusion and jitter (the IRF)."""
+    ambient_light: Switch = "auto"
+    """Background photons."""
+    dark_counts: Switch = "auto"
+    """Avalanches without a photon."""
+    pile_up: Switch = "auto"
+    """Events lost to the dead time of earlier ones in the same laser cycle."""
+    dead_time_across_cycles: Switch = "auto"
+    """Events lost to the dead time of those in earlier cycles (mode `free_running`); left out, the detector is armed
+    afresh by every laser pulse."""
+    afterpulsing: Switch = "auto"
+    """Avalanches set off by what earlier ones left in traps."""
+    crosstalk: Switch = "auto"
+    """Avalanches set off by neighbouring pixels."""
+    gate: Switch = "auto"
+    """The detector's sensitivity in time; left out, it is always on."""
+    tdc_saturation: Switch = "auto"
+    """Counters that stay at `detector.counter_max`."""
+
+    @model_validator(mode="after")
+    def _one_dead_time(self) -> EffectsConfig:
+        if self.dead_time_across_cycles == "on" and self.pile_up == "off":
+            raise ValueError(
+                "dead_time_across_cycles = 'on' with pile_up = 'off': a dead time acts in its own cycle before it "
+                "reaches the next; set pile_up to 'on' or 'auto', or dead_time_across_cycles to 'auto'"
+            )
+        return self
+
+    def of(self, effect: str) -> str | int:
+        """The setting of an effect by its name in the table; who wants a dead time across cycles wants it in each."""
+        setting: str | int = getattr(self, effect)
+        together = effect == "pile_up" and setting == "auto" and self.dead_time_across_cycles == "on"
+        return "on" if together else setting

@@ -1,0 +1,60 @@
+"""How far a BRDF is from Lambert's law, and the Lambertian surface that stands for it when its lobe is left out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from datagen.records import Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
+from datagen.transport.brdf import albedo
+from datagen.transport.brdf.oren_nayar import LOSS, MEAN_GAIN, roughness
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
+_COSINES, _SHARES = (_NODES + 1) / 2, _WEIGHTS / 2
+
+
+def is_lambertian(material: Material) -> bool:
+    """Whether the surface scatters by Lambert's law, whatever its record is called; a black one does."""
+    match material:
+        case Lambertian() | Phong(exponent=0) | Phong(specular=0) | Retroreflector(retro=0) | OrenNayar(sigma_rad=0):
+            return True
+    return material.albedo == 0
+
+
+def mean_albedo(material: Material) -> float:
+    """What the surface returns of even light from all sides: 2 ∫ ρ(cosθ) cosθ dcosθ, ρ the directional albedo."""
+    if isinstance(material, SinLobe):
+        return material.albedo * 2 / math.pi
+    return float(2 * np.sum(_SHARES * _COSINES * albedo(material, _COSINES)))
+
+
+def lambertian_of(material: Material) -> Material:
+    """The Lambertian surface of the same mean albedo; a Lambertian one as it is."""
+    return material if isinstance(material, Lambertian) else Lambertian(min(mean_albedo(material), 1.0))
+
+
+def largest_deviation(material: Material) -> float:
+    """Bound on |f / f_L − 1| over all pairs of directions, f_L the Lambertian surface of the same mean albedo.
+
+    Extremes of each model's formula (`records.materials`, `transport/brdf`); infinite for GGX and retroreflectors,
+    which have no bound, or none of use, at grazing incidence.
+    """
+    if is_lambertian(material):
+        return 0.0
+    match material:
+        case OrenNayar():
+            # π f / ρ = (1 + r s/t)/(1 + k r) + what single scattering loses in and out, over its mean; |s/t| ≤ 1.
+            r = roughness(material.sigma_rad)
+            lost_at_most = LOSS * r / (1 + LOSS * r)
+            lost_on_average = (LOSS - MEAN_GAIN) * r / (1 + LOSS * r)
+            low, high = (1 - r) / (1 + LOSS * r), (1 + r) / (1 + LOSS * r) + lost_at_most**2 / lost_on_average
+        case Phong():
+            lobe = material.specular * (material.exponent + 2) / 2
+            low, high = 1 - material.specular, lobe + 1 - material.specular
+        case SinLobe():
+            low, high = 0.0, math.pi / 2
+        case _:
+            return math.inf
+    relative = mean_albedo(material) / material.albedo
+    return max(high / relative - 1, 1 - low / relative)

@@ -1,0 +1,173 @@
+"""The transport's rows of the table: which light is followed, and how much it would be missed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.effects.decision import Effect, Estimate
+from datagen.effects.lobes import is_lambertian, largest_deviation
+from datagen.effects.pilot import Pilot
+from datagen.effects.transport_world import TransportWorld
+
+MOST_VERTICES = 16
+"""Vertices of a path on surfaces that are not Lambertian, at most, where there is no limit to its bounces."""
+
+
+def _measured(pilot: Pilot | None, found: list[NDArray[np.float64]], what: str) -> Estimate:
+    """How much of the light a pilot saw going `what` way."""
+    if pilot is None:
+        return Estimate(None, "pilot", "not measured: a pilot would cost too much of so small a transport")
+    share = None if pilot.dark else pilot.share(*found)
+    if share is None:
+        return Estimate(None, "pilot", "the pilot met too little light to tell")
+    return Estimate(share, "pilot", f"{what} ≤ {share:.2g} of the transient in the pilot")
+
+
+def _of(pilot: Pilot | None, *names: str) -> list[NDArray[np.float64]]:
+    return [] if pilot is None else [pilot.components[name] for name in names if name in pilot.components]
+
+
+def _direct_return(world: TransportWorld, gone: frozenset[str]) -> Estimate:
+    if world.view_is_flush and not world.spot_in_view:
+        return Estimate(0.0, "bound", "no pixel sees a laser point in time, and laser points light nothing in view")
+    return _measured(world.pilot, _of(world.pilot, "direct"), "direct light")
+
+
+def _occlusion(world: TransportWorld, gone: frozenset[str]) -> Estimate:
+    if world.in_the_way == 0:
+        return Estimate(0.0, "bound", "all surfaces are walls with the whole scene on one side: none hides another")
+    return Estimate(
+        None, "bound", f"{world.in_the_way} triangles may hide others: a shadow ray wherever no proof excludes it"
+    )
+
+
+def _secondary(world: TransportWorld, gone: frozenset[str]) -> Estimate:
+    return _measured(world.pilot, _of(world.pilot, "secondary"), "four bounces")
+
+
+def _higher(world: TransportWorld, gone: frozenset[str]) -> Estimate:
+    return _measured(world.pilot, _of(world.pilot, "higher"), "five bounces and more")
+
+
+def _extended(world: TransportWorld, gone: frozenset[str]) -> Estimate:
+    """What structure sends back at once, and all light of more bounces, as if all of it went by the structure."""
+    pilot = world.pilot
+    if pilot is None:
+        return _measured(None, [], "")
+    structure = [pilot.parts[world.scene.part_names[k]] for k in world.hidden_structure]
+    kept = [
+        name
+        for name, effect in (("secondary", "secondary_bounce"), ("higher", "higher_bounces"))
+        if effect not in gone
+    ]
+    return _measured(pilot, structure + _of(pilot, *kept), "light by way of walls, floor and ceiling")
+
+
+def _lobed(world: TransportWorld) -> list[int]:
+    return [k for k, material in enumerate(world.scene.materials) if not is_lambertian(material)]
+
+
+def _brdf(world: TransportWorld, gone: frozenset[str]) -> Estimate:
+    """Σ of |f / f_L − 1| over a path's vertices, weighed with the Lambertian light that takes each path."""
+    deviation = {k: largest_deviation(world.scene.materials[k]) for k in _lobed(world)}
+    at_ends = math.prod(
+        1.0 + max((deviation.get(k, 0.0) for k in parts), default=0.0)
+        for parts in (world.spot_parts, world.view_parts)
+    )
+    if at_ends > 2.0:
+        return Estimate(None, "bound", "the relay wall itself is far from Lambertian")
+    inner = {k: d for k, d in deviation.items() if d > 0}
+    if any(math.isinf(d) for d in inner.values()):
+        return Estimate(None, "bound", "a narrow lobe has no useful bound")
+    pilot = world.all_lambertian.pilot
+    if pilot is None or pilot.dark:
+        return _measured(pilot, [], "")
+    vertices = min(world.highest_order - 2, MOST_VERTICES)
+    change = 0.0
+    for name, crossed in (("secondary", 2.0), ("higher", vertices)):
+        share = pilot.share(*_of(pilot, name))
+        if share is None:
+            return _measured(pilot, _of(pilot, name), "")
+        change += ((1.0 + max(inner.values(), default=0.0)) ** crossed - 1.0) * share
+    for k, d in inner.items():
+        share = pilot.share(pilot.parts[world.scene.part_names[k]])
+        if share is None:
+            return _measured(pilot, [pilot.parts[world.scene.part_names[k]]], "")
+        change += d * share
+    change = at_ends * (1.0 + change) - 1.0
+    if change >= 1.0:
+        return Estimate(None, "pilot", "lobes differ from Lambert's law by more than the light they meet")
+    # The estimate is relative to the Lambertian light; what is asked is relative to the true one.
+    value = change / (1.0 - change)
+    return Estimate(value, "pilot", f"lobes × the light they meet ≤ {value:.2g} of the transient")
+
+
+def _attenuation(world: TransportWorld, gone: frozenset[str]) -> Estimate:
+    value = math.expm1(min(world.scene.attenuation_per_m * world.longest_path_m, 700.0))
+    return Estimate(value, "bound", f"the longest path recorded, {world.longest_path_m:.3g} m, loses ≤ {value:.2g}")
+
+
+def _without_secondary(world: TransportWorld) -> TransportWorld:
+    if world.accuracy.max_bounces == 4:
+        return world.with_accuracy(max_bounces=3)
+    return world.with_accuracy(secondary="none")
+
+
+def _without_higher(world: TransportWorld) -> TransportWorld:
+    return world.with_accuracy(max_bounces=3 if world.accuracy.secondary == "none" else 4)
+
+
+def _always_secondary(world: TransportWorld, setting: str | int) -> TransportWorld:
+    return world if setting == "on" else world.with_accuracy(secondary=setting)
+
+
+TRANSPORT_EFFECTS: tuple[Effect[TransportWorld], ...] = (
+    Effect(
+        "direct_return", "direct return", "transport",
+        "`transport.direct`",
+        "Radiometry of one and two bounces (DESIGN, sec. 2); coplanar surfaces do not light each other",
+        0.3, lambda w: w.accuracy.direct, _direct_return, lambda w: w.with_accuracy(direct=False),
+    ),
+    Effect(
+        "occlusion", "occlusion", "transport",
+        "surfaces",
+        "Separating planes (`transport/clearance.py`)",
+        0.05, lambda w: True, _occlusion, lambda w: w.with_accuracy(occlusion="off"),
+        lambda w, setting: w.with_accuracy(occlusion="on"),
+    ),
+    Effect(
+        "secondary_bounce", "secondary bounce", "transport",
+        "`transport.max_bounces` ≥ 4 and `transport.secondary`",
+        "Scholes & Leach, Sensors 24, 6522 (2024), Eq. 8",
+        0.7, lambda w: w.highest_order >= 4 and w.accuracy.secondary != "none", _secondary, _without_secondary,
+        _always_secondary,
+    ),
+    Effect(
+        "higher_bounces", "higher bounces", "transport",
+        "`transport.max_bounces` ≥ 5, or none",
+        "The same, continued",
+        0.8, lambda w: w.highest_order >= 5, _higher, _without_higher,
+    ),
+    Effect(
+        "brdf", "non-Lambertian BRDF", "transport",
+        "a surface that is not Lambertian",
+        "Extremes of each model's formula (`effects/lobes.py`)",
+        0.5, lambda w: bool(_lobed(w)), _brdf, lambda w: w.all_lambertian,
+    ),
+    Effect(
+        "attenuation", "atmospheric attenuation", "transport",
+        "`attenuation_per_m` > 0",
+        "Beer & Lambert: exp(−a R), R at most what the time window holds",
+        0.1, lambda w: w.scene.attenuation_per_m > 0, _attenuation,
+        lambda w: w.with_attenuation(0.0),
+    ),
+    Effect(
+        "extended_surfaces", "extended surfaces", "transport",
+        "walls, floor or ceiling out of view that return light",
+        "Eq. 6 split by the part that holds the lookin",
+        0.6, lambda w: bool(w.hidden_structure), _extended, lambda w: w.without_structure,
+    ),
+)  # fmt: skip

@@ -1,0 +1,165 @@
+"""What the transport's effects are judged by: scene, capture, accuracy, and what a few rays tell of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.effects.lobes import is_lambertian, lambertian_of
+from datagen.effects.pilot import Pilot, affordable, run_pilot
+from datagen.records import Accuracy, Capture, Lambertian, Material, Scene
+from datagen.transport.fov import PixelCones
+from datagen.transport.raycast import Raycaster
+from datagen.transport.vertices import LaserPoints
+from datagen.units import path_from_time
+
+PAIRS_CHECKED = 1 << 22
+"""Pairs up to which each is asked: of laser points and pixels, of triangles and vertices."""
+_GRID = np.array([0.0, 0.5, 1.0])
+
+
+@dataclass(frozen=True)
+class TransportWorld:
+    """What there is to simulate in one transport.
+
+    seed : of the pilot; scene, capture, accuracy and seed decide everything that is asked here.
+    """
+
+    scene: Scene
+    capture: Capture
+    accuracy: Accuracy
+    seed: int = 0
+
+    def with_accuracy(self, **changes: object) -> TransportWorld:
+        return replace(self, accuracy=replace(self.accuracy, **changes))  # type: ignore[arg-type]
+
+    def with_materials(self, materials: tuple[Material, ...]) -> TransportWorld:
+        return replace(self, scene=replace(self.scene, materials=materials))
+
+    def with_attenuation(self, attenuation_per_m: float) -> TransportWorld:
+        return replace(self, scene=replace(self.scene, attenuation_per_m=attenuation_per_m))
+
+    @property
+    def highest_order(self) -> float:
+        """Bounces of the longest paths followed; infinite where there is no limit."""
+        return np.inf if self.accuracy.max_bounces is None else self.accuracy.max_bounces
+
+    @cached_property
+    def pilot(self) -> Pilot | None:
+        """The pilot; None where the transport is so small that it would not pay."""
+        if not affordable(self.capture, self.accuracy):
+            return None
+        return run_pilot(self.scene, self.capture, self.accuracy, self.seed)
+
+    @property
+    def all_lambertian(self) -> TransportWorld:
+        """The same with Lambertian surfaces of the same mean albedo in place of all others."""
+        return self.with_materials(tuple(m if is_lambertian(m) else lambertian_of(m) for m in self.scene.materials))
+
+    @property
+    def without_structure(self) -> TransportWorld:
+        """The same with walls, floor and ceiling black."""
+        dark = set(self.hidden_structure)
+        return self.with_materials(
+            tuple(Lambertian(0.0) if k in dark else m for k, m in enumerate(self.scene.materials))
+        )
+
+    @cached_property
+    def spots(self) -> LaserPoints:
+        """The laser points."""
+        return LaserPoints.of(self._caster, self.scene, self.capture.laser)
+
+    @cached_property
+    def hidden_structure(self) -> tuple[int, ...]:
+        """Parts of role `structure` that return light and hold neither a laser point nor any of the field of view."""
+        seen = {*self.spots.part.tolist(), *self._view[1].reshape(-1).tolist()}
+        return tuple(
+            k
+            for k, (role, material) in enumerate(zip(self.scene.roles, self.scene.materials, strict=True))
+            if role == "structure" and material.albedo > 0 and k not in seen
+        )
+
+    @property
+    def spot_parts(self) -> list[int]:
+        """Parts that laser points lie on."""
+        return sorted({*self.spots.part.tolist()} - {-1})
+
+    @property
+    def view_parts(self) -> list[int]:
+        """Parts that the pixels see."""
+        return sorted({*self._view[1].reshape(-1).tolist()} - {-1})
+
+    @cached_property
+    def in_the_way(self) -> int:
+        """Triangles that may stand between surfaces: all but those whose plane has the whole scene on one side."""
+        caster = self._caster
+        corners, normal, points = caster.corners, caster.face_normal, self.scene.vertices
+        if len(corners) * len(points) > PAIRS_CHECKED:
+            return len(corners)
+        above = points @ normal.T - np.einsum("fk,fk->f", corners[:, 0], normal)
+        slack = 1e-3 * caster.offset_m
+        return int(np.count_nonzero((above.min(axis=0) < -slack) & (above.max(axis=0) > slack)))
+
+    @cached_property
+    def view_is_flush(self) -> bool:
+        """Whether laser points and field of view lie in one plane, so that no light goes from one to the other."""
+        position, part = self._view
+        exists = self.spots.part >= 0
+        if not exists.any():
+            return True
+        spots, normals = self.spots.position[exists], self.spots.normal[exists]
+        points = np.concatenate([spots, position[part >= 0]])
+        height = (points - spots[0]) @ normals[0]
+        return bool(np.abs(height).max() <= self._caster.offset_m and (normals @ normals[0]).min() > 1 - 1e-9)
+
+    @cached_property
+    def spot_in_view(self) -> bool:
+        """Whether a laser point may lie in a pixel that looks at it, its light coming back within the time window."""
+        lasers, pixels, _ = self.capture.shape
+        sensor, axis = self.capture.sensor, self.capture.time
+        span = self.spots.position - sensor.position
+        path = self.spots.leg + np.linalg.norm(span, axis=1) if axis.origin == "source" else np.zeros(lasers)
+        place = path / float(path_from_time(axis.width_s)) - axis.start_s / axis.width_s
+        timely = np.flatnonzero((self.spots.part >= 0) & (place > -1) & (place < axis.bins + 1))
+        if not len(timely) or len(timely) * pixels > PAIRS_CHECKED:
+            return bool(len(timely))
+        planes = PixelCones.of(sensor).planes
+        if self.capture.pairing == "confocal":
+            beside = np.einsum("psk,pk->ps", planes[timely], span[timely]).min(axis=1)
+        else:
+            beside = np.min([np.einsum("pk,lk->lp", planes[:, side], span[timely]) for side in range(4)], axis=0)
+        return bool((beside >= 0).any())
+
+    @property
+    def longest_path_m(self) -> float:
+        """No light recorded went farther, device legs included."""
+        axis = self.capture.time
+        longest = float(path_from_time(max(axis.stop_s, 0.0) + axis.width_s))
+        if axis.origin == "source":
+            return longest
+        legs = [
+            float(np.linalg.norm(self.scene.vertices - device.position, axis=1).max())
+            for device in (self.capture.laser, self.capture.sensor)
+        ]
+        return longest + sum(legs)
+
+    @cached_property
+    def _caster(self) -> Raycaster:
+        return Raycaster(self.scene)
+
+    @cached_property
+    def _view(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Where nine lines of sight of each pixel, its corners among them, first meet the scene: (P, 9, 3), (P, 9)
+        part or −1. A straight edge that cuts a pixel has one of its corners on either side."""
+        sensor = self.capture.sensor
+        u, v = np.tile(_GRID, 3)[:, None], np.repeat(_GRID, 3)[:, None]
+        a, b, c, d = ((sensor.pixels - sensor.position)[:, None, k] for k in range(4))
+        w = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+        # A hair inside, so that a pixel that ends with the wall still finds it.
+        w = w + 1e-3 * (w[:, 4:5] - w)
+        hits = self._caster.closest(sensor.position, w.reshape(-1, 3))
+        part = np.where(hits.valid, self.scene.face_part[hits.face], -1)
+        return hits.position.reshape(w.shape), part.reshape(w.shape[:2]).astype(np.int64)
