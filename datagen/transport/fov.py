@@ -59,6 +59,13 @@ class PixelCones:
         w = w / length[:, :, None]
         signed = [_triangle_solid_angle(w[:, 0], w[:, a], w[:, b]) for a, b in ((1, 2), (2, 3))]
         solid_angle = signed[0] + signed[1]
+        # From a point in its own plane a pixel covers half of all directions, or none.
+        inside = np.flatnonzero(np.abs(solid_angle) > 2 * np.pi * (1 - 1e-9))
+        if len(inside):
+            raise InputError(
+                f"Sensor.pixels[{inside[0]}]: the sensor's position lies within the pixel, which gives no directions; "
+                "move the corners ahead of the sensor"
+            )
         orientation = np.where(solid_angle < 0, -1.0, 1.0)
         planes = orientation[:, None, None] * np.cross(w, np.roll(w, -1, axis=1))
         # Convex: each corner lies on the inner side of the two sides it does not touch.

@@ -113,7 +113,7 @@ def _with_factorised(job: Job, average: Average) -> Estimate:
     total = sum(costs.values())
     spend = Spend(
         lookins=dict.fromkeys(components, float(accuracy.lookins)),
-        share={name: value / total for name, value in costs.items()},
+        share={name: value / total if total > 0 else 0.0 for name, value in costs.items()},
         way=way,
         fov_samples=dict.fromkeys(components, int(accuracy.fov_samples)),
         rounds=1,
