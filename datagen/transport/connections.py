@@ -14,13 +14,14 @@ needs no followed ray: there the first way counts whole (`PixelPatches.reach`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Scene, Sensor
 from datagen.transport.brdf import MaterialTable
+from datagen.transport.clear_sight import ClearSight
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches
 from datagen.transport.kernels import deposit, gather, inside_pixels, near_a_pixel, spots_in_pixels
 from datagen.transport.raycast import Hits, Raycaster
@@ -76,6 +77,7 @@ class Receiver:
     clock: Clock
     rows: Rows
     tally: Tally
+    sight: ClearSight = field(default_factory=lambda: ClearSight("on"))
 
     @property
     def aperture_square(self) -> float:
@@ -96,19 +98,25 @@ class Receiver:
         capacity = per_batch * per_vertex
         origins, spans = np.empty((capacity, 3), np.float32), np.empty((capacity, 3), np.float32)
         row, position, energy = np.empty(capacity, np.int64), np.empty(capacity), np.empty(capacity)
-        v, pool, rows = vertices, self.pool, self.rows
+        v, pool, rows, tally = vertices, self.pool, self.rows, self.tally
+        seen = rows.first_laser + np.arange(len(pool.weight)) if rows.confocal else np.arange(rows.pixels)
+        tile = self.sight.tiles(pool, seen)
         for start in range(0, len(vertices), per_batch):
-            found = gather(
-                start, min(start + per_batch, len(v)), v.laser, v.position, v.normal, v.to_previous, v.part, v.power,
+            stop = min(start + per_batch, len(v))
+            pixel = v.laser[start:stop] if rows.confocal else np.full(stop - start, -1)
+            clear = self.sight.clear(v.position[start:stop], v.normal[start:stop], pixel)
+            found, added = gather(
+                start, stop, v.laser, v.position, v.normal, v.to_previous, v.part, v.power,
                 v.path, block, pool.position, pool.normal, pool.to_sensor, pool.part, pool.weight, pool.footprint,
                 pool.last_leg, self.patches.center, self.patches.reach, self.materials.kind, self.materials.values,
                 self.points_per_vertex, self.scene.attenuation_per_m, rows.first_laser, rows.confocal, rows.pixels,
                 split_of_part, rows.splits, self.clock.per_metre, self.clock.start, self.clock.device_leg,
-                self.caster.center, self.caster.half_extent_m, self.caster.offset_m, origins, spans, row, position,
-                energy,
+                self.caster.center, self.caster.half_extent_m, self.caster.offset_m, tile, clear, tally.histogram,
+                tally.overflow, origins, spans, row, position, energy,
             )  # fmt: skip
+            self.sight.count(found + added, without_ray=added)
             hidden = self.caster.occluded_scaled(origins[:found], spans[:found])
-            deposit(row[:found], position[:found], energy[:found], hidden, self.tally.histogram, self.tally.overflow)
+            deposit(row[:found], position[:found], energy[:found], hidden, tally.histogram, tally.overflow)
 
     def near(self, vertices: Vertices) -> NDArray[np.int64]:
         """The vertices whose followed rays count: those near any of their pixels."""
