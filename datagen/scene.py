@@ -149,6 +149,7 @@ def _furnished(
             if fraction <= spec.minimum_seen:
                 raise Unmet(thing.where, "unseen")
             parameters[f"{thing.name}.seen_fraction"] = float(fraction)
+    parameters["attenuation_per_m"] = attenuation_per_m = draw(spec.attenuation_per_m, rng)
     return Scene(
         vertices=corners,
         triangles=triangles,
@@ -162,6 +163,7 @@ def _furnished(
         device_position=plan.device,
         parameters=parameters,
         poses=poses,
+        attenuation_per_m=attenuation_per_m,
     )
 
 

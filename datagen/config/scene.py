@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
-from datagen.config.distributions import largest_count, support
+from datagen.config.distributions import Distribution, largest_count, support, within
 from datagen.config.scene_contents import Box, Content, Mesh, MeshFolder, Pillar
 from datagen.config.scene_layouts import AnyLayout, LCorridor
 from datagen.config.scene_materials import Materials
@@ -24,6 +24,8 @@ class SceneConfig(Settings):
     materials: Materials = Materials()
     wavelength_nm: Annotated[float, Field(ge=500, le=1600)] = 532.0
     """The laser's wavelength, which decides the albedo of materials taken from the catalogue."""
+    attenuation_per_m: Annotated[Distribution, within(0)] = 0.0
+    """Napierian attenuation of the air: a leg of R metres passes exp(−a R). A visibility of 1 km is 0.004."""
     clearance_m: Annotated[float, Field(ge=0.001, le=10)] = 0.02
     """Smallest gap between objects, from an object to a wall, and to the device's line of sight."""
     minimum_seen: Annotated[float, Field(ge=0, lt=1)] = 0.02
