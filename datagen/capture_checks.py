@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records import Scene
-from scene_library.sightlines import first_faces, seen_fractions
+from scene_library.sightlines import first_faces, lattice_points
 
 INWARD = 0.02
 """Corners of a pixel are checked this share of the way towards its middle: an edge may lie exactly on a wall's."""
+ON_A_WALL = 1e-5
+"""Share of the way to an object within which a wall before it is not told from one behind it (single precision)."""
 
 
 def check_in_sight(key: str, what: str, scene: Scene, eye: NDArray[np.float64], points: NDArray[np.float64]) -> None:
@@ -35,17 +37,19 @@ def check_in_sight(key: str, what: str, scene: Scene, eye: NDArray[np.float64], 
 
 
 def check_hidden(key: str, scene: Scene, eye: NDArray[np.float64]) -> None:
-    """Raise `InputError` naming `capture.<key>` when `eye` sees an object, which has to lie around the corner."""
-    objects = np.array([i for i, role in enumerate(scene.roles) if role == "object"], np.int64)
-    if not len(objects):
-        return
-    seen = seen_fractions(scene.corners, scene.face_part, objects, eye[None])
-    if (seen > 0).any():
-        name = scene.part_names[objects[int(np.argmax(seen))]]
-        raise InputError(
-            f"capture.{key}: from {_place(eye)} the object {name!r} is in plain sight; move the device towards the "
-            "place that the scene gives it, or leave the key out"
-        )
+    """Raise `InputError` naming `capture.<key>` when `eye` sees an object, which has to lie around the corner.
+
+    Objects do not count as hidden by each other: one of them would be seen.
+    """
+    roles = np.array(scene.roles)[scene.face_part]
+    room = scene.corners[roles != "object"]
+    for part in (i for i, role in enumerate(scene.roles) if role == "object"):
+        points = lattice_points(scene.corners[scene.face_part == part])
+        if not len(room) or (first_faces(room, eye, points, slack=ON_A_WALL) < 0).any():
+            raise InputError(
+                f"capture.{key}: from {_place(eye)} the object {scene.part_names[part]!r} is in plain sight; move "
+                "the device towards the place that the scene gives it, or leave the key out"
+            )
 
 
 def pixel_points(pixels: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -52,7 +52,8 @@ def place(thing: Thing, rotation_deg: float, plan: Plan, space: FreeSpace, rng: 
     z = plan.height_m - thing.elevation_m - solid.top_m if placement == "hanging" else thing.elevation_m
     spots = _wall_spots(plan) if placement == "wall" else None
     obstacles: Counter[str] = Counter()
-    for _ in range(POSITIONS_PER_OBJECT):
+    only_one = spots is None and isinstance(item.along, float) and isinstance(item.across, float)
+    for _ in range(1 if only_one else POSITIONS_PER_OBJECT):
         if spots is None:
             spot = _spot(plan, z, rotation_deg, draw(item.along, rng), draw(item.across, rng))
         else:

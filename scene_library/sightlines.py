@@ -46,11 +46,12 @@ def seen_fractions(
 
 
 def first_faces(
-    triangles: NDArray[np.float64], eye: NDArray[np.float64], points: NDArray[np.float64]
+    triangles: NDArray[np.float64], eye: NDArray[np.float64], points: NDArray[np.float64], slack: float = 1e-3
 ) -> NDArray[np.int64]:
     """(n,) index of the triangle that blocks the way from `eye` (3,) to each of `points` (n, 3); −1: the way is free.
 
-    triangles : (F, 3, 3) of the whole room. A surface at the point itself does not block.
+    triangles : (F, 3, 3). slack : a surface on the last part of the way, of this share, does not block: it is what
+    the point lies on.
     """
     middle = triangles.reshape(-1, 3).mean(axis=0)
     scene = EmbreeScene()
@@ -61,7 +62,16 @@ def first_faces(
     origin = np.broadcast_to((eye - middle).astype(np.float32), direction.shape)
     hit = scene.run(origin, direction, query="DISTANCE")
     face = np.asarray(scene.run(origin, direction, query="INTERSECT"), np.int64)
-    return np.where(hit < distance * (1 - 1e-3), face, -1)
+    return np.where(hit < distance * (1 - slack), face, -1)
+
+
+def lattice_points(triangles: NDArray[np.float64], about: int = 4096) -> NDArray[np.float64]:
+    """(n, 3) points on (F, 3, 3) triangles: all corners, and where these are few a lattice between them."""
+    steps = max(1, int(np.sqrt(2 * about / len(triangles))) - 1)
+    i, j = np.meshgrid(np.arange(steps + 1), np.arange(steps + 1), indexing="ij")
+    inside = i + j <= steps
+    weights = np.stack([i[inside], j[inside], steps - i[inside] - j[inside]], axis=1) / steps
+    return np.asarray(np.einsum("wk,fkx->fwx", weights, triangles).reshape(-1, 3))
 
 
 def _surface_points(triangles: NDArray[np.float64]) -> NDArray[np.float64]:

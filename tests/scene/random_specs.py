@@ -1,23 +1,37 @@
-"""Random scene settings: every range drawn anew, so that the laws are met by more than the defaults."""
+"""Random scene settings: everything that can be declared, drawn anew, so that laws are met by more than defaults."""
 
 from __future__ import annotations
 
+import tempfile
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from datagen.config import SceneConfig, config_from_mapping
+from datagen.errors import InputError
+from datagen.records import Scene
+from datagen.scene import generate_scene
+from scene_library.materials import MATERIALS
+from scene_library.objects import CLASSES, GROUPS
 
 
-def _range(rng: np.random.Generator, low: float, high: float) -> dict[str, Any]:
+def _range(rng: np.random.Generator, low: float, high: float) -> Any:
+    """A distribution of any kind, or a constant, inside low … high."""
     a, b = sorted(rng.uniform(low, high, 2))
-    kind = rng.integers(4)
+    kind = rng.integers(6)
     if kind == 0:
         return {"uniform": [a, b]}
     if kind == 1 and low > 0:
         return {"log_uniform": [a, b]}
     if kind == 2:
         return {"normal": {"mean": (a + b) / 2, "std": (b - a) / 3 + 1e-3, "low": a, "high": b}}
+    if kind == 3:
+        return a
+    if kind == 4:
+        return {"choice": [a, b, (a + b) / 2], "weights": [*rng.uniform(0, 1, 2), 0.1]}
     return {"choice": [a, b, (a + b) / 2]}
 
 
@@ -73,33 +87,151 @@ def _layout(rng: np.random.Generator, kind: str) -> dict[str, Any]:
     common = {"height_m": (2.2, 4.0), "device_height_m": (0.3, 2.0), "device_offset": (0.1, 0.9)}
     drawn = {name: _range(rng, *bounds) for name, bounds in (common | _DIMENSIONS[kind]).items()}
     layout = {"kind": kind, "turn": str(rng.choice(["left", "right", "random"])), **drawn}
+    if rng.random() < 0.5:
+        layout |= {"floor": bool(rng.random() < 0.5), "ceiling": bool(rng.random() < 0.5)}
     if kind != "isolated_wall" and rng.random() < 0.5:
-        layout["out_of_square_deg"] = _range(rng, -4.0, 4.0)
+        most = float(rng.choice([2.0, 5.0, 12.0]))
+        layout["out_of_square_deg"] = _range(rng, -most, most)
+    if rng.random() < 0.3:
+        layout["relay_wall"] = _relay_wall(rng)
     return layout
 
 
+def _relay_wall(rng: np.random.Generator) -> dict[str, Any]:
+    """An uneven one, clutter before it, or both."""
+    shape = {
+        "kind": str(rng.choice(["flat", "curved", "corrugated", "bumpy", "stepped"])),
+        "relief_m": _range(rng, 0.01, 0.1),
+        "length_m": _range(rng, 0.3, 1.0),
+        "ridges": str(rng.choice(["vertical", "horizontal"])),
+        "max_triangles": 3000,
+    }
+    clutter = {"count": _count(rng), "reach_m": _range(rng, 0.02, 0.2), "width_m": _range(rng, 0.05, 0.4)}
+    return shape | ({"clutter": {**clutter, **_surface(rng)}} if rng.random() < 0.5 else {})
+
+
+def _surface(rng: np.random.Generator) -> dict[str, Any]:
+    """An albedo or materials of the catalogue, and one of the ways to scatter."""
+    named = rng.random() < 0.4
+    surface: dict[str, Any] = (
+        {"material": [str(name) for name in rng.choice(list(MATERIALS), int(rng.integers(1, 5)), replace=False)]}
+        if named
+        else {"albedo": _range(rng, 0.0, 1.0)}
+    )
+    brdfs: list[dict[str, Any]] = [
+        {"kind": "lambertian"},
+        {"kind": "sin_lobe"},
+        {"kind": "phong", "exponent": _range(rng, 0.0, 200.0), "specular": _range(rng, 0.0, 1.0)},
+        {"kind": "oren_nayar", "sigma_deg": _range(rng, 0.0, 60.0)},
+        {"kind": "ggx", "roughness": _range(rng, 0.1, 1.0), "f0": _range(rng, 0.0, 1.0)},
+        {"kind": "retroreflector", "half_width_deg": _range(rng, 0.1, 20.0), "retro": _range(rng, 0.0, 1.0)},
+    ]
+    if named:
+        brdfs.append({"kind": "catalogue"})
+    if rng.random() < 0.5:
+        surface["brdf"] = brdfs[int(rng.integers(len(brdfs)))]
+    return surface
+
+
+def _count(rng: np.random.Generator) -> Any:
+    return [
+        1,
+        2,
+        {"uniform": [0, 3]},
+        {"choice": [0, 1, 4], "weights": [1, 2, 1]},
+        {"normal": {"mean": 1, "std": 1, "low": 0, "high": 3}},
+    ][int(rng.integers(5))]
+
+
 def _item(rng: np.random.Generator, walls: bool) -> dict[str, Any]:
-    kind = str(rng.choice(["pillar", "box", "library"], p=[0.3, 0.4, 0.3]))
-    if kind == "library":
-        group = str(rng.choice(["household", "figures", "shapes", "letters", "digits", "chair", "shelf"]))
-        placement = str(rng.choice(["floor", "wall", "hanging"] if walls else ["floor", "hanging"]))
-        return {"kind": kind, "classes": [group], "height_m": _range(rng, 0.3, 0.8), "placement": placement}
-    item = {"kind": kind, "count": int(rng.integers(1, 3)), "albedo": _range(rng, 0.0, 1.0)}
-    item["width_m"] = _range(rng, 0.1, 0.6)
-    if kind == "pillar":
-        item["shape"] = str(rng.choice(["square", "round"]))
-    if rng.random() < 0.7 or kind == "box":
-        item["depth_m"] = _range(rng, 0.1, 0.6)
-    if kind == "box":
-        item["height_m"] = _range(rng, 0.1, 1.0)
-        if rng.random() < 0.3:
-            item |= {"elevation_m": _range(rng, 0.0, 0.8), "placement": str(rng.choice(["floor", "hanging"]))}
+    kind = str(rng.choice(["pillar", "box", "library", "mesh", "mesh_folder"], p=[0.2, 0.25, 0.35, 0.1, 0.1]))
+    item: dict[str, Any] = {"kind": kind, "count": _count(rng), **_surface(rng)}
+    if rng.random() < 0.3:
+        item["name"] = f"thing{int(rng.integers(3))}"
+    if rng.random() < 0.3:
+        item |= {"along": _range(rng, 0.0, 1.0), "across": _range(rng, 0.0, 1.0)}
+    if rng.random() < 0.5:
+        item["rotation_deg"] = _range(rng, -360.0, 360.0)
+    match kind:
+        case "pillar":
+            item |= {"shape": str(rng.choice(["square", "round"])), "width_m": _range(rng, 0.1, 0.6)}
+            if rng.random() < 0.7:
+                item["depth_m"] = _range(rng, 0.1, 0.6)
+            return item
+        case "box":
+            item |= {"width_m": _range(rng, 0.1, 0.6), "depth_m": _range(rng, 0.1, 0.6)}
+            item["height_m"] = _range(rng, 0.1, 1.0)
+        case "library":
+            names = [*GROUPS, *GROUPS, *CLASSES]
+            item["classes"] = [str(name) for name in rng.choice(names, int(rng.integers(1, 4)), replace=False)]
+            if rng.random() < 0.7:
+                item["height_m"] = _range(rng, 0.3, 0.8)
+        case "mesh":
+            item |= {"path": str(rng.choice(["meshes/hat/hat.ply", "meshes/fin.obj", "meshes/two.glb"]))}
+            item |= {"height_m": _range(rng, 0.3, 0.8), "up": str(rng.choice(["x", "-x", "y", "-y", "z", "-z"]))}
+        case "mesh_folder":
+            item |= {"path": "meshes", "height_m": _range(rng, 0.3, 0.8)}
+            if rng.random() < 0.3:
+                item["classes"] = ["ball", "hat"]
+            if rng.random() < 0.3:
+                item["max_triangles"] = 60
+    item["placement"] = str(rng.choice(["floor", "wall", "hanging"] if walls else ["floor", "hanging"]))
+    if rng.random() < 0.3:
+        item["elevation_m"] = _range(rng, 0.0, 0.8)
     return item
 
 
+@cache
+def _mesh_folder() -> Path:
+    """A folder that holds `meshes`: closed ones, a scene graph, a sheet with three leaves on one edge."""
+    kept = tempfile.TemporaryDirectory()
+    _alive.append(kept)
+    folder = Path(kept.name) / "meshes"
+    for label in ("ball", "hat"):
+        (folder / label).mkdir(parents=True)
+    trimesh.creation.icosphere(subdivisions=2).export(folder / "ball" / "ball.stl")
+    trimesh.creation.cone(radius=0.6, height=1.0, sections=24).export(folder / "hat" / "hat.ply")
+    (folder / "fin.obj").write_text(
+        "v 0 0 0\nv 0.1 0.2 1\nv 1 0 0.1\nv 0 1 0\nv -1 -1 0.2\nf 1 2 3\nf 1 2 4\nf 1 2 5\n"
+    )
+    graph = trimesh.Scene()
+    graph.add_geometry(trimesh.creation.box(extents=[1, 0.7, 0.4]), node_name="low")
+    move = trimesh.transformations.translation_matrix([0.3, 0.1, 0.8])
+    graph.add_geometry(trimesh.creation.torus(0.4, 0.1, 12, 8), node_name="high", transform=move)
+    graph.export(folder / "two.glb")
+    return Path(kept.name)
+
+
+_alive: list[tempfile.TemporaryDirectory[str]] = []
+
+
 def random_spec(rng: np.random.Generator, kind: str) -> SceneConfig:
-    contents = [_item(rng, kind != "isolated_wall") for _ in range(int(rng.integers(1, 4)))]
-    materials = {name: {"albedo": _range(rng, 0.0, 1.0)} for name in ("relay_wall", "walls", "floor", "ceiling")}
-    clearance = float(rng.choice([0.001, 0.02, 0.1]))
-    scene = {"layout": _layout(rng, kind), "contents": contents, "materials": materials, "clearance_m": clearance}
-    return config_from_mapping({"scene": scene}).scene
+    """Settings that can be read; whether rooms come of them is another matter."""
+    while True:
+        contents = [_item(rng, kind != "isolated_wall") for _ in range(int(rng.integers(0, 4)))]
+        surfaces = ("relay_wall", "walls", "floor", "ceiling", "screen")
+        scene = {
+            "layout": _layout(rng, kind),
+            "contents": contents,
+            "materials": {name: _surface(rng) for name in surfaces},
+            "wavelength_nm": float(rng.uniform(500, 1600)),
+            "clearance_m": float(rng.choice([0.001, 0.02, 0.1])),
+            "minimum_seen": float(rng.choice([0.0, 0.02, 0.05])),
+            # Settings that ask for too much would otherwise take most of the time.
+            "max_attempts": 24,
+        }
+        try:
+            return config_from_mapping({"scene": scene}, base_directory=_mesh_folder()).scene
+        except InputError as error:
+            # Only what no draw can meet, such as a device always above the ceiling, may be refused at reading.
+            assert "≥" in str(error) or "at least" in str(error), error
+
+
+def random_scene(rng: np.random.Generator, kind: str, seed: int, index: int) -> tuple[SceneConfig, Scene]:
+    """Settings and a scene of them, the first for which there is one."""
+    while True:
+        spec = random_spec(rng, kind)
+        try:
+            return spec, generate_scene(spec, seed, index)
+        except InputError:
+            continue

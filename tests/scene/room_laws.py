@@ -1,6 +1,6 @@
 """What must hold in every generated room, checked independently of the code that places things.
 
-The oracle is a plain float64 segment–triangle test (Möller & Trumbore 1997) on the finished triangles; it shares
+The oracle is a plain float64 segment–triangle test (`crossing_counts.py`) on the finished triangles; it shares
 nothing with the plan-view tests of `scene_library`.
 """
 
@@ -9,30 +9,29 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+from crossing_counts import crossing_counts
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from datagen.records import Scene
 
-
-def crossings(triangles: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """(n, F): whether segment start → end (n, 3) passes through triangle (F, 3, 3)."""
-    a, e1, e2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    d = (end - start)[:, None]
-    p = np.cross(d, e2[None])
-    det = (e1[None] * p).sum(-1)
-    safe = np.where(np.abs(det) < 1e-14, 1.0, det)
-    s = start[:, None] - a[None]
-    u = (s * p).sum(-1) / safe
-    q = np.cross(s, e1[None])
-    v = (d * q).sum(-1) / safe
-    t = (e2[None] * q).sum(-1) / safe
-    return (np.abs(det) >= 1e-14) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-9) & (t < 1 - 1e-9)
+ROOM = ("relay_wall", "walls", "floor", "ceiling", "screen")
+"""The room's own parts; what else is no object is clutter before the relay wall."""
 
 
-def triangles_of(scene: Scene, *roles: str) -> np.ndarray:
-    wanted = [i for i, r in enumerate(scene.roles) if r in roles]
+def room_triangles(scene: Scene, *names: str) -> np.ndarray:
+    """(F, 3, 3) of the room's own parts, or of those named."""
+    wanted = [i for i, name in enumerate(scene.part_names) if name in (names or ROOM)]
     return scene.corners[np.isin(scene.face_part, wanted)]
+
+
+def all_but_objects(scene: Scene) -> np.ndarray:
+    return scene.corners[np.array([role != "object" for role in scene.roles])[scene.face_part]]
+
+
+def without_clutter(scene: Scene) -> np.ndarray:
+    kept = [n in ROOM or r == "object" for n, r in zip(scene.part_names, scene.roles, strict=True)]
+    return scene.corners[np.array(kept)[scene.face_part]]
 
 
 def object_names(scene: Scene) -> list[str]:
@@ -49,31 +48,48 @@ def surface_points(triangles: np.ndarray, n: int, rng: np.random.Generator) -> n
 
 
 def assert_closed_surface(scene: Scene) -> None:
-    """The room's own triangles form a closed surface: every edge belongs to exactly two of them."""
+    """The room's own triangles form a closed surface: every edge belongs to exactly two of them.
+
+    Where floor or ceiling is left out, the edges it would have had belong to one.
+    """
     edges: Counter[frozenset[tuple[float, ...]]] = Counter()
-    for triangle in triangles_of(scene, "relay_wall", "structure"):
+    for triangle in room_triangles(scene):
         corners = [tuple(c) for c in triangle]
         edges.update(frozenset((corners[k], corners[k - 1])) for k in range(3))
-    assert set(edges.values()) == {2}
+    tops = {scene.parameters["layout.height_m"], scene.parameters.get("layout.door_height_m")}
+    open_at = ({0.0} if "floor" not in scene.part_names else set()) | (
+        tops if "ceiling" not in scene.part_names else set()
+    )
+    for edge, uses in edges.items():
+        heights = {corner[2] for corner in edge}
+        assert uses == 2 or (uses == 1 and len(heights) == 1 and heights <= open_at), (edge, uses)
 
 
 def assert_light_stays_inside(scene: Scene, rng: np.random.Generator, rays: int = 500) -> None:
-    """Rays from where the device stands, and from what they hit, always hit again."""
+    """Rays from where the device stands, and from what they hit, always hit again.
+
+    Only where floor or ceiling is left out may they leave, downwards or upwards.
+    """
     embree = EmbreeScene()
     TriangleMesh(embree, scene.corners.astype(np.float32))
     origin = np.repeat(scene.device_position[None], rays, axis=0)
     for _ in range(3):
-        direction = rng.normal(size=(rays, 3))
+        direction = rng.normal(size=(len(origin), 3))
         direction /= np.linalg.norm(direction, axis=1)[:, None]
         hit = embree.run(origin.astype(np.float32), direction.astype(np.float32), query="DISTANCE")
-        assert (hit < 1e3).all()
-        origin = origin + 0.5 * hit[:, None] * direction
+        escaped = hit > 1e3
+        down, up = direction[:, 2] < 0, direction[:, 2] > 0
+        free = (down & ("floor" not in scene.part_names)) | (up & ("ceiling" not in scene.part_names))
+        assert not (escaped & ~free).any(), f"{(escaped & ~free).sum()} rays escape"
+        origin = (origin + 0.5 * hit[:, None] * direction)[~escaped]
 
 
 def assert_nothing_intersects(scene: Scene) -> None:
-    """No edge of an object passes through another object or through the room, and none lies inside another."""
+    """No edge of an object passes through another object or through the room, none lies inside another, and all are
+    inside the room.
+    """
     names = object_names(scene)
-    structure = triangles_of(scene, "relay_wall", "structure")
+    structure = all_but_objects(scene)
     extent = float(np.ptp(scene.vertices, axis=0).max())
     for name in names:
         own = scene.corners[scene.faces_of(name)]
@@ -81,33 +97,82 @@ def assert_nothing_intersects(scene: Scene) -> None:
         # Objects may rest on floor or ceiling; pulled in by a hair they must be free of them.
         middle = own.reshape(-1, 3).mean(axis=0)
         inward = 1e-6
-        assert not crossings(structure, start + inward * (middle - start), end + inward * (middle - end)).any(), name
+        start_in, end_in = start + inward * (middle - start), end + inward * (middle - end)
+        assert not crossing_counts(structure, start_in, end_in).any(), name
         for other in names:
             if other != name:
                 theirs = scene.corners[scene.faces_of(other)]
                 # Triangles apart from the object's bounding box cannot be met by its edges.
                 near = (theirs.max(axis=1) >= start.min(axis=0)) & (theirs.min(axis=1) <= start.max(axis=0))
-                assert not crossings(theirs[near.all(axis=1)], start, end).any(), (name, other)
+                assert not crossing_counts(theirs[near.all(axis=1)], start, end).any(), (name, other)
                 far = middle + extent * np.array([0.03, 0.04, 5.0])
-                inside = crossings(theirs, start[:1], far[None]).sum() % 2
-                assert inside == 0, f"{name} inside {other}"
+                if _may_be_open(scene, other) and not _is_closed(theirs):
+                    continue
+                assert crossing_counts(theirs, start[:1], far[None])[0] % 2 == 0, f"{name} inside {other}"
         if scene.parameters["layout.kind"] == "isolated_wall":
             continue
-        # Inside the room: straight up from the object there is a ceiling, straight down a floor.
-        up = crossings(structure, middle[None], middle[None] + [0.0, 0.0, extent]).sum()
-        down = crossings(structure, middle[None], middle[None] - [0.0, 0.0, extent]).sum()
-        assert up % 2 == 1
-        assert down % 2 == 1
+        # Inside the room: on the level, every way out leads through its walls, which close around it.
+        out = middle + extent * np.array([4.0, 1.234, 0.0])
+        assert crossing_counts(structure, middle[None], out[None])[0] % 2 == 1, f"{name} outside"
+        assert -1e-9 <= own[..., 2].min() < own[..., 2].max() <= scene.parameters["layout.height_m"] + 1e-9, name
 
 
-def assert_hidden(scene: Scene, rng: np.random.Generator, points: int = 100) -> None:
-    """No point of an object, corners included, is in sight of the device; objects do not help to hide each other."""
-    structure = triangles_of(scene, "relay_wall", "structure")
+def _may_be_open(scene: Scene, name: str) -> bool:
+    """Everything the library makes is closed; a user's mesh may be a mere sheet, which has no inside."""
+    return str(scene.parameters[f"{name}.kind"]).startswith("mesh")
+
+
+def _is_closed(triangles: np.ndarray) -> bool:
+    keys = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
+    edges = np.sort(keys[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return bool((np.unique(edges, axis=0, return_counts=True)[1] % 2 == 0).all())
+
+
+def assert_nothing_floats(scene: Scene) -> None:
+    """Whatever stands has its lowest point on the floor, whatever hangs its highest at the ceiling, but for the
+    elevation drawn for it.
+    """
+    height = scene.parameters["layout.height_m"]
+    for name in object_names(scene):
+        low, high = (f(scene.corners[scene.faces_of(name)][..., 2]) for f in (np.min, np.max))
+        gap = scene.parameters.get(f"{name}.elevation_m", 0.0)
+        if scene.parameters.get(f"{name}.placement") == "hanging":
+            np.testing.assert_allclose(high, height - gap, atol=1e-9 * height, err_msg=name)
+        else:
+            np.testing.assert_allclose(low, gap, atol=1e-9 * height, err_msg=name)
+        if scene.parameters[f"{name}.kind"] == "pillar":
+            np.testing.assert_allclose([low, high], [0, height], atol=1e-9 * height, err_msg=name)
+
+
+def assert_keeps_clear(scene: Scene, clearance_m: float) -> None:
+    """No corner of an object is nearer to a wall than the clearance; one placed at a wall is just as far from it."""
+    upright = room_triangles(scene, "relay_wall", "walls", "screen")
+    upright = upright[np.ptp(upright[..., 2], axis=1) > 0]
+    sides = np.roll(upright, -1, axis=1)[..., :2] - upright[..., :2]
+    longest = np.linalg.norm(sides, axis=2).argmax(axis=1)
+    start, along = upright[np.arange(len(upright)), longest, :2], sides[np.arange(len(upright)), longest]
+    for name in object_names(scene):
+        corners = np.unique(scene.corners[scene.faces_of(name)].reshape(-1, 3)[:, :2], axis=0)
+        offset = corners[:, None] - start
+        t = np.clip((offset * along).sum(-1) / (along**2).sum(-1), 0, 1)
+        gap = float(np.linalg.norm(offset - t[..., None] * along, axis=-1).min())
+        assert gap > clearance_m * (1 - 1e-6) - 1e-9, f"{name}: {gap} m to the wall"
+        if scene.parameters.get(f"{name}.placement") == "wall":
+            assert gap < clearance_m * (1 + 1e-3) + 1e-6, f"{name}: {gap} m from the wall it stands against"
+
+
+def assert_hidden_from(scene: Scene, eye: np.ndarray, rng: np.random.Generator, points: int = 100) -> None:
+    """No point of an object, corners included, is in sight of `eye`; objects and clutter do not help to hide."""
+    structure = room_triangles(scene)
     for name in object_names(scene):
         own = scene.corners[scene.faces_of(name)]
         on_it = np.concatenate([np.unique(own.reshape(-1, 3), axis=0), surface_points(own, points, rng)])
-        blocked = crossings(structure, np.broadcast_to(scene.device_position, on_it.shape), on_it).any(axis=1)
-        assert blocked.all(), name
+        assert crossing_counts(structure, eye, on_it).all(), f"{name} is in sight"
+
+
+def assert_hidden(scene: Scene, rng: np.random.Generator) -> None:
+    """No object is in sight of the device."""
+    assert_hidden_from(scene, scene.device_position, rng)
 
 
 def assert_seen_from_wall(scene: Scene, rng: np.random.Generator, points: int = 200, batches: int = 40) -> None:
@@ -116,22 +181,25 @@ def assert_seen_from_wall(scene: Scene, rng: np.random.Generator, points: int = 
     across, up = rng.uniform(-1, 1, (2, points, 1))
     on_wall = wall.center + across * wall.right + up * wall.up
     to_wall = on_wall + 1e-3 * (scene.device_position - on_wall)
-    assert not crossings(scene.corners, np.broadcast_to(scene.device_position, to_wall.shape), to_wall).any()
+    assert not crossing_counts(without_clutter(scene), scene.device_position, to_wall).any()
     for name in object_names(scene):
-        assert any(_sees_some(scene, name, on_wall, rng) for _ in range(batches)), name
+        assert any(_sees_some(scene, name, on_wall, rng) for _ in range(batches)), f"{name} is not seen from the wall"
 
 
 def _sees_some(scene: Scene, name: str, on_wall: np.ndarray, rng: np.random.Generator) -> bool:
     on_wall = on_wall[rng.choice(len(on_wall), 40)]
     on_it = surface_points(scene.corners[scene.faces_of(name)], len(on_wall), rng)
     near_wall, near_it = on_wall + 1e-6 * (on_it - on_wall), on_it + 1e-6 * (on_wall - on_it)
-    return bool((~crossings(scene.corners, near_wall, near_it).any(axis=1)).any())
+    return bool((crossing_counts(scene.corners, near_wall, near_it) == 0).any())
 
 
-def assert_room_laws(scene: Scene, rng: np.random.Generator) -> None:
+def assert_room_laws(scene: Scene, rng: np.random.Generator, clearance_m: float | None = None) -> None:
     if scene.parameters["layout.kind"] != "isolated_wall":
         assert_closed_surface(scene)
         assert_light_stays_inside(scene, rng)
     assert_nothing_intersects(scene)
+    assert_nothing_floats(scene)
+    if clearance_m is not None:
+        assert_keeps_clear(scene, clearance_m)
     assert_hidden(scene, rng)
     assert_seen_from_wall(scene, rng)
