@@ -33,9 +33,11 @@ if TYPE_CHECKING:
     )
     from datagen.scene import generate_scene
     from datagen.transport import simulate
+    from datagen.transport.as_printed import AsPrinted, simulate_as_printed
 
 _HOME = {
     "Accuracy": "datagen.records",
+    "AsPrinted": "datagen.transport.as_printed",
     "Capture": "datagen.records",
     "Exposure": "datagen.detector",
     "GGX": "datagen.records",
@@ -58,11 +60,13 @@ _HOME = {
     "generate_scene": "datagen.scene",
     "load_config": "datagen.config",
     "simulate": "datagen.transport",
+    "simulate_as_printed": "datagen.transport.as_printed",
 }
 
 __all__ = [
     "GGX",
     "Accuracy",
+    "AsPrinted",
     "Capture",
     "Exposure",
     "Lambertian",
@@ -85,6 +89,7 @@ __all__ = [
     "generate_scene",
     "load_config",
     "simulate",
+    "simulate_as_printed",
 ]
 
 
