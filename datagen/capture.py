@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from datagen.capture_checks import check_hidden, check_in_sight, pixel_points
 from datagen.config import DatasetConfig
 from datagen.config.capture import CaptureConfig, FieldOfView
-from datagen.config.scans import PointsScan
+from datagen.config.scans import GridScan, PointsScan
 from datagen.errors import InputError
 from datagen.records import Capture, Laser, Rectangle, Scene, Sensor
-from datagen.scans import rectangle_on, scan_targets
+from datagen.scans import flood_targets, rectangle_on, scan_targets
 from datagen.seeding import Purpose, generator
 
 CONFOCAL_PIXEL_M = 0.05
@@ -42,12 +42,24 @@ def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, in
             "scene: names no relay wall; give Scene.from_parts(relay_wall=Rectangle…) or build a Capture"
         )
     rng = generator(config.seed if seed is None else seed, index, Purpose.CAPTURE)
-    targets = scan_targets(settings.scan, wall, rng)
+    targets = _targets(settings, wall, rng)
     laser = Laser(_position("laser", settings.laser_position_m, settings.laser_offset_m, scene), targets)
     place = _position("sensor", settings.sensor_position_m, settings.sensor_offset_m, scene)
-    capture = Capture(laser, _sensor(settings, place, wall, targets), settings.time.axis(), settings.pairing)
+    sensor = _sensor(settings, place, wall, targets)
+    capture = Capture(laser, sensor, settings.time.axis(), settings.pairing, settings.illumination)
     _check_sight(settings, scene, capture)
     return capture
+
+
+def _targets(settings: CaptureConfig, wall: Rectangle, rng: np.random.Generator) -> NDArray[np.float64]:
+    scan, view = settings.scan, settings.field_of_view
+    if settings.illumination != "flood" or not isinstance(scan, GridScan):
+        return scan_targets(scan, wall, rng)
+    if settings.flood_fills_view:
+        lit = rectangle_on("field_of_view", wall, view.center_m, view.width_m, view.height_m)
+    else:
+        lit = rectangle_on("scan", wall, scan.center_m, scan.width_m, scan.height_m)
+    return flood_targets(scan, *lit)
 
 
 def _position(

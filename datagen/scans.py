@@ -43,6 +43,14 @@ def scan_targets(scan: AnyScan, wall: Rectangle, rng: np.random.Generator) -> Ve
     raise TypeError(f"no pattern is known for {type(scan).__name__}")
 
 
+def flood_targets(scan: GridScan, center: Vector, right: Vector, up: Vector) -> Vector:
+    """(L, 3) midpoints of rows × columns equal cells of a rectangle, row by row from the top left: a quadrature with
+    equal weights.
+    """
+    shrink_right, shrink_up = 1 - 1 / scan.columns, 1 - 1 / scan.rows
+    return _grid(scan, center, shrink_right * right, shrink_up * up)
+
+
 def rectangle_on(
     key: str, wall: Rectangle, center_m: Sequence[float] | None, width_m: float | None, height_m: float | None
 ) -> tuple[Vector, Vector, Vector]:

@@ -52,6 +52,10 @@ class CaptureConfig(Settings):
 
     pairing: Literal["confocal", "exhaustive"] = "confocal"
     """`confocal`: pixel i looks at laser point i; `exhaustive`: every pixel for every laser point."""
+    illumination: Literal["scan", "flood"] = "scan"
+    """`scan`: one laser point after the other; `flood`: all at once with equal shares of the light, as one wide beam,
+    so there is one histogram a pixel. The scan's points then are the beam's quadrature: those of a grid are the
+    midpoints of equal cells, which fill the field of view unless the scan has a size or a place of its own."""
     scan: AnyScan = GridScan()
     """Where the laser points are: a grid, or of another `kind`."""
     field_of_view: FieldOfView = FieldOfView()
@@ -67,10 +71,17 @@ class CaptureConfig(Settings):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """(laser, pixel, bin) of every transient, known without a scene; confocal has pixel = 1."""
+        """(laser, pixel, bin) of every transient, known without a scene; pixel = 1 if confocal, laser = 1 for a flood."""
         view = self.field_of_view
         pixels = 1 if self.pairing == "confocal" else view.rows * view.columns
-        return self.scan.laser_points, pixels, self.time.bins
+        return 1 if self.illumination == "flood" else self.scan.laser_points, pixels, self.time.bins
+
+    @property
+    def flood_fills_view(self) -> bool:
+        """Whether a flood's grid has the field of view as its rectangle."""
+        scan = self.scan
+        own = isinstance(scan, GridScan) and (scan.width_m, scan.height_m, scan.center_m) != (None, None, None)
+        return self.illumination == "flood" and isinstance(scan, GridScan) and not own
 
     @model_validator(mode="after")
     def _confocal_has_one_pixel(self) -> Self:
@@ -87,6 +98,25 @@ class CaptureConfig(Settings):
                 f"field_of_view.center_m = {list(view.center_m)}: with pairing 'confocal' the pixels lie around the "
                 "laser points; set scan.center_m instead, or pairing: exhaustive"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _flood_lights_all_alike(self) -> Self:
+        if self.illumination != "flood":
+            return self
+        if self.pairing == "confocal":
+            raise ValueError(
+                "illumination = 'flood' with pairing 'confocal': a flood lights all points at once; set pairing: "
+                "exhaustive"
+            )
+        if self.flood_fills_view:
+            for name in ("rows", "columns"):
+                points, pixels = getattr(self.scan, name), getattr(self.field_of_view, name)
+                if points % pixels:
+                    raise ValueError(
+                        f"scan.{name} = {points} with illumination 'flood' and field_of_view.{name} = {pixels}: some "
+                        f"pixels would get more points of the flood than others; take a multiple of {pixels}"
+                    )
         return self
 
     @model_validator(mode="after")

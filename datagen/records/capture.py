@@ -12,6 +12,7 @@ from datagen.errors import InputError
 
 Origin = Literal["source", "wall"]
 Pairing = Literal["exhaustive", "confocal"]
+Illumination = Literal["scan", "flood"]
 
 
 def _points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
@@ -133,16 +134,30 @@ class TimeAxis:
 
 @dataclass(frozen=True)
 class Capture:
-    """Laser, sensor, time axis. `exhaustive`: every pixel for every laser point; `confocal`: pixel i for point i."""
+    """Laser, sensor, time axis.
+
+    pairing : `exhaustive`: every pixel for every laser point; `confocal`: pixel i for laser point i.
+    illumination : `scan`: one laser point after the other; `flood`: all at once, each with an equal share of the
+        light, as one wide beam: one histogram a pixel.
+    """
 
     laser: Laser
     sensor: Sensor
     time: TimeAxis
     pairing: Pairing = "exhaustive"
+    illumination: Illumination = "scan"
 
     def __post_init__(self) -> None:
         if self.pairing not in get_args(Pairing):
             raise InputError(f"Capture.pairing = {self.pairing!r}: must be one of {', '.join(get_args(Pairing))}")
+        if self.illumination not in get_args(Illumination):
+            allowed = ", ".join(get_args(Illumination))
+            raise InputError(f"Capture.illumination = {self.illumination!r}: must be one of {allowed}")
+        if self.illumination == "flood" and self.pairing == "confocal":
+            raise InputError(
+                "Capture.illumination = 'flood' with pairing = 'confocal': a flood lights all points at once; "
+                "take pairing 'exhaustive'"
+            )
         lasers, pixels = len(self.laser.targets), len(self.sensor.pixels)
         if self.pairing == "confocal" and lasers != pixels:
             raise InputError(
@@ -152,6 +167,6 @@ class Capture:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """(laser, pixel, bin): the shape of a transient; confocal has pixel = 1."""
+        """(laser, pixel, bin): the shape of a transient; confocal has pixel = 1, a flood laser = 1."""
         pixels = 1 if self.pairing == "confocal" else len(self.sensor.pixels)
-        return len(self.laser.targets), pixels, self.time.bins
+        return 1 if self.illumination == "flood" else len(self.laser.targets), pixels, self.time.bins

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import trimesh
 
 Role = Literal["relay_wall", "structure", "object"]
-"""`relay_wall` is the visible wall and what stands before it; `structure` the other walls, floor and ceiling; `object`
-what a reconstruction would want to find."""
+"""`relay_wall` is the visible wall and what stands before it; `structure` the other walls, floor and ceiling;
+`object` what a reconstruction would want to find."""
 
 
 @dataclass(frozen=True)

@@ -34,8 +34,14 @@ def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
     lasers, pixels, _ = again.capture.shape
     confocal = again.capture.pairing == "confocal"
     looks = ", where each has its own pixel (confocal)" if confocal else f" ({_n(pixels, 'pixel')})"
+    flood = again.capture.illumination == "flood"
+    lit = (
+        f"as a flood over the relay wall (its {len(again.capture.laser.targets)} quadrature points are shown)"
+        if flood
+        else f"to {_n(lasers, 'laser point')} on the relay wall"
+    )
     text = (
-        f"The room of this scene. Light goes from the laser to {_n(lasers, 'laser point')} on the relay wall, around "
+        f"The room of this scene. Light goes from the laser {lit}, around "
         f"the corner to the objects, back to the relay wall and into the sensor{looks}. In the 3D picture the "
         "ceiling and the walls in the way are taken off (dashed edges). The green rectangle is the window that the "
         "label images look through, along the arrow."
@@ -299,10 +305,14 @@ def _channel_name(again: Replay, laser: int, pixel: int) -> str:
     lasers, pixels, _ = again.capture.shape
     if again.capture.pairing == "confocal":
         return f"Laser point {laser} of {lasers}, where objects stand out"
+    if again.capture.illumination == "flood":
+        return f"Flood, pixel {pixel} of {pixels}"
     return f"Laser point {laser} of {lasers}, pixel {pixel} of {pixels}"
 
 
 def _whole_name(again: Replay) -> str:
     lasers, pixels, _ = again.capture.shape
+    if again.capture.illumination == "flood":
+        return f"Sum over {_n(pixels, 'pixel')}"
     over = _n(lasers, "laser point") if pixels == 1 else f"{_n(lasers, 'laser point')} × {_n(pixels, 'pixel')}"
     return f"Sum over {over}"

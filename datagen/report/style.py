@@ -25,7 +25,7 @@ INK = "#222222"
 LASER = "#D55E00"
 FIELD_OF_VIEW = "#332288"
 EXPECTED = "#0072B2"
-_RELAY_WALL = "#8DB4DE"
+_RELAY_WALLS = ("#8DB4DE", "#5E8DC1", "#3E6D9F", "#6F9FB5")
 # Okabe & Ito's palette, then Paul Tol's "muted", without the colours used for laser points, FoV and relay wall.
 _OBJECTS = (
     "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442", "#882255", "#44AA99", "#999933", "#AA4499", "#117733",
@@ -61,11 +61,13 @@ def house_style() -> Iterator[None]:
 
 
 def part_colors(scene: Scene) -> dict[str, str]:
-    """Part name → colour: bright ones for objects, greys for the room, light blue for the relay wall."""
-    colors, objects, walls = {}, 0, 0
+    """Part name → colour: bright ones for objects, greys for the room, light blue for the relay wall, darker blue for
+    what stands before it."""
+    colors, objects, walls, relays = {}, 0, 0, 0
     for name, role in zip(scene.part_names, scene.roles, strict=True):
         if role == "relay_wall":
-            colors[name] = _RELAY_WALL
+            colors[name] = _RELAY_WALLS[min(relays, 1) + max(relays - 1, 0) % (len(_RELAY_WALLS) - 1)]
+            relays += 1
         elif role == "object":
             colors[name] = _OBJECTS[objects % len(_OBJECTS)]
             objects += 1

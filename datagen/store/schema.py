@@ -178,12 +178,14 @@ def _object_tables(config: DatasetConfig) -> tuple[Field, ...]:
 
 
 def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
-    lasers, pixels, _ = config.capture.shape
+    lasers, pixels = config.capture.scan.laser_points, config.capture.shape[1]
     all_pixels = lasers if config.capture.pairing == "confocal" else pixels
     rectangle = ("scene", "vector", "axis")
+    # The axis `laser` of a flood's histograms has length 1, so its many points need an axis of another name.
+    point = "laser" if lasers == config.capture.shape[0] else "laser_point"
     small = (
-        ("laser_points", ("scene", "laser", "axis"), (lasers, 3),
-         "where each laser ray meets the scene; NaN where it meets nothing"),
+        ("laser_points", ("scene", point, "axis"), (lasers, 3),
+         "where each laser ray meets the scene (of a flood: its quadrature points); NaN where it meets nothing"),
         ("sensor_pixels", ("scene", "sensor_pixel", "corner", "axis"), (all_pixels, 4, 3),
          "corners, in order around, of each pixel's field of view on (or beyond) the relay wall"),
         ("laser_position", ("scene", "axis"), (3,), "where the laser stands"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock_time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from datagen.records import Accuracy, Capture, Scene, Spend, Transient
 from datagen.transport.adaptive import meet_target
 from datagen.transport.averages import Average, Estimate, walk_average
 from datagen.transport.brdf import MaterialTable
+from datagen.transport.flood import flooded
 from datagen.transport.fov import PixelCones, PixelPatches
 from datagen.transport.raycast import Raycaster
 from datagen.transport.secondary import factorising, secondary_transient
@@ -43,7 +45,8 @@ def simulate(
     Returns
     -------
     Transient with arrays (L, P, T), photons at the aperture per emitted photon and bin. A laser ray that meets
-    nothing, or a pixel that sees nothing, gives zeros.
+    nothing, or a pixel that sees nothing, gives zeros. Flood illumination gives the mean over its laser points,
+    (1, P, T), with L as the number of points of its quadrature (`transport/flood.py`).
 
     Raises
     ------
@@ -52,6 +55,9 @@ def simulate(
     accuracy = accuracy or Accuracy()
     if not 0 <= seed < 2**64:
         raise InputError(f"seed = {seed}: must be an integer in 0 … 2^64 − 1")
+    if capture.illumination == "flood":
+        one_by_one = replace(capture, illumination="scan")
+        return flooded(simulate(scene, one_by_one, accuracy, seed, split_parts=split_parts))
     began = clock_time.perf_counter()
     caster = Raycaster(scene)
     materials = MaterialTable.of(scene.materials)
