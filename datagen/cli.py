@@ -29,13 +29,21 @@ def cli() -> None:
 @cli.command()
 @click.argument("config")
 @click.option("--scenes", type=int, help="Instead of the configuration's number of scenes.")
-def plan(config: str, scenes: int | None) -> None:
-    """Check CONFIG and say what building it would make."""
+@click.option("--workers", type=int, default=1, show_default=True, help="Processes of the build, one core each.")
+@click.option("--seconds", type=float, default=15.0, show_default=True, help="Budget for simulating pilot scenes.")
+@click.option("--json", "json_path", help="Write the forecast to this file, too.")
+@click.option("--against", help="A dataset built from CONFIG: show what it came to beside what was expected.")
+def plan(
+    config: str, scenes: int | None, workers: int, seconds: float, json_path: str | None, against: str | None
+) -> None:
+    """Check CONFIG and say what building it would make and take. Pilot scenes are simulated, nothing is built."""
     from datagen.config import load_config
-    from datagen.plan import plan_text
+    from datagen.plan import plan as make_plan
 
     settings = load_config(config)
-    click.echo(plan_text(settings if scenes is None else settings.with_scenes(scenes)))
+    if scenes is not None:
+        settings = settings.with_scenes(scenes)
+    click.echo(make_plan(settings, workers, seconds, json_path, against))
 
 
 @cli.command()

@@ -104,7 +104,7 @@ def test_preview_is_one_page(built: Path, capsys: pytest.CaptureFixture[str]) ->
 def test_plan_says_what_will_be_built(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["plan", str(built / "tiny.yaml"), "--scenes", "10"]) == 0
     text = capsys.readouterr().out
-    assert "4 laser points × 1 pixels × 64 bins of 800 ps" in text and "shards       5 of 2 scenes" in text
+    assert "4 laser points × 1 pixel × 64 bins of 800 ps" in text and "shards     5 of 2 scenes" in text
     assert "5.12 kB" in text, "10 scenes of 4 × 64 counts of two bytes"
 
 

@@ -1,0 +1,88 @@
+"""`datagen plan` as a user types it, on a tiny configuration; its arithmetic is tested in `test_forecast.py`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from datagen.cli import run
+from datagen.plan import duration
+
+CONFIG = """
+name: tiny
+scenes: 3
+capture: {scan: {rows: 2, columns: 2}, time: {bins: 64, bin_width_ps: 800}}
+transport: {lookins: 64, fov_samples: 1}
+detector: {photons_per_pulse: 1000.0}
+labels: {rows: 8, columns: 8}
+store: {scenes_per_shard: 2}
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.yaml"
+    path.write_text(CONFIG)
+    return path
+
+
+def test_the_plan_holds_what_was_promised(config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Decisions with reasons, then seconds, error, bytes; and after a build what it came to."""
+    dataset, numbers = str(tmp_path / "set"), tmp_path / "plan.json"
+    assert run(["build", str(config), dataset, "--quiet"]) == 0
+    capsys.readouterr()
+    arguments = [
+        "plan",
+        str(config),
+        "--workers",
+        "2",
+        "--seconds",
+        "5",
+        "--json",
+        str(numbers),
+        "--against",
+        dataset,
+    ]
+    assert run(arguments) == 0
+    text = capsys.readouterr().out
+    for piece in ("occlusion", "sampler poisson", "of one core", "transport", "relative L2", "compressed",
+                  "2 workers", "2 of 2 scenes", "seconds per scene", "bytes per scene", "actual"):  # fmt: skip
+        assert piece in text, piece
+    assert all(len(line) < 220 for line in text.splitlines())
+    values = json.loads(numbers.read_text())
+    expected, outcomes = values["forecast"], {row["name"]: row for row in values["against"]}
+    assert expected["scenes"] == 3 and expected["workers"] == 2 and expected["pilots"] == 3
+    assert expected["build_s"] > 0 and expected["startup_s"] > 0 and values["machine"]["cores"] >= 1
+    # All three scenes were pilots with full accuracy, so error and size are those of the dataset.
+    for name, off in (("relative error", 1e-6), ("bytes per scene", 0.1)):
+        assert outcomes[name]["predicted"] == pytest.approx(outcomes[name]["actual"], rel=off), name
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["--workers", "0"], "--workers 0"),
+        (["--seconds", "0"], "--seconds 0"),
+        (["--seconds", "nan"], "--seconds nan"),
+        (["--scenes", "0"], "--scenes 0"),
+        (["--json", "nowhere/plan.json"], "no folder nowhere"),
+        (["--json", "."], "is a folder"),
+        (["--against", "nowhere"], "no such dataset"),
+    ],
+)
+def test_bad_input_is_one_line(
+    config: Path, options: list[str], word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["plan", str(config), *options]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and word in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.5, "0.5 s"), (43.2, "43 s"), (119.0, "2 min"), (3000.0, "50 min"), (12240.0, "3.4 h"), (1e6, "12 days")],
+)
+def test_durations_for_people(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
