@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.detector.events import MANY_LAPS, rest_of_lap
 from datagen.detector.flux import Cycle
 from datagen.detector.spad import Spad
 
@@ -170,7 +171,9 @@ def _run_alone(
         now = cycle
         if target >= total:
             laps = np.floor(target / total)
-            target -= laps * total
+            target = max(target - laps * total, 0.0)
+            if laps > MANY_LAPS:
+                target = rest_of_lap(total, rng.random())
             if target >= total:
                 target, laps = 0.0, laps + 1.0
             now = cycle + int(laps) if laps < cycles - cycle else cycles
@@ -270,6 +273,8 @@ def _next(
         if target >= total:
             laps = np.floor(target / total)
             target = max(target - laps * total, 0.0)
+            if laps > MANY_LAPS:
+                target = rest_of_lap(total, rng.random())
             if target >= total:
                 target, laps = 0.0, laps + 1.0
         if laps < cycles - cycle:

@@ -10,6 +10,9 @@ from datagen.detector.equilibrium import Equilibrium
 
 Array = NDArray[np.float64]
 
+MANY_LAPS = 2.0**20
+"""Periods without an event after which the phase of the next one is drawn afresh, before rounding shows in it."""
+
 
 def draw_free_running(
     flux: Array,
@@ -56,6 +59,15 @@ def _first_armed(state: Equilibrium, rng: np.random.Generator) -> tuple[int, flo
 
 
 @numba.njit(cache=True)
+def rest_of_lap(total: float, u: float) -> float:
+    """What an exponential number leaves of its last lap of length `total`, u uniform: independent of the laps before.
+
+    Subtracting many laps leaves only rounding, which may be far larger than `total`, or negative.
+    """
+    return float(-np.log1p(u * np.expm1(-total)))
+
+
+@numba.njit(cache=True)
 def _run(
     cumulative: Array,
     edges: Array,
@@ -89,7 +101,9 @@ def _run(
             if laps >= cycles - cycle:
                 return counts
             cycle += int(laps)
-            target -= laps * total
+            target = max(target - laps * total, 0.0)
+            if laps > MANY_LAPS:
+                target = rest_of_lap(total, rng.random())
             if target >= total:
                 target = 0.0
                 cycle += 1

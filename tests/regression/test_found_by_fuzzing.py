@@ -2,10 +2,25 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
+from scipy import stats
 
-from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen import (
+    Accuracy,
+    Capture,
+    Exposure,
+    Lambertian,
+    Laser,
+    Part,
+    Scene,
+    Sensor,
+    Spad,
+    TimeAxis,
+    detect,
+    simulate,
+)
 from datagen.errors import InputError
 
 
@@ -23,3 +38,25 @@ def test_a_pixel_around_the_sensor_is_refused() -> None:
     capture = one_point_capture(fov_center=(1.5, 0.17, 1.33))
     with pytest.raises(InputError, match=r"pixels\[0\].*within the pixel"):
         simulate(furnished_box(), capture, Accuracy(1, 1, 3, 1))
+
+
+@pytest.mark.parametrize("mode", ["free_running", "synchronous"])
+def test_an_event_that_is_due_after_1e24_cycles(mode: str) -> None:
+    """Subtracting 10²⁴ laps of Λ = 10⁻²⁴ left a negative rest: an index far outside the table, a crash."""
+    for pixels in (1, 2):
+        spad = Spad(1e-12, dead_time_s=1.1e-10, afterpulse_probability=0.05, mode=mode,  # type: ignore[arg-type]
+                    crosstalk_probability=0.1)  # fmt: skip
+        exposure = Exposure(1 / 2.74e-12, 2, 1.0)
+        transient = np.full((200, pixels, 2), 5e-13)
+        assert not detect(transient, TimeAxis(2, 1e-12), spad, exposure, tolerance=0.0).any()
+
+
+def test_rare_events_fall_into_all_bins_alike() -> None:
+    """After 10¹³ empty cycles an event's phase was what rounding left of it. χ² at 10⁻³."""
+    flux, cycles = np.full(64, 1e-15 / 64), 2**53
+    spad = Spad(1.0, dead_time_s=5e-9)
+    counts = detect(np.tile(flux, (2000, 1, 1)), TimeAxis(64, 1e-9), spad, Exposure(1 / 64e-9, cycles, 1.0),
+                    tolerance=0.0).sum(axis=(0, 1))  # fmt: skip
+    mean = counts.sum() / 64
+    assert counts.sum() > 10_000
+    assert ((counts - mean) ** 2 / mean).sum() < stats.chi2(63).isf(1e-3)
