@@ -1,0 +1,130 @@
+"""Flood illumination: its quadrature, its convergence to a closed form, its standard error, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_configs_built import here
+from test_scans import SQUARE_ROOM
+
+import datagen as dg
+from datagen.config import DatasetConfig, config_from_mapping
+from datagen.errors import InputError
+from datagen.records import Capture, Scene
+from datagen.report.replay import read_scene, replay
+from datagen.store import verify
+
+ROOM: dict[str, Any] = {**SQUARE_ROOM, "materials": {"relay_wall": {"albedo": 0.8}}}
+SIDE_M, ZONES = 1.2, 4
+
+
+def flood(points: int, **capture: Any) -> DatasetConfig:
+    zones = {"rows": ZONES, "columns": ZONES, "width_m": SIDE_M, "height_m": SIDE_M, "aperture_radius_mm": 2}
+    settings = {
+        "pairing": "exhaustive", "illumination": "flood", "scan": {"rows": points, "columns": points},
+        "field_of_view": zones, "time": {"bins": 256, "bin_width_ps": 250, "origin": "source"},
+    }  # fmt: skip
+    return config_from_mapping({"seed": 5, "scene": ROOM, "capture": settings | capture})
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return dg.generate_scene(flood(4).scene, seed=5, index=0)
+
+
+def captured(points: int, scene: Scene, **more: Any) -> Capture:
+    return dg.capture_for(flood(points, **more), scene)
+
+
+def direct_of(zone: np.ndarray, capture: Capture, cells: int = 200) -> float:
+    """(1/lit area) ∫ over the zone of (ρ/π) cosθ A/R² dA by the midpoint rule: light of the first return."""
+    u = (np.arange(cells) + 0.5) / cells
+    across, up = np.meshgrid(u, u)
+    places = zone[0] + across[..., None] * (zone[1] - zone[0]) + up[..., None] * (zone[3] - zone[0])
+    toward = capture.sensor.position - places
+    square = (toward**2).sum(axis=-1)
+    cosine = -toward[..., 0] / np.sqrt(square)
+    mean = float((0.8 / np.pi * cosine * capture.sensor.aperture_area_m2 / square).mean())
+    return mean / ZONES**2
+
+
+def test_first_return_converges_at_second_order_to_its_integral(scene: Scene) -> None:
+    """The error of each zone falls fourfold for four times the points."""
+    errors = []
+    for points in (4, 8, 16):
+        capture = captured(points, scene)
+        found = dg.simulate(scene, capture, dg.Accuracy(lookins=1, scramblings=1, direct=True)).components["direct"]
+        truth = np.array([direct_of(zone, capture) for zone in capture.sensor.pixels])
+        errors.append(np.abs(found.sum(axis=-1)[0] / truth - 1).max())
+    assert errors[2] < 2e-4
+    for coarse, fine in pairwise(errors):
+        assert 3.5 < coarse / fine < 4.5
+
+
+def test_a_flood_is_the_mean_of_its_points(scene: Scene) -> None:
+    capture = captured(4, scene)
+    accuracy = dg.Accuracy(lookins=32, fov_samples=2, direct=True, scramblings=4, max_bounces=4)
+    once = dg.simulate(scene, capture, accuracy, seed=3)
+    points = dg.simulate(scene, replace(capture, illumination="scan"), accuracy, seed=3)
+    assert once.total.shape == capture.shape == (1, 16, 256)
+    assert points.total.shape == (16, 16, 256)
+    np.testing.assert_allclose(once.total[0], points.total.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(once.overflow[0], points.overflow.mean(axis=0), rtol=1e-12)
+    np.testing.assert_array_equal(once.laser_points, points.laser_points)
+    assert set(once.parts) == set(points.parts)
+
+
+def test_standard_error_is_the_spread_of_repetitions(scene: Scene) -> None:
+    """Over 24 seeds, the root mean square spread of all bins is what is stated, to a fifth."""
+    capture = captured(4, scene)
+    made = [dg.simulate(scene, capture, dg.Accuracy(lookins=16, fov_samples=4), seed=k) for k in range(24)]
+    spread = np.stack([t.total for t in made]).var(axis=0, ddof=1).sum()
+    stated = np.mean([(t.stderr**2).sum() for t in made])
+    assert 0.8 < np.sqrt(spread / stated) < 1.2
+
+
+def test_points_are_midpoints_of_cells_that_fill_the_field_of_view(scene: Scene) -> None:
+    capture = captured(8, scene)
+    zones, targets = capture.sensor.pixels, capture.laser.targets
+    low, high = zones.min(axis=1), zones.max(axis=1)
+    held = ((targets[:, None, 1:] > low[:, 1:]) & (targets[:, None, 1:] < high[:, 1:])).all(axis=-1)
+    assert (held.sum(axis=0) == 4).all()
+    for zone, own in zip(zones, held.T, strict=True):
+        np.testing.assert_allclose(targets[own].mean(axis=0), zone.mean(axis=0), atol=1e-12)
+
+
+def test_other_patterns_and_places_make_other_beams(scene: Scene) -> None:
+    spots = captured(4, scene, scan={"kind": "random", "count": 9})
+    assert len(spots.laser.targets) == 9 and spots.shape == (1, 16, 256)
+    narrow = captured(4, scene, scan={"rows": 5, "columns": 5, "width_m": 0.2, "height_m": 0.2})
+    assert np.ptp(narrow.laser.targets[:, 1]) == pytest.approx(0.2 * 4 / 5)
+
+
+def test_what_makes_no_flood_is_refused(scene: Scene) -> None:
+    with pytest.raises(InputError, match=r"illumination = 'flood' with pairing 'confocal'"):
+        flood(4, pairing="confocal", field_of_view={})
+    with pytest.raises(InputError, match=r"scan\.rows = 6 with .*field_of_view\.rows = 4.*take a multiple of 4"):
+        flood(6)
+    capture = captured(4, scene)
+    with pytest.raises(InputError, match=r"Capture\.illumination = 'bulb'"):
+        replace(capture, illumination="bulb")
+    with pytest.raises(InputError, match="lights all points at once"):
+        replace(capture, pairing="confocal")
+
+
+def test_built_verified_and_simulated_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.builder.started", here)
+    values = flood(4).model_dump(mode="json") | {"scenes": 1}
+    values["transport"] = {"lookins": 8, "scramblings": 2, "direct": True}
+    values["store"]["fields"] = ["histogram", "transient"]
+    dg.build(config_from_mapping(values), tmp_path / "set", progress=False)
+    assert verify(tmp_path / "set").problems == ()
+    stored = read_scene(tmp_path / "set", 0)
+    assert stored.arrays["histogram"].shape == (1, 16, 256)
+    assert stored.arrays["laser_points"].shape == (16, 3)
+    assert replay(stored).reproduced
