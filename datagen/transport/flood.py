@@ -7,7 +7,8 @@ each would give with all of the light,
 
 which is the quadrature, with equal weights, of the integral over the lit patch of wall. Midpoints of equal cells make
 it exact to second order in the cells' size wherever the transient varies smoothly over the patch; steps (a zone that
-ends inside a cell, a shadow's edge) cost first order.
+ends inside a cell, a shadow's edge) cost first order. The first return of a zone, four points of which are lit 2 m
+away, is within 0.2 % of its integral (`tests/capture/test_flood.py` holds the order).
 """
 
 from __future__ import annotations
