@@ -182,7 +182,7 @@ def _item(rng: np.random.Generator, walls: bool) -> dict[str, Any]:
 
 
 @cache
-def _mesh_folder() -> Path:
+def mesh_folder() -> Path:
     """A folder that holds `meshes`: closed ones, a scene graph, a sheet with three leaves on one edge."""
     kept = tempfile.TemporaryDirectory()
     _alive.append(kept)
@@ -221,7 +221,7 @@ def random_spec(rng: np.random.Generator, kind: str) -> SceneConfig:
             "max_attempts": 24,
         }
         try:
-            return config_from_mapping({"scene": scene}, base_directory=_mesh_folder()).scene
+            return config_from_mapping({"scene": scene}, base_directory=mesh_folder()).scene
         except InputError as error:
             # Only what no draw can meet, such as a device always above the ceiling, may be refused at reading.
             assert "≥" in str(error) or "at least" in str(error), error

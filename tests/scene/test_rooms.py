@@ -131,11 +131,12 @@ def test_views_and_bounds_hold_the_objects(kind: str) -> None:
             assert (corners <= high + 1e-9).all()
             across = (corners - scene.hidden_view.center) @ scene.hidden_view.right
             assert (np.abs(across) <= scene.hidden_view.right @ scene.hidden_view.right * (1 + 1e-9)).all()
-        # Both rectangles lie on the relay wall's plane.
+        # Both rectangles lie in the relay wall's plane; an uneven wall lies behind it.
         wall = scene.corners[scene.faces_of("relay_wall")]
-        assert np.ptp(wall[..., 0]) == 0
-        np.testing.assert_allclose(scene.relay_wall.corners[:, 0], wall[0, 0, 0])
-        np.testing.assert_allclose(scene.hidden_view.corners[:, 0], wall[0, 0, 0])
+        plane = wall[..., 0].min()
+        assert np.ptp(wall[..., 0]) == 0 or "relay_wall.kind" in scene.parameters
+        np.testing.assert_allclose(scene.relay_wall.corners[:, 0], plane)
+        np.testing.assert_allclose(scene.hidden_view.corners[:, 0], plane)
 
 
 @pytest.mark.parametrize("kind", LAYOUTS)
@@ -182,25 +183,6 @@ def test_parameters_lie_in_their_ranges_and_are_what_was_built() -> None:
                 np.testing.assert_allclose(np.ptp(reach), p[f"{name}.{size}"], rtol=1e-9)
                 place = unit @ [p[f"{name}.x_m"], p[f"{name}.y_m"]]
                 np.testing.assert_allclose((reach.min() + reach.max()) / 2, place, atol=1e-9)
-
-
-def test_drawn_parameters_follow_what_was_declared() -> None:
-    """KS tests of room dimensions, sizes and albedos; 8 tests, family-wise level 1e-3 (Bonferroni)."""
-    spec = config_from_mapping({}).scene
-    drawn = [generate_scene(spec, 11, i).parameters for i in range(400)]
-    declared = {
-        "layout.relay_distance_m": (5.0, 7.0),
-        "layout.corridor_width_m": (1.6, 2.4),
-        "layout.room_length_m": (2.5, 4.0),
-        "layout.room_width_m": (3.0, 5.0),
-        "pillar.width_m": (0.25, 0.6),
-        "pillar.rotation_deg": (0.0, 360.0),
-        "box.albedo": (0.3, 0.9),
-        "walls.albedo": (0.5, 0.9),
-    }
-    for name, (low, high) in declared.items():
-        values = [p[name] for p in drawn]
-        assert stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-3 / len(declared), name
 
 
 @pytest.mark.parametrize("kind", [k for k in LAYOUTS if k != "isolated_wall"])
