@@ -105,9 +105,11 @@ def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
         if accuracy.target is None
         else f"as many lookins as an error of {accuracy.target:.3g} needs"
     )
+    flood = config.capture.illumination == "flood"
+    lit = f"a flood of {config.capture.scan.laser_points} points" if flood else _count(lasers, "laser point")
     yield f"scenes       {config.scenes}, seed {config.seed}"
     yield (
-        f"capture      {config.capture.pairing}, {_count(lasers, 'laser point')} × {_count(pixels, 'pixel')} × "
+        f"capture      {config.capture.pairing}, {lit} × {_count(pixels, 'pixel')} × "
         f"{bins} bins of {config.capture.time.bin_width_ps:g} ps"
     )
     yield f"transport    {how}, {bounces}"
@@ -202,15 +204,15 @@ def _whole_build(expected: Forecast) -> Iterator[str]:
 
 
 def _fields(config: DatasetConfig, schema: Schema, expected: Forecast) -> Iterator[str]:
-    yield f"{'field':18}{'one scene':22}{'dtype':9}{'decoded':>10}{'on disk':>10}"
+    yield f"{'field':20}{'one scene':22}{'dtype':9}{'decoded':>10}{'on disk':>10}"
     for field in schema.fields:
         shape = " × ".join(map(str, field.shape))
         decoded, stored = config.scenes * field.bytes_per_scene, config.scenes * expected.stored[field.name]
-        yield f"{field.name:18}{shape:22}{field.dtype:9}{readable(decoded):>10}{readable(_two(stored)):>10}"
+        yield f"{field.name:20}{shape:22}{field.dtype:9}{readable(decoded):>10}{readable(_two(stored)):>10}"
     decoded = config.scenes * schema.bytes_per_scene
     records = config.scenes * expected.stored["records"]
-    yield f"{'commit records':49}{'':>10}{readable(_two(records)):>10}"
-    yield f"{'all scenes':49}{readable(decoded):>10}{readable(_two(expected.build_bytes)):>10}"
+    yield f"{'commit records':51}{'':>10}{readable(_two(records)):>10}"
+    yield f"{'all scenes':51}{readable(decoded):>10}{readable(_two(expected.build_bytes)):>10}"
 
 
 def _outcomes(outcomes: Sequence[Outcome]) -> Iterator[str]:

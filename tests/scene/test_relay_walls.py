@@ -116,6 +116,25 @@ def test_clutter_stands_before_the_visible_wall_and_labels_look_through_it() -> 
     assert kinds == {"pillar", "pipe", "frame", "shelf"}
 
 
+def test_labels_keep_to_the_nominal_plane() -> None:
+    """Of two rooms that differ by their relay wall alone all labels are the same."""
+    room = {
+        "turn": "left", "relay_distance_m": 4, "height_m": 2.5, "device_height_m": 1, "device_offset": 0.5,
+        "corridor_width_m": 2, "corridor_behind_m": 1, "room_length_m": 2.5, "room_width_m": 2.5,
+    }  # fmt: skip
+    box = {"kind": "box", "width_m": 0.4, "depth_m": 0.4, "height_m": 1, "along": 0.3, "across": 0.7, "albedo": 0.5}
+    same = {name: {"albedo": 0.7} for name in ("relay_wall", "walls", "floor", "ceiling")}
+    fields = ("depth", "normal", "albedo", "part_id", "shaded", "occupancy", "objects")
+    made = []
+    for kind in ("flat", "corrugated"):
+        layout = {"kind": "l_corridor", **room, "relay_wall": {"kind": kind, "relief_m": 0.2, "length_m": 0.3}}
+        scene = {"layout": layout, "contents": [{**box, "rotation_deg": 20}], "materials": same}
+        config = config_from_mapping({"scene": scene})
+        made.append(make_labels(config.labels, dg.generate_scene(config.scene, 0, 0), fields))
+    for name, values in made[0].items():
+        np.testing.assert_array_equal(values, made[1][name])
+
+
 def test_laser_points_fall_on_relief_and_clutter() -> None:
     relay = {
         "kind": "stepped", "relief_m": 0.1, "length_m": 0.3,
