@@ -141,10 +141,25 @@ def sheet(config: str, out: str, rooms: int) -> None:
     click.echo(contact_sheet(load_config(config), rooms, out))
 
 
+@cli.command()
+@click.argument("out")
+@click.option("--config", help="Another room, with one laser point and one pixel; left out: the paper's.")
+@click.option("--quick", is_flag=True, help="Few rays and pixels: seconds instead of minutes.")
+@click.option("--quiet", is_flag=True, help="No progress.")
+def reproduce(out: str, config: str | None, quick: bool, quiet: bool) -> None:
+    """Compute the paper's figures, as printed and radiometrically, into the folder OUT, and say what of it holds."""
+    from datagen.report.reproduce import reproduce as write
+
+    click.echo(
+        write(out, config, quick, (lambda stage: None) if quiet else (lambda stage: click.echo(stage, err=True)))
+    )
+
+
 class _Benches(click.Group):
     """Benchmarks, each imported only when it runs."""
 
     MODULES: ClassVar[dict[str, str]] = {
+        "accuracy": "What accuracy costs in time: error against seconds for everything that can be chosen.",
         "speed": "Error against seconds, beside other ways of computing the same.",
         "paper_case": "All secondary paths of the paper's case, beside its published times.",
         "scaling": "Cost and memory against every size.",

@@ -56,12 +56,14 @@ class PrintedRoom:
 class Lookins:
     """The lookins of one laser point.
 
-    position, normal : (n, 3) metres; unit normal on the lit side. part : (n,). distance : (n,) R_j, metres.
+    position, normal : (n, 3) metres; unit normal on the lit side. face, part : (n,) triangle and part index.
+    distance : (n,) R_j, metres.
     amplitude : (n,) A₁ of Eq. 6. alpha : α₁ of Eq. 6.
     """
 
     position: Array
     normal: Array
+    face: NDArray[np.int32]
     part: NDArray[np.int64]
     distance: Array
     amplitude: Array
@@ -71,8 +73,10 @@ class Lookins:
         return len(self.part)
 
     def take(self, rows: slice | NDArray[np.int64]) -> Lookins:
-        arrays = self.position, self.normal, self.part, self.distance, self.amplitude
-        return Lookins(*(array[rows] for array in arrays), self.alpha)
+        return Lookins(
+            self.position[rows], self.normal[rows], self.face[rows], self.part[rows], self.distance[rows],
+            self.amplitude[rows], self.alpha,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,9 @@ def place_lookins(room: PrintedRoom, laser: int, directions: Array) -> Lookins:
     gamma = room.materials.reflectivity[points.part[laser]]
     amplitude = gamma * seen.share[0, hit] * room.loss(distance)
     return Lookins(
-        seen.position[0, hit], seen.normal[0, hit], seen.part[0, hit], distance, amplitude, float(seen.alpha[0])
-    )
+        seen.position[0, hit], seen.normal[0, hit], seen.face[0, hit], seen.part[0, hit], distance, amplitude,
+        float(seen.alpha[0]),
+    )  # fmt: skip
 
 
 def observe(room: PrintedRoom, lookins: Lookins, camera: Array) -> Seen:

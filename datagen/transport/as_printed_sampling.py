@@ -133,13 +133,14 @@ class Seen:
     """What a bundle of equally counted directions sees from each of n points: m samples each.
 
     position, normal : (n, m, 3) first surface along the direction, metres, and its unit normal towards the point.
-    part : (n, m) part index, −1 where there is nothing. distance : (n, m) metres, ∞ where there is nothing.
+    face, part : (n, m) triangle and part index, −1 where there is nothing. distance : (n, m) metres, ∞ there.
     share : (n, m) α B of each direction, 1 in all over each bundle, seen surfaces or not.
     alpha : (n,) α = 1 / Σ B, 0 where B is 0 in all directions.
     """
 
     position: Array
     normal: Array
+    face: NDArray[np.int32]
     part: NDArray[np.int64]
     distance: Array
     share: Array
@@ -173,6 +174,7 @@ def look(
     return Seen(
         position=where,
         normal=hits.normal.reshape(n, m, 3),
+        face=hits.face.reshape(n, m),
         part=np.where(valid, scene.face_part[hits.face], -1).astype(np.int64).reshape(n, m),
         distance=np.where(valid.reshape(n, m), distance, np.inf),
         share=alpha[:, None] * brdf,
