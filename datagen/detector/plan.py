@@ -10,6 +10,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.detector.avalanches import burn_in_cycles
 from datagen.detector.equilibrium import most_in_window
 from datagen.detector.expected import active_span
 from datagen.detector.flux import Cycle
@@ -133,7 +134,7 @@ def choose(
             f"(allowed {HIDDEN_DEVIATION:g})"
         )
     else:
-        sampler, why = _beyond_poisson(flux, cycle, spad, events, detections, approximate, where)
+        sampler, why = _beyond_poisson(flux, cycle, spad, exposure.cycles, events, detections, approximate, where)
         reason = f"Poisson would be biased by up to {bias:.2g} ({deviation:.2g} standard deviations); {why}"
     if sampler is Sampler.POISSON:
         check_countable(flux * exposure.cycles, where)
@@ -141,11 +142,25 @@ def choose(
 
 
 def _beyond_poisson(
-    flux: Array, cycle: Cycle, spad: Spad, events: float, detections: float, approximate: bool, where: str
+    flux: Array,
+    cycle: Cycle,
+    spad: Spad,
+    cycles: int,
+    events: float,
+    detections: float,
+    approximate: bool,
+    where: str,
 ) -> tuple[Sampler, str]:
     if spad.afterpulse_probability > 0 or spad.crosstalk_probability > 0:
         what = "afterpulsing" if spad.afterpulse_probability > 0 else "crosstalk"
         _limit(detections, what, where)
+        before = detections * burn_in_cycles(spad, cycle.period_s) / cycles
+        if before > MOST_EVENTS:
+            raise InputError(
+                f"{where}: {before:.2g} events before the exposure, at most {MOST_EVENTS:.0e} are drawn one by one, "
+                f"until traps of {max(spad.afterpulse_times_s):g} s and a dead time of {spad.dead_time_s:g} s forget "
+                f"how they started; shorten afterpulse_times_s or dead_time_s, or switch {what} off"
+            )
         return Sampler.AVALANCHES, f"{what} is drawn avalanche by avalanche"
     if spad.mode == "synchronous" and spad.dead_time_s >= active_span(flux, cycle):
         return Sampler.HAZARD_CHAIN, "the dead time lasts to the end of the cycle"

@@ -60,3 +60,10 @@ def test_rare_events_fall_into_all_bins_alike() -> None:
     mean = counts.sum() / 64
     assert counts.sum() > 10_000
     assert ((counts - mean) ** 2 / mean).sum() < stats.chi2(63).isf(1e-3)
+
+
+def test_traps_that_would_take_minutes_to_forget_are_refused() -> None:
+    """Eight release times of a second at 30 MHz were run through before two cycles of exposure."""
+    spad = Spad(1.0, dead_time_s=1e-9, afterpulse_probability=0.05, afterpulse_times_s=(1.0,))
+    with pytest.raises(InputError, match=r"before the exposure.*afterpulse_times_s"):
+        detect(np.full(33, 1.0), TimeAxis(33, 1e-9), spad, Exposure(1 / 33e-9, 2, 1.0))
