@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ObjectBoxes, ViewFrame
 from datagen.report.histogram_plots import draw_counts, draw_residuals, mean_square_residual
 from datagen.report.label_plots import draw_boxes, draw_label
+from datagen.report.listed_scan import listed_page
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.scan_plots import clear_row, draw_moment, draw_time_slice, moments, scan_of, time_limits
@@ -151,10 +152,15 @@ def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray
 
 
 def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
-    """Slices of the scan, all light above and the objects' alone below; None when the channels make no grid."""
+    """Slices of the scan, all light above and the objects' alone below; of one without a grid, time against laser
+    point; None when there is a single channel."""
     raster = raster_of(again.capture, clear_channel(again.scene, again.transient))
     if raster is None:
-        return None
+        wall = again.scene.relay_wall
+        if again.capture.shape[0] < 2 or wall is None:
+            return None
+        total, note = again.transient.total, _provenance(again)
+        return listed_page(stored.title, wall, again.capture, total, _objects(again), note)
     whole = scan_of(again.transient.total, raster)
     objects = scan_of(_objects(again), raster)
     text = (

@@ -33,7 +33,7 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
     """Draw scene `index` of a dataset as PNGs and return their paths, the overview first.
 
     The room in plan and opened in 3D, the transient stacked by part, counts over their expectation, the labels, and
-    slices of the scan where its channels make a grid. The scene is simulated again from the stored configuration and
+    slices of the scan where it has several channels. The scene is simulated again from the stored configuration and
     seed for what a dataset does not hold (geometry, the split by part); counts and labels are the stored ones.
 
     Parameters
@@ -60,7 +60,7 @@ def default_folder(dataset: str | Path) -> Path:
 
 
 def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> Iterator[tuple[str, Figure]]:
-    """(name, figure) of the pictures asked for, made one at a time; `scan` only where channels make a grid.
+    """(name, figure) of the pictures asked for, made one at a time; `scan` only where there are several channels.
 
     To be used within `house_style()`.
     """

@@ -12,7 +12,7 @@ from handmade_rooms import box_mesh, l_corridor
 from matplotlib.figure import Figure
 
 from datagen.config import config_from_mapping
-from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
+from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis, Transient
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.show import PAGES, pages
@@ -154,6 +154,48 @@ def exhaustive(scene: Scene, lasers: int, side: int, bins: int = 50) -> Capture:
     sensor = Sensor.grid(device, wall.center, 0.9 * wall.right, 0.9 * wall.up, side, side)
     targets = wall.center + np.linspace(-0.5, 0.5, lasers)[:, None] * wall.right
     return Capture(Laser(device + np.array([0, 0.2, 0]), targets), sensor, TimeAxis(bins, 8e-10), "exhaustive")
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_scan_without_a_grid_shows_time_against_laser_point(dark: bool) -> None:
+    scene = l_corridor()
+    capture = scan(scene)
+    chosen = np.array([3, 4, 11, 17, 29])
+    few = replace(
+        capture,
+        laser=Laser(capture.laser.position, capture.laser.targets[chosen]),
+        sensor=Sensor(capture.sensor.position, capture.sensor.pixels[chosen]),
+    )
+    stored, again = replayed(scene, few)
+    if dark:
+        nothing = {name: np.zeros(few.shape) for name in again.transient.parts}
+        again = replace(
+            again,
+            transient=replace(again.transient, components={"primary": 0 * again.transient.total}, parts=nothing),
+        )
+    figure = drawn(stored, again, ["scan"])["scan"]
+    assert "The 5 laser points of this scan make no grid" in words(figure)
+    assert [axes.get_xlabel() for axes in figure.axes].count("number of the laser point") == 2
+    if not dark:
+        (image,) = next(axes for axes in figure.axes if axes.get_title(loc="left").endswith("all light")).images
+        total = again.transient.total.sum(axis=1)
+        kept = total > total.max() * 10**-3.5
+        np.testing.assert_allclose(np.asarray(image.get_array()).T[kept], total[kept])
+
+
+def test_stored_boxes_are_drawn_on_plan_and_labels() -> None:
+    scene = l_corridor()
+    stored, again = replayed(scene, scan(scene))
+    config = config_from_mapping({"scene": {"contents": [{"kind": "pillar"}, {"kind": "box"}]}})
+    slots = ObjectSlots(config.scene.object_classes(), 3)
+    tables = make_labels(config.labels, scene, ("objects", "shaded"), slots)
+    stored = replace(stored, config=config, arrays={**stored.arrays, **tables})
+    figures = drawn(stored, again, ["room", "labels"])
+    assert "the objects' boxes as stored" in words(figures["room"])
+    assert "Objects: boxes and classes" in words(figures["labels"])
+    assert "Shaded view" in words(figures["labels"])
+    plain = drawn(*replayed(scene, scan(scene)), ["room"])["room"]
+    assert len(figures["room"].axes[0].collections) == len(plain.axes[0].collections) + 2
 
 
 @pytest.mark.parametrize(
