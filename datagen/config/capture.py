@@ -11,6 +11,8 @@ from datagen.config.scans import AnyScan, Coordinate, Count, GridScan, Metres, P
 from datagen.records import TimeAxis
 
 Point = tuple[Coordinate, Coordinate, Coordinate]
+LARGEST_FLOOD = 2**28
+"""Values of the transients that a flood's points have before they are summed."""
 
 
 class FieldOfView(Settings):
@@ -108,6 +110,13 @@ class CaptureConfig(Settings):
             raise ValueError(
                 "illumination = 'flood' with pairing 'confocal': a flood lights all points at once; set pairing: "
                 "exhaustive"
+            )
+        values = self.scan.laser_points * self.shape[1] * self.time.bins
+        if values > LARGEST_FLOOD:
+            raise ValueError(
+                f"illumination = 'flood' with {self.scan.laser_points} points × {self.shape[1]} pixels × "
+                f"{self.time.bins} bins: {values} values are kept at once, at most {LARGEST_FLOOD} fit (2 GiB); take "
+                "fewer of one of them"
             )
         if self.flood_fills_view:
             for name in ("rows", "columns"):

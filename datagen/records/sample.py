@@ -58,7 +58,8 @@ class Transient:
     parts : the primary split by the part that the lookin lies on, part name → (L, P, T).
     stderr : (L, P, T) standard error of `total` from independent scramblings; NaN when there was only one.
     overflow : (L, P) energy that arrives outside the window.
-    laser_points : (L, 3) where each laser ray met the scene, metres; NaN where it met nothing.
+    laser_points : (L, 3) where each laser ray met the scene, metres; NaN where it met nothing. A flood has all its
+        points here, and L = 1 elsewhere.
     seconds : wall-clock seconds of the simulation by stage.
     rays : connections from vertices to FoV points by how their visibility was found: "asked" by a shadow ray,
         "proven" free of occluders, "assumed" so (`Accuracy.occlusion = "off"`).

@@ -110,6 +110,8 @@ def test_what_makes_no_flood_is_refused(scene: Scene) -> None:
         flood(4, pairing="confocal", field_of_view={})
     with pytest.raises(InputError, match=r"scan\.rows = 6 with .*field_of_view\.rows = 4.*take a multiple of 4"):
         flood(6)
+    with pytest.raises(InputError, match=r"65536 points × 16 pixels × 1000 bins.*take fewer of one of them"):
+        flood(256, time={"bins": 1000})
     capture = captured(4, scene)
     with pytest.raises(InputError, match=r"Capture\.illumination = 'bulb'"):
         replace(capture, illumination="bulb")
