@@ -7,6 +7,7 @@ about 0.1 µs; only their ratios matter, and a factor of two in one of them chan
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 RAY = 4.0
@@ -15,10 +16,14 @@ BIN = 0.06
 """An entry of a histogram: cleared, summed, squared and added up, once for each scrambling."""
 CALL = 15_000.0
 """One call of the tracing code for a run of laser points, whatever their number."""
-OBSERVED_RAY = 2.5
+ORDER_CALL = 0.2
+"""A call's share that each bounce order beyond the first adds."""
+OBSERVED_RAY = 1.7
 """A ray from a lookin to an observed point, or a shadow ray from there to a laser point."""
-SPECTRUM_STEP = 0.01
-"""A turn of the inner loop of a convolution in time."""
+TERM, TERM_EACH = 0.001, 0.03
+"""A bin of what arrives, multiplied with one path that leaves, and beginning with it."""
+SPECTRUM, BUTTERFLY = 0.01, 0.0055
+"""A product of two spectra and a step of a transform, for each bin of twice the window."""
 
 
 @dataclass(frozen=True)
@@ -60,5 +65,7 @@ def factorised_work(
     """The work of the factorised secondary: observed points shared by all lasers, their shadow rays, what leaves
     towards the pixels, the walks near the laser points, and the convolution in time."""
     rays = lookins * (1.0 + OBSERVED_RAY / RAY * observed * (1 + lasers) + 4.0 * lasers)
-    steps = lookins * bins * (2.0 * lasers * pixels + 10.0 * (lasers + pixels))
-    return Work(rays, lookins * pixels * fov_samples + SPECTRUM_STEP * steps, 0.0, float(scramblings))
+    direct = fov_samples * (TERM_EACH + TERM * bins)
+    spectral = 2 * bins * (SPECTRUM + BUTTERFLY * math.log2(2 * bins) * (1 / lasers + 1 / pixels))
+    convolutions = lookins * lasers * pixels * min(direct, spectral)
+    return Work(rays, lookins * pixels * fov_samples + convolutions, 0.0, float(scramblings))

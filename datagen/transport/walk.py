@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Accuracy, Capture, Scene
+from datagen.transport import cost
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.connections import Clock, Receiver, Rows, Tally
 from datagen.transport.cost import Work
@@ -121,6 +122,12 @@ class Job:
             return self.accuracy.max_bounces
         return 4 if "secondary" in asked and self.walked.any() else 3
 
+    def patch_detail(self, pixels: NDArray[np.int64]) -> float:
+        """How many details the largest patch of some pixels is across: arrival times vary by the bin, amplitudes by
+        some hundredth of the scene."""
+        detail_m = min(float(path_from_time(self.capture.time.width_s)), self.caster.half_extent_m / 50)
+        return 2 * float(self.patches.radius[pixels].max()) / detail_m
+
 
 def trace_chunk(job: Job, chunk: NDArray[np.int64], pool: FovPool, count: int, scrambling: int) -> tuple[Tally, Work]:
     """One scrambling's light from a run of laser points, and the work of finding it."""
@@ -166,7 +173,7 @@ def trace_chunk(job: Job, chunk: NDArray[np.int64], pool: FovPool, count: int, s
             throughput = np.where(numbers[:, 3] < survival, throughput / survival, 0.0)
         vertices = continued(job.scene, vertices, hits, directions, throughput)
         order += 1
-    return receiver.tally, Work(rays, connections, receiver.tally.histogram.size)
+    return receiver.tally, Work(rays, connections, receiver.tally.histogram.size, 1 + cost.ORDER_CALL * (order - 3))
 
 
 def _add_direct(job: Job, receiver: Receiver, chunk: NDArray[np.int64], count: int, scrambling: int) -> None:
@@ -199,12 +206,10 @@ def _receiver(job: Job, chunk: NDArray[np.int64], pool: FovPool) -> Receiver:
 
 
 def pool_for(job: Job, pixels: NDArray[np.int64], count: int, scrambling: int) -> FovPool:
-    """Enough blocks of FoV points for what varies across the pixel (arrival times by the bin, amplitudes by some
-    hundredth of the scene), never more than lookins to use them or memory to hold them; a power of two, so that they
-    cover the pixel evenly."""
+    """Enough blocks of FoV points for what varies across the pixel, never more than lookins to use them or memory to
+    hold them; a power of two, so that they cover the pixel evenly."""
     samples = job.accuracy.fov_samples
-    detail_m = min(float(path_from_time(job.capture.time.width_s)), job.caster.half_extent_m / 50)
-    across = 2 * float(job.patches.radius[pixels].max()) / detail_m
+    across = job.patch_detail(pixels)
     useful = 64 * (1 + across) ** 2 / samples
     affordable = FOV_POINTS_PER_POOL / (len(pixels) * samples)
     blocks = 1 << max(0, int(min(count, affordable, useful)).bit_length() - 1)

@@ -1,0 +1,58 @@
+"""How large the error of an estimate may be: an upper confidence bound from the scatter of its scramblings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+CONFIDENCE = 0.975
+"""Probability that the true squared error stays below its bound."""
+AGREEMENT = 0.999
+"""Quantile beyond which a round's difference from the rounds before it is taken for missed light, not for noise."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """One independent contribution to an error.
+
+    variance : expected square of the L2 error that it adds, as estimated.
+    freedom : ν, in how many independent ways that error can fall out (`spread.Sketch.freedom`).
+    scramblings : from how many repetitions the variance was estimated.
+    """
+
+    variance: float
+    freedom: float
+    scramblings: int
+
+
+def total_variance(scatters: Iterable[Scatter]) -> float:
+    return sum(one.variance for one in scatters)
+
+
+def bound_factor(scatters: Iterable[Scatter], confidence: float = CONFIDENCE) -> float:
+    """What the summed variance is to be multiplied by, to give an upper bound of the squared error.
+
+    The squared error of a mean over R scramblings is distributed like V χ²_ν / ν, and V itself is known only from
+    ν (R − 1) degrees of freedom: their ratio follows Fisher's F. Sums of contributions have effective degrees of
+    freedom after Satterthwaite (1946): ν = (Σ V)² / Σ (V²/ν).
+    """
+    kept = [one for one in scatters if one.variance > 0]
+    if not kept:
+        return 1.0
+    total = total_variance(kept)
+    ways = total**2 / sum(one.variance**2 / one.freedom for one in kept)
+    known = total**2 / sum(one.variance**2 / (one.freedom * (one.scramblings - 1)) for one in kept)
+    return float(stats.f.ppf(confidence, ways, known))
+
+
+def disagreement(square: float, expected: Scatter, before: Iterable[Scatter]) -> float:
+    """How many times larger the squared difference between a round and those before it is than their errors make it;
+    1 where it lies within `AGREEMENT`."""
+    parts = [expected, *before]
+    variance = total_variance(parts)
+    if square <= variance * bound_factor(parts, AGREEMENT):
+        return 1.0
+    return square / variance if variance > 0 else np.inf

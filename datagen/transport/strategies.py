@@ -1,0 +1,203 @@
+"""What a pilot decides: FoV points for each vertex, which components share a walk, and how the secondary is found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.transport.allocation import SCRAMBLINGS
+from datagen.transport.confidence import total_variance
+from datagen.transport.cost import RAY
+from datagen.transport.sampling import stream_seeds
+from datagen.transport.secondary import factorising
+from datagen.transport.strata import Stratum, part_of, square_norm, with_fov_samples
+from datagen.transport.walk import Job
+
+TARGET_STREAM = 48
+SEEDS_PER_ROUND = 8
+PILOT_LOOKINS = 4096
+"""Lookins of a component's pilot over all laser points, between the bounds of the next line for each of them."""
+PILOT_EACH = (4, 64)
+"""Fewest and most lookins of a pilot in each scrambling of each laser point; powers of two."""
+FOV_CHOICES = (2, 16)
+"""FoV points for each vertex that the pilot tries; other powers of two are judged by v = a + b/M."""
+MOST_FOV_SAMPLES = 64
+FOV_PILOT_SCRAMBLINGS = 4
+CONNECTIONS_AT_MOST = 128
+"""Most connections of a vertex, over its pixels, that are tried: beyond, the ray that led to it costs nothing."""
+FINE_PATCH = 4.0
+"""Patches smaller than so many bins (or hundredths of the scene) look the same all over: one FoV point does."""
+FOV_PILOT_LASERS = 8
+OBSERVED = 64
+LASERS_AT_MOST = 16
+"""Confocal laser points up to which the factorised form is tried: it shares nothing between them."""
+WORTH_LOOKING = 30.0
+"""Cost to go, in pilots, from which other ways than one walk for everything are tried."""
+WORTH_SHARING = 0.8
+"""Largest cost, relative to that of walks apart, for which some orders share a walk that has to begin anew."""
+
+
+class Seeds:
+    """Independent seeds, a fresh set for each round of each stratum."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed, self._used = seed, 0
+
+    def draw(self) -> list[int]:
+        numbers = np.arange(self._used, self._used + SEEDS_PER_ROUND)
+        self._used += SEEDS_PER_ROUND
+        high, low = (stream_seeds(self._seed, TARGET_STREAM, half, numbers) for half in (0, 1))
+        return [int(h) << 32 | int(w) for h, w in zip(high, low, strict=True)]
+
+
+def pilot_points(job: Job) -> NDArray[np.int64]:
+    """(L,) lookins for each scrambling of a pilot."""
+    lasers = len(job.points.part)
+    wanted = PILOT_LOOKINS // (SCRAMBLINGS * lasers)
+    count = int(np.clip(1 << max(wanted, 1).bit_length() - 1, *PILOT_EACH))
+    return np.full(lasers, count)
+
+
+def piloted(job: Job, target: float, seeds: Seeds) -> tuple[list[Stratum], float]:
+    """The strata to work with, each with a first round, and the cost of what was tried and left.
+
+    One walk for everything is the first thing tried. Only where meeting the target will cost far more than looking
+    around are its orders tried apart, and the secondary in its factorised form.
+    """
+    job, tried = _with_best_fov_samples(job, seeds)
+    asked, points = job.splits.components, pilot_points(job)
+    factor, ranked = factorising(job.materials), job.accuracy.strongest is not None
+    walked = ~factor if ranked else np.ones(len(factor), np.bool_)
+    strata = []
+    if "direct" in asked:
+        strata.append(_sampled(Stratum(_of_components(job, ("direct",), walked)), points, seeds))
+    orders = tuple(n for n in asked if n != "direct" and (n != "secondary" or walked.any()))
+    joint = _sampled(Stratum(_of_components(job, orders, walked)), points, seeds)
+    if ranked and "secondary" in asked and factor.any():
+        ranking = _factorised(job, factor, job.accuracy.observed or OBSERVED)
+        return [*strata, joint, _sampled(ranking, points, seeds)], tried
+    if len(orders) == 1 or _cost_to_go(joint, [*strata, joint], target) < WORTH_LOOKING * joint.work.cost:
+        return [*strata, joint], tried
+    apart = [_sampled(Stratum(_of_components(job, (name,), walked)), points, seeds) for name in orders]
+    if factor.any() and "secondary" in orders and _worth_trying(job):
+        apart, more = _with_better_secondary(job, apart, factor, points, seeds)
+        tried += more
+    found, more = _with_shared_walks(job, joint, apart, points, seeds)
+    return [*strata, *found], tried + more
+
+
+def _sampled(stratum: Stratum, points: NDArray[np.int64], seeds: Seeds) -> Stratum:
+    """The stratum with its pilot."""
+    stratum.sample(points, SCRAMBLINGS, seeds.draw())
+    return stratum
+
+
+def _cost_to_go(joint: Stratum, strata: list[Stratum], target: float) -> float:
+    """About what one walk for everything would cost to meet the target, its variance taken as ∝ 1/lookins."""
+    variance = total_variance(joint.scatters())
+    norm = square_norm(strata)
+    wanted = target**2 * max(norm - variance, 0.1 * norm)
+    return joint.work.growing * variance / wanted if wanted > 0 else 0.0
+
+
+def _of_components(job: Job, components: tuple[str, ...], walked: NDArray[np.bool_]) -> Job:
+    parts = job.splits.parts if "primary" in components else ()
+    return replace(job, splits=replace(job.splits, components=components, parts=parts), walked=walked)
+
+
+def _factorised(job: Job, carriers: NDArray[np.bool_], observed: int) -> Stratum:
+    return Stratum(_of_components(job, ("secondary",), ~carriers), observed, carriers)
+
+
+def _with_best_fov_samples(job: Job, seeds: Seeds) -> tuple[Job, float]:
+    """Try two numbers of FoV points on the primary of some laser points: lookins and FoV points share the variance,
+    v = a + b/M, and more of the latter save rays."""
+    pixels = job.capture.shape[1]
+    choices = [m for m in FOV_CHOICES if m * pixels <= CONNECTIONS_AT_MOST]
+    if len(choices) < 2 or job.patch_detail(np.arange(len(job.patches.radius))) < FINE_PATCH:
+        return with_fov_samples(job, 1), 0.0
+    existing = np.flatnonzero(job.points.part >= 0)
+    few = existing[np.linspace(0, len(existing) - 1, min(len(existing), FOV_PILOT_LASERS)).astype(int)]
+    some = part_of(_of_components(job, ("primary",), job.walked), np.unique(few))
+    tried = [Stratum(with_fov_samples(some, m)) for m in choices]
+    for stratum in tried:
+        stratum.sample(pilot_points(some), FOV_PILOT_SCRAMBLINGS, seeds.draw())
+    spent = sum(stratum.work.cost for stratum in tried)
+    few_points, many_points = (float(stratum.scale.sum()) for stratum in tried)
+    # v = a + b/M at two M.
+    shared = max((few_points - many_points) / (1 / choices[0] - 1 / choices[1]), 0.0)
+    own = max(many_points - shared / choices[1], 0.0)
+    each = (tried[1].growing - tried[0].growing) / (choices[1] - choices[0])
+    ray = max(tried[0].growing - each * choices[0], 0.0)
+    every = [1 << k for k in range(MOST_FOV_SAMPLES.bit_length()) if (pixels << k) <= CONNECTIONS_AT_MOST]
+    return with_fov_samples(job, min(every, key=lambda m: (own + shared / m) * (ray + each * m))), spent
+
+
+def _worth_trying(job: Job) -> bool:
+    lasers = len(job.points.part)
+    return job.capture.pairing == "exhaustive" or lasers <= LASERS_AT_MOST
+
+
+def _with_better_secondary(
+    job: Job, strata: list[Stratum], factor: NDArray[np.bool_], points: NDArray[np.int64], seeds: Seeds
+) -> tuple[list[Stratum], float]:
+    """The factorised form for the secondary of Lambertian lookins, where variance × cost is less than by the walk."""
+    place = next(k for k, stratum in enumerate(strata) if stratum.components == ("secondary",))
+    walk = strata[place]
+    replacements = [_factorised(job, factor, OBSERVED)]
+    if not factor.all():
+        replacements.append(Stratum(_of_components(job, ("secondary",), ~factor)))
+    for stratum in replacements:
+        _sampled(stratum, points, seeds)
+    if _price(replacements) < _price([walk]):
+        return strata[:place] + replacements + strata[place + 1 :], walk.work.cost
+    return strata, sum(stratum.work.cost for stratum in replacements)
+
+
+def _price(strata: list[Stratum]) -> float:
+    """Variance × cost of the best division between strata: (Σ √(variance cost))²."""
+    return sum(float(np.sqrt((s.scale * s.points).sum() * s.growing)) for s in strata) ** 2
+
+
+def _with_shared_walks(
+    job: Job, joint: Stratum, apart: list[Stratum], points: NDArray[np.int64], seeds: Seeds
+) -> tuple[list[Stratum], float]:
+    """The walk for all orders, or walks apart, or some orders joined: walks apart repeat each other's rays."""
+    of_joint, of_apart = _price([joint]), _price(apart)
+    lost = sum(stratum.work.cost for stratum in apart)
+    if of_joint <= of_apart:
+        return [joint], lost
+    if any(stratum.observed is not None for stratum in apart) or len(apart) < 3:
+        return apart, joint.work.cost
+    best, groups = min(((_shared_price(way), way) for way in _divisions(apart)), key=lambda pair: pair[0])
+    if best > WORTH_SHARING * min(of_apart, of_joint):
+        return apart, joint.work.cost
+    kept, lost = [], joint.work.cost
+    for group in groups:
+        if len(group) == 1:
+            kept.append(group[0])
+            continue
+        lost += sum(stratum.work.cost for stratum in group)
+        together = _of_components(job, sum((s.components for s in group), ()), group[0].job.walked)
+        kept.append(_sampled(Stratum(together), points, seeds))
+    return kept, lost
+
+
+def _divisions(orders: list[Stratum]) -> list[list[list[Stratum]]]:
+    """All ways to cut a row of strata into runs."""
+    if not orders:
+        return [[]]
+    return [[orders[:k], *rest] for k in range(1, len(orders) + 1) for rest in _divisions(orders[k:])]
+
+
+def _shared_price(groups: list[list[Stratum]]) -> float:
+    """As `_price`, where each group is one walk: the rays of its highest order, the connections of all."""
+    price = 0.0
+    for group in groups:
+        lookins = [float(s.weight.sum()) for s in group]
+        cost = RAY * group[-1].work.rays / lookins[-1]
+        cost += sum(s.work.connections / n for s, n in zip(group, lookins, strict=True))
+        price += float(np.sqrt(sum((s.scale * s.points).sum() for s in group) * cost))
+    return price**2
