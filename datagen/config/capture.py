@@ -73,7 +73,7 @@ class CaptureConfig(Settings):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """(laser, pixel, bin) of every transient, known without a scene; pixel = 1 if confocal, laser = 1 for a flood."""
+        """(laser, pixel, bin) of every transient, known without a scene; confocal: pixel = 1; flood: laser = 1."""
         view = self.field_of_view
         pixels = 1 if self.pairing == "confocal" else view.rows * view.columns
         return 1 if self.illumination == "flood" else self.scan.laser_points, pixels, self.time.bins
