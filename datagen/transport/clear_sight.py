@@ -12,7 +12,7 @@ Cells, tiles and whether it is worth while at all are fixed by counts of triangl
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -36,7 +36,7 @@ CONNECTIONS_WORTH_PROVING = 1 << 16
 """Fewer are asked sooner than a grid is made."""
 CONNECTIONS_PER_TEST = 4
 """Connections for each test of a cell against a body: a test takes about a third of a ray's time."""
-CELLS_ALONG = (4, 24)
+CELLS_ALONG = (4, 12)
 """Cells along the scene's longest side, at least and at most."""
 TILES_AT_MOST = 16
 CONNECTIONS_PER_TILE = 16
@@ -44,6 +44,9 @@ GAP = 5e-6
 """Distance, in half extents of the scene, that separating planes must leave: some fifty roundings of a ray."""
 OWN_GAP = 0.5
 """The same for a triangle's own plane, in units of the distance that ray ends are lifted off their surfaces."""
+TESTS_PER_CONNECTION = 4
+"""Bodies a vertex is held against, at most, for each of its connections."""
+THOROUGH_FROM = 32
 PROBES = 5
 WORTH_TRYING_ON = 0.2
 """Share of connections proven, under which the rest of a simulation is asked."""
@@ -52,64 +55,108 @@ Occlusion = Literal["auto", "on", "off"]
 
 
 @dataclass
-class Counts:
-    """Connections by how their visibility was found."""
+class _State:
+    """What has been found out, shared by all views of one `ClearSight`.
+
+    asked, proven, assumed : connections by how their visibility was found. expected : connections there will be, or 0
+    where nobody knows. worth_from : connections from which proofs are tried, None for never (again).
+    """
 
     asked: int = 0
     proven: int = 0
     assumed: int = 0
+    expected: int = 0
+    worth_from: int | None = None
+    proofs: _Proofs | None = None
+    last: tuple[FovPool, NDArray[np.int8]] | None = None
 
 
-@dataclass
+@dataclass(frozen=True)
 class ClearSight:
     """Proofs of clear sight for one scene and sensor.
 
     It remembers what it found out about cells; what it answers depends on the scene, the sensor and the counts alone.
+
+    each : connections of every vertex, over all of its pixels. pixels : those looked at, in the sensor's numbers;
+        None for all.
     """
 
     occlusion: Occlusion
-    counts: Counts = field(default_factory=Counts)
-    _proofs: _Proofs | None = None
-    _last: tuple[FovPool, NDArray[np.int8]] | None = None
+    caster: Raycaster | None = None
+    sensor: Sensor | None = None
+    each: int = 1
+    pixels: NDArray[np.int64] | None = None
+    _state: _State = field(default_factory=_State)
 
     @classmethod
-    def of(cls, caster: Raycaster, sensor: Sensor, occlusion: Occlusion, connections: int, each: int) -> ClearSight:
-        """connections : how many there will be, about; each : of every vertex, over all of its pixels."""
-        if occlusion != "auto" or connections < CONNECTIONS_WORTH_PROVING:
-            return cls("off" if occlusion == "off" else "on")
-        return cls("auto", _proofs=_Proofs.of(caster, sensor, connections, each))
+    def of(cls, caster: Raycaster, sensor: Sensor, occlusion: Occlusion, each: int, expected: int = 0) -> ClearSight:
+        """expected : connections there will be, about; 0 where that turns out later."""
+        worth_from = CONNECTIONS_WORTH_PROVING if occlusion == "auto" else None
+        return cls(occlusion, caster, sensor, each, None, _State(expected=expected, worth_from=worth_from))
+
+    @classmethod
+    def asking(cls) -> ClearSight:
+        """One that proves nothing, so that every connection is asked by a ray."""
+        return cls("on")
+
+    def take(self, pixels: NDArray[np.int64]) -> ClearSight:
+        """The same, with some of the pixels numbered anew."""
+        return replace(self, pixels=pixels if self.pixels is None else self.pixels[pixels])
+
+    def prepare(self, connections: int) -> None:
+        """Say that so many connections come next. Proofs are made once as many as pay for them were asked, or are
+        known to come: at worst that costs as much again as asking all."""
+        state = self._state
+        known = max(state.expected, state.asked + connections)
+        if state.worth_from is None or state.proofs is not None or known < state.worth_from:
+            return
+        assert self.caster is not None and self.sensor is not None
+        state.proofs = _Proofs.of(self.caster, self.sensor, known, self.each)
+        if state.proofs is None:
+            state.worth_from = 4 * known
 
     def tiles(self, pool: FovPool, pixels: NDArray[np.int64]) -> NDArray[np.int8]:
         """(P, Q) the tile each FoV point of a pool lies in, −1 for none; `pixels` are those of the pool."""
-        if self._proofs is None:
+        state = self._state
+        if state.proofs is None:
             return np.zeros(pool.weight.shape, np.int8)
-        if self._last is None or self._last[0] is not pool:
-            self._last = pool, self._proofs.tiles_of(pool, pixels)
-        return self._last[1]
+        if state.last is None or state.last[0] is not pool:
+            own = pixels if self.pixels is None else self.pixels[pixels]
+            state.last = pool, state.proofs.tiles_of(pool, own)
+        return state.last[1]
 
     def clear(
-        self, position: NDArray[np.float64], normal: NDArray[np.float64], pixel: NDArray[np.int64]
+        self, position: NDArray[np.float64], normal: NDArray[np.float64], pixel: NDArray[np.int64] | None
     ) -> NDArray[np.uint64]:
         """(n,) for each vertex a bit for each tile that it sees whole, for certain; or assumed, with occlusion off.
 
-        position, normal : (n, 3) metres, unit normal. pixel : (n,) the pixel a vertex is joined to, or −1 for all.
+        position, normal : (n, 3) metres, unit normal. pixel : (n,) the one pixel a vertex is joined to; None for all.
         """
         if self.occlusion == "off":
             return np.full(len(position), ~np.uint64(0))
-        if self._proofs is None:
+        if self._state.proofs is None:
             return np.zeros(len(position), np.uint64)
-        return self._proofs.clear(position, normal, pixel)
+        if pixel is None:
+            pixel = np.full(len(position), -1)
+        elif self.pixels is not None:
+            pixel = self.pixels[pixel]
+        return self._state.proofs.clear(position, normal, pixel)
 
     def count(self, found: int, without_ray: int) -> None:
         """Take note of `found` connections, `without_ray` of which no ray was sent for."""
+        state = self._state
+        state.asked += found - without_ray
         if self.occlusion == "off":
-            self.counts.assumed += without_ray
-        else:
-            self.counts.proven += without_ray
-        self.counts.asked += found - without_ray
-        known = self.counts.asked + self.counts.proven
-        if known > CONNECTIONS_WORTH_PROVING and self.counts.proven < WORTH_TRYING_ON * known:
-            self._proofs = None
+            state.assumed += without_ray
+            return
+        state.proven += without_ray
+        if state.proofs is not None and state.proofs.tried(found, without_ray) < WORTH_TRYING_ON:
+            state.proofs, state.last, state.worth_from = None, None, None
+
+    @property
+    def rays(self) -> dict[str, int]:
+        """Connections so far: "asked" by a ray, "proven" clear, "assumed" so."""
+        return {"asked": self._state.asked, "proven": self._state.proven, "assumed": self._state.assumed}
 
 
 @dataclass
@@ -124,6 +171,16 @@ class _Proofs:
     first: NDArray[np.int64]
     count: NDArray[np.int64]
     members: NDArray[np.int32]
+    known: NDArray[np.uint64]
+    tests: int
+    found: int = 0
+    proven: int = 0
+
+    def tried(self, found: int, proven: int) -> float:
+        """The share of connections proven so far, 1 while there were too few to tell."""
+        self.found += found
+        self.proven += proven
+        return self.proven / self.found if self.found > CONNECTIONS_WORTH_PROVING else 1.0
 
     @classmethod
     def of(cls, caster: Raycaster, sensor: Sensor, connections: int, each: int) -> _Proofs | None:
@@ -133,7 +190,9 @@ class _Proofs:
         along = min(int(affordable**0.5), CELLS_ALONG[1])
         if along < CELLS_ALONG[0]:
             return None
-        frames, of_pixel = _tiles(caster, sensor, max(1, min(TILES_AT_MOST, each // CONNECTIONS_PER_TILE)))
+        # A vertex that is joined to one pixel of many needs only that pixel's tile.
+        tiles_worth = TILES_AT_MOST if each < len(sensor.pixels) else each // CONNECTIONS_PER_TILE
+        frames, of_pixel = _tiles(caster, sensor, max(1, min(TILES_AT_MOST, tiles_worth)))
         if not len(frames):
             return None
         low, high = caster.corners.min(axis=(0, 1)), caster.corners.max(axis=(0, 1))
@@ -141,8 +200,7 @@ class _Proofs:
         shape = np.maximum(1, np.ceil((high - low) / side)).astype(np.int64)
         all_frames = np.array([*frames, _about(frames)])
         boxes = np.array([_corners(frame) for frame in all_frames])
-        base = np.einsum("nk,nk->n", bodies.corners[:, 0], bodies.normal)
-        heights = np.einsum("tck,nk->tnc", boxes, bodies.normal) - base[None, :, None]
+        heights = np.einsum("tck,nk->tnc", boxes, bodies.normal) - bodies.level[None, :, None]
         heights = np.stack([heights.min(axis=2), heights.max(axis=2)], axis=2)
         normals = np.ascontiguousarray(all_frames[:, 3])
         tiles = Tiles(boxes, normals, boxes.min(axis=1), boxes.max(axis=1), heights, of_pixel)
@@ -150,6 +208,7 @@ class _Proofs:
         return cls(
             caster.offset_m, GAP * caster.half_extent_m, OWN_GAP * caster.offset_m, bodies, Grid(low, side, shape),
             tiles, frames, np.full(cells, -1, np.int64), np.zeros(cells, np.int64), np.empty(0, np.int32),
+            np.zeros(cells, np.uint64), TESTS_PER_CONNECTION * each,
         )  # fmt: skip
 
     def tiles_of(self, pool: FovPool, pixels: NDArray[np.int64]) -> NDArray[np.int8]:
@@ -168,16 +227,17 @@ class _Proofs:
         if len(unknown):
             unknown = np.unique(unknown)
             # A vertex is counted to a cell with rounding, and its end of the ray is lifted.
-            counts, members = bodies_in_view(
-                unknown, self.grid, 2 * self.lift, self.tiles.corners[-1], self.bodies, self.gap
+            counts, members, known = bodies_in_view(
+                unknown, self.grid, 2 * self.lift, self.tiles.corners, self.bodies, self.gap
             )
+            self.known[unknown] = known
             self.first[unknown] = len(self.members) + np.cumsum(counts) - counts
             self.count[unknown] = counts
             self.members = np.concatenate([self.members, members])
         return np.asarray(
             prove(
-                position, normal, pixel, cells, self.first, self.count, self.members, self.bodies, self.tiles,
-                self.lift, self.gap, self.own_gap,
+                position, normal, pixel, cells, self.first, self.count, self.members, self.known, self.bodies,
+                self.tiles, self.lift, self.gap, self.own_gap, self.tests, self.tests >= THOROUGH_FROM,
             )
         )  # fmt: skip
 

@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+FEW = 16
+"""Bodies in view of a cell with which it is still worth while to ask for each tile alone."""
 SHORTLIST = 8
 """Bodies left over from the whole field of view that are tried tile by tile; with more the rays are asked."""
 
@@ -36,12 +38,18 @@ class Tiles(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """What may occlude, as in `occluders.py`: the shell's walls (H, 4) and N bodies of 3 or 8 (`count`) corners."""
+    """What may occlude, as in `occluders.py`: the shell's walls and N convex bodies.
+
+    shell : (H, 4) unit normal towards the scene and level of each wall: normal · x − level is a point's height.
+    size : (N,) corners a body has: 3, a triangle, or 8, a box. corners : (N, 8, 3) metres.
+    normal, level : (N, 3), (N,) a triangle's plane; 0 for a box. low, high : (N, 3) bounds along the axes.
+    """
 
     shell: NDArray[np.float64]
-    count: NDArray[np.int64]
+    size: NDArray[np.int64]
     corners: NDArray[np.float64]
     normal: NDArray[np.float64]
+    level: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
 
@@ -55,7 +63,7 @@ class Grid(NamedTuple):
 
 
 @njit(cache=True)
-def cells_of(position, grid):  # type: ignore[no-untyped-def]
+def cells_of(position, grid):
     """(n,) the cell each point lies in; one outside counts to the nearest."""
     corner, side, shape = grid
     out = np.empty(len(position), np.int64)
@@ -69,14 +77,14 @@ def cells_of(position, grid):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
-def _height(point, normal, base):  # type: ignore[no-untyped-def]
+def _height(point, normal, base):
     return (
         (point[0] - base[0]) * normal[0] + (point[1] - base[1]) * normal[1] + (point[2] - base[2]) * normal[2]
     )  # fmt: skip
 
 
 @njit(cache=True)
-def _extent(points, count, axis):  # type: ignore[no-untyped-def]
+def _extent(points, count, axis):
     low, high = math.inf, -math.inf
     for i in range(count):
         s = points[i, 0] * axis[0] + points[i, 1] * axis[1] + points[i, 2] * axis[2]
@@ -85,7 +93,7 @@ def _extent(points, count, axis):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _axes_of_hull(hull):  # type: ignore[no-untyped-def]
+def _axes_of_hull(hull):
     """Unit normals of planes that may bound the hull of a tile (points 0 … 7) and a cell (8 … 15): those of the
     axes, of the tile's faces, and for each edge of the tile's front the one that touches the cell."""
     axes = np.zeros((10, 3))
@@ -117,17 +125,45 @@ def _axes_of_hull(hull):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def bodies_in_view(cells, grid, lift, whole, bodies, gap):  # type: ignore[no-untyped-def]
-    """For each of `cells` the bodies that may meet the hull of the cell and the whole field of view (8, 3).
+def _in_view(hull, numbers, bodies, gap):
+    """Which of the bodies `numbers` may meet a hull of a tile and a cell (16, 3)."""
+    _, count, corners, normal, level, low, high = bodies
+    axes = _axes_of_hull(hull)
+    extents = np.empty((len(axes), 2))
+    for a in range(len(axes)):
+        extents[a] = _extent(hull, 16, axes[a])
+    kept, n = np.empty(len(numbers), np.int32), 0
+    for f in numbers:
+        apart = False
+        for k in range(3):
+            apart |= low[f, k] > extents[k, 1] + gap or high[f, k] < extents[k, 0] - gap
+        for a in range(3, len(axes)):
+            if apart:
+                break
+            least, most = _extent(corners[f], count[f], axes[a])
+            apart = least > extents[a, 1] + gap or most < extents[a, 0] - gap
+        if not apart and count[f] == 3:
+            least, most = _extent(hull, 16, normal[f])
+            apart = least > level[f] + gap or most < level[f] - gap
+        if not apart:
+            kept[n] = f
+            n += 1
+    return kept[:n]
 
-    Returns how many for each cell, and their numbers one cell after another.
+
+@njit(cache=True)
+def bodies_in_view(cells, grid, lift, tile_corners, bodies, gap):
+    """For each of `cells` the bodies that may meet the hull of the cell and the whole field of view, and the tiles
+    that none of them stands in front of, whatever the place in the cell.
+
+    Returns how many bodies for each cell, their numbers one cell after another, and one bit for each tile (n,).
     """
     corner, side, shape = grid
-    counts, members = np.zeros(len(cells), np.int64), [np.int32(0)]
+    whole = len(tile_corners) - 1
+    counts, clear, members = np.zeros(len(cells), np.int64), np.zeros(len(cells), np.uint64), [np.int32(0)]
     hull = np.empty((16, 3))
-    hull[:8] = whole
     index = np.empty(3, np.int64)
-    _, count, corners, normal, low, high = bodies
+    every = np.arange(len(bodies.corners)).astype(np.int32)
     for n in range(len(cells)):
         index[2] = cells[n] % shape[2]
         index[1] = cells[n] // shape[2] % shape[1]
@@ -136,123 +172,161 @@ def bodies_in_view(cells, grid, lift, whole, bodies, gap):  # type: ignore[no-un
             for k in range(3):
                 bit = (b >> k) & 1
                 hull[8 + b, k] = corner[k] + (index[k] + bit) * side + (2 * bit - 1) * lift
-        axes = _axes_of_hull(hull)
-        extents = np.empty((len(axes), 2))
-        for a in range(len(axes)):
-            extents[a] = _extent(hull, 16, axes[a])
-        for f in range(len(corners)):
-            apart = False
-            for k in range(3):
-                apart |= low[f, k] > extents[k, 1] + gap or high[f, k] < extents[k, 0] - gap
-            for a in range(3, len(axes)):
-                if apart:
-                    break
-                least, most = _extent(corners[f], count[f], axes[a])
-                apart = least > extents[a, 1] + gap or most < extents[a, 0] - gap
-            if not apart and count[f] == 3:
-                least, most = _extent(hull, 16, normal[f])
-                level = _height(corners[f, 0], normal[f], (0.0, 0.0, 0.0))
-                apart = least > level + gap or most < level - gap
-            if not apart:
-                members.append(np.int32(f))
-                counts[n] += 1
-    return counts, np.array(members[1:], np.int32)
+        hull[:8] = tile_corners[whole]
+        seen = _in_view(hull, every, bodies, gap)
+        counts[n] = len(seen)
+        for f in seen:
+            members.append(f)
+        for t in range(whole):
+            hull[:8] = tile_corners[t]
+            if len(seen) == 0 or (len(seen) <= FEW and len(_in_view(hull, seen, bodies, gap)) == 0):
+                clear[n] |= np.uint64(1) << np.uint64(t)
+    return counts, np.array(members[1:], np.int32), clear
 
 
 @njit(cache=True, inline="always")
-def _apart(apex, f, t, bodies, tiles, gap, own_gap):  # type: ignore[no-untyped-def]
-    """Whether a plane separates body f from the hull of an apex and tile t."""
-    _, count, corners, normal, low, high = bodies
-    tile_corners, tile_axis, tile_low, tile_high, heights, _ = tiles
-    if count[f] == 3:
-        h = _height(apex, normal[f], corners[f, 0])
-        if min(h, heights[t, f, 0]) >= own_gap or max(h, heights[t, f, 1]) <= -own_gap:
-            return True
-    for k in range(3):
-        if max(apex[k], tile_high[t, k]) < low[f, k] - gap or min(apex[k], tile_low[t, k]) > high[f, k] + gap:
-            return True
-    # The sides of the pyramid over the tile's front, moved out as far as its back reaches.
-    for i in range(4):
-        a, b, c = tile_corners[t, i], tile_corners[t, (i + 1) % 4], tile_corners[t, (i + 2) % 4]
-        p = (a[0] - apex[0], a[1] - apex[1], a[2] - apex[2])
-        q = (b[0] - apex[0], b[1] - apex[1], b[2] - apex[2])
-        side = (p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0])
-        if _height(c, side, apex) < 0.0:
-            side = (-side[0], -side[1], -side[2])
-        outside = -gap * math.sqrt(side[0] * side[0] + side[1] * side[1] + side[2] * side[2])
-        most = -math.inf
-        for k in range(count[f]):
-            most = max(most, _height(corners[f, k], side, apex))
-            if most >= outside:
-                break
-        if most >= outside:
-            continue
-        lowest = 0.0
-        for k in range(8):
-            lowest = min(lowest, _height(tile_corners[t, k], side, apex))
-        if most < lowest + outside:
-            return True
-    # Behind the tile, or behind the apex.
-    front, back = tile_corners[t, 0], tile_corners[t, 4]
-    axis, depth = tile_axis[t], _height(back, tile_axis[t], front)
-    h = _height(apex, axis, front)
+def _to_corner(apex, tile_corners, t, i):
+    return tile_corners[t, i, 0] - apex[0], tile_corners[t, i, 1] - apex[1], tile_corners[t, i, 2] - apex[2]
+
+
+@njit(cache=True, inline="always")
+def _cross(p, q):
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+
+
+@njit(cache=True)
+def _face_pyramid(apex, t, tile_corners, tile_axis, gap, planes):
+    """The planes (6, 4) that bound the hull of an apex and tile t: a body is apart where normal · x < limit for all
+    of its corners. Four sides over the tile's front, moved out as far as its back reaches; both ends."""
     least, most = math.inf, -math.inf
-    for k in range(count[f]):
-        s = _height(corners[f, k], axis, front)
+    for k in range(3):
+        planes[4, k], planes[5, k] = tile_axis[t, k], -tile_axis[t, k]
+    for i in range(4):
+        j, opposite = (i + 1) % 4, (i + 2) % 4
+        x, y, z = _cross(_to_corner(apex, tile_corners, t, i), _to_corner(apex, tile_corners, t, j))
+        level = x * apex[0] + y * apex[1] + z * apex[2]
+        inner = (
+            x * tile_corners[t, opposite, 0] + y * tile_corners[t, opposite, 1] + z * tile_corners[t, opposite, 2]
+        )  # fmt: skip
+        if inner < level:
+            x, y, z, level = -x, -y, -z, -level
+        lowest = level
+        for k in range(8):
+            lowest = min(
+                lowest, x * tile_corners[t, k, 0] + y * tile_corners[t, k, 1] + z * tile_corners[t, k, 2]
+            )  # fmt: skip
+        planes[i, 0], planes[i, 1], planes[i, 2] = x, y, z
+        planes[i, 3] = lowest - gap * math.sqrt(x * x + y * y + z * z)
+    for k in range(9):
+        x, y, z = apex if k == 8 else (tile_corners[t, k, 0], tile_corners[t, k, 1], tile_corners[t, k, 2])
+        s = x * planes[4, 0] + y * planes[4, 1] + z * planes[4, 2]
         least, most = min(least, s), max(most, s)
-    return most < min(h, depth) - gap or least > max(h, 0.0) + gap
+    planes[4, 3], planes[5, 3] = least - gap, -most - gap
+
+
+@njit(cache=True)
+def _prove_one(
+    apex, t, numbers, begin, end, allowed, left, count, corners, normal, level, low, high, tile_corners, tile_axis,
+    tile_low, tile_high, heights, gap, own_gap, planes, thorough,
+):  # fmt: skip
+    """Which of the bodies numbers[begin … end] no plane separates from the hull of an apex and tile t.
+
+    They go to `left`; returns how many, or allowed + 1 as soon as there are more.
+    """
+    remaining, made = 0, False
+    for m in range(begin, end):
+        f = numbers[m]
+        if count[f] == 3:
+            h = apex[0] * normal[f, 0] + apex[1] * normal[f, 1] + apex[2] * normal[f, 2] - level[f]
+            if min(h, heights[t, f, 0]) >= own_gap or max(h, heights[t, f, 1]) <= -own_gap:
+                continue
+        apart = False
+        for k in range(3):
+            apart |= max(apex[k], tile_high[t, k]) < low[f, k] - gap
+            apart |= min(apex[k], tile_low[t, k]) > high[f, k] + gap
+        if not apart and thorough:
+            if not made:
+                _face_pyramid(apex, t, tile_corners, tile_axis, gap, planes)
+                made = True
+            for i in range(6):
+                apart = True
+                for k in range(count[f]):
+                    s = (
+                        planes[i, 0] * corners[f, k, 0] + planes[i, 1] * corners[f, k, 1]
+                        + planes[i, 2] * corners[f, k, 2]
+                    )  # fmt: skip
+                    if s >= planes[i, 3]:
+                        apart = False
+                        break
+                if apart:
+                    break
+        if not apart:
+            remaining += 1
+            if remaining > allowed:
+                break
+            left[remaining - 1] = f
+    return remaining
 
 
 @njit(cache=True)
 def prove(
-    position, normal, pixel, cells, first, count, members, bodies, tiles, lift, gap, own_gap,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+    position, normal2, pixel, cells, first, listed, members, known, bodies, tiles, lift, gap, own_gap, tests,
+    thorough,
+):  # fmt: skip
     """(n,) one bit for each tile that nothing stands in front of, as seen from each vertex.
 
-    pixel : (n,) the one pixel a vertex is joined to, or −1 for all. cells : (n,) cell of each vertex; first, count,
-    members : the bodies in view of each cell.
+    pixel : (n,) the one pixel a vertex is joined to, or −1 for all. cells : (n,) cell of each vertex; first, listed,
+    members : the bodies in view of each cell; known : the tiles that are clear from all of it. tests : with more
+    bodies in view than that a vertex is not tried; thorough : whether the pyramid's sides are tried too, which costs
+    as much as some rays.
     """
-    shell, of_pixel = bodies.shell, tiles.of_pixel
-    whole = len(tiles.corners) - 1
+    # Numba counts references whenever a record of arrays is handed on: what the loops need is taken out here.
+    shell, count, corners, normal, level, low, high = bodies
+    tile_corners, tile_axis, tile_low, tile_high, heights, of_pixel = tiles
+    whole = len(tile_corners) - 1
     every = (np.uint64(1) << np.uint64(whole)) - np.uint64(1)
     out = np.zeros(len(position), np.uint64)
-    left = np.empty(SHORTLIST, np.int32)
+    left, none, planes = np.empty(SHORTLIST, np.int32), np.empty(0, np.int32), np.empty((6, 4))
     for i in range(len(position)):
         apex = (
-            position[i, 0] + lift * normal[i, 0], position[i, 1] + lift * normal[i, 1],
-            position[i, 2] + lift * normal[i, 2],
+            position[i, 0] + lift * normal2[i, 0], position[i, 1] + lift * normal2[i, 1],
+            position[i, 2] + lift * normal2[i, 2],
         )  # fmt: skip
         inside = True
         for h in range(len(shell)):
             s = apex[0] * shell[h, 0] + apex[1] * shell[h, 1] + apex[2] * shell[h, 2] - shell[h, 3]
             inside = inside and s >= own_gap
-        if not inside:
-            continue
-        begin, end = first[cells[i]], first[cells[i]] + count[cells[i]]
         tried = whole if pixel[i] < 0 else of_pixel[pixel[i]]
-        remaining = 0
+        if not inside or tried < 0:
+            continue
+        out[i] = known[cells[i]]
+        asked = every if tried == whole else np.uint64(1) << np.uint64(tried)
+        if out[i] & asked == asked or listed[cells[i]] > tests:
+            continue
+        begin, end = first[cells[i]], first[cells[i]] + listed[cells[i]]
         # With one tile to see, one body in the way settles it.
         allowed = 0 if tried < whole or whole == 1 else SHORTLIST
-        for m in range(begin, end):
-            if not _apart(apex, members[m], tried, bodies, tiles, gap, own_gap):
-                remaining += 1
-                if remaining > allowed:
-                    break
-                left[remaining - 1] = members[m]
+        remaining = _prove_one(
+            apex, tried, members, begin, end, allowed, left, count, corners, normal, level, low, high, tile_corners,
+            tile_axis, tile_low, tile_high, heights, gap, own_gap, planes, thorough,
+        )  # fmt: skip
         if remaining == 0:
-            out[i] = every if tried == whole else np.uint64(1) << np.uint64(tried)
+            out[i] |= asked
         elif remaining <= allowed:
             for t in range(whole):
-                clear = True
-                for m in range(remaining):
-                    clear = clear and _apart(apex, left[m], t, bodies, tiles, gap, own_gap)
-                if clear:
+                if out[i] >> np.uint64(t) & np.uint64(1):
+                    continue
+                behind = _prove_one(
+                    apex, t, left, 0, remaining, 0, none, count, corners, normal, level, low, high, tile_corners,
+                    tile_axis, tile_low, tile_high, heights, gap, own_gap, planes, thorough,
+                )  # fmt: skip
+                if behind == 0:
                     out[i] |= np.uint64(1) << np.uint64(t)
     return out
 
 
 @njit(cache=True)
-def tiles_of_points(position, normal, weight, pixel, tiles_of_pixel, frames, shell, lift, own_gap, slack):  # type: ignore[no-untyped-def]
+def tiles_of_points(position, normal, weight, pixel, tiles_of_pixel, frames, shell, lift, own_gap, slack):
     """(P, Q) the tile whose box holds each FoV point, lifted, above every wall of the shell; −1 for none.
 
     frames : (T, 5, 3) of each tile: a corner of its box, three unit axes, its extents along them.

@@ -77,11 +77,11 @@ class Receiver:
     clock: Clock
     rows: Rows
     tally: Tally
-    sight: ClearSight = field(default_factory=lambda: ClearSight("on"))
+    sight: ClearSight = field(default_factory=ClearSight.asking)
 
     @property
     def aperture_square(self) -> float:
-        """What a finite aperture adds to R² (see `fov.aperture_gain`), m²."""
+        """What a finite aperture adds to R² (see `fov.py`), m²."""
         return self.sensor.aperture_radius_m**2 if self.sensor.finite_aperture else 0.0
 
     def connect(self, vertices: Vertices, choice: NDArray[np.float64], split_of_part: NDArray[np.int64]) -> None:
@@ -100,11 +100,12 @@ class Receiver:
         row, position, energy = np.empty(capacity, np.int64), np.empty(capacity), np.empty(capacity)
         v, pool, rows, tally = vertices, self.pool, self.rows, self.tally
         seen = rows.first_laser + np.arange(len(pool.weight)) if rows.confocal else np.arange(rows.pixels)
+        self.sight.prepare(len(v) * per_vertex)
         tile = self.sight.tiles(pool, seen)
         for start in range(0, len(vertices), per_batch):
             stop = min(start + per_batch, len(v))
-            pixel = v.laser[start:stop] if rows.confocal else np.full(stop - start, -1)
-            clear = self.sight.clear(v.position[start:stop], v.normal[start:stop], pixel)
+            own = v.laser[start:stop] if rows.confocal else None
+            clear = self.sight.clear(v.position[start:stop], v.normal[start:stop], own)
             found, added = gather(
                 start, stop, v.laser, v.position, v.normal, v.to_previous, v.part, v.power,
                 v.path, block, pool.position, pool.normal, pool.to_sensor, pool.part, pool.weight, pool.footprint,

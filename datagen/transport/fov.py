@@ -6,9 +6,11 @@ the photons it sends into an aperture of area A are f₃ E₃ · A J / M for M p
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
@@ -23,7 +25,7 @@ class FovPool:
 
     position, normal, to_sensor : (P, Q, 3) point in metres, unit normal facing the sensor, unit direction to it.
     part : (P, Q) part index, −1 where the line of sight meets nothing.
-    weight : (P, Q) A J / M in m² sr, A the aperture (`aperture_gain`).
+    weight : (P, Q) A J / M in m² sr, A the effective aperture.
     footprint : (P, Q) wall area that one of M points stands for, m².
     last_leg : (P, Q) distance to the sensor, m.
     """
@@ -144,18 +146,6 @@ def _triangle_solid_angle(
     return 2 * np.arctan2(triple, dots)
 
 
-def aperture_gain(sensor: Sensor, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Effective aperture area A in f₃ E₃ A dΩ, m²: that of a small aperture, or of a near disc that faces the point.
-
-    From a point at distance R a facing disc of radius a fills a cone of sin²α = a²/(R² + a²), over which ∫ cosθ dω =
-    π sin²α cosθ₀ exactly: the small-aperture value π a²/R² becomes π a²/(R² + a²).
-    """
-    if not sensor.finite_aperture:
-        return np.full_like(distance_m, sensor.aperture_area_m2)
-    square = distance_m**2
-    return sensor.aperture_area_m2 * square / (square + sensor.aperture_radius_m**2)
-
-
 def fov_pool(
     caster: Raycaster,
     scene: Scene,
@@ -168,32 +158,85 @@ def fov_pool(
 ) -> FovPool:
     """Draw `blocks` × `points_per_vertex` FoV points for each of `pixels`, with one scrambling seed a pixel."""
     uv = scrambled_sobol(seeds, blocks * points_per_vertex, 2)
-    corner = sensor.pixels[pixels] - sensor.position
-    a, b, c, d = (corner[:, None, k] for k in range(4))
-    u, v = uv[..., :1], uv[..., 1:]
-    w = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
-    along_u = (1 - v) * (b - a) + v * (c - d)
-    along_v = (1 - u) * (d - a) + u * (c - b)
-    length = np.linalg.norm(w, axis=2)
-    jacobian = np.abs(np.einsum("pqk,pqk->pq", w, np.cross(along_u, along_v))) / length**3
-    direction = w / length[..., None]
-
-    shape = jacobian.shape
+    direction, jacobian = _lines_of_sight(uv, sensor.pixels[pixels] - sensor.position)
     hits = caster.closest(sensor.position, direction.reshape(-1, 3))
-    valid = hits.valid.reshape(shape)
-    position = np.where(valid[..., None], hits.position.reshape(*shape, 3), 0.0)
+    shape = jacobian.shape
+    part = np.where(hits.valid, scene.face_part[hits.face], -1).astype(np.int64).reshape(shape)
     normal = hits.normal.reshape(*shape, 3)
-    distance = np.linalg.norm(position - sensor.position, axis=2)
-    cosine = -np.einsum("pqk,pqk->pq", normal, direction)
-    valid &= cosine > 0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        footprint = cones.solid_angle[pixels][:, None] * distance**2 / (cosine * points_per_vertex)
-    return FovPool(
-        position=position,
-        normal=np.ascontiguousarray(normal),
-        to_sensor=-direction,
-        part=np.where(valid, scene.face_part[hits.face].reshape(shape), -1).astype(np.int64),
-        weight=np.where(valid, aperture_gain(sensor, distance) * jacobian / points_per_vertex, 0.0),
-        footprint=np.where(valid, footprint, 1.0),
-        last_leg=distance,
-    )
+    position, weight, footprint, distance = _seen_points(
+        hits.position.reshape(*shape, 3), normal, part, direction, jacobian, sensor.position,
+        cones.solid_angle[pixels], sensor.aperture_area_m2,
+        sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0, points_per_vertex,
+    )  # fmt: skip
+    np.negative(direction, out=direction)
+    return FovPool(position, normal, direction, part, weight, footprint, distance)
+
+
+@njit(cache=True)
+def _lines_of_sight(
+    uv: NDArray[np.float64], corner: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit directions (P, Q, 3) through the points uv (P, Q, 2) of quadrilaterals (P, 4, 3) about the sensor, and the
+    solid angle for each unit of uv (P, Q)."""
+    direction, jacobian = np.empty((uv.shape[0], uv.shape[1], 3)), np.empty(uv.shape[:2])
+    w, along_u, along_v = np.empty(3), np.empty(3), np.empty(3)
+    for p in range(len(uv)):
+        for q in range(uv.shape[1]):
+            u, v = uv[p, q]
+            square = 0.0
+            for k in range(3):
+                a, b, c, d = corner[p, 0, k], corner[p, 1, k], corner[p, 2, k], corner[p, 3, k]
+                w[k] = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+                along_u[k] = (1 - v) * (b - a) + v * (c - d)
+                along_v[k] = (1 - u) * (d - a) + u * (c - b)
+                square += w[k] * w[k]
+            length = math.sqrt(square)
+            volume = (
+                w[0] * (along_u[1] * along_v[2] - along_u[2] * along_v[1])
+                + w[1] * (along_u[2] * along_v[0] - along_u[0] * along_v[2])
+                + w[2] * (along_u[0] * along_v[1] - along_u[1] * along_v[0])
+            )
+            jacobian[p, q] = abs(volume) / (square * length)
+            for k in range(3):
+                direction[p, q, k] = w[k] / length
+    return direction, jacobian
+
+
+@njit(cache=True)
+def _seen_points(
+    found: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    part: NDArray[np.int64],
+    direction: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+    sensor: NDArray[np.float64],
+    solid_angle: NDArray[np.float64],
+    aperture_area: float,
+    aperture_square: float,
+    points_per_vertex: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Position, weight, footprint and distance of each FoV point, as in `FovPool`; `part` loses what faces away.
+
+    The effective aperture area A in f₃ E₃ A dΩ is that of a small aperture, or of a near disc that faces the point
+    (`aperture_square` > 0). From a point at distance R a facing disc of radius a fills a cone of
+    sin²α = a²/(R² + a²), over which ∫ cosθ dω = π sin²α cosθ₀ exactly: the small-aperture value π a²/R² becomes
+    π a²/(R² + a²).
+    """
+    weight, footprint, distance = np.zeros(part.shape), np.ones(part.shape), np.empty(part.shape)
+    position = found.copy()
+    for p in range(len(part)):
+        for q in range(part.shape[1]):
+            cosine = square = 0.0
+            for k in range(3):
+                if part[p, q] < 0:
+                    position[p, q, k] = 0.0
+                cosine -= normal[p, q, k] * direction[p, q, k]
+                square += (position[p, q, k] - sensor[k]) ** 2
+            distance[p, q] = math.sqrt(square)
+            if part[p, q] < 0 or cosine <= 0.0:
+                part[p, q] = -1
+                continue
+            effective = aperture_area * square / (square + aperture_square)
+            weight[p, q] = effective * jacobian[p, q] / points_per_vertex
+            footprint[p, q] = solid_angle[p] * square / (cosine * points_per_vertex)
+    return position, weight, footprint, distance

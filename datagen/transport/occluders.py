@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 from datagen.transport.clear_sight_kernels import Bodies
 from datagen.transport.raycast import Raycaster
 
-PLANES_TRIED = 64
-"""Planes, by the area that lies in them, that are tried as walls of the shell."""
+TRIANGLES_SAMPLED = 512
+"""Largest triangles whose planes are tried as walls of the shell, with as many of the others."""
+WALLS_AT_MOST = 32
 SAME_PLANE = 1e-9
 """Planes that agree to this share of the scene's half extent are one: far closer than ray ends are lifted."""
 TRIANGLES_AT_MOST = 256
 """With more than these the larger half of them stays, and boxes stand for the others."""
 BOXES = 128
+MORTON_BITS = 6
+TOWARDS_CORNERS = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], np.float64)
 
 
 def occluders(caster: Raycaster) -> Bodies:
@@ -34,50 +37,47 @@ def occluders(caster: Raycaster) -> Bodies:
     corners = np.concatenate([caster.corners[faces][:, [0, 1, 2, 0, 0, 0, 0, 0]], boxes])
     normal = np.concatenate([caster.face_normal[faces], np.zeros((len(boxes), 3))])
     count = np.repeat([3, 8], [len(faces), len(boxes)])
-    return Bodies(shell, count, corners, normal, corners.min(axis=1), corners.max(axis=1))
+    level = np.einsum("nk,nk->n", corners[:, 0], normal)
+    return Bodies(shell, count, corners, normal, level, corners.min(axis=1), corners.max(axis=1))
 
 
 def _shell(caster: Raycaster) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Planes that have the whole scene on one side, and which triangles (F,) lie in them."""
-    normal, points = caster.face_normal, caster.corners.reshape(-1, 3)
+    points, slack = caster.corners.reshape(-1, 3), 1e-3 * caster.offset_m
+    sampled = np.argsort(-caster.face_area_m2, kind="stable")
+    sampled = np.union1d(sampled[:TRIANGLES_SAMPLED], sampled[:: 1 + len(sampled) // TRIANGLES_SAMPLED])
+    normal, base = caster.face_normal[sampled], caster.corners[sampled, 0]
     largest = np.take_along_axis(normal, np.abs(normal).argmax(axis=1)[:, None], axis=1)
     normal = normal * np.sign(largest)
-    height = np.einsum("fk,fk->f", caster.corners[:, 0] - caster.center, normal)
-    keys = np.round(np.column_stack([normal, height / caster.half_extent_m]) / SAME_PLANE).astype(np.int64)
-    # One word a plane sorts far quicker than four; planes that share a word by chance are told apart below.
-    words = keys.astype(np.uint64) @ np.array(
-        [0x9E3779B97F4A7C15, 0xD6E8FEB86659FD93, 0xC2B2AE3D27D4EB4F, 1], np.uint64
-    )
-    first, plane = np.unique(words, return_index=True, return_inverse=True)[1:]
-    plane = plane.reshape(-1)
-    in_shell = np.zeros(len(normal), np.bool_)
+    height = np.einsum("fk,fk->f", base - caster.center, normal) / caster.half_extent_m
+    keys = np.round(np.column_stack([normal, height]) / SAME_PLANE).astype(np.int64)
+    first = np.unique(keys, axis=0, return_index=True)[1]
+    # Most planes have points far off on both sides: a few of the outermost tell.
+    outermost = points[np.unique((TOWARDS_CORNERS @ points.T).argmax(axis=1))]
+    above = np.einsum("mk,pk->pm", outermost, normal[first]) - np.einsum("pk,pk->p", normal, base)[first, None]
+    in_shell = np.zeros(len(caster.corners), np.bool_)
     walls = []
-    slack = 1e-3 * caster.offset_m
-    area = np.bincount(plane, caster.face_area_m2)
-    for k in np.argsort(-area, kind="stable")[:PLANES_TRIED]:
-        axis, level = normal[first[k]], float(normal[first[k]] @ caster.corners[first[k], 0])
-        above = points @ axis - level
-        own = plane == k
-        if np.abs(above.reshape(-1, 3)[own]).max() > slack:
-            continue
-        for sign in (1.0, -1.0):
-            if (sign * above).min() >= -slack:
-                walls.append(np.append(sign * axis, sign * level))
-                in_shell |= own
+    for k in first[(above.min(axis=1) >= -slack) | (above.max(axis=1) <= slack)][:WALLS_AT_MOST]:
+        level = float(normal[k] @ base[k])
+        heights = points @ normal[k]
+        above, below = heights.min() >= level - slack, heights.max() <= level + slack
+        if above or below:
+            in_shell |= (np.abs(heights - level).reshape(-1, 3) <= slack).all(axis=1)
+        walls += [np.append(sign * normal[k], sign * level) for sign, is_one in ((1, above), (-1, below)) if is_one]
     return np.array(walls).reshape(-1, 4), in_shell
 
 
 def _boxes(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners (B, 8, 3) of boxes about groups of neighbouring triangles (F, 3, 3), halved across their longest side
-    over and over."""
-    # Padded with the last triangle, so that all groups are as large.
-    group = np.minimum(np.arange(-(-len(corners) // BOXES) * BOXES), len(corners) - 1)[None]
+    """Corners (B, 8, 3) of boxes about groups of neighbouring triangles (F, 3, 3): runs along a Morton curve."""
     middles = corners.mean(axis=1)
-    while len(group) < BOXES:
-        axis = np.ptp(middles[group], axis=1).argmax(axis=1)
-        half = group.shape[1] // 2
-        rank = np.argpartition(middles[group, axis[:, None]], half, axis=1)
-        group = np.take_along_axis(group, rank, axis=1).reshape(2 * len(group), half)
-    ends = np.stack([corners[group].min(axis=(1, 2)), corners[group].max(axis=(1, 2))], axis=1)
+    low = middles.min(axis=0)
+    place = ((middles - low) / (np.ptp(middles, axis=0).max() + 1e-300) * (2**MORTON_BITS - 1)).astype(np.int64)
+    code = np.zeros(len(corners), np.int64)
+    for bit in range(MORTON_BITS):
+        for axis in range(3):
+            code |= (place[:, axis] >> bit & 1) << (3 * bit + axis)
+    ordered = corners[np.argsort(code, kind="stable")].reshape(-1, 3)
+    starts = 3 * np.unique(np.linspace(0, len(corners), BOXES, endpoint=False).astype(np.int64))
+    ends = np.stack([np.minimum.reduceat(ordered, starts), np.maximum.reduceat(ordered, starts)], axis=1)
     pick = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     return np.asarray(ends[:, pick, np.arange(3)], np.float64)

@@ -13,6 +13,7 @@ from datagen.records import Accuracy, Capture, Scene, Spend, Transient
 from datagen.transport.adaptive import meet_target
 from datagen.transport.averages import Average, Estimate, walk_average
 from datagen.transport.brdf import MaterialTable
+from datagen.transport.clear_sight import ClearSight
 from datagen.transport.flood import flooded
 from datagen.transport.fov import PixelCones, PixelPatches
 from datagen.transport.raycast import Raycaster
@@ -67,7 +68,9 @@ def simulate(
     job = Job(
         scene, capture, accuracy, caster, materials, cones,
         PixelPatches.of(caster, capture.sensor, cones, accuracy.fov_samples), points,
-        AreaTarget.choose(caster, scene, materials, points, seed), seed, splits, _walked(accuracy, materials),
+        AreaTarget.choose(caster, scene, materials, points, seed), seed, splits,
+        ClearSight.of(caster, capture.sensor, accuracy.occlusion, *_connections(capture, accuracy)),
+        _walked(accuracy, materials),
     )  # fmt: skip
     prepared = clock_time.perf_counter()
     if accuracy.target is not None:
@@ -88,7 +91,16 @@ def simulate(
         spend=estimate.spend,
         error_bound=estimate.error_bound,
         met_target=estimate.met_target,
+        rays=job.sight.rays,
     )
+
+
+def _connections(capture: Capture, accuracy: Accuracy) -> tuple[int, int]:
+    """The walk's connections for each vertex, and in all, about; 0 where a target decides."""
+    lasers, pixels, _ = capture.shape
+    each = pixels * accuracy.fov_samples
+    orders = 3 if accuracy.max_bounces is None else accuracy.max_bounces - 2
+    return each, 0 if accuracy.target is not None else lasers * accuracy.lookins * each * orders
 
 
 def _walked(accuracy: Accuracy, materials: MaterialTable) -> NDArray[np.bool_]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from datagen.records import Accuracy, Capture, Scene
 from datagen.transport import cost
 from datagen.transport.brdf import MaterialTable
+from datagen.transport.clear_sight import ClearSight
 from datagen.transport.connections import Clock, Receiver, Rows, Tally
 from datagen.transport.cost import Work
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches, fov_pool
@@ -110,6 +111,7 @@ class Job:
     target: AreaTarget
     seed: int
     splits: Splits
+    sight: ClearSight
     walked: NDArray[np.bool_]
     """(K,) parts whose vertices the walk joins to the FoV in fourth-bounce paths; the others are left out, or left to
     the factorised form of `secondary.py`."""
@@ -201,7 +203,7 @@ def _receiver(job: Job, chunk: NDArray[np.int64], pool: FovPool) -> Receiver:
         job.accuracy.fov_samples,
         Clock(1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s, device_leg),
         Rows(int(chunk[0]), confocal, pixels, job.splits.count),
-        Tally(np.zeros((rows, bins)), np.zeros(rows)),
+        Tally(np.zeros((rows, bins)), np.zeros(rows)), job.sight,
     )  # fmt: skip
 
 
