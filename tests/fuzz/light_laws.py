@@ -1,0 +1,115 @@
+"""What holds of every transient, whatever the scene: the laws that the fuzzer holds each case against."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import trimesh
+from random_light import Case
+
+from datagen import GGX, Lambertian, OrenNayar, Phong, Retroreflector, SinLobe, simulate
+from datagen.records import Material, Scene, Sensor, Transient
+from datagen.transport.brdf.retroreflector import concentration
+
+ROUNDING = 1e-9
+"""Sums of the same numbers in another order may differ by this share."""
+
+AREA_SHARE = 8.0
+"""At most 7/8 of the lookins are drawn by area, so that a ray's share of the photon is at most eight times 1/N."""
+
+
+def assert_lawful(case: Case, result: Transient) -> None:
+    """No NaN, nothing negative, sums that add up, no more energy than came in."""
+    shape, accuracy = case.capture.shape, case.accuracy
+    for name, values in {**result.components, **result.parts, "overflow": result.overflow}.items():
+        assert values.shape == (shape[:2] if name == "overflow" else shape), name
+        assert np.isfinite(values).all(), f"{name}: not finite"
+        assert (values >= 0).all(), f"{name}: negative, {values.min():g}"
+    if min(accuracy.scramblings, accuracy.lookins) > 1:
+        assert np.isfinite(result.stderr).all() and (result.stderr >= 0).all(), "standard error"
+    else:
+        assert np.isnan(result.stderr).all(), "one scrambling knows no standard error"
+    _adds_up(result.total, result.components.values(), "components")
+    if result.parts:
+        _adds_up(result.components["primary"], result.parts.values(), "parts")
+    missed = np.isnan(result.laser_points).any(axis=1)
+    assert not result.total[missed].any() and not result.overflow[missed].any(), "light without a laser point"
+    _bounded(case, result)
+
+
+def _adds_up(total: np.ndarray, pieces: object, what: str) -> None:
+    np.testing.assert_allclose(sum(pieces), total, rtol=1e-12, atol=0, err_msg=what)  # type: ignore[call-overload]
+
+
+def energy(result: Transient) -> np.ndarray:
+    """(L, P) in the window and outside it."""
+    return np.asarray(result.total.sum(axis=2) + result.overflow)
+
+
+def _bounded(case: Case, result: Transient) -> None:
+    """At most the share ρ^(b−1) of the photon lights a pixel's patch for the b-th bounce, and no point of it sends
+    more than max(f cosθ) · A/R² of that into the aperture; R is at least the distance to the nearest surface."""
+    scene, accuracy = case.scene, case.accuracy
+    albedo = max(material.albedo for material in scene.materials)
+    last = accuracy.max_bounces
+    if last is None and albedo > 0.99:
+        return
+    orders = range(1 if accuracy.direct else 3, (last or 200) + 1)
+    share = sum(albedo ** (b - 1) for b in orders) * most_into_aperture(scene, case.capture.sensor)
+    found = energy(result)
+    if min(accuracy.scramblings, accuracy.lookins) >= 8 and accuracy.lookins >= 64:
+        # The errors of all bins added: more than the error of their sum.
+        allowed = share * (1 + 1e-6) + 10 * result.stderr.sum(axis=2)
+        # What lies beyond the window has no standard error.
+        assert (result.total.sum(axis=2) <= allowed).all(), "more energy than came in"
+    walked = accuracy.observed is None and last is not None
+    if walked and all(isinstance(material, Lambertian) for material in scene.materials):
+        spread = widest_point(case.capture.sensor)
+        most = share * AREA_SHARE * (accuracy.fov_samples * spread + 1)
+        assert (found <= most).all(), f"even a single sample carries at most {most:g}, found {found.max():g}"
+
+
+def most_into_aperture(scene: Scene, sensor: Sensor) -> float:
+    """max(f cosθ) · A/R², or A/(R² + a²) for a finite aperture; inf where the sensor touches a surface."""
+    corners = scene.corners
+    nearest = trimesh.triangles.closest_point(corners, np.tile(sensor.position, (len(corners), 1)))
+    square = float(((nearest - sensor.position) ** 2).sum(axis=1).min()) * (1 - 1e-6)
+    square += sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0
+    lobe = max(highest_lobe(material) for material in scene.materials)
+    return lobe * sensor.aperture_area_m2 / square if square > 0 else math.inf
+
+
+def highest_lobe(material: Material) -> float:
+    """A bound of f cosθ_out, 1/sr, at any pair of directions."""
+    match material:
+        case SinLobe():
+            lobe = 0.5
+        case Phong(exponent=n):
+            lobe = (n + 2) / (2 * math.pi) + 1 / math.pi
+        case OrenNayar():
+            lobe = 4 / math.pi
+        case GGX(roughness=r):
+            # D ≤ 1/(π α²), and with Smith's masking G/(4 cos_in) ≤ 1/(2 α).
+            lobe = 1 / (2 * math.pi * r**6) + 4 / math.pi
+        case Retroreflector(half_width_rad=w):
+            kappa = concentration(w)
+            lobe = kappa / (2 * math.pi * -math.expm1(-2 * kappa)) + 1 / math.pi
+        case _:
+            lobe = 1 / math.pi
+    return material.albedo * lobe
+
+
+def widest_point(sensor: Sensor) -> float:
+    """Largest solid angle per (du dv) of a pixel over its mean, from a grid of its points."""
+    knots = np.linspace(0, 1, 33)
+    u, v = (k.ravel()[None, :, None] for k in np.meshgrid(knots, knots))
+    a, b, c, d = (sensor.pixels[:, None, k] - sensor.position for k in range(4))
+    w = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+    area = np.cross((1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b))
+    jacobian = np.abs(np.einsum("pqk,pqk->pq", w, area)) / np.linalg.norm(w, axis=2) ** 3
+    return float((jacobian.max(axis=1) / jacobian.mean(axis=1)).max()) * 2
+
+
+def simulated(case: Case) -> Transient:
+    return simulate(case.scene, case.capture, case.accuracy, seed=case.seed)
