@@ -15,6 +15,7 @@ from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.detector import DetectorPlan, Exposure, Spad, detect, detector_for, plan_detector
 from datagen.effects import EffectPlan, plan_detector_effects, plan_transport_effects
+from datagen.errors import InputError
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
@@ -84,17 +85,33 @@ def _slots(config: DatasetConfig) -> ObjectSlots:
     return ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
 
 
+SCENES_TRIED = 16
+"""Scenes generated before a build, without light: what is wrong with one of them would be wrong every time."""
+
+
 def check_inputs(config: DatasetConfig) -> None:
     """Raise `InputError` for whatever can be found wrong before a dataset is begun: mesh files, a room that cannot
-    be furnished (one trial scene is generated), a capture that does not fit it, an impossible detector.
+    be furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
+    detector.
     """
     check_scene_config(config.scene)
-    scene = generate_scene(config.scene, config.seed, 0)
-    capture = capture_for(config, scene, config.seed, 0)
+    capture = _tried_capture(config, 0)
+    for index in range(1, min(config.scenes, SCENES_TRIED)):
+        _tried_capture(config, index)
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
     dark = np.zeros((1, *capture.shape[1:]))
     allowed = _Allowed(tolerance=config.detector.tolerance, approximate=config.detector.approximate)
     plan_detector(dark, capture.time, spad, exposure, **allowed)
+
+
+def _tried_capture(config: DatasetConfig, index: int) -> Capture:
+    scene = generate_scene(config.scene, config.seed, index)
+    try:
+        return capture_for(config, scene, config.seed, index)
+    except InputError as error:
+        if index == 0:
+            raise
+        raise InputError(f"scene {index} (seed {config.seed}): {error}") from None
 
 
 @contextmanager

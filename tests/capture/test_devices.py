@@ -11,6 +11,7 @@ from test_scans import SQUARE_ROOM, configured
 import datagen as dg
 from datagen.config import config_from_mapping
 from datagen.errors import InputError
+from datagen.pipeline import check_inputs
 from datagen.records import Capture, Scene
 from datagen.report.replay import read_scene, replay
 
@@ -114,3 +115,43 @@ def test_scans_drawn_for_every_scene_are_built_and_simulated_again(tmp_path: Any
     stored = [read_scene(tmp_path / "set", index) for index in (0, 1)]
     assert all(replay(scene).reproduced for scene in stored)
     assert not np.array_equal(*(scene.arrays["laser_points"] for scene in stored))
+
+
+def test_a_later_scene_that_does_not_fit_is_told_before_a_build() -> None:
+    """With the laser 0.55 m to the side scenes 0 … 4 are in order, and an object of scene 5 is in plain sight."""
+    layout = {"kind": "l_corridor"}
+    capture = {"scan": {"rows": 2, "columns": 2}, "laser_offset_m": [0.0, 0.55, 0.0]}
+    settings = {"seed": 3, "scene": {"layout": layout}, "capture": capture}
+    fits = []
+    for index in range(12):
+        config = config_from_mapping({**settings, "scenes": 12})
+        try:
+            dg.capture_for(config, dg.generate_scene(config.scene, config.seed, index), index=index)
+            fits.append(True)
+        except InputError:
+            fits.append(False)
+    first = fits.index(False)
+    assert first > 0
+    check_inputs(config_from_mapping({**settings, "scenes": first}))
+    with pytest.raises(
+        InputError, match=rf"^scene {first} \(seed 3\): capture\.laser_offset_m: from .* in plain sight; "
+    ):
+        check_inputs(config_from_mapping({**settings, "scenes": 12}))
+
+
+def test_an_object_of_which_a_corner_peeps_out_is_seen() -> None:
+    """A sliver that random points on the surface would miss."""
+    scene = furnished()
+    corner = np.array([3.0, 1.0])
+    # Towards the corner of the box that leaves its cover first, a millimetre past the edge of the wall.
+    box = scene.corners[scene.faces_of("box")].reshape(-1, 3)
+    bearing = (box[:, 1] - corner[1]) / (box[:, 0] - corner[0])
+    first = box[np.argmin(bearing)]
+    slope = (first[1] - corner[1]) / (first[0] - corner[0])
+    for past, seen in ((-1e-3, False), (1e-3, True)):
+        eye = [0.5, float(corner[1] - slope * (corner[0] - 0.5) - past), 1.0]
+        if seen:
+            with pytest.raises(InputError, match="plain sight"):
+                fitted(scene, sensor_position_m=eye)
+        else:
+            fitted(scene, sensor_position_m=eye)
