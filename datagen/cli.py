@@ -164,6 +164,7 @@ class _Benches(click.Group):
         "paper_case": "All secondary paths of the paper's case, beside its published times.",
         "scaling": "Cost and memory against every size.",
         "detector": "Milliseconds per histogram of every sampler, beside a photon-by-photon simulation.",
+        "plan": "Predicted beside actual: seconds, error and bytes of small builds.",
         "stages": "Where a build's time goes, and scenes per second on 1 and 2 workers.",
     }
 

@@ -269,20 +269,21 @@ def probe_workers(config: DatasetConfig, pilots: Pilots, processes: int) -> Work
         outcomes = [future.result() for future in futures]
     again_s = float(np.mean([outcome.again_s for outcome in outcomes]))
     return Workers(
-        float(np.median([outcome.warm_at - asked - outcome.again_s for outcome in outcomes])),
-        float(np.median([outcome.processor_s - outcome.again_s for outcome in outcomes])),
+        max(0.0, float(np.median([outcome.warm_at - asked - outcome.again_s for outcome in outcomes]))),
+        max(0.0, float(np.median([outcome.processor_s - outcome.again_processor_s for outcome in outcomes]))),
         max(1.0, again_s / rung.total_s) if processes > 1 else 1.0,
     )
 
 
 @dataclass(frozen=True)
 class _Outcome:
-    """warm_at : Unix time when the first run was through; processor_s : of the process until then; again_s : the
-    second run's stages."""
+    """warm_at : Unix time when the first run was through; processor_s : of the process until then; again_s,
+    again_processor_s : of the second run."""
 
     warm_at: float
     processor_s: float
     again_s: float
+    again_processor_s: float
 
 
 def _twice(config: DatasetConfig, index: int) -> _Outcome:
@@ -290,4 +291,5 @@ def _twice(config: DatasetConfig, index: int) -> _Outcome:
 
     simulate_sample(config, index)
     warm_at, processor_s = time.time(), time.process_time()
-    return _Outcome(warm_at, processor_s, sum(simulate_sample(config, index).seconds.values()))
+    again_s = sum(simulate_sample(config, index).seconds.values())
+    return _Outcome(warm_at, processor_s, again_s, time.process_time() - processor_s)
