@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from datagen.capture import capture_for
     from datagen.config import load_config
     from datagen.detector import Exposure, Spad, detect, expected_histogram
+    from datagen.effects import plan_effects
     from datagen.loader import TransientDataset
     from datagen.records import (
         GGX,
@@ -59,6 +60,7 @@ _HOME = {
     "expected_histogram": "datagen.detector",
     "generate_scene": "datagen.scene",
     "load_config": "datagen.config",
+    "plan_effects": "datagen.effects",
     "simulate": "datagen.transport",
     "simulate_as_printed": "datagen.transport.as_printed",
 }
@@ -88,6 +90,7 @@ __all__ = [
     "expected_histogram",
     "generate_scene",
     "load_config",
+    "plan_effects",
     "simulate",
     "simulate_as_printed",
 ]

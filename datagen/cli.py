@@ -165,6 +165,7 @@ class _Benches(click.Group):
         "scaling": "Cost and memory against every size.",
         "detector": "Milliseconds per histogram of every sampler, beside a photon-by-photon simulation.",
         "plan": "Predicted beside actual: seconds, error and bytes of small builds.",
+        "effects": "What is planned beside everything on: differences, and what was saved.",
         "stages": "Where a build's time goes, and scenes per second on 1 and 2 workers.",
     }
 

@@ -27,6 +27,15 @@ class Tdc:
         jitter = cycle.after_avalanche
         self._merged = cycle.front < len(cycle.gate)
         lattice = cycle.back + cycle.front
+        # A period that is no whole number of bins ends in a shorter one. Of its own records a displacement makes what
+        # it makes of a moment in its middle; a full bin of the lattice displaced there is shared out by the fold.
+        short = not self._merged and float(cycle.widths_s[-1]) < cycle.width_s * (1 - 1e-6)
+        self._from_short: NDArray[np.int64] | None = None
+        if short and not jitter.is_identity:
+            steps = np.arange(-jitter.before, jitter.after + 1) * cycle.width_s
+            moments = (cycle.edges_s[-2:].mean() + steps) % cycle.period_s
+            last = np.searchsorted(cycle.edges_s, moments, side="right") - 1
+            self._from_short = np.minimum(last, len(cycle.gate) - 1).astype(np.int64)
         self._first = -cycle.back - jitter.before
         self._length = lattice + len(jitter.weights) - 1
         if jitter.is_identity or self._merged:
@@ -45,8 +54,12 @@ class Tdc:
         scattered = spread(self._on_lattice(detections), jitter)
         if self._merged:
             out[...] = scattered[..., -self._first : -self._first + cycle.bins]
-        else:
-            out[..., : cycle.window] = self._fold(scattered)[..., : cycle.window]
+            return out
+        folded = self._fold(scattered)
+        if self._from_short is not None:
+            for column, weight in zip(self._from_short, jitter.weights, strict=True):
+                folded[..., column] += weight * detections[..., -1]
+        out[..., : cycle.window] = folded[..., : cycle.window]
         return out
 
     def draw(self, detections: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
@@ -67,12 +80,19 @@ class Tdc:
             low, high = fold.aligned.start, fold.aligned.stop
             folded[low:high] = scattered[low - fold.first : high - fold.first]
             _share_out(scattered[self._fold_rows], self._fold_starts, fold.columns, fold.shares, folded, rng)
+            if self._from_short is not None:
+                alone = _scatter(detections[-1:], jitter.weights[order], order, rng)
+                np.add.at(folded, self._from_short, alone)
             out[: cycle.window] = folded[: cycle.window]
         return out
 
     def _on_lattice(self, detections: NDArray[N]) -> NDArray[N]:
         cycle = self._cycle
         n = detections.shape[-1]
+        if self._from_short is not None:
+            full = detections.copy()
+            full[..., -1] = 0
+            return full
         if cycle.back == 0:
             return detections[..., : cycle.front]
         return np.concatenate([detections[..., n - cycle.back :], detections[..., : cycle.front]], axis=-1)

@@ -2,7 +2,14 @@
 
 What is said is relative to the expected histogram h = λ · s, with s the share of cycles in which the detector is
 armed. At least exp(−M) of them are, M the most flux within one dead time: only if nothing came for so long, for sure.
-So ‖h‖ ≥ exp(−M) ‖λ‖, and whatever changes the events by a share changes h by no more than exp(M) times that.
+An effect reaches h in two ways:
+
+- it adds, takes or moves events: those are compared with a lower bound on ‖h‖ (`FluxFigures.kept_norm`), which knows
+  of dead time, of jitter that flattens peaks, and of counters that saturate;
+- its events make the detector dead, or cease to. An event does so for a dead time, and what it shifts shifts the next
+  until nothing comes for a dead time: for exp(M) dead times at most, on average. Relative to the armed share that is
+  again exp(M) times more, hence exp(2M).
+
 The bounds on dead time, afterpulses and crosstalk are those of `detector/plan.py`, effect by effect.
 """
 
@@ -25,9 +32,21 @@ def _exp(value: float) -> float:
     return math.exp(min(value, _LARGEST_EXPONENT))
 
 
-def _armed(world: DetectorWorld) -> float:
-    """exp(M): what a change of the flux is multiplied by, at most, relative to the histogram."""
-    return _exp(world.figures.most)
+def _most(world: DetectorWorld) -> float:
+    """M, with the events that avalanches cause."""
+    return world.figures.most * (1.0 + _caused(world))
+
+
+def _by_dead_time(world: DetectorWorld, events: float) -> float:
+    """Relative change of the armed share by a number of `events` more or less within a dead time."""
+    return events * _exp(2.0 * _most(world))
+
+
+def _by_norm(world: DetectorWorld, norm: float) -> float:
+    """Relative change by events of this norm per cycle, and by those that they cause."""
+    kept = world.figures.kept_norm * _exp(-world.figures.most * _caused(world))
+    norm *= 1.0 + _caused(world)
+    return norm / kept if kept > 0 else (math.inf if norm > 0 else 0.0)
 
 
 def _bounded(value: float, reason: str, allowed: bool = True) -> Estimate:
@@ -52,18 +71,21 @@ def _timing(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     moved = 2.0 * (1.0 - kept)
     if moved < 1e-14:
         return _bounded(0.0, "far narrower than a bin")
-    value = moved / (1.0 - moved) * _armed(world) * (1.0 + world.figures.most) if moved < 1.0 else None
-    return Estimate(value, "bound", f"it moves {1 - kept:.2g} of the photons into other bins")
+    reason = f"it moves {1 - kept:.2g} of the photons into other bins"
+    if moved >= 1.0:
+        return Estimate(None, "bound", reason)
+    # Light that the gate would shut out may be moved into it.
+    light = math.hypot(world.figures.norm, world.figures.shut_everywhere)
+    value = _by_norm(world, moved / (1.0 - moved) * light)
+    return _bounded(value + _by_dead_time(world, moved * _most(world)), reason)
 
 
 def _background(world: DetectorWorld, norm: float, rate_hz: float, deviation: float, what: str) -> Estimate:
-    """‖Δλ‖/‖λ‖, and the dead time that background causes; in empty bins it must not be seen either."""
-    figures = world.figures
-    added = norm / figures.norm if figures.norm > 0 else 0.0
+    """‖Δλ‖/‖h‖, and the dead time that background causes; in empty bins it must not be seen either."""
     dead = rate_hz * world.spad.dead_time_s if world.has_dead_time else 0.0
-    value = (added + min(dead, figures.most)) * _armed(world)
+    value = _by_norm(world, norm) + _by_dead_time(world, min(dead, world.figures.most))
     hidden = deviation <= HIDDEN_DEVIATION
-    reason = f"{what} is {added:.2g} of the flux, {deviation:.2g} standard deviations (allowed {HIDDEN_DEVIATION:g})"
+    reason = f"{what}: {deviation:.2g} standard deviations of a histogram (allowed {HIDDEN_DEVIATION:g})"
     return _bounded(value, reason, hidden)
 
 
@@ -80,14 +102,29 @@ def _dark(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
 
 def _pile_up(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     most = world.figures.most if world.spad.paralyzable else world.figures.within
-    return _loss(world, math.expm1(min(most, _LARGEST_EXPONENT)), f"≤ {most:.2g} events within a dead time")
+    # Afterpulses come once the dead time is over, and crosstalk dies out in it: both then move, at most all of them.
+    moved = ("afterpulsing" not in gone) * _afterpulses(world) + ("crosstalk" not in gone) * _shared(world)
+    reason = f"≤ {most:.2g} events within a dead time"
+    if moved > 0:
+        reason += f", and ≤ {moved:.2g} afterpulses and crosstalk an avalanche move"
+    value = math.expm1(min(most * (1.0 + _caused(world)), _LARGEST_EXPONENT)) + 2.0 * _by_events(world, moved)
+    return _loss(world, value, reason)
+
+
+def _by_events(world: DetectorWorld, more: float) -> float:
+    """Relative change by `more` events for each avalanche (Young's inequality), the dead time they cause included."""
+    return _by_norm(world, more * world.figures.norm) + _by_dead_time(world, more * min(_most(world), 1.0))
 
 
 def _across(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     if "pile_up" in gone and not _thins_evenly(world):
         return _bounded(0.0, "left out together with pile-up: it is the same dead time")
     earlier = world.whole_periods * world.figures.total + world.figures.late
-    return _loss(world, earlier * _armed(world), f"≤ {earlier:.2g} events of earlier cycles within a dead time")
+    value = earlier * _exp(_most(world))
+    if "afterpulsing" not in gone:
+        # What is armed again by the next pulse, before its dead time is over, has its afterpulses earlier.
+        value += 2.0 * world.figures.late_share * _by_events(world, _afterpulses(world))
+    return _loss(world, value, f"≤ {earlier:.2g} events of earlier cycles within a dead time")
 
 
 def _thins_evenly(world: DetectorWorld) -> bool:
@@ -96,44 +133,55 @@ def _thins_evenly(world: DetectorWorld) -> bool:
 
 
 def _afterpulsing(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
-    load = sum(world.spad.trap_loads)
-    return _loss(world, load / (1.0 - load) * _armed(world), f"≤ {load / (1.0 - load):.2g} afterpulses an avalanche")
+    more = _afterpulses(world)
+    return _loss(world, _by_events(world, more), f"≤ {more:.2g} afterpulses an avalanche")
 
 
 def _crosstalk(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
-    shared = 4.0 * world.spad.crosstalk_probability
-    value = shared / (1.0 - shared) * _armed(world)
-    return _loss(world, value, f"≤ {shared / (1.0 - shared):.2g} avalanches in neighbours for each")
+    more = _shared(world)
+    return _loss(world, _by_events(world, more), f"≤ {more:.2g} avalanches in neighbours for each")
+
+
+def _caused(world: DetectorWorld) -> float:
+    """Avalanches that one causes, at most."""
+    return 0.0 if _counts_all(world) else _afterpulses(world) + _shared(world)
+
+
+def _afterpulses(world: DetectorWorld) -> float:
+    """Afterpulses that an avalanche causes at most, those of afterpulses included."""
+    load = sum(world.spad.trap_loads) if world.spad.afterpulse_probability > 0 else 0.0
+    return load / (1.0 - load)
+
+
+def _shared(world: DetectorWorld) -> float:
+    """Avalanches that one causes in other pixels at most, those of theirs included."""
+    shared = min(4.0 * world.spad.crosstalk_probability, 0.99) if world.transient.shape[1] > 1 else 0.0
+    return shared / (1.0 - shared)
 
 
 def _gate(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     figures = world.figures
-    if figures.norm == 0:
-        return Estimate(None, "bound", "the gate lets no light through")
-    shut = figures.shut_norm / figures.norm
-    value = (shut + figures.most_shut) * _exp(figures.most + figures.most_shut)
+    more = _exp(2.0 * figures.most_shut * (1.0 + _caused(world)))
+    added = figures.shut_norm + _caused(world) * figures.shut_everywhere
+    value = _by_norm(world, added) + _by_dead_time(world, figures.most_shut) * more
     hidden = figures.shut_deviation <= HIDDEN_DEVIATION
     return _bounded(
         value,
-        f"it shuts out {shut:.2g} of what it lets through, {figures.shut_deviation:.2g} standard deviations "
-        f"(allowed {HIDDEN_DEVIATION:g})",
+        f"without it {figures.shut_deviation:.2g} standard deviations of a histogram (allowed {HIDDEN_DEVIATION:g})",
         hidden,
     )
 
 
 def _saturation(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
-    spad, figures, cycles = world.spad, world.figures, world.exposure.cycles
-    counter_max = spad.counter_max or 0
-    shared = 4.0 * spad.crosstalk_probability if spad.mode != "ideal" else 0.0
-    load = sum(spad.trap_loads) if spad.afterpulse_probability > 0 and spad.mode != "ideal" else 0.0
-    # The most counts that dead time would leave, with all that avalanches may add; jitter only spreads them.
-    mean = figures.brightest * cycles / (1.0 - load) / max(1.0 - shared, 0.01)
-    highest = float(mean.max(initial=0.0))
+    counter_max = world.spad.counter_max or 0
+    # The most counts that dead time would leave, with all that avalanches may add; jitter only spreads them. What is
+    # lost of a bin is less of a fainter one.
+    highest = world.figures.brightest_bin * world.exposure.cycles * (1.0 + _caused(world))
+    reason = f"at most {highest:.2g} counts are expected in a bin, {counter_max} fit"
     if highest + 8.0 * math.sqrt(highest) + 8.0 <= counter_max:
-        return _bounded(0.0, f"at most {highest:.2g} counts are expected in a bin, {counter_max} fit")
-    lost = mean - saturated_mean(mean, cycles, counter_max, False)
-    value = float(np.linalg.norm(lost) / np.linalg.norm(mean - lost)) * _armed(world)
-    return _bounded(value, f"{highest:.2g} counts may be expected in a bin, {counter_max} fit")
+        return _bounded(0.0, reason)
+    kept = float(saturated_mean(np.array([highest]), world.exposure.cycles, counter_max, False)[0])
+    return _bounded(highest / kept - 1.0, reason)
 
 
 def _without_pile_up(world: DetectorWorld) -> DetectorWorld:

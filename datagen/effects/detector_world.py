@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from datagen.detector import Exposure, Spad
 from datagen.detector.equilibrium import most_in_window
 from datagen.detector.flux import Cycle, checked_transient, cycle_of, dark_count_rates, flux_per_cycle
+from datagen.detector.tdc import Tdc
 from datagen.records import TimeAxis
 
 VALUES_AT_ONCE = 1 << 21
@@ -23,27 +24,32 @@ class FluxFigures:
 
     Attributes
     ----------
-    norm : ‖λ‖ over the window. ambient_norm, dark_norm : of what ambient light and dark counts add.
-    shut_norm : of what a detector without a gate would have seen more.
+    norm : ‖J λ‖ over the whole period, J the jitter of records: no histogram is larger.
+    kept_norm : lower bound on the histogram itself, ‖min(J λ exp(−M), counter)‖ over the window, M of each histogram.
+    ambient_norm, dark_norm : of what ambient light and dark counts add.
+    shut_norm : of what a detector without a gate would have seen more; shut_everywhere : over the whole period.
     total : Λ, events per cycle, of the brightest histogram.
     most, most_shut : most flux within any one dead time, of λ and of what the gate shuts out.
     within : the same of λ with whole periods of a free-running dead time left aside.
-    late : most flux within the last dead time (up to a period) of the cycle.
-    brightest : (window,) flux of the histogram that holds the brightest bin.
+    late : most flux within the last dead time (up to a period) of the cycle; late_share : as a share of Λ.
+    brightest_bin : most flux in one bin.
     ambient_deviation, dark_deviation, shut_deviation : by how many standard deviations a histogram with ambient
         light, dark counts, or without a gate differs from one without, all bins together (√ Σ Δ²/μ), at most.
     """
 
     norm: float
+    kept_norm: float
     ambient_norm: float
     dark_norm: float
     shut_norm: float
+    shut_everywhere: float
     total: float
     most: float
     within: float
     most_shut: float
     late: float
-    brightest: NDArray[np.float64]
+    late_share: float
+    brightest_bin: float
     ambient_deviation: float
     dark_deviation: float
     shut_deviation: float
@@ -69,7 +75,7 @@ class DetectorWorld:
     def with_exposure(self, **changes: object) -> DetectorWorld:
         return replace(self, exposure=replace(self.exposure, **changes))  # type: ignore[arg-type]
 
-    @property
+    @cached_property
     def cycle(self) -> Cycle:
         return cycle_of(self.time, self.spad, self.exposure)
 
@@ -90,41 +96,49 @@ class DetectorWorld:
         opened, widths = cycle.gate[: cycle.window], cycle.widths_s[: cycle.window]
         ambient = opened * spad.pde * self.exposure.ambient_rate_hz * widths
         dark = opened * widths * dark_count_rates(spad, pixels)[:, None]
-        square = shut_square = 0.0
+        tdc = Tdc(cycle)
+        square = kept_square = shut_square = shut_beyond = 0.0
         most: dict[str, float] = {}
-        brightest = np.zeros(cycle.window)
         for ungated in self._blocks(replace(cycle, gate=np.ones_like(cycle.gate))):
             flux = ungated * cycle.gate
             shut = ungated - flux
             inside, shut_inside = flux[..., : cycle.window], shut[..., : cycle.window]
-            square += float(np.square(inside).sum())
+            recorded = tdc.mean(flux)
+            losses = self._in_dead_time(flux, cycle)
+            # Bins beyond the window may be long: their density counts.
+            density = cycle.width_s / cycle.widths_s[cycle.window :]
+            square += float(np.square(recorded).sum() + (np.square(flux[..., cycle.window :]) * density).sum())
+            shut_beyond += float((np.square(shut[..., cycle.window :]) * density).sum())
+            kept_square += float(np.square(self._kept(recorded * np.exp(-losses.sum(axis=0))[..., None])).sum())
             shut_square += float(np.square(shut_inside).sum())
+            totals, late = flux.sum(axis=2), self._late(flux, cycle)
             found = {
-                "total": float(flux.sum(axis=2).max()),
-                "most": self._in_dead_time(flux, cycle),
-                "within": self._in_dead_time(flux, cycle, whole_periods=False),
-                "shut": self._in_dead_time(shut, cycle),
-                "late": self._late(flux, cycle),
+                "total": float(totals.max()),
+                "most": float(losses.sum(axis=0).max()),
+                "within": float(losses[0].max()),
+                "shut": float(self._in_dead_time(shut, cycle).sum(axis=0).max()),
+                "late": float(late.max()),
+                "late_share": float(np.divide(late, totals, out=np.zeros_like(late), where=totals > 0).max()),
                 "bin": float(inside.max()),
                 "ambient": self._deviation(ambient, inside),
                 "dark": self._deviation(dark, inside),
                 "shut_deviation": self._deviation(shut_inside, ungated[..., : cycle.window]),
             }
-            if found["bin"] > most.get("bin", 0.0):
-                laser, pixel, _ = np.unravel_index(int(inside.argmax()), inside.shape)
-                brightest = inside[laser, pixel].copy()
             most = {key: max(value, most.get(key, 0.0)) for key, value in found.items()}
         return FluxFigures(
             norm=float(np.sqrt(square)),
+            kept_norm=float(np.sqrt(kept_square)),
             ambient_norm=float(np.sqrt(lasers * pixels) * np.linalg.norm(ambient)),
             dark_norm=float(np.sqrt(lasers) * np.linalg.norm(dark)),
             shut_norm=float(np.sqrt(shut_square)),
+            shut_everywhere=float(np.sqrt(shut_square + shut_beyond)),
             total=most["total"],
             most=most["most"],
             within=most["within"],
             most_shut=most["shut"],
             late=most["late"],
-            brightest=brightest,
+            late_share=most["late_share"],
+            brightest_bin=most["bin"],
             ambient_deviation=most["ambient"],
             dark_deviation=most["dark"],
             shut_deviation=most["shut_deviation"],
@@ -143,23 +157,35 @@ class DetectorWorld:
         for start in range(0, len(values), step):
             yield flux_per_cycle(values[start : start + step], cycle, self.spad, self.exposure)
 
-    def _in_dead_time(self, flux: NDArray[np.float64], cycle: Cycle, whole_periods: bool = True) -> float:
-        """Most flux (laser, pixel, n) within one dead time, over histograms; a synchronous detector's ends with the
-        cycle. Without `whole_periods` only what is left of the dead time beyond them counts."""
-        if not self.has_dead_time or not flux.any():
-            return 0.0
-        rows = flux.reshape(-1, flux.shape[-1])
-        whole, totals = self.whole_periods, rows.sum(axis=1)
-        rest = max(self.spad.dead_time_s - whole * cycle.period_s, 0.0)
-        if self.spad.mode == "synchronous" and whole:
-            return float(totals.max())
-        most = np.array([most_in_window(row, cycle.edges_s, rest) for row in rows])
-        return float((most + whole * totals * whole_periods).max())
+    def _kept(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Lower bound on what counters keep of a mean per cycle: E[min(n, c)] ≥ (1 − 1/e) min(E[n], c)."""
+        cycles, most = self.exposure.cycles, self.spad.counter_max
+        if most is None:
+            return mean
+        counts = mean * cycles
+        reached = counts + 8 * np.sqrt(counts) + 8 > most
+        return np.where(reached, (1 - np.exp(-1.0)) * np.minimum(mean, most / cycles), mean)
 
-    def _late(self, flux: NDArray[np.float64], cycle: Cycle) -> float:
-        """Most flux within the last dead time of the cycle, or all of it, over histograms (laser, pixel, n)."""
+    def _in_dead_time(self, flux: NDArray[np.float64], cycle: Cycle) -> NDArray[np.float64]:
+        """Most flux (laser, pixel, n) of each histogram within one dead time: (2, laser, pixel), what is left of it
+        beyond whole periods, and in those. A synchronous detector's dead time ends with the cycle."""
+        found = np.zeros((2, *flux.shape[:2]))
+        if not self.has_dead_time or not flux.any():
+            return found
+        whole, totals = self.whole_periods, flux.sum(axis=2)
+        if self.spad.mode == "synchronous" and whole:
+            found[0] = totals
+            return found
+        rest = max(self.spad.dead_time_s - whole * cycle.period_s, 0.0)
+        for place in np.ndindex(*flux.shape[:2]):
+            found[0][place] = most_in_window(flux[place], cycle.edges_s, rest)
+        found[1] = whole * totals
+        return found
+
+    def _late(self, flux: NDArray[np.float64], cycle: Cycle) -> NDArray[np.float64]:
+        """Flux within the last dead time of the cycle, or all of it, of histograms (laser, pixel, n)."""
         if not self.has_dead_time:
-            return 0.0
+            return np.zeros(flux.shape[:2])
         start = max(cycle.period_s - self.spad.dead_time_s, 0.0)
         share = np.clip((cycle.edges_s[1:] - start) / cycle.widths_s, 0.0, 1.0)
-        return float((flux @ share).max())
+        return np.asarray(flux @ share, np.float64)

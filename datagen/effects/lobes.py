@@ -8,7 +8,6 @@ import numpy as np
 
 from datagen.records import Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
 from datagen.transport.brdf import albedo
-from datagen.transport.brdf.oren_nayar import LOSS, MEAN_GAIN, roughness
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 _COSINES, _SHARES = (_NODES + 1) / 2, _WEIGHTS / 2
@@ -34,21 +33,20 @@ def lambertian_of(material: Material) -> Material:
     return material if isinstance(material, Lambertian) else Lambertian(min(mean_albedo(material), 1.0))
 
 
+def is_smooth(material: Material) -> bool:
+    """Whether few samples tell how bright the surface is: it has no lobe that they could miss."""
+    return isinstance(material, OrenNayar)
+
+
 def largest_deviation(material: Material) -> float:
     """Bound on |f / f_L − 1| over all pairs of directions, f_L the Lambertian surface of the same mean albedo.
 
-    Extremes of each model's formula (`records.materials`, `transport/brdf`); infinite for GGX and retroreflectors,
-    which have no bound, or none of use, at grazing incidence.
+    Extremes of each model's formula (`records.materials`, `transport/brdf`); infinite for the models that have no
+    bound at grazing incidence, Oren–Nayar's among them.
     """
     if is_lambertian(material):
         return 0.0
     match material:
-        case OrenNayar():
-            # π f / ρ = (1 + r s/t)/(1 + k r) + what single scattering loses in and out, over its mean; |s/t| ≤ 1.
-            r = roughness(material.sigma_rad)
-            lost_at_most = LOSS * r / (1 + LOSS * r)
-            lost_on_average = (LOSS - MEAN_GAIN) * r / (1 + LOSS * r)
-            low, high = (1 - r) / (1 + LOSS * r), (1 + r) / (1 + LOSS * r) + lost_at_most**2 / lost_on_average
         case Phong():
             lobe = material.specular * (material.exponent + 2) / 2
             low, high = 1 - material.specular, lobe + 1 - material.specular

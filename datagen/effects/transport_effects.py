@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.effects.decision import Effect, Estimate
-from datagen.effects.lobes import is_lambertian, largest_deviation
+from datagen.effects.lobes import is_lambertian, is_smooth, largest_deviation
 from datagen.effects.pilot import Pilot
 from datagen.effects.transport_world import TransportWorld
 
@@ -71,38 +71,47 @@ def _lobed(world: TransportWorld) -> list[int]:
 
 
 def _brdf(world: TransportWorld, gone: frozenset[str]) -> Estimate:
-    """Σ of |f / f_L − 1| over a path's vertices, weighed with the Lambertian light that takes each path."""
-    deviation = {k: largest_deviation(world.scene.materials[k]) for k in _lobed(world)}
-    at_ends = math.prod(
-        1.0 + max((deviation.get(k, 0.0) for k in parts), default=0.0)
-        for parts in (world.spot_parts, world.view_parts)
-    )
-    if at_ends > 2.0:
-        return Estimate(None, "bound", "the relay wall itself is far from Lambertian")
-    inner = {k: d for k, d in deviation.items() if d > 0}
-    if any(math.isinf(d) for d in inner.values()):
-        return Estimate(None, "bound", "a narrow lobe has no useful bound")
-    pilot = world.all_lambertian.pilot
-    if pilot is None or pilot.dark:
-        return _measured(pilot, [], "")
-    vertices = min(world.highest_order - 2, MOST_VERTICES)
-    change = 0.0
-    for name, crossed in (("secondary", 2.0), ("higher", vertices)):
-        share = pilot.share(*_of(pilot, name))
-        if share is None:
-            return _measured(pilot, _of(pilot, name), "")
-        change += ((1.0 + max(inner.values(), default=0.0)) ** crossed - 1.0) * share
-    for k, d in inner.items():
-        share = pilot.share(pilot.parts[world.scene.part_names[k]])
-        if share is None:
-            return _measured(pilot, [pilot.parts[world.scene.part_names[k]]], "")
-        change += d * share
+    """Lobes by their bounds; smooth surfaces by what the pilot changes when they are Lambertian."""
+    materials = world.scene.materials
+    smooth = [k for k in _lobed(world) if is_smooth(materials[k])]
+    bounds = {k: largest_deviation(materials[k]) for k in _lobed(world) if k not in smooth}
+    ends = (world.spot_parts, world.view_parts)
+    at_ends = math.prod(1.0 + max((bounds.get(k, 0.0) for k in parts), default=0.0) for parts in ends)
+    if math.isinf(sum(bounds.values())) or at_ends > 2.0:
+        return Estimate(None, "bound", "a lobe has no useful bound where it is")
+    matt = world.all_lambertian.pilot
+    if matt is None or matt.dark:
+        return _measured(matt, [], "")
+    change = _by_lobes(world, matt, bounds)
+    if change is None or at_ends * (1.0 + change) >= 2.0:
+        return Estimate(None, "pilot", "lobes may differ from Lambert's law by more than the light they meet")
     change = at_ends * (1.0 + change) - 1.0
-    if change >= 1.0:
-        return Estimate(None, "pilot", "lobes differ from Lambert's law by more than the light they meet")
-    # The estimate is relative to the Lambertian light; what is asked is relative to the true one.
+    # So far relative to the Lambertian light; what is asked is relative to the true one.
     value = change / (1.0 - change)
-    return Estimate(value, "pilot", f"lobes × the light they meet ≤ {value:.2g} of the transient")
+    if smooth:
+        pilot = world.pilot
+        if pilot is None or pilot.dark:
+            return _measured(pilot, [], "")
+        apart = pilot.share(*matt.components.values(), *(-component for component in pilot.components.values()))
+        if apart is None:
+            return _measured(pilot, [], "")
+        value += apart
+    return Estimate(value, "pilot", f"Lambert's law instead changes the transient by ≤ {value:.2g} in the pilot")
+
+
+def _by_lobes(world: TransportWorld, matt: Pilot, bounds: dict[int, float]) -> float | None:
+    """Σ of |f / f_L − 1| over a path's inner vertices, weighed with the Lambertian light that takes each path."""
+    if not bounds:
+        return 0.0
+    vertices = min(world.highest_order - 2, MOST_VERTICES)
+    crossed = {"secondary": (1.0 + max(bounds.values())) ** 2 - 1.0}
+    crossed["higher"] = (1.0 + max(bounds.values())) ** vertices - 1.0
+    ways = [(factor, _of(matt, name)) for name, factor in crossed.items()]
+    ways += [(d, [matt.parts[world.scene.part_names[k]]]) for k, d in bounds.items()]
+    shares = [(factor, matt.share(*found)) for factor, found in ways if found]
+    if any(share is None for _, share in shares):
+        return None
+    return sum(factor * share for factor, share in shares if share)
 
 
 def _attenuation(world: TransportWorld, gone: frozenset[str]) -> Estimate:
@@ -154,7 +163,7 @@ TRANSPORT_EFFECTS: tuple[Effect[TransportWorld], ...] = (
     Effect(
         "brdf", "non-Lambertian BRDF", "transport",
         "a surface that is not Lambertian",
-        "Extremes of each model's formula (`effects/lobes.py`)",
+        "Extremes of each model's formula (`effects/lobes.py`); a pilot with Lambertian surfaces beside one without",
         0.5, lambda w: bool(_lobed(w)), _brdf, lambda w: w.all_lambertian,
     ),
     Effect(

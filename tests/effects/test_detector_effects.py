@@ -1,0 +1,84 @@
+"""Each bound of the detector's table bounds what leaving the effect out changes in the expected histogram."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from datagen.detector import Exposure, Spad, expected_histogram
+from datagen.effects.detector_effects import DETECTOR_EFFECTS
+from datagen.effects.detector_world import DetectorWorld
+from datagen.records import TimeAxis
+
+ROWS = {row.name: row for row in DETECTOR_EFFECTS}
+AXIS = TimeAxis(100, 0.2e-9, 0.0, "wall")
+ALL_GONE = frozenset(ROWS)
+
+
+def signal(rng: np.random.Generator, axis: TimeAxis = AXIS) -> np.ndarray:
+    """(2, 4, bin) transients with an early peak, a hump, and empty bins."""
+    t = np.arange(axis.bins)
+    rows = [
+        np.exp(-0.5 * ((t - rng.uniform(0.2, 0.8) * axis.bins) / rng.uniform(1, 10)) ** 2)
+        + rng.uniform(0, 3) * (t == int(rng.integers(axis.bins // 2)))
+        for _ in range(8)
+    ]
+    values = np.array(rows) * rng.uniform(0.2, 1.0, (8, 1))
+    values[values < 1e-4] = 0.0
+    return (values / values.sum(axis=1).max()).reshape(2, 4, axis.bins) * 1e-9
+
+
+def random_world(rng: np.random.Generator) -> DetectorWorld:
+    """A detector with everything, from dim to bright; effects strong and weak."""
+
+    def chance(low: float, high: float) -> float:
+        return float(low * (high / low) ** rng.random())
+
+    mode = ("ideal", "synchronous", "free_running")[int(rng.integers(3))]
+    spad = Spad(
+        pde=0.3,
+        dark_count_rate_hz=chance(1e-1, 1e6),
+        dead_time_s=chance(1e-10, 1e-6),
+        jitter_fwhm_s=chance(1e-11, 3e-10),
+        afterpulse_probability=chance(1e-6, 0.05),
+        afterpulse_times_s=(chance(5e-9, 3e-7),),
+        crosstalk_probability=chance(1e-6, 0.02),
+        array_columns=2,
+        mode=mode,  # type: ignore[arg-type]
+        gate_start_s=chance(1e-10, 8e-9),
+        gate_width_s=chance(1e-9, 12e-9),
+        counter_max=int(chance(3, 3000)),
+    )
+    exposure = Exposure(
+        repetition_rate_hz=float(rng.choice([5e6, 20e6, 50e6])),
+        cycles=int(rng.choice([100, 1000, 10000])),
+        photons_per_pulse=chance(1e5, 1e10),
+        ambient_rate_hz=chance(1e-1, 1e7),
+        pulse_fwhm_s=chance(1e-11, 3e-10),
+    )
+    return DetectorWorld(signal(rng), AXIS, spad, exposure, 1e-3)
+
+
+def change(world: DetectorWorld, without: DetectorWorld) -> float:
+    """Relative L2 change of the expected histograms."""
+    mean, reference = (
+        expected_histogram(w.transient, w.time, w.spad, w.exposure, approximate=True) for w in (without, world)
+    )
+    return float(np.linalg.norm(mean - reference) / np.linalg.norm(reference))
+
+
+@pytest.mark.parametrize("effect", ROWS)
+def test_bound_holds_in_random_detectors(effect: str) -> None:
+    """60 random detectors; in some the effect must be strong, in some nearly nothing, or nothing is tested."""
+    row, rng = ROWS[effect], np.random.default_rng(11)
+    strong = weak = 0
+    while strong < 3 or weak < 3 or strong + weak < 25:
+        world = random_world(rng)
+        if not row.present(world) or world.figures.kept_norm == 0:
+            continue
+        found = row.estimate(world, frozenset())
+        if found.value is None:
+            continue
+        actual = change(world, row.without(world))
+        assert actual <= found.value * (1 + 1e-6) + 1e-8, (found, world.spad, world.exposure)
+        strong, weak = strong + (actual > 0.01), weak + (found.value <= 0.01)

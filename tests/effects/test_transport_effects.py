@@ -1,0 +1,217 @@
+"""Each estimate of the transport's table bounds what leaving the effect out changes; auto leaves out what does not
+matter, and only that."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rooms import furnished_box, rectangle, square_pixels
+
+from datagen.config import EffectsConfig
+from datagen.effects import EFFECTS, EffectPlan, plan_transport_effects
+from datagen.effects.lobes import is_lambertian, lambertian_of, largest_deviation, mean_albedo
+from datagen.records import (
+    GGX,
+    Accuracy,
+    Capture,
+    Lambertian,
+    Laser,
+    Material,
+    OrenNayar,
+    Part,
+    Phong,
+    Retroreflector,
+    Scene,
+    Sensor,
+    SinLobe,
+    TimeAxis,
+)
+from datagen.transport import simulate
+from datagen.transport.brdf import MaterialTable, evaluate
+
+DEVICE = (1.5, 0.1, 1.3)
+SPOTS = [(0, y, z) for y in (-0.8, 0.8) for z in (0.8, 1.6)]
+VIEWS = [(0, y, z) for y in (-0.3, 0.3) for z in (0.9, 1.5)]
+AXIS = TimeAxis(128, 0.4e-9, 0.0, "wall")
+EVERYTHING = EffectsConfig.model_validate({row.name: "on" for row in EFFECTS})
+
+
+def capture(pairing: str = "exhaustive", time: TimeAxis = AXIS) -> Capture:
+    at = VIEWS if pairing == "exhaustive" else SPOTS
+    return Capture(Laser(DEVICE, SPOTS), Sensor(DEVICE, square_pixels(at, 0.1)), time, pairing)  # type: ignore[arg-type]
+
+
+def accuracy(max_bounces: int | None = 3, direct: bool = False) -> Accuracy:
+    return Accuracy(lookins=8192, fov_samples=2, scramblings=2, max_bounces=max_bounces, direct=direct)
+
+
+def painted(scene: Scene, **materials: Material) -> Scene:
+    """The scene with other materials on some of its parts."""
+    pairs = zip(scene.part_names, scene.materials, strict=True)
+    return replace(scene, materials=tuple(materials.get(name, given) for name, given in pairs))
+
+
+def left_out_change(scene: Scene, looked: Capture, wanted: Accuracy, effect: str) -> float:
+    """Relative L2 change of the transient when only this effect is off, noise cancelled (two seeds)."""
+    off = EffectsConfig.model_validate({row.name: "off" if row.name == effect else "on" for row in EFFECTS})
+    runs = {}
+    for name, settings in (("on", EVERYTHING), ("off", off)):
+        plan = plan_transport_effects(scene, looked, wanted, settings)
+        reduced, fewer = plan.apply_transport(scene, looked, wanted)
+        runs[name] = [simulate(reduced, looked, fewer, seed=seed, split_parts=False).total for seed in (1, 2)]
+    a, b = (runs["off"][k] - runs["on"][k] for k in (0, 1))
+    square = float((a * b).sum() / (runs["on"][0] * runs["on"][1]).sum())
+    return float(np.sqrt(max(square, 0.0)))
+
+
+def planned(scene: Scene, looked: Capture, wanted: Accuracy, seed: int = 3) -> EffectPlan:
+    return plan_transport_effects(scene, looked, wanted, seed=seed)
+
+
+NEARLY_MATT = OrenNayar(0.7, sigma_rad=0.003)
+CASES: dict[str, list[tuple[Scene, Capture, Accuracy, bool]]] = {
+    "direct_return": [
+        (furnished_box(), capture("confocal"), accuracy(direct=True), True),
+        (furnished_box(), capture(), accuracy(direct=True), False),
+        (furnished_box(), capture("confocal", TimeAxis(128, 0.4e-9, 2e-9, "wall")), accuracy(direct=True), False),
+    ],
+    "secondary_bounce": [
+        (furnished_box(0.7), capture(), accuracy(4), True),
+        (furnished_box(0.004), capture(), accuracy(4), False),
+    ],
+    "higher_bounces": [
+        (furnished_box(0.7), capture(), accuracy(None), True),
+        (furnished_box(0.02), capture(), accuracy(None), False),
+    ],
+    "attenuation": [
+        (replace(furnished_box(), attenuation_per_m=0.05), capture(), accuracy(), True),
+        (replace(furnished_box(), attenuation_per_m=2e-4), capture(), accuracy(), False),
+    ],
+    "brdf": [
+        (painted(furnished_box(), relay_wall=OrenNayar(0.7, sigma_rad=0.5)), capture(), accuracy(), True),
+        (painted(furnished_box(), box=NEARLY_MATT, relay_wall=NEARLY_MATT), capture(), accuracy(), False),
+    ],
+    "extended_surfaces": [
+        (furnished_box(), capture(), accuracy(), True),
+        (
+            painted(
+                furnished_box(), walls=Lambertian(1e-4), floor=Lambertian(1e-4), ceiling=Lambertian(1e-4)
+            ),
+            capture(), accuracy(), False,
+        ),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("effect", CASES)
+def test_estimate_bounds_the_change(effect: str) -> None:
+    for scene, looked, wanted, matters in CASES[effect]:
+        decision = planned(scene, looked, wanted)[effect]
+        change = left_out_change(scene, looked, wanted, effect)
+        assert decision.simulated is matters
+        assert decision.estimate is None or decision.estimate >= change
+        if matters:
+            assert change > 0.01
+        else:
+            assert decision.estimate is not None
+            assert change <= decision.estimate <= 0.01
+
+
+def test_share_left_out_together_stays_within_the_tolerance() -> None:
+    """Each of these alone could go; all of them together could not."""
+    scene = replace(painted(furnished_box(0.012), box=NEARLY_MATT), attenuation_per_m=3e-4)
+    alone = {d.effect: d.estimate for d in planned(scene, capture(), accuracy(None)).decisions}
+    for tolerance in (0.001, 0.003, 0.01, 0.03, 0.1):
+        plan = plan_transport_effects(scene, capture(), accuracy(None), EffectsConfig(tolerance=tolerance), seed=3)
+        gone = [d for d in plan.decisions if d.left_out]
+        assert plan.change("transport") <= tolerance * (1 + 1e-12)
+        for decision in plan.decisions:
+            if decision.kind in ("bound", "pilot") and decision.simulated and decision.estimate is not None:
+                assert decision.estimate > decision.allowance
+        assert {d.effect for d in gone} <= set(alone)
+    assert len(gone) >= 4
+
+
+def test_occluders_are_only_ignored_where_there_are_none() -> None:
+    _, ey, ez = np.eye(3)
+    wall = Part("relay_wall", rectangle((0, 0, 1.2), 1.5 * ey, 1.2 * ez), Lambertian(0.8), "relay_wall")
+    plate = Part("plate", rectangle((2, 0, 1.2), 0.5 * ey, 0.5 * ez), Lambertian(0.8))
+    bare = Scene.from_parts([wall, plate])
+    behind = Scene.from_parts([wall, plate, Part("back", rectangle((3, 0, 1.2), ey, ez), Lambertian(0.8))])
+    looked, wanted = capture(), accuracy()
+    for scene, matters in ((bare, False), (behind, True)):
+        decision = planned(scene, looked, wanted)["occlusion"]
+        assert decision.simulated is matters
+        change = left_out_change(scene, looked, wanted, "occlusion")
+        # Summed in another order, nothing else.
+        assert (change > 0.01) if matters else (change < 1e-12)
+
+
+def test_dark_scene_is_simulated_in_full() -> None:
+    """A pilot that meets no light proves nothing."""
+    far = TimeAxis(64, 1e-10, 1e-6, "wall")
+    plan = planned(furnished_box(), capture(time=far), accuracy(5))
+    for effect in ("secondary_bounce", "higher_bounces", "extended_surfaces"):
+        assert plan[effect].simulated
+        assert "too little light" in plan[effect].reason
+
+
+def test_small_transports_are_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.effects.transport_world.run_pilot", _never)
+    few = Accuracy(lookins=64, fov_samples=1, scramblings=1, max_bounces=4)
+    plan = planned(furnished_box(), capture(), few)
+    assert plan["secondary_bounce"].simulated
+    assert "cost" in plan["secondary_bounce"].reason
+
+
+def _never(*arguments: object, **named: object) -> None:
+    raise AssertionError("called although switched off")
+
+
+BOUNDED: list[Material] = [Lambertian(0.6), Phong(0.6, 5.0, 0.001), Phong(0.6, 30.0, 0.7), SinLobe(0.6)]
+UNBOUNDED: list[Material] = [OrenNayar(0.6, 0.35), GGX(0.6, 0.4), Retroreflector(0.6)]
+
+
+@pytest.mark.parametrize("material", BOUNDED, ids=repr)
+def test_largest_deviation_bounds_the_brdf(material: Material) -> None:
+    """Against the BRDF itself in random pairs of directions, and close to the largest of them."""
+    rng = np.random.default_rng(5)
+    bound, table = largest_deviation(material), MaterialTable.of((material,))
+    matt = mean_albedo(material) / np.pi
+    found = 0.0
+    for _ in range(10_000):
+        w = rng.normal(size=(2, 3))
+        w[:, 2] = np.abs(w[:, 2]) if rng.random() < 0.7 else np.abs(w[:, 2]) * 1e-2
+        if rng.random() < 0.3:
+            w[1] = w[0] * (-1, -1, 1)
+        w_in, w_out = (tuple(v / np.linalg.norm(v)) for v in w)
+        # An upright surface, so that the vertical axis of SinLobe lies in it.
+        turn = [(v[2], v[1], v[0]) for v in (w_in, w_out)]
+        f = evaluate(table.kind[0], table.values[0], (1.0, 0.0, 0.0), *turn)
+        found = max(found, abs(f / matt - 1))
+    assert found <= bound * (1 + 1e-9) + 1e-12
+    assert found >= 0.5 * bound
+
+
+@pytest.mark.parametrize("material", [*BOUNDED, *UNBOUNDED], ids=repr)
+def test_lambertian_of_keeps_the_mean_albedo(material: Material) -> None:
+    """∫∫ f cosθ cosθ′ dω dω′ / π by random directions, against the closed form or quadrature."""
+    rng = np.random.default_rng(7)
+    stands = lambertian_of(material)
+    assert is_lambertian(stands)
+    table = MaterialTable.of((material,))
+    assert (largest_deviation(material) == np.inf) is (material in UNBOUNDED)
+    if isinstance(material, Retroreflector):
+        # Its lobe is too narrow for random pairs; `transport.brdf.albedo` has tests of its own.
+        return
+    n = 10_000
+    radius, angle = np.sqrt(rng.random((2, n))), 2 * np.pi * rng.random((2, n))
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    w = np.stack([np.sqrt(1 - radius**2), x, y], axis=-1)
+    f = [
+        evaluate(table.kind[0], table.values[0], (1.0, 0.0, 0.0), tuple(a), tuple(b)) for a, b in zip(*w, strict=True)
+    ]
+    values = np.array(f) * np.pi
+    assert abs(values.mean() - stands.albedo) < 4 * values.std() / np.sqrt(n) + 1e-12
