@@ -12,7 +12,7 @@ from pathlib import Path
 
 from datagen.config import load_config
 from datagen.errors import InputError
-from datagen.report.reproduce.envelope_figures import envelope_figure
+from datagen.report.reproduce.envelope_figures import envelope_figure, other_room_figure
 from datagen.report.reproduce.level_statements import level_statements
 from datagen.report.reproduce.lookin_balance import lookin_balance
 from datagen.report.reproduce.numbers import MADE_BY, numbers
@@ -69,6 +69,9 @@ def reproduce(
         save_png(lookins_figure(runs, examples), folder / images["5"])
         save_png(envelope_figure(runs, "all", "7"), folder / images["7"])
         save_png(envelope_figure(runs, "strongest", "9"), folder / images["9"])
+        if runs.laid_out:
+            images["7, second room"] = "figure_7_second_room.png"
+            save_png(other_room_figure(runs), folder / images["7, second room"])
         text = json.dumps(numbers(runs, statements, command), indent=1, ensure_ascii=False)
         (folder / NUMBERS).write_text(text + "\n", encoding="utf-8")
         (folder / PAGE).write_text(page(runs, statements, points, examples, images, command), encoding="utf-8")

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 _WIDTH_IN = 12.0
 _ROWS: tuple[Estimator, ...] = ("as printed", "radiometric")
+_LABELS: dict[Estimator, str] = {
+    "as printed": "L(t) per bin (as printed, mm⁻⁴)",
+    "radiometric": "L(t) per bin (per emitted photon)",
+}
 _OTHER_COLORS = ("#1B9E77", "#C51B7D", "#8C6D31", "#35978F")
 _MARGIN_BELOW = 20.0
 """The axis ends this factor below the lowest peak shown."""
@@ -38,34 +42,64 @@ def envelope_figure(runs: Runs, scheme: Scheme, number: str) -> Figure:
         "observed points and FoV points, over the converged result (thin, pale). Dotted lines mark where the paper's "
         f"Fig. 7 has its peaks. A bin is {runs.capture.time.width_s * 1e12:g} ps wide; σ = {sigma_ps(runs):.0f} ps."
     )
+    titled = {
+        estimator: [
+            (f"{estimator}, {rays} × {rays} × {sizes.pixels} × {sizes.pixels}", case(estimator, rays, scheme))
+            for rays in sizes.rays
+        ]
+        for estimator in _ROWS
+    }
     height = caption_height(_WIDTH_IN, text)
     with house_style():
         figure = new_figure(_WIDTH_IN, 9.2 + height)
         grid = figure.add_gridspec(3, 2, height_ratios=[4.6, 4.6, height])
-        for row, estimator in enumerate(_ROWS):
-            cases = [case(estimator, rays, scheme) for rays in sizes.rays]
-            limits = _limits([curve for one in cases for curve in _curves(one).values()])
-            first: Axes | None = None
-            for column, (rays, one) in enumerate(zip(sizes.rays, cases, strict=True)):
-                axes = figure.add_subplot(grid[row, column], sharey=first)
-                first = first or axes
-                axes.set_title(f"{estimator}, {rays} × {rays} × {sizes.pixels} × {sizes.pixels}")
+        for row, (estimator, cases) in enumerate(titled.items()):
+            limits = _limits([curve for _, one in cases for curve in _curves(one).values()])
+            for column, (title, one) in enumerate(cases):
+                axes = figure.add_subplot(grid[row, column])
                 if estimator == "radiometric":
-                    _draw(axes, case("converged"), runs, thin=True)
-                _draw(axes, one, runs)
-                _mark_peaks(axes, one)
-                axes.set_yscale("log")
-                axes.set_ylim(*limits)
-                axes.set_xlim(*_time_limits(runs))
-                axes.set_xlabel("time since the light reached the laser point (ns)")
+                    _draw(axes, case("converged"), thin=True)
+                _panel(axes, title, one, limits, _time_limits(case("converged")))
                 if column == 0:
-                    unit = "as printed, mm⁻⁴" if estimator == "as printed" else "per emitted photon"
-                    axes.set_ylabel(f"L(t) per bin ({unit})")
-                axes.grid(color="#E8E8E8", linewidth=0.6)
-                if row == 0 and column == 1:
+                    axes.set_ylabel(_LABELS[estimator])
+                if (row, column) == (0, 1):
                     axes.legend(loc="upper right")
         caption(figure, figure.add_subplot(grid[2, :]), text)
     return figure
+
+
+def other_room_figure(runs: Runs) -> Figure:
+    """Fig. 7 once more, in the room laid out for the printed weights: as printed beside radiometric (converged)."""
+    text = (
+        "As the paper's Fig. 7, in the second room: its sizes are chosen so that the printed weights, left, have the "
+        "published peaks (dotted). The same room by radiometric weights, right, has them elsewhere. Colours as above."
+    )
+    printed, converged = runs.laid_out[runs.dense], runs.laid_out[0]
+    height = caption_height(_WIDTH_IN, text)
+    with house_style():
+        figure = new_figure(_WIDTH_IN, 4.8 + height)
+        grid = figure.add_gridspec(2, 2, height_ratios=[4.8, height])
+        for column, (estimator, one) in enumerate(zip(_ROWS, (printed, converged), strict=True)):
+            axes = figure.add_subplot(grid[0, column])
+            counts = f"{runs.dense} × {runs.dense} × {runs.sizes.pixels} × {runs.sizes.pixels}"
+            title = f"as printed, {counts}" if column == 0 else "radiometric, converged"
+            _panel(axes, title, one, _limits(list(_curves(one).values())), _time_limits(converged))
+            axes.set_ylabel(_LABELS[estimator])
+            if column:
+                axes.legend(loc="upper right")
+        caption(figure, figure.add_subplot(grid[1, :]), text)
+    return figure
+
+
+def _panel(axes: Axes, title: str, case: Case, limits: tuple[float, float], time_limits: tuple[float, float]) -> None:
+    _draw(axes, case)
+    _mark_peaks(axes, case)
+    axes.set_title(title)
+    axes.set_yscale("log")
+    axes.set_ylim(*limits)
+    axes.set_xlim(*time_limits)
+    axes.set_xlabel("time since the light reached the laser point (ns)")
+    axes.grid(color="#E8E8E8", linewidth=0.6)
 
 
 def sigma_ps(runs: Runs) -> float:
@@ -92,7 +126,7 @@ def _curves(case: Case) -> dict[str, Curve]:
     return {"total": case.primary + case.secondary, **case.curves.parts, "secondary bounce": case.secondary}
 
 
-def _draw(axes: Axes, case: Case, runs: Runs, thin: bool = False) -> None:
+def _draw(axes: Axes, case: Case, thin: bool = False) -> None:
     colors = colors_of(case)
     for place, (name, curve) in enumerate(_curves(case).items()):
         if not curve.any():
@@ -101,8 +135,8 @@ def _draw(axes: Axes, case: Case, runs: Runs, thin: bool = False) -> None:
         # The blue lies on the black where the room makes the total: dashed, as in the paper.
         line = (0, (4, 2)) if place == 1 and not thin else "-"
         axes.plot(
-            runs.time_ns, np.where(curve > 0, curve, np.nan), color=colors[name], linewidth=width, linestyle=line,
-            alpha=0.45 if thin else 1.0, label=None if thin else name.replace("_", " "),
+            case.curves.time_ns, np.where(curve > 0, curve, np.nan), color=colors[name], linewidth=width,
+            linestyle=line, alpha=0.45 if thin else 1.0, label=None if thin else name.replace("_", " "),
         )  # fmt: skip
 
 
@@ -119,8 +153,8 @@ def _limits(curves: list[Curve]) -> tuple[float, float]:
     return max(min(peaks) / _MARGIN_BELOW, max(peaks) * 10.0**-_MOST_DECADES), 4.0 * max(peaks)
 
 
-def _time_limits(runs: Runs) -> tuple[float, float]:
-    time = runs.time_ns
+def _time_limits(case: Case) -> tuple[float, float]:
+    time = case.curves.time_ns
     step = float(time[1] - time[0]) if len(time) > 1 else 1.0
     axis = TimeAxis(len(time), step * 1e-9, float(time[0] - step / 2) * 1e-9)
-    return busy_window(runs.case("converged").curves.total, axis)
+    return busy_window(case.curves.total, axis)

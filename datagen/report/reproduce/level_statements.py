@@ -49,7 +49,7 @@ def level_statements(runs: Runs, balance: LookinBalance) -> list[Statement]:
             "less", "The contribution of a secondary path is always less than that of a primary path",
             "sec. 4, “Firstly”",
             Verdict(
-                strongest < 1,
+                strongest * max(1.0, ratio_unit) < 1,
                 f"strongest path over primary on its way into a lookin, at most: {strongest:.2g} in mm, "
                 f"{strongest * ratio_unit:.2g} in m; all paths together {np.nanmax(balance.every):.2g} and "
                 f"{np.nanmax(balance.every) * ratio_unit:.2g}",

@@ -93,9 +93,9 @@ def _page(
     for number, text in _deviations(runs, points, examples).items():
         yield f"<h2>Fig. {number}</h2>{text}"
         yield f'<p><img alt="Fig. {number} of the paper, computed again" src="{images[number]}"></p>'
-    yield from _times(runs)
+    yield from times(runs)
     yield from _levels(runs)
-    yield from _layouts(runs)
+    yield from _layouts(runs, images)
     yield "<h2>What the text leaves open, and what was taken</h2>"
     yield _table(("", "taken here"), CHOICES)
     yield "</body></html>"
@@ -161,7 +161,8 @@ def _deviations(runs: Runs, points: Lit, examples: Sequence[FromLookin]) -> dict
     }
 
 
-def _times(runs: Runs) -> Iterator[str]:
+def times(runs: Runs) -> Iterator[str]:
+    """The timing claims, published and here."""
     yield "<h2>Seconds</h2>"
     rows = []
     for rays in runs.sizes.rays:
@@ -169,7 +170,7 @@ def _times(runs: Runs) -> Iterator[str]:
             ours = runs.case("as printed", rays, scheme), runs.case("radiometric", rays, scheme)
             name = f"{rays}×{rays}×{runs.sizes.pixels}×{runs.sizes.pixels}, {scheme}"
             published = SECONDS.get((rays, scheme), "–") if runs.sizes.pixels == 60 else "–"
-            rows.append((name, published, *(f"{c.seconds:.2f} ({c.processor_s:.2f})" for c in ours)))
+            rows.append((name, escape(published), *(f"{c.seconds:.2f} ({c.processor_s:.2f})" for c in ours)))
     yield _table(("secondary paths", "published", "as printed, s", "radiometric, s"), rows)
     saved = {
         kind: " and ".join(
@@ -218,7 +219,7 @@ def _levels(runs: Runs) -> Iterator[str]:
     )
 
 
-def _layouts(runs: Runs) -> Iterator[str]:
+def _layouts(runs: Runs, images: Mapping[str, str]) -> Iterator[str]:
     """The peaks of the room laid out for the printed weights, where there is one."""
     if not runs.laid_out:
         return
@@ -243,6 +244,7 @@ def _layouts(runs: Runs) -> Iterator[str]:
                      for n in PEAKS_NS))
         )  # fmt: skip
     yield _table(("peaks", *PEAKS_NS), rows)
+    yield f'<p><img alt="Fig. 7 in the second room" src="{images["7, second room"]}"></p>'
 
 
 def _level(case: Case) -> tuple[str, str, str]:

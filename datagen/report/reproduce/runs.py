@@ -192,7 +192,7 @@ def room_laid_out_as_printed(config: DatasetConfig) -> DatasetConfig | None:
 def _lay_out(runs: Runs, config: DatasetConfig) -> None:
     scene = generate_scene(config.scene, config.seed, 0)
     there = Runs(config, scene, capture_for(config, scene, config.seed, 0), runs.sizes)
-    runs.laid_out[runs.dense] = _printed(there, AsPrinted(runs.dense, runs.sizes.pixels, secondary="strongest"))
+    runs.laid_out[runs.dense] = _printed(there, AsPrinted(runs.dense, runs.sizes.pixels))
     runs.laid_out[0] = _converged(there)[0]
 
 
