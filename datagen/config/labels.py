@@ -12,7 +12,8 @@ Voxels = Annotated[int, Field(ge=1, le=1024)]
 
 
 class LabelsConfig(Settings):
-    """Label images look from the plane of the relay wall into the hidden part, orthographically."""
+    """Label images look from the plane of the relay wall into the hidden part, orthographically. Which labels a
+    dataset holds is said in `store.fields`."""
 
     rows: Annotated[int, Field(ge=1, le=4096)] = 64
     """Pixels of the label images from top to bottom."""
