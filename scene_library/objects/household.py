@@ -10,7 +10,8 @@ from scene_library.solids import Solid, block, cylinder, ellipsoid, hollow, lath
 def plant(rng: np.random.Generator) -> Solid:
     """A pot with a bush of leaves around a stem."""
     pot, tall = rng.uniform(0.22, 0.4), rng.uniform(0.2, 0.4)
-    height = rng.uniform(0.5, 1.3)
+    # Leaves grow between the rim of the tallest pot and 0.8 of the height.
+    height = rng.uniform(0.6, 1.3)
     pieces = [
         lathed([(0, 0), (0.35 * pot, 0), (pot / 2, tall), (0, tall)]),
         limb((0, 0, tall), (0, 0, 0.8 * height), 0.02, 0.01),
