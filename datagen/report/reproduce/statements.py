@@ -147,8 +147,8 @@ def scheme_statements(runs: Runs) -> list[Statement]:
             _smoother(runs, "radiometric"),
         ),
         Statement(
-            "broad", "Denser sampling somewhat broadens the envelopes", "sec. 4, Fig. 7", _broader(runs, "as printed"),
-            _broader(runs, "radiometric"),
+            "broad", "Denser sampling somewhat broadens the envelopes", "sec. 4, Fig. 7",
+            _broader(runs, "as printed"), _broader(runs, "radiometric"),
         ),
     ]  # fmt: skip
 
