@@ -160,6 +160,7 @@ class _Benches(click.Group):
 
     MODULES: ClassVar[dict[str, str]] = {
         "accuracy": "What accuracy costs in time: error against seconds for everything that can be chosen.",
+        "target": "Whether accuracy targets are met on random scenes, and at what cost beside hindsight.",
         "speed": "Error against seconds, beside other ways of computing the same.",
         "paper_case": "All secondary paths of the paper's case, beside its published times.",
         "scaling": "Cost and memory against every size.",

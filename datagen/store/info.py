@@ -44,7 +44,7 @@ def info(path: str | Path) -> str:
             f"{field.name:20}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
         )
     lines += [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
-    lines += ["", *_times(records), *_decisions(records), *_failures(records)]
+    lines += ["", *_times(records), *_accuracy(records), *_decisions(records), *_failures(records)]
     return "\n".join(lines)
 
 
@@ -71,6 +71,27 @@ def _covered(intervals: list[tuple[float, float]]) -> float:
         total += max(0.0, stop - max(start, reached))
         reached = max(reached, stop)
     return total
+
+
+def _accuracy(records: Sequence[ShardRecord]) -> Iterator[str]:
+    """The transients' relative L2 errors, whether their target was met, and where the work went."""
+    made = [scene.parameters for record in records for scene in record.scenes if scene.failure is None]
+    errors = [float(of["transient.relative_error"]) for of in made if "transient.relative_error" in of]
+    if not errors:
+        return
+    yield f"relative error of the transients: median {statistics.median(errors):.4f}, largest {max(errors):.4f}"
+    targeted = [bool(of["transient.target_met"]) for of in made if "transient.target_met" in of]
+    if targeted:
+        yield f"  target met in {sum(targeted)} of {len(targeted)} scenes (upper bounds of the error, at 97.5 %)"
+    shares: dict[str, list[float]] = {}
+    for of in made:
+        for name, value in of.items():
+            if name.startswith("transport.spend.") and name.endswith(".share"):
+                shares.setdefault(name.split(".")[2], []).append(float(value))
+    if shares:
+        parts = (f"{name} {statistics.median(values):.0%}" for name, values in shares.items())
+        yield "  share of the transport's cost (median): " + ", ".join(parts)
+    yield ""
 
 
 def _decisions(records: Sequence[ShardRecord]) -> Iterator[str]:

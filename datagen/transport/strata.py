@@ -20,6 +20,9 @@ from datagen.transport.walk import Job
 EXPONENTS = (0.9, 1.5)
 """Bounds of α in variance ∝ n^−α: 1 for independent samples, up to 3 for smooth integrands; bins make them rough."""
 
+UNKNOWN_EXPONENT = 1.25
+"""Taken before any is observed: a round that falls short is completed by the next, one too large is lost."""
+
 
 @dataclass(frozen=True)
 class Round:
@@ -63,7 +66,7 @@ class Stratum:
     rounds: list[Round] = field(default_factory=list)
     work: Work = field(default_factory=lambda: Work(calls=0))
     scramblings: int = 0
-    exponent: float = 1.05
+    exponent: float = UNKNOWN_EXPONENT
     excess: float = 1.0
 
     def __post_init__(self) -> None:
@@ -171,13 +174,13 @@ class Stratum:
 def part_of(job: Job, lasers: NDArray[np.int64]) -> Job:
     """The same job for some of its laser points (confocally, and their pixels)."""
     points = LaserPoints(**{f.name: getattr(job.points, f.name)[lasers] for f in fields(job.points)})
-    sensor, cones, patches = job.capture.sensor, job.cones, job.patches
+    sensor, cones, patches, sight = job.capture.sensor, job.cones, job.patches, job.sight
     if job.capture.pairing == "confocal":
         sensor = Sensor(sensor.position, sensor.pixels[lasers], sensor.aperture_radius_m, sensor.finite_aperture)
-        cones, patches = cones.take(lasers), patches.take(lasers)
+        cones, patches, sight = cones.take(lasers), patches.take(lasers), sight.take(lasers)
     laser = Laser(job.capture.laser.position, job.capture.laser.targets[lasers])
     capture = Capture(laser, sensor, job.capture.time, job.capture.pairing)
-    return replace(job, capture=capture, cones=cones, patches=patches, points=points)
+    return replace(job, capture=capture, cones=cones, patches=patches, points=points, sight=sight)
 
 
 def with_fov_samples(job: Job, fov_samples: int) -> Job:

@@ -1,0 +1,172 @@
+"""A transient with an accuracy target: within it, at a fair cost, the same light, and always an end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
+from scipy import stats
+
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen.bench.target import Outcome, outcomes, table
+from datagen.errors import InputError
+from datagen.records import Transient
+from datagen.transport.confidence import Scatter, bound_factor, disagreement
+from datagen.transport.spread import Sketch
+
+AXIS = bins_of_path(40, 0.5, 0.0)
+DEVICE = np.array([2.0, 0.0, 1.2])
+
+
+@pytest.fixture(scope="module")
+def met() -> Transient:
+    return simulate(furnished_box(0.7), one_point_capture(time=AXIS), Accuracy(max_bounces=5, target=0.05), seed=1)
+
+
+def test_a_dozen_random_scenes_are_within_their_targets_at_a_fair_cost() -> None:
+    """The bench on some cheap cases. Each is within its target with a probability of 95 % or more: how many may be
+    beyond is the binomial's quantile at 3·10⁻³; an error of twice the target none should have."""
+    found = list(outcomes((0, 2, 4, 5, 6, 9, 10, 13, 14, 17, 18, 21), targets=(0.2, 0.1), cost=2e6))
+    assert len(found) >= 12
+    assert sum(not one.within for one in found) <= stats.binom.isf(3e-3, len(found), 0.05)
+    assert all(one.error < 2 * one.target for one in found)
+    assert all(one.met and one.bound <= one.target for one in found)
+    assert np.median([one.cost / one.hindsight for one in found]) < 4
+    assert "| 0.1 |" in table(found)
+
+
+def test_same_arguments_and_seed_give_the_same_bytes(met: Transient) -> None:
+    again = simulate(furnished_box(0.7), one_point_capture(time=AXIS), Accuracy(max_bounces=5, target=0.05), seed=1)
+    np.testing.assert_array_equal(met.total, again.total)
+    np.testing.assert_array_equal(met.stderr, again.stderr)
+    assert met.spend == again.spend
+    other = simulate(furnished_box(0.7), one_point_capture(time=AXIS), Accuracy(max_bounces=5, target=0.05), seed=2)
+    assert (other.total != met.total).any()
+
+
+def test_it_is_the_light_that_fixed_counts_find(met: Transient) -> None:
+    """Every component's energy within a few per cent, and the difference over all bins within both errors."""
+    fixed = simulate(furnished_box(0.7), one_point_capture(time=AXIS), Accuracy(1 << 15, 8, 5, 8), seed=5)
+    assert list(met.components) == list(fixed.components)
+    for name, values in met.components.items():
+        assert values.sum() == pytest.approx(fixed.components[name].sum(), rel=0.05)
+    difference = np.linalg.norm(met.total - fixed.total) / np.linalg.norm(fixed.total)
+    assert difference < 0.05 + 3 * fixed.relative_error
+    for name, values in met.parts.items():
+        assert values.sum() == pytest.approx(fixed.parts[name].sum(), rel=0.1, abs=1e-3 * fixed.total.sum())
+    assert met.overflow.sum() == pytest.approx(fixed.overflow.sum(), rel=0.1, abs=1e-3 * fixed.total.sum())
+
+
+def test_it_says_what_it_spent(met: Transient) -> None:
+    assert met.spend is not None
+    assert met.met_target
+    assert met.relative_error == met.error_bound <= 0.05
+    bare = np.linalg.norm(met.stderr) / np.linalg.norm(met.total)
+    assert bare < met.relative_error
+    assert sum(met.spend.share.values()) == pytest.approx(1)
+    assert set(met.spend.lookins) == set(met.components)
+    flat = met.spend.parameters()
+    assert flat["outcome"] == "target met"
+    assert flat["rounds"] >= 2
+
+
+def test_a_smaller_target_costs_more_and_every_way_of_the_secondary_meets_it() -> None:
+    scene, capture = furnished_box(0.7), one_point_capture(time=AXIS)
+    loose, tight = (
+        simulate(scene, capture, Accuracy(max_bounces=4, target=target), seed=3).spend for target in (0.2, 0.01)
+    )
+    assert loose is not None and tight is not None
+    assert tight.cost > 2 * loose.cost
+    ranked = simulate(scene, capture, Accuracy(max_bounces=4, target=0.1, observed=64, secondary="strongest"), seed=3)
+    assert ranked.met_target and ranked.spend is not None
+    assert ranked.spend.way["secondary"] == "factorised"
+    some = simulate(scene, capture, Accuracy(512, 8, 4, 8, observed=64, secondary="strongest"), seed=4)
+    assert ranked.components["secondary"].sum() == pytest.approx(some.components["secondary"].sum(), rel=0.1)
+
+
+def test_it_gives_up_before_max_lookins_and_says_so() -> None:
+    scene, capture = furnished_box(0.7), one_point_capture(time=AXIS)
+    few = simulate(scene, capture, Accuracy(target=1e-4, max_lookins=4096), seed=1)
+    assert few.met_target is False
+    assert few.relative_error > 1e-4
+    assert few.spend is not None
+    assert sum(few.spend.lookins.values()) <= 4096
+    assert "not met" in few.spend.outcome
+
+
+def test_nothing_visible_ends_with_zero() -> None:
+    """A bare wall lights nothing that it sees; and a laser that misses everything."""
+    wall = Scene.from_parts([Part("wall", rectangle((0, 0, 1), (0, 1, 0), (0, 0, 1)), Lambertian(0.8))])
+    sensor = Sensor(DEVICE, square_pixels([[0, 0.3, 1.0]], 0.1))
+    dark = simulate(wall, Capture(Laser(DEVICE, [[0, -0.3, 1]]), sensor, AXIS), Accuracy(max_bounces=4, target=0.05))
+    missed = simulate(wall, Capture(Laser(DEVICE, [[9, 9, 1]]), sensor, AXIS), Accuracy(target=0.05))
+    for transient in (dark, missed):
+        assert not transient.total.any()
+        assert transient.relative_error == 0
+        assert transient.met_target and transient.spend is not None
+        assert "nothing visible" in transient.spend.outcome
+
+
+def test_touching_surfaces_come_to_an_end() -> None:
+    """A plate that touches the wall inside the field of view: the brightest paths are the shortest."""
+    plate = rectangle((0.3, 0.5, 1), (0.3, 0, 0), (0, 0, 0.5))
+    wall = rectangle((0, 0, 1), (0, 1, 0), (0, 0, 1))
+    scene = Scene.from_parts([Part("wall", wall, Lambertian(0.8)), Part("plate", plate, Lambertian(0.8))])
+    sensor = Sensor(DEVICE, square_pixels([[0, 0.45, 1.0]], 0.1))
+    capture = Capture(Laser(DEVICE, [[0, 0.499, 1]]), sensor, AXIS)
+    runs = [simulate(scene, capture, Accuracy(max_bounces=4, target=0.05), seed=s) for s in (1, 2)]
+    assert all(run.met_target for run in runs)
+    assert np.linalg.norm(runs[0].total - runs[1].total) < 0.1 * np.linalg.norm(runs[0].total)
+
+
+@pytest.mark.parametrize(
+    "kwargs", [{"lookins": 2048}, {"fov_samples": 16}, {"scramblings": 8}, {"observed": 64}, {"target": 0}]
+)
+def test_counts_beside_a_target_are_refused_in_one_line(kwargs: dict) -> None:
+    with pytest.raises(InputError, match=r"Accuracy\.\w+ = .*") as error:
+        Accuracy(**{"target": 0.02, "max_bounces": 4, **kwargs})
+    assert "\n" not in str(error.value)
+    assert next(iter(kwargs)) in str(error.value)
+
+
+def test_bound_holds_as_often_as_it_says() -> None:
+    """Gaussian scramblings of known covariance, flat and dominated by few directions: the squared error of the mean
+    exceeds its bound in 2.5 % of the trials, and in less than 5 % where ν is estimated too (by the sketch, from 8 of
+    them); 1000 trials, at 10⁻³ for each spectrum."""
+    rng = np.random.default_rng(3)
+    trials, scramblings = 1000, 8
+    for spectrum in (np.ones(40), np.array([4.0, 1.0, 1.0, *[0.05] * 30])):
+        beyond = 0
+        for _ in range(trials):
+            runs = rng.normal(size=(scramblings, len(spectrum))) * np.sqrt(spectrum)
+            sketch = Sketch(scramblings)
+            for k, run in enumerate(runs):
+                sketch.add(k, run, 0)
+            mean = runs.mean(axis=0)
+            variance = float(((runs - mean) ** 2).sum() / (scramblings - 1) / scramblings)
+            factor = bound_factor([Scatter(variance, sketch.freedom(), scramblings)], 0.975)
+            beyond += float((mean**2).sum()) > variance * factor
+        assert beyond <= stats.binom.isf(1e-3, trials, 0.05)
+        assert beyond >= 1
+
+
+def test_freedom_counts_the_directions_of_a_scatter() -> None:
+    rng = np.random.default_rng(4)
+    for ways in (1, 6, 50):
+        basis = rng.normal(size=(ways, 3000))
+        sketch = Sketch(200)
+        for k in range(200):
+            sketch.add(k, rng.normal(size=ways) @ basis, 0)
+        assert sketch.freedom() == pytest.approx(ways, rel=0.25, abs=0.3)
+
+
+def test_rounds_that_differ_by_more_than_their_noise_are_distrusted() -> None:
+    known = [Scatter(1.0, 20, 8)]
+    assert disagreement(2.0, known[0], known) == 1.0
+    assert disagreement(40.0, known[0], known) == pytest.approx(20.0)
+
+
+def test_outcomes_beyond_their_target_are_counted() -> None:
+    one = Outcome(0, "confocal 1x1", 3, 8, 0.1, 0.2, 0.0, 0.09, True, 2, 2.0, 1.0, 0.1)
+    assert not one.within
+    assert "0.0%" in table([one])
