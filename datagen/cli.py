@@ -130,15 +130,17 @@ def preview(dataset: str, out: str | None, scenes: int) -> None:
 
 
 @cli.command()
-@click.argument("config")
+@click.argument("configs", nargs=-1, required=True)
 @click.argument("out")
-@click.option("--rooms", type=int, default=64, show_default=True, help="How many rooms.")
-def sheet(config: str, out: str, rooms: int) -> None:
-    """Draw the first rooms of CONFIG, plan and 3D, as one picture OUT; no light is simulated."""
+@click.option("--rooms", type=int, default=64, show_default=True, help="How many rooms, shared by the CONFIGS.")
+@click.option("--labels", type=int, help="Instead: so many rooms, each beside all its labels.")
+def sheet(configs: tuple[str, ...], out: str, rooms: int, labels: int | None) -> None:
+    """Draw the first rooms of CONFIGS, plan and 3D, as one picture OUT; no light is simulated."""
     from datagen.config import load_config
-    from datagen.report.contact_sheet import contact_sheet
+    from datagen.report.contact_sheet import contact_sheet, label_sheet
 
-    click.echo(contact_sheet(load_config(config), rooms, out))
+    settings = [load_config(config) for config in configs]
+    click.echo(contact_sheet(settings, rooms, out) if labels is None else label_sheet(settings, labels, out))
 
 
 @cli.command()
@@ -164,6 +166,7 @@ class _Benches(click.Group):
         "speed": "Error against seconds, beside other ways of computing the same.",
         "paper_case": "All secondary paths of the paper's case, beside its published times.",
         "scaling": "Cost and memory against every size.",
+        "occlusion": "What proofs that nothing stands in the way save in shadow rays.",
         "detector": "Milliseconds per histogram of every sampler, beside a photon-by-photon simulation.",
         "plan": "Predicted beside actual: seconds, error and bytes of small builds.",
         "effects": "What is planned beside everything on: differences, and what was saved.",

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_benches_are_listed_and_each_has_a_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["bench", "--help"]) == 0
     listed = capsys.readouterr().out
-    for name in ("accuracy", "target", "speed", "paper_case", "scaling", "detector", "plan", "stages"):
+    for name in ("accuracy", "target", "speed", "paper_case", "scaling", "detector", "occlusion", "plan", "stages"):
         assert name in listed
         assert run(["bench", name, "--help"]) == 0
         assert "Usage" in capsys.readouterr().out
