@@ -44,7 +44,14 @@ def info(path: str | Path) -> str:
             f"{field.name:20}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
         )
     lines += [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
-    lines += ["", *_times(records), *_accuracy(records), *_decisions(records), *_failures(records)]
+    lines += [
+        "",
+        *_times(records),
+        *_accuracy(records),
+        *_decisions(records),
+        *_effects(records),
+        *_failures(records),
+    ]
     return "\n".join(lines)
 
 
@@ -107,6 +114,25 @@ def _decisions(records: Sequence[ShardRecord]) -> Iterator[str]:
         yield "decisions (scenes)"
         for name, values in counted.items():
             yield f"  {name:18}" + ", ".join(f"{value} ({count})" for value, count in sorted(values.items()))
+        yield ""
+
+
+def _effects(records: Sequence[ShardRecord]) -> Iterator[str]:
+    """Of each effect that any scene has: in how many it was simulated and left out, and the range of its estimates."""
+    made = [scene.parameters for record in records for scene in record.scenes if scene.failure is None]
+    names = dict.fromkeys(name.split(".")[1] for of in made for name in of if name.startswith("effect."))
+    lines = []
+    for name in names:
+        there = [of for of in made if of.get(f"effect.{name}.kind", "absent") != "absent"]
+        if not there:
+            continue
+        on = sum(bool(of[f"effect.{name}.on"]) for of in there)
+        estimates = [float(of[f"effect.{name}.estimate"]) for of in there if f"effect.{name}.estimate" in of]
+        told = f"{min(estimates):9.2g} … {max(estimates):.2g}" if estimates else ""
+        lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}  {told}".rstrip())
+    if lines:
+        yield f"  {'effects (scenes)':25}{'simulated':>9}{'left out':>10}    leaving out changes the answer by ≤"
+        yield from lines
         yield ""
 
 
