@@ -31,7 +31,6 @@ class TransportConfig(Settings):
     """All secondary paths, none, or only the strongest (or k strongest) of each lookin, which needs `observed`."""
     direct: bool = False
     """Also the direct return (1 and 2 bounces), which a gated measurement keeps out."""
-
     target: Annotated[float, Field(ge=1e-4, le=1)] | None = None
     """Relative L2 error of each transient to be met: then the sample counts are chosen, and may not be given."""
     max_lookins: Annotated[int, Field(ge=1, le=2**40)] = 1 << 20
