@@ -149,7 +149,7 @@ def _decisions(config: DatasetConfig) -> list[str]:
     return [
         f"decisions for scene 0 (each scene gets its own; all that is left out may change a result by "
         f"{_percent(effects.tolerance)})",
-        f"  {'effect':30}{'':5}{'from':8}{'change':>9}  why",
+        f"  {'effect':30}{'is':5}{'from':8}{'change':>9}  why",
         *(f"  {line}" for line in decision_lines(EffectPlan(there, effects.tolerance))),
         f"  not there: {', '.join(absent)}",
         f"  sampler {decided.sampler}: {decided.reason}",

@@ -1,29 +1,29 @@
 """Does a plan come true? `datagen bench plan [CONFIG …]`.
 
-Forecasts a few scenes of each configuration, builds them, and prints predicted beside actual: seconds, error and
-bytes of a scene, and the time of the whole build. The clock of a busy machine says little, so times are processor
-seconds: of the pilots and the worker's start, and of the worker that then builds. Exits with 1 when a number is off
-by more than a factor of `WITHIN`.
+Forecasts a few scenes of each configuration, makes them as a worker does, and prints predicted beside actual:
+seconds, error and bytes of a scene. The clock of a busy machine says little, so times are processor seconds, of the
+pilots and of the scenes alike; what a worker's start takes is left out. Exits with 1 when a number is off by more
+than a factor of `WITHIN`.
 """
 
 from __future__ import annotations
 
 import math
-import resource
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
 
-from datagen.builder import build
 from datagen.cli import guarded
 from datagen.config import DatasetConfig, load_config
 from datagen.errors import CheckError, InputError
 from datagen.forecast import Outcome, against, forecast
-from datagen.pilots import Pilot, Pilots, probe_workers, run_pilots
-from datagen.store import schema_of
+from datagen.pilots import Pilot, Pilots, Workers, run_pilots
+from datagen.pipeline import simulate_sample
+from datagen.store import committed, finish, prepare, schema_of, write_shard
 from datagen.store.environment import cores, processor
 
 WITHIN = 1.5
@@ -46,28 +46,22 @@ class Held:
 
 
 def hold(config: DatasetConfig, scenes: int, budget_s: float) -> Held:
-    """Forecast and build `scenes` scenes of a configuration with one worker."""
+    """Forecast `scenes` scenes of a configuration, then make them in this process."""
     few = config.with_scenes(min(scenes, config.scenes))
-    schema = schema_of(few)
-    pilots = run_pilots(few, budget_s)
-    running = probe_workers(few, pilots, 1)
-    warm = replace(running, startup_s=running.startup_processor_s)
-    expected = forecast(few, schema, _in_processor_seconds(pilots), warm, 1, cores())
+    pilots = _in_processor_seconds(run_pilots(few, budget_s))
+    expected = forecast(few, schema_of(few), pilots, Workers(0.0, 0.0), 1, cores())
     with tempfile.TemporaryDirectory(prefix="datagen-bench-") as folder:
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        build(few, Path(folder) / "set", progress=False)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        spent_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        clock, *others = against(expected, few, Path(folder) / "set")
-    alone_s = spent_s - running.startup_processor_s
-    mean_s = (expected.worker_s - warm.startup_s) / few.scenes
-    return Held(
-        few.name,
-        few.scenes,
-        expected.effort,
-        (Outcome(clock.name, "s", mean_s, alone_s / few.scenes), *others,
-         Outcome("whole build", "s", expected.build_s, spent_s)),
-    )  # fmt: skip
+        root = Path(folder) / "set"
+        manifest = prepare(root, few)
+        began = time.process_time()
+        for shard in range(manifest.schema.shards):
+            made = ((index, simulate_sample(few, index)) for index in manifest.schema.scenes_of(shard))
+            write_shard(root, manifest.schema, shard, manifest.fingerprint, made)
+        taken_s = time.process_time() - began
+        finish(root, manifest, committed(root, manifest))
+        clock, *others = against(expected, few, root)
+    seconds = Outcome(clock.name, "s", expected.worker_s / few.scenes, taken_s / few.scenes)
+    return Held(few.name, few.scenes, expected.effort, (seconds, *others))
 
 
 def _in_processor_seconds(pilots: Pilots) -> Pilots:

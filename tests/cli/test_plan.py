@@ -86,3 +86,13 @@ def test_bad_input_is_one_line(
 )
 def test_durations_for_people(seconds: float, text: str) -> None:
     assert duration(seconds) == text
+
+
+def test_a_plan_that_is_far_off_is_found_out() -> None:
+    from datagen.bench.plan import WITHIN, Held, table
+    from datagen.forecast import Outcome
+
+    near = Held("near", 4, 1.0, (Outcome("one", "s", 1.0, 1.4), Outcome("two", "bytes", 5000.0, 4000.0)))
+    far = Held("far", 4, 0.25, (Outcome("one", "s", 1.6, 1.0), Outcome("two", "bytes", float("nan"), 4000.0)))
+    assert near.worst == pytest.approx(1.4) and near.worst < WITHIN < far.worst == pytest.approx(1.6)
+    assert "| near | 4 | 1 | 1 s → 1.4 s (1.40) | 5 kB → 4 kB (0.80) |" in table([near, far])
