@@ -36,9 +36,10 @@ class Accuracy:
     direct : also compute the direct return (1 and 2 bounces: the laser point, or a surface it lights, inside the
         FoV), which a gated measurement keeps out.
     occlusion : how it is found whether anything stands between a vertex and a FoV point. `"auto"`: connections proven
-        free of occluders (`transport/clearance.py`) are added as they are, the others asked by a shadow ray; `"on"`:
+        free of occluders (`clear_sight.py`) are added as they are, the others asked by a shadow ray; `"on"`:
         every one is asked, which gives the same transient up to the order of summation; `"off"`: none is asked, as if
         no occluder stood behind the first surface that light meets. That adds light wherever one does.
+        The factorised secondary (`observed`) has proofs of its own and asks the rest, whatever is set here.
     target : relative L2 error of the whole transient to be met, ‖error‖ / ‖truth‖ over all laser points, pixels and
         bins, 0.0001 … 1. Then the solver chooses lookins, fov_samples, scramblings and the way of the secondary, and
         naming one of them too is refused (`observed` belongs to the k strongest paths and stays). What it is held to

@@ -34,6 +34,8 @@ from datagen.transport.raycast import Raycaster
 
 CONNECTIONS_WORTH_PROVING = 1 << 16
 """Fewer are asked sooner than a grid is made."""
+CONNECTIONS_PER_TRIANGLE = 32
+"""Connections for each triangle from which it pays to look for the shell and to put boxes about the others."""
 CONNECTIONS_PER_TEST = 4
 """Connections for each test of a cell against a body: a test takes about a third of a ray's time."""
 CELLS_ALONG = (4, 12)
@@ -91,7 +93,8 @@ class ClearSight:
     @classmethod
     def of(cls, caster: Raycaster, sensor: Sensor, occlusion: Occlusion, each: int, expected: int = 0) -> ClearSight:
         """expected : connections there will be, about; 0 where that turns out later."""
-        worth_from = CONNECTIONS_WORTH_PROVING if occlusion == "auto" else None
+        least = max(CONNECTIONS_WORTH_PROVING, CONNECTIONS_PER_TRIANGLE * len(caster.corners))
+        worth_from = least if occlusion == "auto" else None
         return cls(occlusion, caster, sensor, each, None, _State(expected=expected, worth_from=worth_from))
 
     @classmethod

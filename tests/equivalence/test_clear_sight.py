@@ -152,7 +152,7 @@ def test_the_transient_is_the_same_with_and_without_proofs(scene: Scene, pairing
     targets = sensor.pixels.mean(axis=1) if pairing == "confocal" else np.array([[0, 0.4, 1.2]])
     capture = Capture(Laser(sensor.position, targets), sensor, bins_of_path(64, 0.3, 0.0), pairing)  # type: ignore[arg-type]
     asked, proven = (
-        simulate(scene, capture, Accuracy(2048, 4, 4, 2, direct=True, occlusion=occlusion), seed=3)  # type: ignore[arg-type]
+        simulate(scene, capture, Accuracy(4096, 4, 4, 2, direct=True, occlusion=occlusion), seed=3)  # type: ignore[arg-type]
         for occlusion in ("on", "auto")
     )
     for name, component in asked.components.items():
