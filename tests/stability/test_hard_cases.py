@@ -1,0 +1,17 @@
+"""Every row of docs/hard_cases.md: our error within its limit, the naive way's beyond it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from hard_case_counts import COUNTS
+from hard_case_light import LIGHT
+from measured import HardCase
+
+
+@pytest.mark.parametrize("case", [*LIGHT, *COUNTS], ids=lambda case: case.__name__)
+def test_hard_case(case: Callable[[], HardCase]) -> None:
+    measured = case()
+    assert measured.ours <= measured.allowed, f"{measured.name}: {measured.our_way}"
+    assert measured.naive > 1.0 or measured.naive > 2 * measured.ours, "nothing is gained over the naive way"
