@@ -208,15 +208,21 @@ def table(found: Sequence[Outcome]) -> str:
 @click.option("--first", type=int, default=0, show_default=True, help="Number of the first.")
 @click.option("--cost", type=float, default=COST_AT_MOST, show_default=True, help="Largest cost of a run.")
 def main(out: str, scenes: int, first: int, cost: float) -> None:
-    """Hold accuracy targets against the true error on random scenes; table and JSON in the folder OUT."""
+    """Hold accuracy targets against the true error on random scenes; table and JSON in the folder OUT.
+
+    Running it again goes on with the scenes that OUT does not have yet.
+    """
     if scenes < 1:
         raise InputError(f"--scenes {scenes}: must be ≥ 1")
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    found: list[Outcome] = []
-    for one in outcomes(range(first, first + scenes), cost=cost):
-        found.append(one)
-        (folder / "target.json").write_text(json.dumps([asdict(one) for one in found], indent=1))
+    kept = folder / "target.json"
+    found = [Outcome(**one) for one in json.loads(kept.read_text())] if kept.exists() else []
+    done = {one.case for one in found}
+    for case in range(first, first + scenes):
+        if case not in done:
+            found += outcomes([case], cost=cost)
+            kept.write_text(json.dumps([asdict(one) for one in found], indent=1))
     text = table(found)
     (folder / "target.md").write_text(text + "\n")
     click.echo(text)
