@@ -14,13 +14,14 @@ JOBS ?= 2
 CONFIG ?= configs/quickstart.yaml
 OUT ?= out/quickstart.zarr
 
-.PHONY: help setup demo test tests check lint types format schema bench peers wheel clean
+.PHONY: help setup demo test tests check lint types format schema fuzz hard-cases bench peers wheel clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
 	@echo "make setup   the virtual environment .venv and nothing else"
 	@echo "make tests   the tests alone;  make check   lint, format and types alone"
 	@echo "make format  rewrite the sources in house style;  make schema   regenerate configs/schema.json"
+	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  the table of docs/hard_cases.md"
 	@echo "make bench   the tables of the README;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 	@echo "make wheel   a wheel in dist/;  make clean   remove what was made"
 
@@ -58,6 +59,15 @@ format: setup
 
 schema: setup
 	$(BIN)/datagen schema > configs/schema.json
+
+# Thousands of random cases, new ones at each run: make fuzz SEED=7 repeats one.
+fuzz: SEED ?= $(shell date +%s)
+fuzz: setup
+	@echo "fuzz: SEED=$(SEED)"
+	DATAGEN_FUZZ=nightly $(BIN)/python -m pytest -p no:cacheprovider -n $(JOBS) --hypothesis-seed=$(SEED) tests/fuzz
+
+hard-cases: setup
+	$(BIN)/python tests/stability/hard_case_table.py
 
 bench: setup
 	$(BIN)/datagen bench stages $(CONFIG)
