@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 
@@ -10,7 +11,7 @@ from datagen.report.reproduce.measures import peak_ns
 from datagen.report.reproduce.published import PEAKS_NS, SECONDS, SIGMA_PS
 from datagen.report.reproduce.room_samples import FromLookin, Lit
 from datagen.report.reproduce.runs import CONSERVED, GRIDS, SCHEMES, Case, Estimator, Runs
-from datagen.report.reproduce.statements import Statement, Verdict
+from datagen.report.reproduce.statements import Statement, Verdict, ratio
 from datagen.store.environment import processor
 from datagen.transport.as_printed import AsPrinted
 
@@ -23,6 +24,7 @@ code { background: #f0f0f0; padding: 0 .25em; } .yes { color: #1a6b2f; font-weig
 .no { color: #a32020; font-weight: 600; } .open { color: #777; font-weight: 600; } td small { color: #666; }
 """
 
+_UNDEFINED = re.compile(r"[+-]?\bnan\b")
 _ESTIMATORS: tuple[Estimator, ...] = ("as printed", "radiometric")
 
 CHOICES = (
@@ -127,7 +129,7 @@ def _verdict(verdict: Verdict) -> str:
     word, kind = {True: ("holds", "yes"), False: ("does not hold", "no"), None: ("not decided", "open")}[
         verdict.holds
     ]
-    return f'<span class="{kind}">{word}</span><br>{escape(verdict.numbers)}'
+    return f'<span class="{kind}">{word}</span><br>{escape(_UNDEFINED.sub("–", verdict.numbers))}'
 
 
 def _deviations(runs: Runs, points: Lit, examples: Sequence[FromLookin]) -> dict[str, str]:
@@ -172,20 +174,18 @@ def times(runs: Runs) -> Iterator[str]:
             published = SECONDS.get((rays, scheme), "–") if runs.sizes.pixels == 60 else "–"
             rows.append((name, escape(published), *(f"{c.seconds:.2f} ({c.processor_s:.2f})" for c in ours)))
     yield _table(("secondary paths", "published", "as printed, s", "radiometric, s"), rows)
-    saved = {
-        kind: " and ".join(
-            f"{runs.case(kind, rays).processor_s / runs.case(kind, rays, 'strongest').processor_s:.1f} at "
-            f"{rays}×{rays}"
-            for rays in runs.sizes.rays
-        )
-        for kind in _ESTIMATORS
-    }
+    saved = {kind: " and ".join(_saved(runs, kind, rays) for rays in runs.sizes.rays) for kind in _ESTIMATORS}
     yield (
         "<p>Elapsed (processor) seconds from rays to envelopes, one core. As printed, every secondary path is formed "
         "by itself, O(Ñ²); radiometrically, paths into and out of a lookin factorise, and all of them cost O(Ñ). "
         f"Processor time for all paths over that for the strongest: as printed {saved['as printed']}, radiometric "
         f"{saved['radiometric']}.</p>"
     )
+
+
+def _saved(runs: Runs, estimator: Estimator, rays: int) -> str:
+    every, strongest = (runs.case(estimator, rays, scheme).processor_s for scheme in SCHEMES)
+    return f"{ratio(every, strongest):.1f} at {rays}×{rays}"
 
 
 def _levels(runs: Runs) -> Iterator[str]:

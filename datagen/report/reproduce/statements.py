@@ -52,6 +52,16 @@ class Statement:
     values: Mapping[str, float] = field(default_factory=dict)
 
 
+def decided(holds: bool, *values: float) -> bool | None:
+    """`holds`, or None if a number that it rests on is undefined."""
+    return holds if all(math.isfinite(value) for value in values) else None
+
+
+def ratio(numerator: float, denominator: float) -> float:
+    """NaN where there is nothing to compare with."""
+    return numerator / denominator if denominator > 0 else float("nan")
+
+
 def arrival_statements(runs: Runs, balance: LookinBalance) -> list[Statement]:
     """Statements on when light arrives: peaks, their order, the secondary's delay."""
     printed, converged = runs.case("as printed", runs.dense), runs.case("converged")
@@ -64,7 +74,7 @@ def arrival_statements(runs: Runs, balance: LookinBalance) -> list[Statement]:
 
     def delay(name: str) -> Verdict:
         p, s, mean_p, mean_s = later[name]
-        holds = s > p and mean_s > mean_p
+        holds = decided(s > p and mean_s > mean_p, *later[name])
         text = f"peaks {p:.1f} → {s:.1f} ns, mean arrival {mean_p:.1f} → {mean_s:.1f} ns"
         return Verdict(holds, text)
 
@@ -109,18 +119,18 @@ def scheme_statements(runs: Runs) -> list[Statement]:
     def strongest(estimator: Estimator) -> tuple[Verdict, Verdict, dict[str, float]]:
         full, one = runs.case(estimator, runs.dense), runs.case(estimator, runs.dense, "strongest")
         a, b = peak_ns(full.secondary, time), peak_ns(one.secondary, time)
-        height = float(one.secondary.max() / full.secondary.max()) if full.secondary.any() else float("nan")
+        height = ratio(float(one.secondary.max()), float(full.secondary.max()))
         widths = [width_ns(c.secondary, time, WIDTH_LEVEL) for c in (full, one)]
-        kept = one.level["secondary"] / full.level["secondary"] if full.level["secondary"] > 0 else float("nan")
+        kept = ratio(one.level["secondary"], full.level["secondary"])
         place = Verdict(
-            abs(a - b) <= PEAK_TOLERANCE_NS and height < 1 and widths[1] <= widths[0],
+            decided(abs(a - b) <= PEAK_TOLERANCE_NS and height < 1 and widths[1] <= widths[0], a, b, height, *widths),
             f"peak {a:.1f} → {b:.1f} ns; height × {height:.2g}, energy × {kept:.2g}; width at "
             f"{100 * WIDTH_LEVEL:g} % {widths[0]:.1f} → {widths[1]:.1f} ns",
         )
         delay, scale, residual = best_copy(one.primary, one.secondary)
         step = float(time[1] - time[0]) if len(time) > 1 else float("nan")
         copy = Verdict(
-            residual <= COPY_RESIDUAL and delay > 0,
+            decided(residual <= COPY_RESIDUAL and delay > 0, a, b),
             f"best fit: delayed by {delay * step:.1f} ns, times {scale:.2g}, residual {100 * residual:.0f} % (L2)",
         )
         values = {
@@ -160,7 +170,8 @@ def _peaks(case: Case, time: Curve) -> Verdict:
     off = {name: peak - PEAKS_NS[name] for name, peak in found.items()}
     text = ", ".join(f"{name} {peak:.1f} ({off[name]:+.1f})" for name, peak in found.items())
     # Peaks fall on bins; a tenth of a bin's rounding is no deviation.
-    return Verdict(all(abs(d) <= PEAK_TOLERANCE_NS + 0.01 for d in off.values()), text + " ns")
+    near = all(abs(d) <= PEAK_TOLERANCE_NS + 0.01 for d in off.values())
+    return Verdict(decided(near, *off.values()), text + " ns")
 
 
 def _heights(case: Case) -> dict[str, float]:
@@ -172,7 +183,7 @@ def _order(case: Case) -> Verdict:
     if not {WALLS, BOX, PILLAR} <= set(height):
         return Verdict(None, "this room has other parts")
     holds = height[WALLS] > height[BOX] > MUCH_HIGHER * height[PILLAR]
-    over = [height[WALLS] / h if h > 0 else math.inf for h in (height[BOX], height[PILLAR])]
+    over = [ratio(height[WALLS], height[name]) for name in (BOX, PILLAR)]
     return Verdict(holds, f"walls : box : pillar = 1 : 1/{over[0]:.2g} : 1/{over[1]:.2g}")
 
 
@@ -182,8 +193,8 @@ def _pillar(case: Case, time: Curve) -> Verdict:
         return Verdict(None, "this room has no box and pillar")
     peaks = peak_ns(parts[BOX], time), peak_ns(parts[PILLAR], time)
     holds = height[PILLAR] < height[BOX] and peaks[1] > peaks[0]
-    ratio = height[PILLAR] / height[BOX] if height[BOX] > 0 else float("nan")
-    return Verdict(holds, f"{peaks[1] - peaks[0]:.1f} ns later, {ratio:.2g} of its height")
+    share = ratio(height[PILLAR], height[BOX])
+    return Verdict(decided(holds, *peaks), f"{peaks[1] - peaks[0]:.1f} ns later, {share:.2g} of its height")
 
 
 def _totals(runs: Runs, estimator: Estimator) -> list[Curve]:
@@ -195,7 +206,7 @@ def _smoother(runs: Runs, estimator: Estimator) -> Verdict:
     rough = [roughness(curve) for curve in total]
     change = shape_difference(total[0], total[1])
     return Verdict(
-        rough[1] < rough[0] and change < SAME_PROFILE,
+        decided(rough[1] < rough[0] and change < SAME_PROFILE, *rough, change),
         f"roughness {rough[0]:.3g} → {rough[1]:.3g}; profiles differ by {100 * change:.0f} % (L2)",
     )
 
@@ -203,5 +214,6 @@ def _smoother(runs: Runs, estimator: Estimator) -> Verdict:
 def _broader(runs: Runs, estimator: Estimator) -> Verdict:
     broad = [width_ns(curve, runs.time_ns, WIDTH_LEVEL) for curve in _totals(runs, estimator)]
     return Verdict(
-        broad[1] > broad[0], f"width at {100 * WIDTH_LEVEL:g} % of the peak {broad[0]:.1f} → {broad[1]:.1f} ns"
+        decided(broad[1] > broad[0], *broad),
+        f"width at {100 * WIDTH_LEVEL:g} % of the peak {broad[0]:.1f} → {broad[1]:.1f} ns",
     )
