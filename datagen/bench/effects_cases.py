@@ -9,7 +9,7 @@ import numpy as np
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.config.scene_layouts import LAYOUT_KINDS
 
-LOOKINS = 4096
+LOOKINS = 2048
 
 
 def random_case(index: int, seed: int = 0, lookins: int = LOOKINS) -> DatasetConfig:

@@ -50,7 +50,7 @@ def _by_norm(world: DetectorWorld, norm: float) -> float:
 
 
 def _bounded(value: float, reason: str, allowed: bool = True) -> Estimate:
-    return Estimate(value, "bound", reason, allowed)
+    return Estimate(value if math.isfinite(value) else None, "bound", reason, allowed)
 
 
 def _loss(world: DetectorWorld, value: float, reason: str) -> Estimate:

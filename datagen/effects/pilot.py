@@ -1,12 +1,14 @@
 """The pilot: the same transport at a fiftieth of its cost, to see how much of the light takes each way.
 
-Two independent runs a and b of a few laser points and pixels. A component x is compared with the whole T by
+Two independent runs a and b of a few laser points and pixels. A component x is compared with T, all light of three
+bounces and more, by
 
     ‖(x_a + x_b)/2‖ / √(T_a · T_b),
 
 where the noise of the runs adds to the numerator and cancels, on average, in the denominator: few samples overrate a
-component, never the whole. What the choice of channels leaves uncertain is added as twice its standard error
-(jackknife over channels).
+component, never the whole. The direct return is no part of T, although it is of the transient: it may be 10⁴ times as
+bright as all the rest, which a gate then lets through alone. What the choice of channels leaves uncertain is added as
+twice its standard error (jackknife over channels).
 """
 
 from __future__ import annotations
@@ -48,11 +50,12 @@ class Pilot:
         return not any(component.any() for component in self.components.values())
 
     def share(self, *found: NDArray[np.float64]) -> float | None:
-        """Upper estimate of ‖x‖ / ‖T‖ for x the sum of what is `found`; None where the whole is lost in noise."""
+        """Upper estimate of ‖x‖ / ‖T‖ for x the sum of what is `found`, at most 1; None where T is lost in noise."""
         x = sum(found, start=np.zeros_like(next(iter(self.components.values()))))
         if not x.any():
             return 0.0
-        total = sum(self.components.values(), start=np.zeros_like(x))
+        indirect = [component for name, component in self.components.items() if name != "direct"]
+        total = sum(indirect, start=np.zeros_like(x))
         wide = -(-total.shape[2] // BINS)
         padded = np.pad(total, ((0, 0), (0, 0), (0, -total.shape[2] % wide)))
         coarse = padded.reshape(*padded.shape[:2], -1, wide).sum(axis=3)
@@ -61,7 +64,7 @@ class Pilot:
         if below.sum() <= 0:
             return None
         square = above.sum() / below.sum()
-        # No component exceeds the whole, as none is negative.
+        # Nothing that is left out makes up more than the whole.
         return min(float(np.sqrt(square + 2 * _jackknife(above, below, square))), 1.0)
 
 

@@ -161,7 +161,8 @@ def decision_lines(plan: EffectPlan) -> list[str]:
     lines = []
     for decision in plan.decisions:
         state = "on" if decision.simulated else "off" if decision.left_out else "–"
-        number = "" if decision.estimate is None or decision.kind == "absent" else f"{decision.estimate:.2g}"
+        value = None if decision.kind == "absent" else decision.estimate
+        number = "" if value is None else "> 1" if value > 1 else f"{value:.2g}"
         lines.append(f"{titles[decision.effect]:30}{state:5}{decision.kind:8}{number:>9}  {decision.reason}")
     return lines
 

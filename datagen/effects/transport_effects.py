@@ -23,7 +23,7 @@ def _measured(pilot: Pilot | None, found: list[NDArray[np.float64]], what: str) 
     share = None if pilot.dark else pilot.share(*found)
     if share is None:
         return Estimate(None, "pilot", "the pilot met too little light to tell")
-    return Estimate(share, "pilot", f"{what} ≤ {share:.2g} of the transient in the pilot")
+    return Estimate(share, "pilot", f"{what} ≤ {share:.2g} of the indirect light in the pilot")
 
 
 def _of(pilot: Pilot | None, *names: str) -> list[NDArray[np.float64]]:
@@ -96,7 +96,7 @@ def _brdf(world: TransportWorld, gone: frozenset[str]) -> Estimate:
         if apart is None:
             return _measured(pilot, [], "")
         value += apart
-    return Estimate(value, "pilot", f"Lambert's law instead changes the transient by ≤ {value:.2g} in the pilot")
+    return Estimate(value, "pilot", f"Lambert's law instead changes the light by ≤ {value:.2g} in the pilot")
 
 
 def _by_lobes(world: TransportWorld, matt: Pilot, bounds: dict[int, float]) -> float | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datagen.labels import make_labels
+from datagen.report.effects_page import effects_page
 from datagen.report.pages import (
     boxes_of,
     histogram_page,
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-PAGES = ("overview", "room", "transient", "histogram", "labels", "scan")
+PAGES = ("overview", "room", "transient", "histogram", "labels", "scan", "effects")
 """The pictures of a scene, in the order in which they are made."""
 
 
@@ -76,6 +77,7 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
         "histogram": lambda: histogram_page(stored, again),
         "labels": lambda: labels_page(stored, again, labels),
         "scan": lambda: scan_page(stored, again),
+        "effects": lambda: effects_page(stored, again),
     }
     for name in names:
         figure = makers[name]()

@@ -1,0 +1,243 @@
+"""The switchboard as a whole: off means not called, on means always, decisions are kept and repeatable, bad settings
+are refused in one line; planned scenes keep their promise."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from datagen.bench.effects import EVERYTHING, run_case
+from datagen.bench.effects_cases import nearly_everything_skipped, nearly_nothing_skipped, random_case
+from datagen.capture import capture_for
+from datagen.config import DatasetConfig, EffectsConfig, config_from_mapping, load_config
+from datagen.detector import Exposure, Spad, detect
+from datagen.effects import EFFECTS, decision_lines, plan_detector_effects, plan_effects, plan_transport_effects
+from datagen.errors import InputError
+from datagen.pipeline import simulate_sample
+from datagen.records import TimeAxis
+from datagen.scene import generate_scene
+from datagen.transport import simulate
+
+NAMES = [row.name for row in EFFECTS]
+AXIS = TimeAxis(64, 0.2e-9, 0.0, "wall")
+
+
+def switched(**settings: object) -> EffectsConfig:
+    return EffectsConfig.model_validate(settings)
+
+
+def never(*arguments: object, **named: object) -> Any:
+    raise AssertionError("called although switched off")
+
+
+def small(**sections: object) -> DatasetConfig:
+    given: dict[str, Any] = {
+        "capture": {"scan": {"kind": "grid", "rows": 3, "columns": 3}, "time": {"bins": 64, "bin_width_ps": 400}},
+        "transport": {"lookins": 256, "fov_samples": 1, "scramblings": 1, "max_bounces": 5, "direct": True},
+        "detector": {"mode": "synchronous", "afterpulse_probability": 0.05, "photons_per_pulse": 1e6, "cycles": 1000},
+        "store": {"fields": ["histogram", "transient"]},
+    }
+    return config_from_mapping(given | sections)
+
+
+def test_every_setting_has_a_row_and_every_row_a_setting() -> None:
+    assert set(NAMES) == set(EffectsConfig.model_fields) - {"tolerance"}
+    assert len({row.title for row in EFFECTS}) == len(EFFECTS) == 16
+    for row in EFFECTS:
+        assert row.needs and row.reference and 0 < row.saves < 1
+
+
+def world_of(config: DatasetConfig) -> tuple[Any, Any, Any]:
+    scene = generate_scene(config.scene, config.seed, 0)
+    return scene, capture_for(config, scene, config.seed, 0), config.transport.accuracy()
+
+
+def test_direct_return_off_is_not_called(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, capture, accuracy = world_of(small())
+    target = "datagen.transport.connections.Receiver.spots"
+    for setting in ("off", "on"):
+        settings = EVERYTHING.model_copy(update={"direct_return": setting})
+        plan = plan_transport_effects(scene, capture, accuracy, settings)
+        monkeypatch.setattr(target, never)
+        reduced_scene, reduced = plan.apply_transport(scene, capture, accuracy)
+        if setting == "off":
+            simulate(reduced_scene, capture, reduced, seed=1)
+        else:
+            with pytest.raises(AssertionError, match="called although"):
+                simulate(reduced_scene, capture, reduced, seed=1)
+
+
+def test_occlusion_off_sends_no_shadow_rays() -> None:
+    scene, capture, accuracy = world_of(small(transport={"lookins": 4096, "max_bounces": 3}))
+    rays = {}
+    for setting in ("auto", "on", "off"):
+        plan = plan_transport_effects(scene, capture, accuracy, switched(occlusion=setting))
+        reduced_scene, reduced = plan.apply_transport(scene, capture, accuracy)
+        rays[setting] = simulate(reduced_scene, capture, reduced, seed=1).rays
+    connections = sum(rays["on"].values())
+    assert rays["on"]["asked"] == rays["off"]["assumed"] == connections > 0
+    assert rays["off"].get("asked", 0) == 0
+    assert rays["auto"]["asked"] + rays["auto"]["proven"] == connections
+    assert rays["auto"]["proven"] > 0
+
+
+def test_bounces_off_are_not_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, capture, accuracy = world_of(small())
+    settings = switched(secondary_bounce="off", higher_bounces="off")
+    plan = plan_transport_effects(scene, capture, accuracy, settings)
+    reduced_scene, reduced = plan.apply_transport(scene, capture, accuracy)
+    monkeypatch.setattr("datagen.transport.walk.continued", never)
+    found = simulate(reduced_scene, capture, reduced, seed=1)
+    assert set(found.components) == {"direct", "primary"}
+
+
+def test_surfaces_and_air_off_are_no_part_of_the_scene() -> None:
+    config = small(
+        scene={
+            "attenuation_per_m": 0.05,
+            "materials": {name: {"brdf": {"kind": "phong"}} for name in ("walls", "floor", "relay_wall")},
+        }
+    )
+    scene, capture, accuracy = world_of(config)
+    off = switched(brdf="off", attenuation="off", extended_surfaces="off")
+    reduced, _ = plan_transport_effects(scene, capture, accuracy, off).apply_transport(scene, capture, accuracy)
+    assert reduced.attenuation_per_m == 0
+    assert {type(material).__name__ for material in reduced.materials} == {"Lambertian"}
+    for role, material, given in zip(reduced.roles, reduced.materials, scene.materials, strict=True):
+        assert material.albedo == 0 if role == "structure" else material.albedo > 0
+        assert given.albedo > 0
+
+
+FULL = Spad(
+    dark_count_rate_hz=1e4, dead_time_s=30e-9, jitter_fwhm_s=3e-10, afterpulse_probability=0.05,
+    crosstalk_probability=0.02, array_columns=2, gate_start_s=2e-9, gate_width_s=8e-9, counter_max=3,
+)  # fmt: skip
+LIT = Exposure(repetition_rate_hz=50e6, cycles=1000, photons_per_pulse=3e6, ambient_rate_hz=1e6, pulse_fwhm_s=2e-10)
+SIGNAL = np.abs(np.sin(np.arange(4 * 64).reshape(1, 4, 64))) * 1e-8
+
+DETECTOR_CALLS: dict[str, tuple[dict[str, str], str]] = {
+    "timing_response": ({}, "scipy.ndimage.convolve1d"),
+    "afterpulsing": ({"crosstalk": "off"}, "datagen.detector.detect.draw_avalanches"),
+    "crosstalk": ({"afterpulsing": "off"}, "datagen.detector.detect.draw_avalanches"),
+    "dead_time_across_cycles": (
+        {"afterpulsing": "off", "crosstalk": "off"},
+        "datagen.detector.detect.draw_free_running",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "effect", [*DETECTOR_CALLS, "gate", "ambient_light", "dark_counts", "pile_up", "tdc_saturation"]
+)
+def test_detector_effects_off_are_not_there(effect: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    others, target = DETECTOR_CALLS.get(effect, ({}, ""))
+    settings = switched(
+        **(dict.fromkeys(NAMES, "on") | {"dead_time_across_cycles": "off"} | others | {effect: "off"})
+    )
+    plan = plan_detector_effects(SIGNAL, AXIS, FULL, LIT, settings)
+    spad, exposure, tolerance = plan.apply_detector(FULL, LIT, 1e-3)
+    assert tolerance == 0.0
+    gone = {
+        "ambient_light": exposure.ambient_rate_hz, "dark_counts": spad.dark_count_rate_hz,
+        "pile_up": spad.dead_time_s, "tdc_saturation": spad.counter_max or 0,
+    }  # fmt: skip
+    assert gone.get(effect, 0) == 0
+    if target:
+        module, _, name = target.rpartition(".")
+        monkeypatch.setattr(importlib.import_module(module), name, never)
+    counts = detect(SIGNAL, AXIS, spad, exposure, tolerance=tolerance)
+    assert bool(counts.max() > 3) is (effect == "tdc_saturation")
+    assert bool(counts[..., :8].sum() > 0) is (effect == "gate")
+
+
+def test_forced_settings_need_no_pilot(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.effects.transport_world.run_pilot", never)
+    scene, capture, accuracy = world_of(small(transport={"lookins": 65536, "max_bounces": None}))
+    plan = plan_effects(scene, capture, accuracy, settings=EVERYTHING)
+    assert {d.kind for d in plan.decisions} <= {"forced", "absent"}
+    with pytest.raises(AssertionError, match="called although"):
+        plan_effects(scene, capture, accuracy)
+
+
+def test_plans_are_repeatable_and_speak() -> None:
+    config = nearly_everything_skipped()
+    scene, capture, accuracy = world_of(config)
+    plans = [plan_transport_effects(scene, capture, accuracy, config.effects, seed=7) for _ in range(2)]
+    assert plans[0] == plans[1]
+    lines = decision_lines(plans[0])
+    assert len(lines) == len(plans[0].decisions)
+    assert any(line.startswith("occlusion") and "on" in line for line in lines)
+    with pytest.raises(InputError, match="this plan holds direct_return"):
+        plans[0]["fluorescence"]
+
+
+def test_samples_keep_their_decisions() -> None:
+    sample = simulate_sample(small(effects={"dark_counts": "off", "tolerance": 0.02}), 0)
+    assert sample.parameters["effect.dark_counts.on"] is False
+    assert sample.parameters["effect.dark_counts.kind"] == "forced"
+    assert sample.parameters["effect.crosstalk.kind"] == "absent"
+    assert sample.parameters["effect.afterpulsing.on"] is True
+    assert sample.parameters["effect.afterpulsing.estimate"] > 0.05
+    assert sample.parameters["detector.dark_count_rate_hz"] == 100
+    assert {f"effect.{name}.on" for name in NAMES} <= set(sample.parameters)
+
+
+@pytest.mark.parametrize(
+    ("effects", "says"),
+    [
+        ({"tolerance": -0.1}, "effects.tolerance = -0.1: input should be greater than or equal to 0"),
+        ({"tolerance": 2}, "effects.tolerance = 2"),
+        ({"pile_up": "maybe"}, "effects.pile_up = 'maybe': input should be 'auto', 'on' or 'off'"),
+        ({"occlusion": 3}, "effects.occlusion = 3"),
+        ({"pileup": "on"}, "did you mean 'pile_up'?"),
+        ({"secondary_bounce": 0}, "effects.secondary_bounce"),
+        ({"pile_up": "off", "dead_time_across_cycles": "on"}, "set pile_up to 'on' or 'auto'"),
+    ],
+)
+def test_bad_settings_get_one_line(effects: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError) as caught:
+        config_from_mapping({"effects": effects})
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_yaml_words_on_and_off_are_understood(tmp_path: Path) -> None:
+    """YAML 1.1 takes them for true and false."""
+    path = tmp_path / "a.yaml"
+    path.write_text("effects: {gate: off, pile_up: on, brdf: auto, secondary_bounce: off}\n")
+    effects = load_config(path).effects
+    assert (effects.gate, effects.pile_up, effects.brdf, effects.secondary_bounce) == ("off", "on", "auto", "off")
+    again = config_from_mapping(json.loads(load_config(path).model_dump_json()))
+    assert again.effects == effects
+
+
+def test_strongest_paths_are_asked_for_by_number() -> None:
+    scene, capture, accuracy = world_of(small(transport={"lookins": 64, "max_bounces": 4, "observed": 32}))
+    for setting, wanted in ((3, 3), ("strongest", "strongest")):
+        plan = plan_transport_effects(scene, capture, accuracy, switched(secondary_bounce=setting))
+        assert plan.apply_transport(scene, capture, accuracy)[1].secondary == wanted
+    scene, capture, accuracy = world_of(small())
+    plan = plan_transport_effects(scene, capture, accuracy, switched(secondary_bounce=2))
+    with pytest.raises(InputError, match="set observed"):
+        plan.apply_transport(scene, capture, accuracy)
+
+
+@pytest.mark.parametrize("index", range(8))
+def test_random_scenes_keep_the_promise(index: int) -> None:
+    """A tenth of `datagen bench effects`, with other scenes."""
+    outcome = run_case(random_case(index, seed=77, lookins=2048))
+    assert outcome.broken(0.01) == []
+
+
+@pytest.mark.parametrize("extreme", [nearly_everything_skipped, nearly_nothing_skipped])
+def test_extreme_scenes_keep_the_promise(extreme: Callable[..., DatasetConfig]) -> None:
+    states = (outcome := run_case(extreme(lookins=2048))).states
+    assert outcome.broken(0.01) == []
+    left_out, there = list(states.values()).count("off"), 16 - list(states.values()).count("absent")
+    assert left_out >= there - 2 if extreme is nearly_everything_skipped else left_out <= 1
