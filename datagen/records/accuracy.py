@@ -9,6 +9,8 @@ from datagen.errors import InputError
 
 MAX_BOUNCES = 64
 TARGETS = (1e-4, 1.0)
+LEAST_MAX_LOOKINS = 2048
+"""A pilot and one round need as many."""
 
 
 class _Default(int):
@@ -45,7 +47,7 @@ class Accuracy:
         naming one of them too is refused (`observed` belongs to the k strongest paths and stays). What it is held to
         is the upper bound of its own error estimate; the bias of the k strongest paths is not part of it.
     max_lookins : with a target: give up (`Transient.met_target` False) before more rays than this would leave each
-        laser point, on average, over all components.
+        laser point, on average, over all components; ≥ 2048.
     """
 
     lookins: int = _Default(2048)
@@ -73,7 +75,7 @@ class Accuracy:
             ("max_bounces", 3, MAX_BOUNCES),
             ("scramblings", 1, 1024),
             ("observed", 1, 2**24),
-            ("max_lookins", 1, 2**40),
+            ("max_lookins", LEAST_MAX_LOOKINS, 2**40),
         ):
             value = getattr(self, name)
             if name in ("max_bounces", "observed") and value is None:

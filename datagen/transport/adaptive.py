@@ -62,7 +62,7 @@ def meet_target(job: Job) -> Estimate:
             spent = sum(float(s.weight.sum()) * s.rays_per_lookin for s in strata)
             orders = next_orders(strata, MARGIN * target**2 * truth / factor, budget - spent)
         if orders is None:
-            outcome = "target met" if bound <= target else "target not met within max_lookins"
+            outcome = "target met" if bound <= target else f"target not met in {rounds} rounds within max_lookins"
             break
         for stratum, order in zip(strata, orders, strict=True):
             if order.lookins:

@@ -35,6 +35,8 @@ LASERS_AT_MOST = 16
 """Confocal laser points up to which the factorised form is tried: it shares nothing between them."""
 WORTH_LOOKING = 30.0
 """Cost to go, in pilots, from which other ways than one walk for everything are tried."""
+LOOKINS_WORTH_LOOKING = 1 << 17
+"""Limits of the lookins under which looking around would take too many of them."""
 WORTH_SHARING = 0.8
 """Largest cost, relative to that of walks apart, for which some orders share a walk that has to begin anew."""
 
@@ -78,7 +80,8 @@ def piloted(job: Job, target: float, seeds: Seeds) -> tuple[list[Stratum], float
     if ranked and "secondary" in asked and factor.any():
         ranking = _factorised(job, factor, job.accuracy.observed or OBSERVED)
         return [*strata, joint, _sampled(ranking, points, seeds)], tried
-    if len(orders) == 1 or _cost_to_go(joint, [*strata, joint], target) < WORTH_LOOKING * joint.work.cost:
+    short = job.accuracy.max_lookins < LOOKINS_WORTH_LOOKING
+    if len(orders) == 1 or short or _cost_to_go(joint, [*strata, joint], target) < WORTH_LOOKING * joint.work.cost:
         return [*strata, joint], tried
     apart = [_sampled(Stratum(_of_components(job, (name,), walked)), points, seeds) for name in orders]
     if factor.any() and "secondary" in orders and _worth_trying(job):
