@@ -26,7 +26,7 @@ _LABELS: dict[Estimator, str] = {
     "radiometric": "L(t) per bin (per emitted photon)",
 }
 _OTHER_COLORS = ("#1B9E77", "#C51B7D", "#8C6D31", "#35978F")
-_MARGIN_BELOW = 20.0
+_MARGIN_BELOW = 100.0
 """The axis ends this factor below the lowest peak shown."""
 _MOST_DECADES = 12.0
 
@@ -39,8 +39,9 @@ def envelope_figure(runs: Runs, scheme: Scheme, number: str) -> Figure:
         f"As Fig. {number} of Scholes & Leach (2024), with {what}: the likelihood envelope L(t) (black), and what of "
         "it comes by walls, roof and floor (blue, dashed), box (purple), pillar (orange), secondary bounce (red). "
         "Above: Eq. 6 and 8 as printed, lengths in millimetres. Below: radiometric weights with as many lookins, "
-        "observed points and FoV points, over the converged result (thin, pale). Dotted lines mark where the paper's "
-        f"Fig. 7 has its peaks. A bin is {runs.capture.time.width_s * 1e12:g} ps wide; σ = {sigma_ps(runs):.0f} ps."
+        "observed points and FoV points, over the converged result of all paths (thin, pale). Dotted lines: where "
+        f"the paper's Fig. 7 has its peaks. A bin is {runs.capture.time.width_s * 1e12:g} ps wide; σ = "
+        f"{sigma_ps(runs):.0f} ps."
     )
     titled = {
         estimator: [

@@ -137,6 +137,10 @@ def _deviations(runs: Runs, points: Lit, examples: Sequence[FromLookin]) -> dict
     settings = AsPrinted(runs.sparse, runs.sizes.pixels)
     counted = settings.lookins * settings.pixels**2
     seen = ", ".join(f"{len(e.in_view)} for the lookin on the {e.where.split(',')[0]}" for e in examples)
+    level = " ".join(
+        f"Here {100 * e.level_share:.0f} % of αB from the {e.where.split(',')[0]} leaves within 45° of the level."
+        for e in examples
+    )
     sigma = sigma_ps(runs)
     without = [n for n in PEAKS_NS if n not in runs.case("converged").curves.parts]
     parts = f" This room has no {' and no '.join(without)}." if without else ""
@@ -149,8 +153,9 @@ def _deviations(runs: Runs, points: Lit, examples: Sequence[FromLookin]) -> dict
         "view and the colour scale are ours. The lower row has no counterpart in the paper.</p>",
         "5": "<p>Described as: B alone, then with the inverse square, then close up on the field of view, (a) for a "
         "lookin on the nearest wall with cosφ, (b) on the pillar with sinθ, most of whose energy goes into a plane "
-        "parallel to the floor. Differs: the lookins are chosen by rule; sinθ is taken by its modulus, for it is "
-        f"negative on one side. Points within the field of view: {seen or 'none'}.</p>",
+        "parallel to the floor and whose points fill a triangle, for the camera's 180° end at the tilted face. "
+        f"{level} Differs: the lookins are chosen by rule; sinθ is taken by its modulus, for it is negative on one "
+        f"side. Points within the field of view: {seen or 'none'}.</p>",
         "7": "<p>Described as: total black and uppermost, room blue, box purple, pillar orange, secondary red, two "
         "densities. Differs: the room is ours (its peaks stand in the table above); "
         f"σ = {sigma:.0f} ps where the text has {SIGMA_PS:g} ps and the notebook 600 ps FWHM; c is exact where the "

@@ -55,6 +55,13 @@ class FromLookin:
     final: Array
     final_radiometric: Array
 
+    @property
+    def level_share(self) -> float:
+        """Share of B that leaves within 45° of the level, of all that meets a surface."""
+        span = self.position - self.lookin
+        level = np.abs(span[:, 2]) < np.sqrt(0.5) * np.linalg.norm(span, axis=1)
+        return float(self.brdf[level].sum() / self.brdf.sum())
+
 
 def lit_points(runs: Runs) -> Lit:
     """Observed points of the sparse grid."""
