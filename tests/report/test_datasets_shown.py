@@ -15,11 +15,14 @@ from matplotlib.image import imread
 from datagen.builder import build
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
-from datagen.report.contact_sheet import contact_sheet
+from datagen.report.contact_sheet import contact_sheet, first_scenes, label_sheet, mark_sight
 from datagen.report.parameter_plots import varying
 from datagen.report.preview import preview
 from datagen.report.replay import REPRODUCED, read_scene, replay
+from datagen.report.room_plots import RoomPicture, draw_plan
 from datagen.report.show import PAGES, show
+from datagen.report.style import house_style, new_figure
+from datagen.scene import generate_scene
 from datagen.store.record import record_path
 
 
@@ -152,6 +155,36 @@ def test_preview_of_nothing_is_refused(config: DatasetConfig, dataset: Path, tmp
     record_path(copy, 0).unlink()
     with pytest.raises(InputError, match="no scene is there yet"):
         preview(copy)
+
+
+def test_sheets_of_several_configurations_share_their_rooms(config: DatasetConfig, tmp_path: Path) -> None:
+    """Five rooms of two configurations: three of the first, two of the other; each beside its labels on request."""
+    other = config.model_copy(update={"name": "other", "seed": config.seed + 1})
+    drawn = [(c.name, index) for c, index in first_scenes([config, other], 5)]
+    assert drawn == [(config.name, 0), (config.name, 1), (config.name, 2), ("other", 0), ("other", 1)]
+    both, same = (imread(contact_sheet(c, 2, tmp_path / "both.png")) for c in ([config, other], [config, config]))
+    assert both.shape == same.shape
+    assert not np.array_equal(both, same)
+    one, two = (imread(label_sheet([config, other], n, tmp_path / f"labels{n}.png")) for n in (1, 2))
+    assert one.shape[1] == two.shape[1]
+    assert one.shape[0] < two.shape[0]
+    with pytest.raises(InputError, match="labels = 17: a sheet of labels holds 1 … 16 rooms"):
+        label_sheet(config, 17, tmp_path / "none.png")
+
+
+def test_the_plan_shows_what_the_device_sees(config: DatasetConfig) -> None:
+    """Yellow reaches the middle of the visible relay wall, and no object."""
+    scene = generate_scene(config.scene, config.seed, 0)
+    with house_style():
+        axes = new_figure(4, 4, arranged=False).add_axes((0.1, 0.1, 0.8, 0.8))
+        draw_plan(axes, RoomPicture(scene, pixels=100))
+        mark_sight(axes, scene)
+        seen = axes.collections[-1].get_paths()
+    wall = 0.99 * scene.relay_wall.center[:2] + 0.01 * scene.device_position[:2]
+    assert any(path.contains_point(wall) for path in seen)
+    objects = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object"]
+    for point in np.concatenate([scene.corners[scene.faces_of(name)].reshape(-1, 3)[:, :2] for name in objects]):
+        assert not any(path.contains_point(point) for path in seen)
 
 
 def test_contact_sheet_grows_with_the_rooms(config: DatasetConfig, tmp_path: Path) -> None:
