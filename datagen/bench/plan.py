@@ -21,8 +21,9 @@ from datagen.cli import guarded
 from datagen.config import DatasetConfig, load_config
 from datagen.errors import CheckError, InputError
 from datagen.forecast import Outcome, against, forecast
-from datagen.pilots import Pilot, Pilots, Workers, run_pilots
+from datagen.pilots import Workers, run_pilots
 from datagen.pipeline import simulate_sample
+from datagen.records import Sample
 from datagen.store import committed, finish, prepare, schema_of, write_shard
 from datagen.store.environment import cores, processor
 
@@ -48,7 +49,7 @@ class Held:
 def hold(config: DatasetConfig, scenes: int, budget_s: float) -> Held:
     """Forecast `scenes` scenes of a configuration, then make them in this process."""
     few = config.with_scenes(min(scenes, config.scenes))
-    pilots = _in_processor_seconds(run_pilots(few, budget_s))
+    pilots = run_pilots(few, budget_s, _in_processor_seconds)
     expected = forecast(few, schema_of(few), pilots, Workers(0.0, 0.0), 1, cores())
     with tempfile.TemporaryDirectory(prefix="datagen-bench-") as folder:
         root = Path(folder) / "set"
@@ -64,15 +65,12 @@ def hold(config: DatasetConfig, scenes: int, budget_s: float) -> Held:
     return Held(few.name, few.scenes, expected.effort, (seconds, *others))
 
 
-def _in_processor_seconds(pilots: Pilots) -> Pilots:
-    """The pilots as an idle machine would have timed them."""
-
-    def idle(pilot: Pilot) -> Pilot:
-        share = min(1.0, pilot.processor_s / max(pilot.total_s, 1e-9))
-        return replace(pilot, seconds={stage: taken * share for stage, taken in pilot.seconds.items()})
-
-    scenes, lower, ladder = (tuple(map(idle, some)) for some in (pilots.scenes, pilots.lower, pilots.ladder))
-    return replace(pilots, scenes=scenes, lower=lower, ladder=ladder)
+def _in_processor_seconds(config: DatasetConfig, index: int) -> Sample:
+    """A sample as an idle machine would have timed it, and so would have counted it against the budget."""
+    began = time.process_time()
+    sample = simulate_sample(config, index)
+    share = min(1.0, (time.process_time() - began) / max(sum(sample.seconds.values()), 1e-9))
+    return replace(sample, seconds={stage: taken * share for stage, taken in sample.seconds.items()})
 
 
 def table(held: Sequence[Held]) -> str:

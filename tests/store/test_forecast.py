@@ -186,3 +186,19 @@ def test_the_same_pilots_give_the_same_forecast() -> None:
             same.seconds,
         )
     assert np.array_equal(expected_of(config, one).error, expected_of(config, two).error)
+
+
+def test_a_pilot_that_compiles_a_kernel_is_run_again() -> None:
+    """The first run with more than 1000 lookins takes 30 s longer; the forecast does not know of it."""
+    compiled = []
+
+    def sample(config: DatasetConfig, index: int) -> Sample:
+        made = timed_sample(config, index)
+        if config.transport.lookins > 1000 and not compiled:
+            compiled.append(index)
+            return replace(made, seconds={**made.seconds, "transport": made.seconds["transport"] + 30.0})
+        return made
+
+    config = small_config(transport={"lookins": 4096})
+    expected = expected_of(config, run_pilots(config, 12.0, sample))
+    assert compiled and expected.seconds["transport"] == pytest.approx(FIXED_S + LOOKIN_S * 4096, rel=0.01)
