@@ -211,7 +211,7 @@ def _bias(axes: Axes, rows: Sequence[Row]) -> None:
     axes.invert_yaxis()
     axes.set_xlim(0, 1.35 * max([*known, 0.01]))
     axes.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
-    axes.set_xlabel("relative L2: of all bounces; k: of the panel at the left")
+    axes.set_xlabel("relative L2 (k: of the left panel's light)")
     axes.set_title("Floors: light left out")
 
 

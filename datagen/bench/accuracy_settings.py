@@ -59,17 +59,17 @@ def settings_of(base: Accuracy) -> list[list[Setting]]:
         [of_accuracy("lookins", str(n), replace(base, lookins=n)) for n in lookins],
         [of_accuracy("FoV points", str(n), replace(base, fov_samples=n)) for n in (1, 4, 16, 64)],
         [
+            replace(of_accuracy("bin width", _times(p, q), base), widening=(p, q), config="")
+            for p, q in reversed(FACTORS)
+        ],
+        [of_accuracy("target", f"{t:g}", replace(target, target=t)) for t in (0.2, 0.1, 0.05, 0.02, 0.01)],
+        [
             of_accuracy("observed points", str(n), replace(base, observed=n))
             for n in (64, 256, OBSERVED, 4 * OBSERVED)
         ],
         [of_accuracy("k strongest paths", str(k), replace(factorised, secondary=k)) for k in (1, 8, 64, 512)],
         [of_accuracy("estimator", "walk", base), of_accuracy("estimator", "factorised", factorised)],
-        [_printed(10, 20), _printed(10, 60), _printed(45, 60)],
-        [
-            replace(of_accuracy("bin width", _times(p, q), base), widening=(p, q), config="")
-            for p, q in reversed(FACTORS)
-        ],
-        [of_accuracy("target", f"{t:g}", replace(target, target=t)) for t in (0.2, 0.1, 0.05, 0.02, 0.01)],
+        [_printed(10, 20), _printed(10, 60), _printed(20, 60)],
     ]
     complete = [
         [of_accuracy(ALL_LOOKINS, str(n), replace(everything, lookins=n)) for n in lookins],
