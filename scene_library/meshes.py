@@ -89,7 +89,7 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     if not pieces:
         if loaded.geometry:
             raise BadMesh("is a point cloud or holds only lines, and has no triangles; reconstruct a surface first")
-        raise BadMesh("holds no triangles; export a surface mesh")
+        raise BadMesh("holds no triangles, or is cut short; export a surface mesh again")
     offsets = np.cumsum([0] + [len(v) for v, _ in pieces])
     faces = np.concatenate([f + o for (_, f), o in zip(pieces, offsets, strict=False)])
     return np.concatenate([v for v, _ in pieces]), faces
