@@ -89,7 +89,7 @@ def _accuracy(records: Sequence[ShardRecord]) -> Iterator[str]:
     yield f"relative error of the transients: median {statistics.median(errors):.4f}, largest {max(errors):.4f}"
     targeted = [bool(of["transient.target_met"]) for of in made if "transient.target_met" in of]
     if targeted:
-        yield f"  target met in {sum(targeted)} of {len(targeted)} scenes (upper bounds of the error, at 97.5 %)"
+        yield f"  target met in {sum(targeted)} of {len(targeted)} scenes (upper bounds of the error, at 95 %)"
     shares: dict[str, list[float]] = {}
     for of in made:
         for name, value in of.items():

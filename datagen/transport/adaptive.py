@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,7 +62,7 @@ def meet_target(job: Job) -> Estimate:
             orders = one_more(strata, once)
         elif bound > target and rounds < ROUNDS_AT_MOST:
             spent = sum(float(s.weight.sum()) * s.rays_per_lookin for s in strata)
-            orders = next_orders(strata, MARGIN * target**2 * truth / factor, budget - spent)
+            orders = next_orders(strata, MARGIN * target**2 * truth / _factor_to_come(strata), budget - spent)
         if orders is None:
             outcome = "target met" if bound <= target else f"target not met in {rounds} rounds within max_lookins"
             break
@@ -80,6 +82,13 @@ def _uncertainty(strata: list[Stratum]) -> tuple[float, float]:
         for one in stratum.scatters()
     ]
     return total_variance(scatters), bound_factor(scatters)
+
+
+def _factor_to_come(strata: list[Stratum]) -> float:
+    """The bound's factor after one more round, which makes the variance better known."""
+    return bound_factor(
+        [replace(one, scramblings=2 * one.scramblings) for stratum in strata for one in stratum.scatters()]
+    )
 
 
 def _seen_once(strata: list[Stratum]) -> list[int]:

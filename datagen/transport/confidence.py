@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-CONFIDENCE = 0.975
+CONFIDENCE = 0.95
 """Probability that the true squared error stays below its bound."""
 AGREEMENT = 0.999
 """Quantile beyond which a round's difference from the rounds before it is taken for missed light, not for noise."""

@@ -33,6 +33,9 @@ FOV_PILOT_LASERS = 8
 OBSERVED = 64
 LASERS_AT_MOST = 16
 """Confocal laser points up to which the factorised form is tried: it shares nothing between them."""
+USUAL_FOV_SAMPLES, USUAL_CONNECTIONS = 8, 16
+WORTH_TRYING_FOV = 2.0
+"""Cost to go, in pilots, from which other numbers of FoV points than the usual are tried."""
 WORTH_LOOKING = 30.0
 """Cost to go, in pilots, from which other ways than one walk for everything are tried."""
 LOOKINS_WORTH_LOOKING = 1 << 17
@@ -65,10 +68,11 @@ def pilot_points(job: Job) -> NDArray[np.int64]:
 def piloted(job: Job, target: float, seeds: Seeds) -> tuple[list[Stratum], float]:
     """The strata to work with, each with a first round, and the cost of what was tried and left.
 
-    One walk for everything is the first thing tried. Only where meeting the target will cost far more than looking
-    around are its orders tried apart, and the secondary in its factorised form.
+    One walk for everything is the first thing tried. Only where meeting the target will cost more than looking around
+    are other numbers of FoV points tried; only where it costs far more, its orders apart, and the secondary in its
+    factorised form.
     """
-    job, tried = _with_best_fov_samples(job, seeds)
+    job, tried = with_fov_samples(job, _usual_fov_samples(job)), 0.0
     asked, points = job.splits.components, pilot_points(job)
     factor, ranked = factorising(job.materials), job.accuracy.strongest is not None
     walked = ~factor if ranked else np.ones(len(factor), np.bool_)
@@ -80,8 +84,16 @@ def piloted(job: Job, target: float, seeds: Seeds) -> tuple[list[Stratum], float
     if ranked and "secondary" in asked and factor.any():
         ranking = _factorised(job, factor, job.accuracy.observed or OBSERVED)
         return [*strata, joint, _sampled(ranking, points, seeds)], tried
+    to_go = _cost_to_go(joint, [*strata, joint], target)
+    if to_go > WORTH_TRYING_FOV * joint.work.cost:
+        best, more = _with_best_fov_samples(job, seeds)
+        tried += more
+        if best.accuracy.fov_samples != job.accuracy.fov_samples:
+            job, tried = best, tried + joint.work.cost
+            joint = _sampled(Stratum(_of_components(job, orders, walked)), points, seeds)
+            to_go = _cost_to_go(joint, [*strata, joint], target)
     short = job.accuracy.max_lookins < LOOKINS_WORTH_LOOKING
-    if len(orders) == 1 or short or _cost_to_go(joint, [*strata, joint], target) < WORTH_LOOKING * joint.work.cost:
+    if len(orders) == 1 or short or to_go < WORTH_LOOKING * joint.work.cost:
         return [*strata, joint], tried
     apart = [_sampled(Stratum(_of_components(job, (name,), walked)), points, seeds) for name in orders]
     if factor.any() and "secondary" in orders and _worth_trying(job):
@@ -114,13 +126,21 @@ def _factorised(job: Job, carriers: NDArray[np.bool_], observed: int) -> Stratum
     return Stratum(_of_components(job, ("secondary",), ~carriers), observed, carriers)
 
 
+def _usual_fov_samples(job: Job) -> int:
+    """FoV points for each vertex to begin with: several for few pixels whose patches are large."""
+    if job.patch_detail(np.arange(len(job.patches.radius))) < FINE_PATCH:
+        return 1
+    room = max(USUAL_CONNECTIONS // job.capture.shape[1], 1)
+    return min(USUAL_FOV_SAMPLES, 1 << room.bit_length() - 1)
+
+
 def _with_best_fov_samples(job: Job, seeds: Seeds) -> tuple[Job, float]:
     """Try two numbers of FoV points on the primary of some laser points: lookins and FoV points share the variance,
     v = a + b/M, and more of the latter save rays."""
     pixels = job.capture.shape[1]
     choices = [m for m in FOV_CHOICES if m * pixels <= CONNECTIONS_AT_MOST]
-    if len(choices) < 2 or job.patch_detail(np.arange(len(job.patches.radius))) < FINE_PATCH:
-        return with_fov_samples(job, 1), 0.0
+    if len(choices) < 2 or _usual_fov_samples(job) == 1:
+        return job, 0.0
     existing = np.flatnonzero(job.points.part >= 0)
     few = existing[np.linspace(0, len(existing) - 1, min(len(existing), FOV_PILOT_LASERS)).astype(int)]
     some = part_of(_of_components(job, ("primary",), job.walked), np.unique(few))
