@@ -74,6 +74,8 @@ bench: setup
 	$(BIN)/datagen bench speed
 	$(BIN)/datagen bench scaling out/scaling
 	$(BIN)/datagen bench detector
+	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
+	$(BIN)/datagen bench plan configs/*.yaml
 	$(BIN)/python -m datagen.report.pileup configs/demonstration_room.yaml out/pileup
 
 peers: setup
