@@ -73,7 +73,7 @@ def other_room_figure(runs: Runs) -> Figure:
     """Fig. 7 once more, in the room laid out for the printed weights: as printed beside radiometric (converged)."""
     text = (
         "As the paper's Fig. 7, in the second room: its sizes are chosen so that the printed weights, left, have the "
-        "published peaks (dotted). The same room by radiometric weights, right, has them elsewhere. Colours as above."
+        "published peaks (dotted); right, the same room by radiometric weights, converged. Colours as in Fig. 7."
     )
     printed, converged = runs.laid_out[runs.dense], runs.laid_out[0]
     height = caption_height(_WIDTH_IN, text)
