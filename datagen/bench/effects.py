@@ -7,8 +7,8 @@ Transients are compared by two independent pairs of runs, a and b, of P planned 
 
     error² = (P_a − F_a)·(P_b − F_b) / (I_a · I_b),
 
-with I what of F has three bounces or more (the direct return would dwarf it). The noise of the runs cancels on average;
-the standard error is found by leaving out channels one at a time.
+with I what of F has three bounces or more (the direct return would dwarf it). The noise of the runs cancels on
+average; the standard error is found by leaving out channels one at a time.
 Histograms are compared by their exact means (where there is one), of the same transient.
 """
 
