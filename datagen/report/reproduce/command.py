@@ -85,22 +85,23 @@ def _written_at_once(out: Path) -> Iterator[Path]:
         raise InputError(f"{out}: is a file; name a folder to write")
     if out.is_dir() and any(out.iterdir()) and not _is_ours(out):
         raise InputError(f"{out}: holds other files; name a new folder, or one of an earlier reproduction")
-    parent = out.resolve().parent
+    place = out.resolve()
+    parent = place.parent
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
     partial: Path | None = None
     try:
         try:
             parent.mkdir(parents=True, exist_ok=True)
-            partial = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=parent))
+            partial = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=parent))
         except OSError as error:
             raise InputError(f"{out}: cannot be written ({error.strerror or error}); name another folder") from None
         yield partial
         mask = os.umask(0)
         os.umask(mask)
         partial.chmod(0o777 & ~mask)
-        if out.is_dir():
-            shutil.rmtree(out)
-        partial.replace(out)
+        if place.is_dir():
+            shutil.rmtree(place)
+        partial.replace(place)
     except BaseException:
         if partial is not None:
             shutil.rmtree(partial, ignore_errors=True)
