@@ -55,8 +55,12 @@ def _bounded(case: Case, result: Transient) -> None:
     last = accuracy.max_bounces
     if last is None and albedo > 0.99:
         return
+    into_aperture = most_into_aperture(scene, case.capture.sensor)
+    if not np.isfinite(into_aperture):
+        # The sensor touches a surface: A/R² has no bound.
+        return
     orders = range(1 if accuracy.direct else 3, (last or 200) + 1)
-    share = sum(albedo ** (b - 1) for b in orders) * most_into_aperture(scene, case.capture.sensor)
+    share = sum(albedo ** (b - 1) for b in orders) * into_aperture
     found = energy(result)
     if min(accuracy.scramblings, accuracy.lookins) >= 8 and accuracy.lookins >= 64:
         # The errors of all bins added: more than the error of their sum.
@@ -77,7 +81,7 @@ def most_into_aperture(scene: Scene, sensor: Sensor) -> float:
     square = float(((nearest - sensor.position) ** 2).sum(axis=1).min()) * (1 - 1e-6)
     square += sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0
     lobe = max(highest_lobe(material) for material in scene.materials)
-    return lobe * sensor.aperture_area_m2 / square if square > 0 else math.inf
+    return lobe * sensor.aperture_area_m2 / square if square > 1e-30 else math.inf
 
 
 def highest_lobe(material: Material) -> float:

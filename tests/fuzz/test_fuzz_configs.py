@@ -49,7 +49,7 @@ def mutated(draw: st.DrawFn) -> dict[str, Any]:
             parent = parent[key]
         change = draw(st.sampled_from(["set", "set", "set", "remove", "rename", "scale", "graft"]))
         if change == "set":
-            parent[last] = draw(wrong_values)
+            parent[last] = copy.deepcopy(draw(wrong_values))
         elif change == "scale" and isinstance(parent[last], (int, float)):
             parent[last] *= draw(st.sampled_from([-1, 0, 1e-9, 0.5, 7, 1e9]))
         elif change == "graft":

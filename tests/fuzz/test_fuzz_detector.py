@@ -35,7 +35,7 @@ def drawn(m: Measurement, seed: int = 0, **kwargs: float) -> np.ndarray:
     return detect(m.transient, m.time, m.spad, m.exposure, seed=m.seed + seed, **kwargs)  # type: ignore[arg-type]
 
 
-@cases_tried(60, 700)
+@cases_tried(30, 700)
 @given(measurements())
 def test_every_histogram_obeys_the_laws(m: Measurement) -> None:
     plan = planned(m)

@@ -21,7 +21,7 @@ from datagen.transport.fov import PixelCones
 
 FAMILY_LEVEL = 1e-3
 """Probability that the statistical tests of this file fail by chance in one run, nightly or not."""
-RECIPROCITY_CASES = 200 if NIGHTLY else 12
+RECIPROCITY_CASES = 100 if NIGHTLY else 5
 
 
 def simulated_or_refused(case: Case) -> Transient:
@@ -95,7 +95,7 @@ def test_laser_point_and_field_of_view_may_be_swapped(
     """
     device, a, b = (np.array(p) + shift for p, shift in ((eye, 0.0371), (one, 0.0513), (other, -0.0419)))
     assume(np.linalg.norm(a - device) > 0.2 and np.linalg.norm(b - device) > 0.2)
-    for samples in (512, 1 << 14):
+    for samples in (256, 1 << 13):
         accuracy = Accuracy(samples, 1, 5, 1, observed=observed)
         there = np.array([between(scene, device, a, b, accuracy, seed + 7 * s) for s in range(16)])
         back = np.array([between(scene, device, b, a, accuracy, seed + 7 * s + 3) for s in range(16)])
