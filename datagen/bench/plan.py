@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -73,22 +72,19 @@ def _in_processor_seconds(config: DatasetConfig, index: int) -> Sample:
     return replace(sample, seconds={stage: taken * share for stage, taken in sample.seconds.items()})
 
 
-def table(held: Sequence[Held]) -> str:
+def head(held: Held) -> str:
+    """Markdown: the head of the table."""
+    names = [row.name for row in held.outcomes]
+    return f"| configuration | scenes | pilots' effort | {' | '.join(names)} |\n|---|---:|---:|{'---|' * len(names)}"
+
+
+def line(held: Held) -> str:
     """Markdown: predicted → actual, and the ratio."""
-    if not held:
-        return ""
-    names = [row.name for row in held[0].outcomes]
-    lines = [
-        f"| configuration | scenes | pilots' effort | {' | '.join(names)} |",
-        "|---|---:|---:|" + "---|" * len(names),
+    cells = [
+        f"{_number(row.predicted, row.unit)} → {_number(row.actual, row.unit)} ({row.ratio:.2f})"
+        for row in held.outcomes
     ]
-    for one in held:
-        cells = [
-            f"{_number(row.predicted, row.unit)} → {_number(row.actual, row.unit)} ({row.ratio:.2f})"
-            for row in one.outcomes
-        ]
-        lines.append(f"| {one.name} | {one.scenes} | {one.effort:.2g} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    return f"| {held.name} | {held.scenes} | {held.effort:.2g} | {' | '.join(cells)} |"
 
 
 def _number(value: float, unit: str) -> str:
@@ -109,11 +105,12 @@ def main(configs: tuple[str, ...], scenes: int, seconds: float) -> None:
         raise InputError(f"--seconds {seconds:g}: must be > 0, such as 6")
     loaded = [load_config(config) for config in configs]
     click.echo(f"Processor seconds; {processor()}, {cores()} cores\n")
-    held = []
+    held = list[Held]()
     for config in loaded:
         held.append(hold(config, scenes, seconds))
-        click.echo(f"{config.name}: off by a factor of {held[-1].worst:.2f} at most", err=True)
-    click.echo(table(held))
+        if len(held) == 1:
+            click.echo(head(held[0]))
+        click.echo(line(held[-1]))
     far = [one.name for one in held if one.worst > WITHIN]
     if far:
         raise CheckError(f"off by more than a factor of {WITHIN}: {', '.join(far)}")
