@@ -5,10 +5,11 @@ histogram must differ from the full ones by no more than the tolerance (relative
 
 Transients are compared by two independent pairs of runs, a and b, of P planned and of F everything on:
 
-    error² = (P_a − F_a)·(P_b − F_b) / (I_a · I_b),
+    error² = (P_a − F_a)·(P_b − F_b) / (F_a · F_b),
 
-with I what of F has three bounces or more (the direct return would dwarf it). The noise of the runs cancels on
-average; the standard error is found by leaving out channels one at a time.
+in which the noise of the runs cancels on average; the standard error is found by leaving out channels one at a time.
+That is asked of the whole transient, and again of its light of three bounces and more, which the direct return would
+dwarf; the larger one counts.
 Histograms are compared by their exact means (where there is one), of the same transient.
 """
 
@@ -106,7 +107,10 @@ def run_case(config: DatasetConfig) -> Outcome:
     seconds["transport planned"] += seconds["plan"]
     error = least = 0.0
     if any(decision.left_out for decision in plan.decisions):
-        error, least = difference((planned, lit(plan, 2)), (full, lit(full_plan, 2)))
+        pairs = (planned, lit(plan, 2)), (full, lit(full_plan, 2))
+        error, least = (
+            max(pair) for pair in zip(*(difference(*pairs, part) for part in (whole, indirect)), strict=True)
+        )
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
     plan += plan_detector_effects(full.total, capture.time, spad, exposure, config.effects, config.detector.tolerance)
     histogram_error, refused = _detected(config, full, capture.time, spad, exposure, plan, seconds)
@@ -149,13 +153,25 @@ def _detected(
     return (float(np.linalg.norm(mean - reference)) / norm if norm > 0 else float(np.linalg.norm(mean))), refused
 
 
-def difference(planned: tuple[Transient, Transient], full: tuple[Transient, Transient]) -> tuple[float, float]:
-    """Difference of two pairs of independent transients, relative to the indirect light (L2), and the same less two
-    standard errors."""
-    bins = full[0].time.bins
-    apart = [(p.total - f.total).reshape(-1, bins) for p, f in zip(planned, full, strict=True)]
-    whole = [(f.total - f.components.get("direct", 0.0)).reshape(-1, bins) for f in full]
-    above, below = (apart[0] * apart[1]).sum(axis=1), (whole[0] * whole[1]).sum(axis=1)
+def whole(transient: Transient) -> NDArray[np.float64]:
+    """(channel, bin) all light."""
+    return transient.total.reshape(-1, transient.time.bins)
+
+
+def indirect(transient: Transient) -> NDArray[np.float64]:
+    """(channel, bin) light of three bounces and more."""
+    return (transient.total - transient.components.get("direct", 0.0)).reshape(-1, transient.time.bins)
+
+
+def difference(
+    planned: tuple[Transient, Transient],
+    full: tuple[Transient, Transient],
+    part: Callable[[Transient], NDArray[np.float64]],
+) -> tuple[float, float]:
+    """Relative L2 difference of two pairs of independent transients, and the same less two standard errors."""
+    reference = [part(f) for f in full]
+    apart = [part(p) - f for p, f in zip(planned, reference, strict=True)]
+    above, below = (apart[0] * apart[1]).sum(axis=1), (reference[0] * reference[1]).sum(axis=1)
     if not any(a.any() for a in apart):
         return 0.0, 0.0
     if below.sum() <= 0:

@@ -8,7 +8,7 @@ bounces and more, by
 where the noise of the runs adds to the numerator and cancels, on average, in the denominator: few samples overrate a
 component, never the whole. The direct return is no part of T, although it is of the transient: it may be 10⁴ times as
 bright as all the rest, which a gate then lets through alone. What the choice of channels leaves uncertain is added as
-twice its standard error (jackknife over channels).
+three standard errors (jackknife over channels).
 """
 
 from __future__ import annotations
@@ -27,10 +27,14 @@ SHARE = 0.02
 """Share of the transport's cost that a pilot may take."""
 LARGEST_SHARE = 0.1
 """Share above which the smallest pilot is not worth its cost: then nothing is measured."""
+OVERHEAD = 60_000.0
+"""What a run costs whatever its size, in shadow rays: the scene is prepared anew, calls are made for few walks."""
 FEWEST_WALKS, MOST_WALKS = 512, 4096
 """Walks of one of the two runs, all channels together."""
 LASERS, PIXELS = 32, 8
 """Most laser points, and most pixels of each (exhaustive pairing)."""
+MOST_ORDERS = 8
+"""Bounces that count for the cost: of longer paths few are left."""
 BINS = 512
 """Bins, at most, for the norm of the whole: fewer and wider ones make it smaller, never larger."""
 VALUES = 1 << 22
@@ -65,7 +69,7 @@ class Pilot:
             return None
         square = above.sum() / below.sum()
         # Nothing that is left out makes up more than the whole.
-        return min(float(np.sqrt(square + 2 * _jackknife(above, below, square))), 1.0)
+        return min(float(np.sqrt(square + 3 * _jackknife(above, below, square))), 1.0)
 
 
 def _jackknife(above: NDArray[np.float64], below: NDArray[np.float64], ratio: float) -> float:
@@ -82,7 +86,8 @@ def _jackknife(above: NDArray[np.float64], below: NDArray[np.float64], ratio: fl
 
 def affordable(capture: Capture, accuracy: Accuracy) -> bool:
     """Whether even the smallest pilot costs no more than `LARGEST_SHARE` of the transport; with a target, always."""
-    smallest = 2 * (CALL + FEWEST_WALKS * (RAY + _pixels(capture)))
+    orders = min(accuracy.max_bounces or MOST_ORDERS, MOST_ORDERS) - 2
+    smallest = 2 * (OVERHEAD / orders + FEWEST_WALKS * (RAY + _pixels(capture)))
     return accuracy.target is not None or smallest <= LARGEST_SHARE * _cost(capture, accuracy)
 
 

@@ -44,7 +44,7 @@ def capture(pairing: str = "exhaustive", time: TimeAxis = AXIS) -> Capture:
 
 
 def accuracy(max_bounces: int | None = 3, direct: bool = False) -> Accuracy:
-    return Accuracy(lookins=8192, fov_samples=2, scramblings=2, max_bounces=max_bounces, direct=direct)
+    return Accuracy(lookins=32768, fov_samples=2, scramblings=2, max_bounces=max_bounces, direct=direct)
 
 
 def painted(scene: Scene, **materials: Material) -> Scene:
@@ -56,7 +56,7 @@ def painted(scene: Scene, **materials: Material) -> Scene:
 def left_out_change(scene: Scene, looked: Capture, wanted: Accuracy, effect: str) -> float:
     """Relative L2 change of the transient when only this effect is off, noise cancelled (two seeds)."""
     off = EffectsConfig.model_validate({row.name: "off" if row.name == effect else "on" for row in EFFECTS})
-    runs = {}
+    runs, wanted = {}, replace(wanted, lookins=8192)
     for name, settings in (("on", EVERYTHING), ("off", off)):
         plan = plan_transport_effects(scene, looked, wanted, settings)
         reduced, fewer = plan.apply_transport(scene, looked, wanted)

@@ -1,0 +1,82 @@
+"""Decisions as people see them: in `info`, and as a picture of `show`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from datagen.builder import build
+from datagen.config import config_from_mapping
+from datagen.effects import EFFECTS
+from datagen.report.effects_page import effects_page
+from datagen.report.replay import Replay, read_scene, replay
+from datagen.report.style import house_style
+from datagen.store.info import info
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config = config_from_mapping(
+        {
+            "name": "shown",
+            "scenes": 2,
+            "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 32, "bin_width_ps": 1600}},
+            "transport": {"lookins": 64, "fov_samples": 1, "max_bounces": 4, "direct": True},
+            "detector": {"photons_per_pulse": 1e4},
+            "store": {"fields": ["histogram", "transient"]},
+            "effects": {"secondary_bounce": "off", "direct_return": "on"},
+        }
+    )
+    root = tmp_path_factory.mktemp("effects") / "shown.zarr"
+    build(config, root, progress=False)
+    return root
+
+
+def test_info_counts_scenes_by_decision(dataset: Path) -> None:
+    lines = {line.split()[0]: line.split()[1:] for line in info(dataset).splitlines() if line.strip()}
+    assert lines["secondary_bounce"] == ["0", "2"]
+    assert lines["direct_return"] == ["2", "0"]
+    assert lines["timing_response"][:2] == ["0", "2"] and float(lines["timing_response"][2]) <= 0.01
+    assert "higher_bounces" not in lines
+    assert "effects" in lines
+
+
+def test_replay_simulates_what_was_simulated(dataset: Path) -> None:
+    again = replay(read_scene(dataset, 1))
+    assert again.reproduced
+    assert set(again.transient.components) == {"direct", "primary"}
+    assert not again.effects["secondary_bounce"].simulated
+
+
+def test_picture_lists_every_effect_with_its_reason(dataset: Path) -> None:
+    stored = read_scene(dataset, 0)
+    again = replay(stored)
+    with house_style():
+        figure = effects_page(stored, again)
+    assert figure is not None
+    words = [text.get_text().replace("\n", " ") for axes in figure.axes for text in axes.texts]
+    for row in EFFECTS:
+        assert row.title in words
+    for decision in again.effects.decisions:
+        assert decision.reason.replace("`", "") in words
+    assert words.count("left out") == sum(decision.left_out for decision in again.effects.decisions) > 0
+    nothing = cast(Replay, type("Undecided", (), {"effects": type(again.effects)((), 0.0)}))
+    assert effects_page(stored, nothing) is None
+
+
+def test_loader_redraws_with_the_decided_detector(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from datagen.loader import TransientDataset
+
+    seen: list[Any] = []
+    monkeypatch.setattr(
+        "datagen.effects.plan.EffectPlan.apply_detector",
+        lambda plan, spad, exposure, tolerance: seen.append(plan) or (spad, exposure, tolerance),
+    )
+    data = TransientDataset(dataset, fields=("histogram",), redraw_noise=True)
+    first, again = np.asarray(data[0]["histogram"]), np.asarray(data[0]["histogram"])
+    assert first.shape == again.shape == (4, 1, 32)
+    assert len(seen) == 1, "decided once for a scene"
+    assert {d.stage for d in seen[0].decisions} == {"detector"}
