@@ -174,8 +174,10 @@ def _ladder(trial: _Trial, index: int, budget_s: float, wanted: int) -> list[Pil
         if not following or pilot.effort == 1.0:
             break
         next_s = pilot.total_s + pilot.seconds.get("transport", 0.0) * (reduction / following - 1)
-        # From two rungs the others can be told, so the second is only left out when it alone is too much.
-        if (wanted if len(ladder) > 1 else 1) * next_s > budget_s - spent_s:
+        # From two rungs the others can be told, so the second is only left out when it alone is too much; and two
+        # scenes with full effort tell more than several without.
+        least = 1 if len(ladder) == 1 else min(wanted, 2) if following == 1 else wanted
+        if least * next_s > budget_s - spent_s:
             break
     return ladder
 
