@@ -37,8 +37,12 @@ FOV_POINTS_PER_POOL = 1 << 19
 """FoV points kept at once, over all pixels of a chunk."""
 ROULETTE_FROM = 4
 """Bounce order of the first vertices that Russian roulette may end, when all orders are followed."""
-SURVIVAL = (0.05, 0.95)
-"""Bounds of the survival probability: the first keeps weights bounded, the second ends every walk."""
+LIVES_PER_WINDOW = 1.0
+"""Mean free paths of the roulette in the window: weights within it grow to e at most, and not with every bounce."""
+SURVIVAL_BEYOND = 0.95
+"""Survival at each bounce of light that comes after the window: what ends every walk."""
+SURVIVAL_AT_LEAST = 0.05
+"""So that no weight grows by more than its inverse at once."""
 
 
 def component_of(order: int) -> str:
@@ -148,6 +152,8 @@ def trace_chunk(job: Job, chunk: NDArray[np.int64], pool: FovPool, count: int, s
         SOBOL_STEPS + 1 if last is None else last - 2,
     )  # fmt: skip
     rays += count * len(chunk)
+    axis = job.capture.time
+    window_end_m = max(float(path_from_time(axis.start_s + axis.bins * axis.width_s)), 1e-9)
     order = 3
     while len(vertices):
         numbers = vertices.numbers(order - 3)
@@ -171,7 +177,13 @@ def trace_chunk(job: Job, chunk: NDArray[np.int64], pool: FovPool, count: int, s
         if order == last:
             break
         if last is None and order >= ROULETTE_FROM:
-            survival = np.clip(throughput, *SURVIVAL)
+            # Within the window light that loses nothing is ended by the metre, not by the bounce: a path that bounces
+            # to and fro in a corner would else come out of it with a weight beyond all bounds.
+            metres = np.linalg.norm(np.where(hits.valid[:, None], hits.position - vertices.position, 0.0), axis=1)
+            stays = np.where(
+                vertices.path > window_end_m, SURVIVAL_BEYOND, np.exp(-LIVES_PER_WINDOW * metres / window_end_m)
+            )
+            survival = np.clip(throughput * stays, SURVIVAL_AT_LEAST, 1.0)
             throughput = np.where(numbers[:, 3] < survival, throughput / survival, 0.0)
         vertices = continued(job.scene, vertices, hits, directions, throughput)
         order += 1

@@ -171,3 +171,20 @@ def test_outcomes_beyond_their_target_are_counted() -> None:
     one = Outcome(0, "confocal 1x1", 3, 8, 0.1, 0.2, 0.0, 0.09, True, 2, 2.0, 1.0, 0.1)
     assert not one.within
     assert "0.0%" in table([one])
+
+
+@pytest.mark.parametrize("half_side_m", [0.001, 0.025])
+def test_a_pixel_at_the_foot_of_a_wall_gets_the_light_from_beside_it(half_side_m: float) -> None:
+    """Half of what such a pixel sees is the other wall's nearest centimetres, where walks seldom are: their scatter
+    says nothing of the light they miss."""
+    pixel = square_pixels([[0, -1.5 + half_side_m, 1.2]], half_side_m)
+    eye = one_point_capture()
+    capture = Capture(
+        one_point_capture((0, 0.3, 1.2)).laser, Sensor(eye.sensor.position, pixel), bins_of_path(64, 0.5, 0.0)
+    )
+    truth = simulate(furnished_box(), capture, Accuracy(1 << 15, 4, 4, 8, observed=64), seed=5)
+    for seed in range(3):
+        found = simulate(furnished_box(), capture, Accuracy(target=0.05, max_bounces=4), seed=seed)
+        assert found.met_target
+        ratio = found.components["secondary"].sum() / truth.components["secondary"].sum()
+        assert ratio == pytest.approx(1.0, abs=0.05)
