@@ -27,8 +27,8 @@ class EffectsConfig(Settings):
 
     tolerance: Annotated[float, Field(ge=0, le=1)] = 0.01
     """How much all effects left out by `auto` may change the answer together: relative L2 of the transient (of its
-    light of three bounces and more), and of the expected histogram for the detector's effects. Effects of the dead time are also held to `detector.tolerance`.
-    With 0 only what changes nothing at all is left out."""
+    light of three bounces and more), and of the expected histogram for the detector's effects. Effects of the dead
+    time are also held to `detector.tolerance`. With 0 only what changes nothing at all is left out."""
     direct_return: Switch = "auto"
     """One and two bounces: the laser point, or a surface it lights, inside the field of view."""
     occlusion: Switch = "auto"

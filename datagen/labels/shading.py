@@ -1,8 +1,9 @@
 """The shaded label: the hidden part as a camera in the relay wall would see it, lit by the visible relay wall.
 
 The lamp is the light that the measurement itself uses: the part of the relay wall that the device sees
-(`Scene.relay_wall`, the nominal rectangle; relief and clutter take no part) is a Lambertian lamp of radiance 1, and every direction that does not meet it, or meets something
-in between, shows the radiance `AMBIENT_RADIANCE`. A surface of albedo ρ then has the radiance
+(`Scene.relay_wall`, the nominal rectangle; relief and clutter take no part) is a Lambertian lamp of radiance 1, and
+every direction that does not meet it, or meets something in between, shows the radiance `AMBIENT_RADIANCE`. A surface
+of albedo ρ then has the radiance
 
     L = ρ (F + (1 − F) · AMBIENT_RADIANCE),    F = ∫ cosθ cosθ′ V / (π R²) dA over the lamp,
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,7 @@ class Replay:
     moved_m: float = 0.0
     mean_is_exact: bool = True
     is_poisson: bool = True
-    effects: EffectPlan = EffectPlan((), 0.0)
+    effects: EffectPlan = field(default_factory=lambda: EffectPlan((), 0.0))
 
     @property
     def reproduced(self) -> bool:

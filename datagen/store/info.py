@@ -118,7 +118,7 @@ def _decisions(records: Sequence[ShardRecord]) -> Iterator[str]:
 
 
 def _effects(records: Sequence[ShardRecord]) -> Iterator[str]:
-    """Of each effect that any scene has: in how many it was simulated and left out, and the range of its estimates."""
+    """Of each effect that any scene has: in how many it was simulated or left out, and the range of estimates."""
     made = [scene.parameters for record in records for scene in record.scenes if scene.failure is None]
     names = dict.fromkeys(name.split(".")[1] for of in made for name in of if name.startswith("effect."))
     lines = []

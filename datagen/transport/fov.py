@@ -65,8 +65,8 @@ class PixelCones:
         inside = np.flatnonzero(np.abs(solid_angle) > 2 * np.pi * (1 - 1e-9))
         if len(inside):
             raise InputError(
-                f"Sensor.pixels[{inside[0]}]: the sensor's position lies within the pixel, which gives no directions; "
-                "move the corners ahead of the sensor"
+                f"Sensor.pixels[{inside[0]}]: the sensor's position lies within the pixel, which gives no "
+                "directions; move the corners ahead of the sensor"
             )
         orientation = np.where(solid_angle < 0, -1.0, 1.0)
         planes = orientation[:, None, None] * np.cross(w, np.roll(w, -1, axis=1))

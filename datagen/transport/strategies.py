@@ -98,7 +98,7 @@ def piloted(job: Job, target: float, seeds: Seeds) -> tuple[list[Stratum], float
             joint = _sampled(Stratum(_of_components(job, orders, walked)), points, seeds)
             to_go = _cost_to_go(joint, [*strata, joint], target)
     short = job.accuracy.max_lookins < LOOKINS_WORTH_LOOKING
-    separable = factor.any() and "secondary" in orders and not short
+    separable = bool(factor.any()) and "secondary" in orders and not short
     contact = separable and _surroundings(job, seeds) > target
     if not contact and (len(orders) == 1 or short or to_go < WORTH_LOOKING * joint.work.cost):
         return [*strata, joint], tried
