@@ -164,6 +164,9 @@ def _gate(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     more = _exp(2.0 * figures.most_shut * (1.0 + _caused(world)))
     added = figures.shut_norm + _caused(world) * figures.shut_everywhere
     value = _by_norm(world, added) + _by_dead_time(world, figures.most_shut) * more
+    if not _counts_all(world):
+        # What is trapped when the gate shuts is released into other bins, at most all of it.
+        value += _by_norm(world, _afterpulses(world) * figures.norm)
     hidden = figures.shut_deviation <= HIDDEN_DEVIATION
     return _bounded(
         value,

@@ -97,20 +97,23 @@ class DetectorWorld:
         ambient = opened * spad.pde * self.exposure.ambient_rate_hz * widths
         dark = opened * widths * dark_count_rates(spad, pixels)[:, None]
         tdc = Tdc(cycle)
-        square = kept_square = shut_square = shut_beyond = 0.0
+        square = kept_square = shut_square = shut_before_jitter = 0.0
         most: dict[str, float] = {}
         for ungated in self._blocks(replace(cycle, gate=np.ones_like(cycle.gate))):
             flux = ungated * cycle.gate
             shut = ungated - flux
-            inside, shut_inside = flux[..., : cycle.window], shut[..., : cycle.window]
+            inside = flux[..., : cycle.window]
+            # With its jitter: some of what comes beside the window is recorded within it.
+            shut_recorded = tdc.mean(shut)[..., : cycle.window]
             recorded = tdc.mean(flux)
             losses = self._in_dead_time(flux, cycle)
             # Bins beyond the window may be long: their density counts.
             density = cycle.width_s / cycle.widths_s[cycle.window :]
             square += float(np.square(recorded).sum() + (np.square(flux[..., cycle.window :]) * density).sum())
-            shut_beyond += float((np.square(shut[..., cycle.window :]) * density).sum())
+            shut_before_jitter += float(np.square(shut[..., : cycle.window]).sum())
+            shut_before_jitter += float((np.square(shut[..., cycle.window :]) * density).sum())
             kept_square += float(np.square(self._kept(recorded * np.exp(-losses.sum(axis=0))[..., None])).sum())
-            shut_square += float(np.square(shut_inside).sum())
+            shut_square += float(np.square(shut_recorded).sum())
             totals, late = flux.sum(axis=2), self._late(flux, cycle)
             found = {
                 "total": float(totals.max()),
@@ -122,7 +125,7 @@ class DetectorWorld:
                 "bin": float(inside.max()),
                 "ambient": self._deviation(ambient, inside),
                 "dark": self._deviation(dark, inside),
-                "shut_deviation": self._deviation(shut_inside, ungated[..., : cycle.window]),
+                "shut_deviation": self._deviation(shut_recorded, tdc.mean(ungated)[..., : cycle.window]),
             }
             most = {key: max(value, most.get(key, 0.0)) for key, value in found.items()}
         return FluxFigures(
@@ -131,7 +134,7 @@ class DetectorWorld:
             ambient_norm=float(np.sqrt(lasers * pixels) * np.linalg.norm(ambient)),
             dark_norm=float(np.sqrt(lasers) * np.linalg.norm(dark)),
             shut_norm=float(np.sqrt(shut_square)),
-            shut_everywhere=float(np.sqrt(shut_square + shut_beyond)),
+            shut_everywhere=float(np.sqrt(shut_before_jitter)),
             total=most["total"],
             most=most["most"],
             within=most["within"],

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from datagen.detector import Exposure, Spad, detect, expected_histogram
+from datagen.detector.expected import has_exact_mean
 from datagen.effects.detector_effects import DETECTOR_EFFECTS
 from datagen.effects.detector_world import DetectorWorld
 from datagen.records import TimeAxis
@@ -36,6 +37,7 @@ def random_world(rng: np.random.Generator) -> DetectorWorld:
     def chance(low: float, high: float) -> float:
         return float(low * (high / low) ** rng.random())
 
+    open_long = rng.random() < 0.5
     mode = ("ideal", "synchronous", "free_running")[int(rng.integers(3))]
     spad = Spad(
         pde=0.3,
@@ -47,8 +49,8 @@ def random_world(rng: np.random.Generator) -> DetectorWorld:
         crosstalk_probability=chance(1e-6, 0.02),
         array_columns=2,
         mode=mode,  # type: ignore[arg-type]
-        gate_start_s=chance(1e-10, 8e-9),
-        gate_width_s=chance(1e-9, 12e-9),
+        gate_start_s=chance(1e-12, 1e-11) if open_long else chance(1e-10, 8e-9),
+        gate_width_s=chance(1.9e-8, 1.999e-8) if open_long else chance(1e-9, 12e-9),
         counter_max=int(chance(3, 3000)),
     )
     exposure = Exposure(
@@ -82,7 +84,9 @@ def test_bound_holds_in_random_detectors(effect: str) -> None:
         if found.value is None:
             continue
         actual = change(world, row.without(world))
-        assert actual <= found.value * (1 + 1e-6) + 1e-8, (found, world.spad, world.exposure)
+        # Where the mean itself is approximate, it is known to some 1e-6 only.
+        rounding = 1e-8 if has_exact_mean(world.spad, world.transient.shape[1]) else 2e-5
+        assert actual <= found.value * (1 + 1e-6) + rounding, (found, world.spad, world.exposure)
         strong, weak = strong + (actual > 0.01), weak + (found.value <= 0.01)
 
 

@@ -163,7 +163,7 @@ def accuracies(draw: st.DrawFn, *, counts: bool = False) -> Accuracy:
     if not counts and draw(st.integers(0, 5)) == 0:
         return Accuracy(
             target=draw(st.sampled_from([1.0, 0.3, 0.05])),
-            max_lookins=draw(st.sampled_from([1, 64, 2048])),
+            max_lookins=draw(st.sampled_from([2048, 4096, 1 << 15])),
             max_bounces=draw(st.sampled_from([3, 4, 5, None])),
             direct=draw(st.booleans()),
             secondary=draw(st.sampled_from(["all", "none"])),
