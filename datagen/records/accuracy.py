@@ -31,7 +31,8 @@ class Accuracy:
         (with 1 there is no error estimate). Reduced to `lookins` when that is smaller.
     observed : how the secondary (4 bounces) is found. None: by the walk that gives all orders. A number: the paper's
         scheme, exactly and for all paths, with so many observed points for each lookin; what arrives at a lookin and
-        what leaves it factorise on Lambertian surfaces, and on others the walk takes over.
+        what leaves it factorise on Lambertian surfaces, and on others the walk takes over. Where surfaces stand right
+        beside the field of view, whose light the walk would seldom find, None is taken for 64.
     secondary : `"all"` paths; `"none"` leaves the secondary out; `"strongest"` or a number k keeps only the k
         strongest arriving paths of each lookin (the paper's optimised scheme, k = 1), which loses energy and needs
         `observed`.

@@ -18,8 +18,11 @@ from datagen.transport.flood import flooded
 from datagen.transport.fov import PixelCones, PixelPatches
 from datagen.transport.raycast import Raycaster
 from datagen.transport.secondary import factorising, secondary_transient
+from datagen.transport.surroundings import CONTACT, surroundings
 from datagen.transport.vertices import AreaTarget, LaserPoints
 from datagen.transport.walk import Job, Splits, components_asked
+
+OBSERVED_IN_CONTACT = 64
 
 
 def simulate(
@@ -72,6 +75,8 @@ def simulate(
         ClearSight.of(caster, capture.sensor, accuracy.occlusion, *_connections(capture, accuracy)),
         _walked(accuracy, materials),
     )  # fmt: skip
+    if _needs_to_look_around(job):
+        job = replace(job, accuracy=replace(accuracy, observed=OBSERVED_IN_CONTACT), walked=~factorising(materials))
     prepared = clock_time.perf_counter()
     if accuracy.target is not None:
         estimate, traced = meet_target(job), clock_time.perf_counter()
@@ -93,6 +98,15 @@ def simulate(
         met_target=estimate.met_target,
         rays=job.sight.rays,
     )
+
+
+def _needs_to_look_around(job: Job) -> bool:
+    """Whether the walk asked for would seldom meet the surfaces that give the field of view its secondary."""
+    accuracy = job.accuracy
+    asked = accuracy.target is None and accuracy.observed is None and accuracy.occlusion != "off"
+    if not asked or "secondary" not in job.splits.components or not factorising(job.materials).any():
+        return False
+    return surroundings(job, job.seed) > CONTACT
 
 
 def _connections(capture: Capture, accuracy: Accuracy) -> tuple[int, int]:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.transport.allocation import SCRAMBLINGS
-from datagen.transport.brdf import cosine_directions
 from datagen.transport.confidence import total_variance
 from datagen.transport.cost import RAY
-from datagen.transport.sampling import scrambled_sobol, stream_seeds
+from datagen.transport.sampling import stream_seeds
 from datagen.transport.secondary import factorising
 from datagen.transport.strata import Stratum, part_of, square_norm, with_fov_samples
-from datagen.transport.walk import Job, pool_for
+from datagen.transport.surroundings import CONTACT, surroundings
+from datagen.transport.walk import Job
 
 TARGET_STREAM = 48
 SEEDS_PER_ROUND = 8
@@ -33,9 +32,6 @@ FINE_PATCH = 4.0
 """Patches smaller than so many bins (or hundredths of the scene) look the same all over: one FoV point does."""
 FOV_PILOT_LASERS = 8
 OBSERVED = 64
-CONTACT_PIXELS, CONTACT_POINTS, CONTACT_RAYS = 8, 16, 64
-VERTICES_KNOWN = 4096
-"""Vertices, spread over all surfaces, that are taken to know what an area that has one of them on average gives."""
 LASERS_AT_MOST = 16
 """Confocal laser points up to which the factorised form is tried: it shares nothing between them."""
 USUAL_FOV_SAMPLES, USUAL_CONNECTIONS = 8, 16
@@ -99,7 +95,7 @@ def piloted(job: Job, target: float, seeds: Seeds) -> tuple[list[Stratum], float
             to_go = _cost_to_go(joint, [*strata, joint], target)
     short = job.accuracy.max_lookins < LOOKINS_WORTH_LOOKING
     separable = bool(factor.any()) and "secondary" in orders and not short
-    contact = separable and _surroundings(job, seeds) > target
+    contact = separable and surroundings(job, seeds.draw()[0]) > max(CONTACT, target)
     if not contact and (len(orders) == 1 or short or to_go < WORTH_LOOKING * joint.work.cost):
         return [*strata, joint], tried
     apart = [_sampled(Stratum(_of_components(job, (name,), walked)), points, seeds) for name in orders]
@@ -170,28 +166,6 @@ def _with_best_fov_samples(job: Job, seeds: Seeds) -> tuple[Job, float]:
 def _worth_trying(job: Job) -> bool:
     lasers = len(job.points.part)
     return job.capture.pairing == "exhaustive" or lasers <= LASERS_AT_MOST
-
-
-def _surroundings(job: Job, seeds: Seeds) -> float:
-    """Share of what the field of view sees that is so near that a pilot's walks would seldom be there.
-
-    A pixel at the foot of another wall gets most of its secondary from the few centimetres beside it. A walk that has
-    not been there yet knows nothing of that light, and neither does its scatter; the factorised form starts from the
-    FoV points and finds it at once.
-    """
-    pixels = np.arange(len(job.patches.radius))
-    few = np.unique(pixels[np.linspace(0, len(pixels) - 1, min(len(pixels), CONTACT_PIXELS)).astype(int)])
-    pool = pool_for(replace(job, seed=seeds.draw()[0]), few, CONTACT_POINTS, 0)
-    seen = pool.part >= 0
-    position = np.repeat(pool.position[seen], CONTACT_RAYS, axis=0)
-    normal = np.repeat(pool.normal[seen], CONTACT_RAYS, axis=0)
-    if not len(position):
-        return 0.0
-    numbers = scrambled_sobol(np.asarray(seeds.draw()[:1], np.uint64), len(position), 2)[0]
-    hits = job.caster.leaving(position, normal, cosine_directions(normal, numbers))
-    reach = math.sqrt(float(job.caster.face_area_m2.sum()) / VERTICES_KNOWN)
-    near = hits.valid & (np.linalg.norm(hits.position - position, axis=1) < reach)
-    return float(near.mean())
 
 
 def _with_better_secondary(
