@@ -33,7 +33,7 @@ class TransportConfig(Settings):
     """Also the direct return (1 and 2 bounces), which a gated measurement keeps out."""
     target: Annotated[float, Field(ge=1e-4, le=1)] | None = None
     """Relative L2 error of each transient to be met: then the sample counts are chosen, and may not be given."""
-    max_lookins: Annotated[int, Field(ge=2048, le=2**40)] = 1 << 20
+    max_lookins: Annotated[int, Field(ge=2048, le=2**40)] = 1 << 23
     """With `target`: give up before more rays than this leave each laser point, on average, in all."""
 
     def accuracy(self) -> Accuracy:

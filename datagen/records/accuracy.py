@@ -60,7 +60,7 @@ class Accuracy:
     secondary: Literal["all", "none", "strongest"] | int = "all"
     occlusion: Literal["auto", "on", "off"] = "auto"
     target: float | None = None
-    max_lookins: int = 1 << 20
+    max_lookins: int = 1 << 23
 
     @property
     def strongest(self) -> int | None:
