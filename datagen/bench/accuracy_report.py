@@ -78,7 +78,7 @@ def _for_goal(rows: Sequence[Row], goal: float) -> str:
         text = f"- {percent(goal)}: `{best.config}`, {best.seconds:.2g} s ({percent(best.error)})"
     else:
         text = f"- {percent(goal)}: no fixed setting of these; {_extrapolated(fixed, goal)}"
-    told = [row for row in rows if row.quantity == "target" and row.value == f"{goal:g}"]
+    told = [row for row in rows if row.quantity == "target" and row.value == f"{goal:g}" and row.error <= goal]
     if not told:
         return text
     return (
