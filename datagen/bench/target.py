@@ -42,7 +42,6 @@ FIXED_LOOKINS = (128, 1024)
 FIXED_FOV_SAMPLES = (1, 4, 16, 64)
 CONNECTIONS_AT_MOST = 256
 """Connections of a vertex beyond which more FoV points are not tried for hindsight."""
-PROMISED_COVERAGE = 0.95
 
 
 @dataclass(frozen=True)

@@ -104,7 +104,7 @@ class DetectorWorld:
             shut = ungated - flux
             inside = flux[..., : cycle.window]
             # With its jitter: some of what comes beside the window is recorded within it.
-            shut_recorded = tdc.mean(shut)[..., : cycle.window]
+            shut_recorded = tdc.mean(shut)
             recorded = tdc.mean(flux)
             losses = self._in_dead_time(flux, cycle)
             # Bins beyond the window may be long: their density counts.
@@ -125,7 +125,7 @@ class DetectorWorld:
                 "bin": float(inside.max()),
                 "ambient": self._deviation(ambient, inside),
                 "dark": self._deviation(dark, inside),
-                "shut_deviation": self._deviation(shut_recorded, tdc.mean(ungated)[..., : cycle.window]),
+                "shut_deviation": self._deviation(shut_recorded, recorded + shut_recorded),
             }
             most = {key: max(value, most.get(key, 0.0)) for key, value in found.items()}
         return FluxFigures(
