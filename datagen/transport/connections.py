@@ -61,6 +61,12 @@ class Tally:
     histogram: NDArray[np.float64]
     overflow: NDArray[np.float64]
 
+    def apart(self, pieces: int) -> list[Tally]:
+        """As many equal runs of rows."""
+        return [
+            Tally(*of) for of in zip(np.split(self.histogram, pieces), np.split(self.overflow, pieces), strict=True)
+        ]
+
 
 @dataclass(frozen=True)
 class Receiver:
@@ -78,6 +84,8 @@ class Receiver:
     rows: Rows
     tally: Tally
     sight: ClearSight = field(default_factory=ClearSight.asking)
+    pool_set: NDArray[np.int64] | None = None
+    """(laser,) the set of the pool that each of the chunk's laser points is joined to; None where there is one."""
 
     @property
     def aperture_square(self) -> float:
@@ -91,8 +99,10 @@ class Receiver:
         """
         if not len(vertices):
             return
-        blocks = self.pool.weight.shape[1] // self.points_per_vertex
+        blocks = self.pool.weight.shape[1] // (self.points_per_vertex * self.pool.sets)
         block = np.minimum(choice * blocks, blocks - 1).astype(np.int64)
+        if self.pool_set is not None:
+            block += blocks * self.pool_set[vertices.laser - self.rows.first_laser]
         per_vertex = (1 if self.rows.confocal else self.rows.pixels) * self.points_per_vertex
         per_batch = min(max(1, CONNECTIONS_PER_BATCH // per_vertex), len(vertices))
         capacity = per_batch * per_vertex

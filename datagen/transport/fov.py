@@ -7,7 +7,8 @@ the photons it sends into an aperture of area A are f₃ E₃ · A J / M for M p
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -23,6 +24,8 @@ from datagen.transport.sampling import scrambled_sobol
 class FovPool:
     """Q FoV points for each of P pixels, grouped in blocks of M that each cover the whole pixel.
 
+    sets : independent sets of blocks side by side, as many of them in each; one for each scrambling traced at once.
+
     position, normal, to_sensor : (P, Q, 3) point in metres, unit normal facing the sensor, unit direction to it.
     part : (P, Q) part index, −1 where the line of sight meets nothing.
     weight : (P, Q) A J / M in m² sr, A the effective aperture.
@@ -37,6 +40,18 @@ class FovPool:
     weight: NDArray[np.float64]
     footprint: NDArray[np.float64]
     last_leg: NDArray[np.float64]
+    sets: int = 1
+
+    def side_by_side(self, sets: int) -> FovPool:
+        """A pool of (sets · P, Q) points, set after set, as one of `sets` sets for P pixels: (P, sets · Q)."""
+        pixels = len(self.weight) // sets
+
+        def turned(values: NDArray[Any]) -> NDArray[Any]:
+            apart = values.reshape(sets, pixels, *values.shape[1:])
+            return np.ascontiguousarray(apart.swapaxes(0, 1)).reshape(pixels, -1, *values.shape[2:])
+
+        arrays = {f.name: turned(getattr(self, f.name)) for f in fields(self) if f.name != "sets"}
+        return FovPool(**arrays, sets=sets)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ Burley, "Practical hash-based Owen scrambling", JCGT 9(4) (2020).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -121,6 +122,28 @@ def scrambled_sobol(
     out = np.empty((len(seeds), count, dimensions))
     _fill(numbers, first_dimension, np.asarray(seeds, np.uint64), out)
     return out
+
+
+@dataclass(frozen=True)
+class Streams:
+    """Where each of n rows has its random numbers from: one scrambling of one laser point (or pixel) each, so that
+    scramblings traced together are what they would be one by one.
+
+    scrambling, index : (n,) which scrambling of which laser point.
+    """
+
+    seed: int
+    scrambling: NDArray[np.int64]
+    index: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, seed: int, scramblings: NDArray[np.int64], index: NDArray[np.int64]) -> Streams:
+        """Each scrambling of each of some laser points, scrambling by scrambling."""
+        return cls(seed, np.repeat(scramblings, len(index)), np.tile(index, len(scramblings)))
+
+    def seeds(self, purpose: int, rows: NDArray[np.int64], *more: NDArray[np.integer]) -> NDArray[np.uint64]:
+        """(m,) a seed for each of m rows, each purpose, and each of what else tells them apart."""
+        return stream_seeds(self.seed, purpose, self.scrambling[rows], self.index[rows], *more)
 
 
 def stream_seeds(seed: int, *coordinates: NDArray[np.integer] | int) -> NDArray[np.uint64]:

@@ -52,7 +52,7 @@ from datagen.transport.convolution import (
 from datagen.transport.cost import Work, factorised_work
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches
 from datagen.transport.raycast import Raycaster
-from datagen.transport.sampling import scrambled_sobol, stream_seeds
+from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 from datagen.transport.secondary_kernels import FovPoints, Frame, Lookins, Pace, Spot, Surfaces
 from datagen.transport.secondary_samples import (
     OBSERVED_STREAM,
@@ -230,13 +230,12 @@ def _walk_near(
     bins = sums.transient.shape[2]
     nothing = AreaTarget(0.0, np.empty(0, np.int64), np.empty(0), 1.0, np.zeros(len(job.caster.corners), np.bool_))
     seed = int(stream_seeds(job.seed, WALK_STREAM)[0])
+    streams = Streams.of(seed, np.array([scrambling]), np.arange(len(job.points.part)))
     splits = np.zeros(len(job.materials.kind), np.int64)
     axis, walks = job.capture.time, WALKS_PER_LOOKIN * count
     at_once = max(1, min(RAYS_PER_CHUNK // walks, HISTOGRAM_VALUES_AT_ONCE // (len(pixels) * bins)))
     for run in _runs(lasers, at_once):
-        lookins = draw_lookins(
-            job.caster, job.scene, job.materials, job.points, run, walks, nothing, seed, scrambling, 2
-        )
+        lookins = draw_lookins(job.caster, job.scene, job.materials, job.points, run, walks, nothing, streams, 2)
         rays = scattered_rays(job.caster, job.materials, lookins, lookins.numbers(0))
         found = continued(job.scene, lookins, *rays)
         apart = ((found.position - job.points.position[found.laser]) ** 2).sum(axis=1)

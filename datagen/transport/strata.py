@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.records import Capture, Laser, Sensor
 from datagen.transport.averages import Average, walk_average
 from datagen.transport.confidence import Scatter, disagreement, total_variance
 from datagen.transport.cost import Work
 from datagen.transport.fov import PixelPatches
 from datagen.transport.secondary import secondary_transient
 from datagen.transport.spread import Sketch
-from datagen.transport.vertices import LaserPoints
-from datagen.transport.walk import Job
+from datagen.transport.walk import Job, part_of
 
 EXPONENTS = (0.9, 1.5)
 """Bounds of α in variance ∝ n^−α: 1 for independent samples, up to 3 for smooth integrands; bins make them rough."""
@@ -169,18 +167,6 @@ class Stratum:
         growth = float(np.average(np.log(points[seen] / self.points[seen]), weights=self.scale[seen]))
         if growth > np.log(3):
             self.exponent = float(np.clip(np.log(was / now) / growth, *EXPONENTS))
-
-
-def part_of(job: Job, lasers: NDArray[np.int64]) -> Job:
-    """The same job for some of its laser points (confocally, and their pixels)."""
-    points = LaserPoints(**{f.name: getattr(job.points, f.name)[lasers] for f in fields(job.points)})
-    sensor, cones, patches, sight = job.capture.sensor, job.cones, job.patches, job.sight
-    if job.capture.pairing == "confocal":
-        sensor = Sensor(sensor.position, sensor.pixels[lasers], sensor.aperture_radius_m, sensor.finite_aperture)
-        cones, patches, sight = cones.take(lasers), patches.take(lasers), sight.take(lasers)
-    laser = Laser(job.capture.laser.position, job.capture.laser.targets[lasers])
-    capture = Capture(laser, sensor, job.capture.time, job.capture.pairing)
-    return replace(job, capture=capture, cones=cones, patches=patches, points=points, sight=sight)
 
 
 def with_fov_samples(job: Job, fov_samples: int) -> Job:

@@ -12,9 +12,9 @@ from datagen.transport.confidence import total_variance
 from datagen.transport.cost import RAY
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.secondary import factorising
-from datagen.transport.strata import Stratum, part_of, square_norm, with_fov_samples
+from datagen.transport.strata import Stratum, square_norm, with_fov_samples
 from datagen.transport.surroundings import CONTACT, surroundings
-from datagen.transport.walk import Job
+from datagen.transport.walk import Job, part_of
 
 TARGET_STREAM = 48
 SEEDS_PER_ROUND = 8

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from datagen.transport.brdf import cosine_directions
-from datagen.transport.sampling import scrambled_sobol, stream_seeds
-from datagen.transport.walk import Job, pool_for
+from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
+from datagen.transport.walk import Job, blocks_for, pool_for
 
 PIXELS, POINTS, RAYS = 8, 16, 64
 """Pixels looked at, FoV points of each, and rays from each point."""
@@ -31,7 +31,7 @@ def surroundings(job: Job, seed: int) -> float:
     pixels = np.arange(len(job.patches.radius))
     few = np.unique(pixels[np.linspace(0, len(pixels) - 1, min(len(pixels), PIXELS)).astype(int)])
     one_each = replace(job, seed=seed, accuracy=replace(job.accuracy, target=None, fov_samples=1))
-    pool = pool_for(one_each, few, POINTS, 0)
+    pool = pool_for(one_each, few, blocks_for(one_each, few, POINTS), Streams.of(seed, np.zeros(1, np.int64), few))
     seen = pool.part >= 0
     if not seen.any():
         return 0.0

@@ -20,7 +20,7 @@ from datagen.records import Laser, Scene
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.kernels import light_lookins, random_numbers, scatter
 from datagen.transport.raycast import Hits, Raycaster
-from datagen.transport.sampling import scrambled_sobol, stream_seeds
+from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 
 PILOT_STREAM, COSINE_STREAM, AREA_STREAM, WALK_STREAM, SPOT_STREAM = range(5)
 CHOICES = 4
@@ -140,11 +140,10 @@ class AreaTarget:
 
 
 def spot_vertices(
-    points: LaserPoints, lasers: NDArray[np.int64], count: int, seed: int, scrambling: int, attenuation_per_m: float
+    points: LaserPoints, lasers: NDArray[np.int64], count: int, streams: Streams, attenuation_per_m: float
 ) -> Vertices:
     """The laser points themselves as vertices, `count` copies of each that share the emitted photon."""
     owner = np.repeat(lasers, count)
-    seeds = stream_seeds(seed, SPOT_STREAM, scrambling, lasers)
     return Vertices(
         laser=owner,
         position=points.position[owner],
@@ -153,7 +152,7 @@ def spot_vertices(
         part=points.part[owner],
         power=np.exp(-attenuation_per_m * points.leg[owner]) / count,
         path=np.zeros(len(owner)),
-        choices=scrambled_sobol(seeds, count, CHOICES).reshape(-1, CHOICES),
+        choices=scrambled_sobol(streams.seeds(SPOT_STREAM, lasers), count, CHOICES).reshape(-1, CHOICES),
         stream=np.zeros(len(owner), np.uint64),
     )
 
@@ -166,11 +165,10 @@ def draw_lookins(
     lasers: NDArray[np.int64],
     count: int,
     target: AreaTarget,
-    seed: int,
-    scrambling: int,
+    streams: Streams,
     steps: int,
 ) -> Vertices:
-    """`count` lookins for each of `lasers` (indices of laser points that exist), from one scrambling.
+    """`count` lookins for each of `lasers` (indices of laser points that exist).
 
     `path` counts from the laser point; `steps` is how many steps of the walk will want Sobol' coordinates.
     """
@@ -178,13 +176,13 @@ def draw_lookins(
     by_ray = count - by_area
     dimensions = 2 + CHOICES * min(steps, SOBOL_STEPS)
 
-    sobol = scrambled_sobol(stream_seeds(seed, COSINE_STREAM, scrambling, lasers), by_ray, dimensions)
+    sobol = scrambled_sobol(streams.seeds(COSINE_STREAM, lasers), by_ray, dimensions)
     sobol = sobol.reshape(-1, dimensions)
     owner = np.repeat(lasers, by_ray)
     hits = _rays(caster, materials, points, owner, sobol)
     face, position = hits.face, hits.position
     if by_area:
-        area_sobol = scrambled_sobol(stream_seeds(seed, AREA_STREAM, scrambling, lasers), by_area, dimensions)
+        area_sobol = scrambled_sobol(streams.seeds(AREA_STREAM, lasers), by_area, dimensions)
         area_sobol = area_sobol.reshape(-1, dimensions)
         area_owner = np.repeat(lasers, by_area)
         area_face, area_position = _points_on_area(caster, target, area_sobol)
@@ -200,6 +198,8 @@ def draw_lookins(
         materials.values, caster.face_normal, target.contains, float(by_ray), by_area / target.area_m2,
     )  # fmt: skip
     owner = owner[kept]
+    rays = by_ray * len(lasers)
+    own = np.where(kept < rays, kept % by_ray, by_ray + (kept - rays) % max(by_area, 1))
     power *= np.exp(-scene.attenuation_per_m * (points.leg[owner] + distance))
     return Vertices(
         laser=owner,
@@ -210,7 +210,7 @@ def draw_lookins(
         power=power,
         path=distance,
         choices=sobol[kept, 2:],
-        stream=stream_seeds(seed, WALK_STREAM, scrambling, owner, kept) if steps > SOBOL_STEPS else _no_stream(owner),
+        stream=streams.seeds(WALK_STREAM, owner, own) if steps > SOBOL_STEPS else _no_stream(owner),
     )
 
 

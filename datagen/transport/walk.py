@@ -6,12 +6,12 @@ orders but saves their connections, which are most of its cost.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.records import Accuracy, Capture, Scene
+from datagen.records import Accuracy, Capture, Laser, Scene, Sensor
 from datagen.transport import cost
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.clear_sight import ClearSight
@@ -19,7 +19,7 @@ from datagen.transport.connections import Clock, Receiver, Rows, Tally
 from datagen.transport.cost import Work
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches, fov_pool
 from datagen.transport.raycast import Raycaster
-from datagen.transport.sampling import stream_seeds
+from datagen.transport.sampling import Streams
 from datagen.transport.vertices import (
     SOBOL_STEPS,
     AreaTarget,
@@ -135,20 +135,38 @@ class Job:
         return 2 * float(self.patches.radius[pixels].max()) / detail_m
 
 
-def trace_chunk(job: Job, chunk: NDArray[np.int64], pool: FovPool, count: int, scrambling: int) -> tuple[Tally, Work]:
-    """One scrambling's light from a run of laser points, and the work of finding it."""
-    receiver = _receiver(job, chunk, pool)
+def part_of(job: Job, lasers: NDArray[np.int64]) -> Job:
+    """The same job for some of its laser points (confocally, and their pixels), or for several copies of them."""
+    points = LaserPoints(**{f.name: getattr(job.points, f.name)[lasers] for f in fields(job.points)})
+    sensor, cones, patches, sight = job.capture.sensor, job.cones, job.patches, job.sight
+    if job.capture.pairing == "confocal":
+        sensor = Sensor(sensor.position, sensor.pixels[lasers], sensor.aperture_radius_m, sensor.finite_aperture)
+        cones, patches, sight = cones.take(lasers), patches.take(lasers), sight.take(lasers)
+    laser = Laser(job.capture.laser.position, job.capture.laser.targets[lasers])
+    capture = Capture(laser, sensor, job.capture.time, job.capture.pairing)
+    return replace(job, capture=capture, cones=cones, patches=patches, points=points, sight=sight)
+
+
+def trace_chunk(
+    job: Job, chunk: NDArray[np.int64], pool: FovPool, count: int, streams: Streams
+) -> tuple[Tally, Work]:
+    """The light from a run of consecutive laser points, and the work of finding it.
+
+    streams : the random numbers of each of the job's laser points. pool : as many sets of FoV points as the run has
+    scramblings, in the order of their first laser points; confocally one, with each laser point's own pixel.
+    """
+    receiver = _receiver(job, chunk, pool, streams)
     asked, last = job.splits.components, job.last_order
     rays, connections = 0, 0
     per_vertex = job.accuracy.fov_samples * (1 if receiver.rows.confocal else receiver.rows.pixels)
     if "direct" in asked:
-        _add_direct(job, receiver, chunk, count, scrambling)
+        _add_direct(job, receiver, chunk, count, streams)
         rays += count * len(chunk)
         connections += count * len(chunk) * per_vertex
     if asked == ("direct",):
         return receiver.tally, Work(rays, connections, receiver.tally.histogram.size)
     vertices = draw_lookins(
-        job.caster, job.scene, job.materials, job.points, chunk, count, job.target, job.seed, scrambling,
+        job.caster, job.scene, job.materials, job.points, chunk, count, job.target, streams,
         SOBOL_STEPS + 1 if last is None else last - 2,
     )  # fmt: skip
     rays += count * len(chunk)
@@ -190,11 +208,11 @@ def trace_chunk(job: Job, chunk: NDArray[np.int64], pool: FovPool, count: int, s
     return receiver.tally, Work(rays, connections, receiver.tally.histogram.size, 1 + cost.ORDER_CALL * (order - 3))
 
 
-def _add_direct(job: Job, receiver: Receiver, chunk: NDArray[np.int64], count: int, scrambling: int) -> None:
+def _add_direct(job: Job, receiver: Receiver, chunk: NDArray[np.int64], count: int, streams: Streams) -> None:
     """One bounce: the laser point seen by a pixel. Two: a surface in the FoV that the laser point lights."""
     split_of_part = job.splits.of_part(2)
     receiver.spots(job.points, chunk, int(split_of_part[0]))
-    spots = spot_vertices(job.points, chunk, count, job.seed, scrambling, job.scene.attenuation_per_m)
+    spots = spot_vertices(job.points, chunk, count, streams, job.scene.attenuation_per_m)
     numbers = spots.numbers(0)
     receiver.connect(spots, numbers[:, 0], split_of_part)
     near = receiver.near(spots)
@@ -203,31 +221,36 @@ def _add_direct(job: Job, receiver: Receiver, chunk: NDArray[np.int64], count: i
     receiver.follow(spots, hits, directions, throughput, split_of_part)
 
 
-def _receiver(job: Job, chunk: NDArray[np.int64], pool: FovPool) -> Receiver:
+def _receiver(job: Job, chunk: NDArray[np.int64], pool: FovPool, streams: Streams) -> Receiver:
     _, pixels, bins = job.capture.shape
     confocal = job.capture.pairing == "confocal"
     axis = job.capture.time
     seen = chunk if confocal else np.arange(pixels)
     device_leg = job.points.leg[chunk] if axis.origin == "source" else np.full(len(chunk), -1.0)
     rows = len(chunk) * pixels * job.splits.count
+    pool_set = None if pool.sets == 1 else np.unique(streams.scrambling[chunk], return_inverse=True)[1]
     return Receiver(
         job.caster, job.scene, job.materials, job.capture.sensor, pool, job.cones.take(seen), job.patches.take(seen),
         job.accuracy.fov_samples,
         Clock(1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s, device_leg),
         Rows(int(chunk[0]), confocal, pixels, job.splits.count),
-        Tally(np.zeros((rows, bins)), np.zeros(rows)), job.sight,
+        Tally(np.zeros((rows, bins)), np.zeros(rows)), job.sight, pool_set,
     )  # fmt: skip
 
 
-def pool_for(job: Job, pixels: NDArray[np.int64], count: int, scrambling: int) -> FovPool:
+def blocks_for(job: Job, pixels: NDArray[np.int64], count: int) -> int:
     """Enough blocks of FoV points for what varies across the pixel, never more than lookins to use them or memory to
     hold them; a power of two, so that they cover the pixel evenly."""
     samples = job.accuracy.fov_samples
     across = job.patch_detail(pixels)
     useful = 64 * (1 + across) ** 2 / samples
     affordable = FOV_POINTS_PER_POOL / (len(pixels) * samples)
-    blocks = 1 << max(0, int(min(count, affordable, useful)).bit_length() - 1)
+    return 1 << max(0, int(min(count, affordable, useful)).bit_length() - 1)
+
+
+def pool_for(job: Job, pixels: NDArray[np.int64], blocks: int, streams: Streams) -> FovPool:
+    """So many blocks of FoV points for each of `pixels`, which may repeat; `streams` has a row for each."""
     return fov_pool(
-        job.caster, job.scene, job.capture.sensor, job.cones, pixels, samples, blocks,
-        stream_seeds(job.seed, FOV_STREAM, scrambling, pixels),
+        job.caster, job.scene, job.capture.sensor, job.cones, pixels, job.accuracy.fov_samples, blocks,
+        streams.seeds(FOV_STREAM, np.arange(len(pixels))),
     )  # fmt: skip
