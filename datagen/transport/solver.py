@@ -18,6 +18,7 @@ from datagen.transport.flood import flooded
 from datagen.transport.fov import PixelCones, PixelPatches
 from datagen.transport.raycast import Raycaster
 from datagen.transport.secondary import factorising, secondary_transient
+from datagen.transport.spread import Sketch
 from datagen.transport.surroundings import CONTACT, surroundings
 from datagen.transport.vertices import AreaTarget, LaserPoints
 from datagen.transport.walk import Job, Splits, components_asked
@@ -63,6 +64,32 @@ def simulate(
         one_by_one = replace(capture, illumination="scan")
         return flooded(simulate(scene, one_by_one, accuracy, seed, split_parts=split_parts))
     began = clock_time.perf_counter()
+    job = prepared(scene, capture, accuracy, seed, split_parts=split_parts)
+    ready = clock_time.perf_counter()
+    if accuracy.target is not None:
+        estimate, traced = meet_target(job), clock_time.perf_counter()
+    else:
+        average = walk_average(job)
+        traced = clock_time.perf_counter()
+        estimate = _with_factorised(job, average, None)
+    finished = clock_time.perf_counter()
+    return Transient(
+        time=capture.time,
+        components=estimate.components,
+        parts=estimate.parts,
+        stderr=estimate.stderr,
+        overflow=estimate.overflow,
+        laser_points=job.points.position,
+        seconds={"prepare": ready - began, "trace": traced - ready, "secondary": finished - traced},
+        spend=estimate.spend,
+        error_bound=estimate.error_bound,
+        met_target=estimate.met_target,
+        rays=job.sight.rays,
+    )
+
+
+def prepared(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool) -> Job:
+    """What `simulate` works with: the scene as the kernels want it, and what is asked of it."""
     caster = Raycaster(scene)
     materials = MaterialTable.of(scene.materials)
     cones = PixelCones.of(capture.sensor)
@@ -77,27 +104,15 @@ def simulate(
     )  # fmt: skip
     if _needs_to_look_around(job):
         job = replace(job, accuracy=replace(accuracy, observed=OBSERVED_IN_CONTACT), walked=~factorising(materials))
-    prepared = clock_time.perf_counter()
-    if accuracy.target is not None:
-        estimate, traced = meet_target(job), clock_time.perf_counter()
-    else:
-        average = walk_average(job)
-        traced = clock_time.perf_counter()
-        estimate = _with_factorised(job, average)
-    finished = clock_time.perf_counter()
-    return Transient(
-        time=capture.time,
-        components=estimate.components,
-        parts=estimate.parts,
-        stderr=estimate.stderr,
-        overflow=estimate.overflow,
-        laser_points=points.position,
-        seconds={"prepare": prepared - began, "trace": traced - prepared, "secondary": finished - traced},
-        spend=estimate.spend,
-        error_bound=estimate.error_bound,
-        met_target=estimate.met_target,
-        rays=job.sight.rays,
-    )
+    return job
+
+
+def with_fixed_counts(job: Job, sketch: Sketch | None = None) -> Estimate:
+    """The estimate with the sample counts of `Job.accuracy`; its target is not looked at.
+
+    sketch : gets each scrambling's transient too.
+    """
+    return _with_factorised(job, walk_average(job, sketch), sketch)
 
 
 def _needs_to_look_around(job: Job) -> bool:
@@ -123,7 +138,7 @@ def _walked(accuracy: Accuracy, materials: MaterialTable) -> NDArray[np.bool_]:
     return np.ones(len(materials.kind), np.bool_) if accuracy.observed is None else ~factorising(materials)
 
 
-def _with_factorised(job: Job, average: Average) -> Estimate:
+def _with_factorised(job: Job, average: Average, sketch: Sketch | None) -> Estimate:
     """The walk's average, with what the factorised form gives of the secondary; its error is independent."""
     accuracy, splits = job.accuracy, job.splits
     components, parts = average.split(splits)
@@ -136,6 +151,7 @@ def _with_factorised(job: Job, average: Average) -> Estimate:
             job.caster, job.scene, job.materials, job.capture, job.points, job.cones, job.patches,
             lookins=accuracy.lookins, observed=accuracy.observed, fov_samples=accuracy.fov_samples,
             scramblings=accuracy.scramblings, strongest=accuracy.strongest, seed=job.seed, carriers=~job.walked,
+            sketch=sketch,
         )  # fmt: skip
         components["secondary"] += more.mean
         np.hypot(stderr, more.stderr, out=stderr)

@@ -25,7 +25,6 @@ PILOT_EACH = (4, 64)
 FOV_CHOICES = (2, 16)
 """FoV points for each vertex that the pilot tries; other powers of two are judged by v = a + b/M."""
 MOST_FOV_SAMPLES = 64
-FOV_PILOT_SCRAMBLINGS = 4
 CONNECTIONS_AT_MOST = 128
 """Most connections of a vertex, over its pixels, that are tried: beyond, the ray that led to it costs nothing."""
 FINE_PATCH = 4.0
@@ -35,8 +34,11 @@ OBSERVED = 64
 LASERS_AT_MOST = 16
 """Confocal laser points up to which the factorised form is tried: it shares nothing between them."""
 USUAL_FOV_SAMPLES, USUAL_CONNECTIONS = 8, 16
-WORTH_TRYING_FOV = 2.0
+WORTH_TRYING_FOV = 4.0
 """Cost to go, in pilots, from which other numbers of FoV points than the usual are tried."""
+WORTH_CHANGING_FOV = 0.75
+"""Largest variance × cost, relative to the usual number of FoV points, for which another is taken: pilots are noisy,
+and the first one is lost."""
 WORTH_LOOKING = 30.0
 """Cost to go, in pilots, from which other ways than one walk for everything are tried."""
 LOOKINS_WORTH_LOOKING = 1 << 17
@@ -90,8 +92,10 @@ def piloted(job: Job, target: float, seeds: Seeds) -> tuple[list[Stratum], float
         best, more = _with_best_fov_samples(job, seeds)
         tried += more
         if best.accuracy.fov_samples != job.accuracy.fov_samples:
-            job, tried = best, tried + joint.work.cost
-            joint = _sampled(Stratum(_of_components(job, orders, walked)), points, seeds)
+            other = _sampled(Stratum(_of_components(best, orders, walked)), points, seeds)
+            if _price([other]) < _price([joint]):
+                job, joint, other = best, other, joint
+            tried += other.work.cost
             to_go = _cost_to_go(joint, [*strata, joint], target)
     short = job.accuracy.max_lookins < LOOKINS_WORTH_LOOKING
     separable = bool(factor.any()) and "secondary" in orders and not short
@@ -151,7 +155,7 @@ def _with_best_fov_samples(job: Job, seeds: Seeds) -> tuple[Job, float]:
     some = part_of(_of_components(job, ("primary",), job.walked), np.unique(few))
     tried = [Stratum(with_fov_samples(some, m)) for m in choices]
     for stratum in tried:
-        stratum.sample(pilot_points(some), FOV_PILOT_SCRAMBLINGS, seeds.draw())
+        stratum.sample(pilot_points(some), SCRAMBLINGS, seeds.draw())
     spent = sum(stratum.work.cost for stratum in tried)
     few_points, many_points = (float(stratum.scale.sum()) for stratum in tried)
     # v = a + b/M at two M.
@@ -160,7 +164,13 @@ def _with_best_fov_samples(job: Job, seeds: Seeds) -> tuple[Job, float]:
     each = (tried[1].growing - tried[0].growing) / (choices[1] - choices[0])
     ray = max(tried[0].growing - each * choices[0], 0.0)
     every = [1 << k for k in range(MOST_FOV_SAMPLES.bit_length()) if (pixels << k) <= CONNECTIONS_AT_MOST]
-    return with_fov_samples(job, min(every, key=lambda m: (own + shared / m) * (ray + each * m))), spent
+
+    def price(samples: int) -> float:
+        return (own + shared / samples) * (ray + each * samples)
+
+    best = min(every, key=price)
+    worth = price(best) < WORTH_CHANGING_FOV * price(job.accuracy.fov_samples)
+    return (with_fov_samples(job, best) if worth else job), spent
 
 
 def _worth_trying(job: Job) -> bool:

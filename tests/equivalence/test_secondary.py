@@ -310,7 +310,8 @@ def walk_by_third_vertex(scene: Scene, capture: Capture, carriers: NDArray[np.bo
     count = 1 << 15
     out = []
     for seed in range(8):
-        o = draw_lookins(caster, scene, materials, points, np.array([0]), count, nothing, seed, 0, 2)
+        alone = Streams.of(seed, np.array([0]), np.array([0]))
+        o = draw_lookins(caster, scene, materials, points, np.array([0]), count, nothing, alone, 2)
         b = continued(scene, o, *scattered_rays(caster, materials, o, o.numbers(0)))
         b = b.take(np.flatnonzero(carriers[b.part]))
         pool = fov_pool(caster, scene, capture.sensor, cones, np.array([0]), 1, count, stream_seeds(seed, 99, 0))

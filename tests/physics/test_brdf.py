@@ -301,7 +301,8 @@ def walk(scene: Scene, count: int, bounces: int) -> tuple[NDArray, NDArray, NDAr
     caster, table = Raycaster(scene), MaterialTable.of(scene.materials)
     points = LaserPoints.of(caster, scene, one_point_capture().laser)
     target = AreaTarget.choose(caster, scene, table, points, 0)
-    vertices = draw_lookins(caster, scene, table, points, np.array([0]), count, target, 9, 0, bounces)
+    alone = Streams.of(9, np.array([0]), np.array([0]))
+    vertices = draw_lookins(caster, scene, table, points, np.array([0]), count, target, alone, bounces)
     power, expected, noise = [vertices.power.sum()], [], []
     expected.append(float(directional(scene, points.normal, points.to_laser, points.part)[0]))
     noise.append(vertices.power.std() / math.sqrt(len(vertices)) * len(vertices))
