@@ -92,8 +92,8 @@ def test_a_plan_that_is_far_off_is_found_out() -> None:
     from datagen.bench.plan import WITHIN, Held, line
     from datagen.forecast import Outcome
 
-    near = Held("near", 4, 1.0, (Outcome("one", "s", 1.0, 1.4), Outcome("two", "bytes", 5000.0, 4000.0)))
-    far = Held("far", 4, 0.25, (Outcome("one", "s", 1.6, 1.0), Outcome("two", "bytes", float("nan"), 4000.0)))
+    near = Held("near", 4, 1.0, 1.0, (Outcome("one", "s", 1.0, 1.4), Outcome("two", "bytes", 5000.0, 4000.0)))
+    far = Held("far", 4, 0.25, 0.25, (Outcome("one", "s", 1.6, 1.0), Outcome("two", "bytes", float("nan"), 4000.0)))
     assert near.worst == pytest.approx(1.4) and near.worst < WITHIN < far.worst == pytest.approx(1.6)
-    assert line(near) == "| near | 4 | 1 | 1 s → 1.4 s (1.40) | 5 kB → 4 kB (0.80) |"
+    assert line(near) == "| near | 4 | 1 | 1 | 1 s → 1.4 s (1.40) | 5 kB → 4 kB (0.80) |"
     assert "unknown → 4 kB (nan)" in line(far)

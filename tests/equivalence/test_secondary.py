@@ -20,7 +20,7 @@ from datagen.transport.brdf import MaterialTable, evaluate
 from datagen.transport.convolution import Histograms, Paths, Sums
 from datagen.transport.fov import PixelCones, PixelPatches, fov_pool
 from datagen.transport.raycast import Raycaster
-from datagen.transport.sampling import stream_seeds
+from datagen.transport.sampling import Streams, stream_seeds
 from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
 
 DEVICE = (1.5, 0.1, 1.3)

@@ -33,7 +33,7 @@ from datagen.errors import InputError
 from datagen.records import Material, Scene
 from datagen.transport.brdf import LAMBERTIAN, MaterialTable, albedo, ggx
 from datagen.transport.raycast import Raycaster
-from datagen.transport.sampling import scrambled_sobol, stream_seeds
+from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
 
 MODELS = (
