@@ -22,9 +22,8 @@ PILOT_LOOKINS = 4096
 """Lookins of a component's pilot over all laser points, between the bounds of the next line for each of them."""
 PILOT_EACH = (4, 64)
 """Fewest and most lookins of a pilot in each scrambling of each laser point; powers of two."""
-FOV_CHOICES = (2, 16)
-"""FoV points for each vertex that the pilot tries; other powers of two are judged by v = a + b/M."""
-MOST_FOV_SAMPLES = 64
+FOV_CHOICES = (1, 4, 16, 64)
+"""FoV points for each vertex that the pilot tries."""
 CONNECTIONS_AT_MOST = 128
 """Most connections of a vertex, over its pixels, that are tried: beyond, the ray that led to it costs nothing."""
 FINE_PATCH = 4.0
@@ -33,7 +32,7 @@ FOV_PILOT_LASERS = 8
 OBSERVED = 64
 LASERS_AT_MOST = 16
 """Confocal laser points up to which the factorised form is tried: it shares nothing between them."""
-USUAL_FOV_SAMPLES, USUAL_CONNECTIONS = 8, 16
+USUAL_FOV_SAMPLES, USUAL_CONNECTIONS = 4, 16
 WORTH_TRYING_FOV = 4.0
 """Cost to go, in pilots, from which other numbers of FoV points than the usual are tried."""
 WORTH_CHANGING_FOV = 0.75
@@ -144,32 +143,26 @@ def _usual_fov_samples(job: Job) -> int:
 
 
 def _with_best_fov_samples(job: Job, seeds: Seeds) -> tuple[Job, float]:
-    """Try two numbers of FoV points on the primary of some laser points: lookins and FoV points share the variance,
-    v = a + b/M, and more of the latter save rays."""
+    """Try numbers of FoV points on the primary of some laser points, in rising order for as long as that pays: more
+    of them lower the variance and save rays. It falls by more than 1/M where the pixel is smooth, so nothing is
+    interpolated."""
     pixels = job.capture.shape[1]
     choices = [m for m in FOV_CHOICES if m * pixels <= CONNECTIONS_AT_MOST]
-    if len(choices) < 2 or _usual_fov_samples(job) == 1:
+    if len(choices) < 2 or job.accuracy.fov_samples == 1:
         return job, 0.0
     existing = np.flatnonzero(job.points.part >= 0)
     few = existing[np.linspace(0, len(existing) - 1, min(len(existing), FOV_PILOT_LASERS)).astype(int)]
     some = part_of(_of_components(job, ("primary",), job.walked), np.unique(few))
-    tried = [Stratum(with_fov_samples(some, m)) for m in choices]
-    for stratum in tried:
-        stratum.sample(pilot_points(some), SCRAMBLINGS, seeds.draw())
-    spent = sum(stratum.work.cost for stratum in tried)
-    few_points, many_points = (float(stratum.scale.sum()) for stratum in tried)
-    # v = a + b/M at two M.
-    shared = max((few_points - many_points) / (1 / choices[0] - 1 / choices[1]), 0.0)
-    own = max(many_points - shared / choices[1], 0.0)
-    each = (tried[1].growing - tried[0].growing) / (choices[1] - choices[0])
-    ray = max(tried[0].growing - each * choices[0], 0.0)
-    every = [1 << k for k in range(MOST_FOV_SAMPLES.bit_length()) if (pixels << k) <= CONNECTIONS_AT_MOST]
-
-    def price(samples: int) -> float:
-        return (own + shared / samples) * (ray + each * samples)
-
-    best = min(every, key=price)
-    worth = price(best) < WORTH_CHANGING_FOV * price(job.accuracy.fov_samples)
+    prices: dict[int, float] = {}
+    spent = 0.0
+    for samples in choices:
+        stratum = _sampled(Stratum(with_fov_samples(some, samples)), pilot_points(some), seeds)
+        spent += stratum.work.cost
+        prices[samples] = _price([stratum])
+        if prices[samples] > min(prices.values()):
+            break
+    best = min(prices, key=lambda samples: prices[samples])
+    worth = prices[best] < WORTH_CHANGING_FOV * prices.get(job.accuracy.fov_samples, np.inf)
     return (with_fov_samples(job, best) if worth else job), spent
 
 
