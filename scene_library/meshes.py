@@ -113,7 +113,10 @@ def cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[ND
     vertices, faces = vertices[used], faces.reshape(-1, 3)
     bad = np.count_nonzero(~np.isfinite(vertices).all(axis=1))
     if bad:
-        raise BadMesh(f"has {bad} vertices with NaN or infinite coordinates; remove them in a mesh editor")
+        raise BadMesh(
+            f"has NaN or infinite coordinates in {bad} of {len(vertices)} vertices; remove them in a mesh editor"
+        )
+    vertices = _of_ordinary_size(vertices)
     extent = float(np.ptp(vertices, axis=0).max())
     if extent == 0:
         raise BadMesh("has no area: all its vertices are one point; export it again")
@@ -130,6 +133,19 @@ def cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[ND
         raise BadMesh("has no area: every triangle is degenerate; export it again")
     used, faces = np.unique(faces, return_inverse=True)
     return vertices[used], faces.reshape(-1, 3)
+
+
+def _of_ordinary_size(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The vertices times a power of two, which rounds nothing, so that their extent is 512 … 1024.
+
+    The file's unit is of no account, since objects are scaled to a height: areas must neither overflow nor vanish,
+    nor must Open3D take the quadrics of a mesh in metres for singular (it does below a determinant of 10⁻⁴, and then
+    puts merged vertices in worse places than it would for the same mesh in millimetres).
+    """
+    _, exponent = np.frexp(np.abs(vertices).max())
+    vertices = np.ldexp(vertices, -exponent)
+    _, exponent = np.frexp(np.ptp(vertices, axis=0).max())
+    return np.ldexp(vertices, 10 - exponent)
 
 
 def simplified(

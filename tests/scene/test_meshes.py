@@ -86,6 +86,34 @@ def test_unit_of_the_file_does_not_matter(tmp_path: Path) -> None:
     np.testing.assert_allclose(corners[0], corners[2], atol=1e-5)
 
 
+@pytest.mark.parametrize("scale", [1e-300, 1e-200, 1e200, 1e307])
+def test_no_unit_is_too_large_or_too_small(tmp_path: Path, scale: float) -> None:
+    """Squares and cubes of such coordinates are no numbers; the object is the same."""
+    mesh = lump()
+    lines = ["v " + " ".join(map(repr, map(float, vertex * scale))) for vertex in mesh.vertices]
+    lines += ["f " + " ".join(str(k + 1) for k in face) for face in mesh.faces]
+    _write(tmp_path, "lump.obj", "\n".join(lines))
+    mesh.export(tmp_path / "reference.ply")
+    corners = object_corners(generate_scene(spec_with("lump.obj", tmp_path).scene, 0, 0))
+    expected = object_corners(generate_scene(spec_with("reference.ply", tmp_path).scene, 0, 0))
+    nearest, _ = cKDTree(corners.mean(axis=1)).query(expected.mean(axis=1))
+    assert len(corners) == len(expected) and nearest.max() < 1e-5
+
+
+@pytest.mark.parametrize("scale", [2.0**-20, 2.0**10])
+def test_simplification_does_not_depend_on_the_unit(scale: float) -> None:
+    """Powers of two round nothing, so that the simplified object is the same to the last bit."""
+    rng = np.random.default_rng(1)
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    ball.vertices *= 1 + 0.1 * rng.random((len(ball.vertices), 1))
+    solids = []
+    for factor in (1.0, scale):
+        vertices, faces = meshes.cleaned(ball.vertices * factor, ball.faces)
+        solids.append(meshes.cleaned(*meshes.simplified(vertices, faces, 400)))
+    np.testing.assert_array_equal(solids[0][0], solids[1][0])
+    np.testing.assert_array_equal(solids[0][1], solids[1][1])
+
+
 def test_seams_duplicates_degenerate_and_inverted_faces_are_repaired(tmp_path: Path) -> None:
     clean = lump()
     soup = trimesh.Trimesh(
