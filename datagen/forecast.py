@@ -12,16 +12,14 @@ from typing import Any
 from datagen.config import DatasetConfig
 from datagen.engines import SHARDS_PER_PROCESS
 from datagen.errors import InputError
-from datagen.pilots import Pilot, Pilots, Workers
+from datagen.ladder import Pilot
+from datagen.pilots import Pilots
+from datagen.probe import Workers
 from datagen.store import Schema, ShardRecord, committed, read_manifest
 from datagen.store.arrays import metadata_files
 
 NOISY_FIELDS = ("transient", "transient_stderr")
 """Fields whose compressed size depends on effort: with more lookins more bins hold something."""
-CONVERGENCE = (0.3, 0.8)
-"""Bounds of p in error ∝ effort⁻ᵖ: ½ for independent samples, more for quasi-random ones once they fill the scene."""
-STEEPENING = 0.1
-"""By how much p grows with each factor of 4 in effort: 0.0 … 0.2 in ten rooms, from 16 to 65 536 lookins."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +29,7 @@ class Forecast:
     Attributes
     ----------
     pilots, effort : how many pilot scenes, with which share of the configured effort.
+    reached : the share that one of them was run with besides, by which the others are scaled.
     seconds : stage → seconds of one scene, mean over the pilots, at full effort; "store" with its share of the shard.
     scene_s : least, median and greatest total of a pilot scene, seconds.
     error : least, median and greatest estimated relative L2 error of a transient; NaN when nothing estimates it.
@@ -47,6 +46,7 @@ class Forecast:
     scenes_per_shard: int
     pilots: int
     effort: float
+    reached: float
     seconds: Mapping[str, float]
     scene_s: tuple[float, float, float]
     error: tuple[float, float, float]
@@ -75,10 +75,10 @@ def forecast(
 ) -> Forecast:
     """The forecast of a build with `workers` processes on a machine with `cores` cores.
 
-    Seconds of the transport go on linearly with effort, as the rungs of the ladder have it; the error goes on as
-    effort⁻ᵖ with the ladder's own p. Both are left as measured when the pilots had full effort.
+    What was measured with full effort is left as it is; seconds of the transport, errors and bytes of pilots with
+    less are scaled as `ladder.py` says.
     """
-    rate = _transport_ratio(pilots)
+    rate = pilots.ladder.slower(pilots.effort)
     working = min(workers, schema.shards)
     sharing = max(1.0, working / cores)
     each = [_stages(pilot, rate) for pilot in pilots.scenes]
@@ -100,6 +100,7 @@ def forecast(
         scenes_per_shard=schema.scenes_per_shard,
         pilots=len(pilots.scenes),
         effort=pilots.effort,
+        reached=pilots.ladder.top.effort,
         seconds=seconds,
         scene_s=(totals[0], statistics.median(totals), totals[-1]),
         error=_errors(config, pilots),
@@ -130,79 +131,27 @@ def _stages(pilot: Pilot, rate: float) -> dict[str, float]:
     return {stage: taken * (rate if stage == "transport" else 1.0) for stage, taken in pilot.seconds.items()}
 
 
-def _transport_ratio(pilots: Pilots) -> float:
-    """Transport seconds at full effort over those of the pilots: a + b · effort through the pilots and `lower`."""
-    taken = _transport_s(pilots.scenes)
-    if pilots.effort == 1.0 or taken <= 0:
-        return 1.0
-    fixed = 0.0
-    if pilots.lower:
-        less = _transport_s(pilots.lower)
-        slope = (taken - less) / (pilots.effort - pilots.lower[0].effort)
-        fixed = min(max(taken - slope * pilots.effort, 0.0), taken)
-    return (fixed + (taken - fixed) / pilots.effort) / taken
-
-
 def _errors(config: DatasetConfig, pilots: Pilots) -> tuple[float, float, float]:
     found = sorted(pilot.error for pilot in pilots.scenes if math.isfinite(pilot.error))
     if not found:
         return math.nan, math.nan, math.nan
-    few = found[0], statistics.median(found), found[-1]
-    if pilots.effort == 1.0:
-        return few
-    if config.transport.target is not None:
-        least, median, most = (error * pilots.effort**0.5 for error in few)
-    else:
-        power = _convergence(pilots)
-        least, median, most = (_from_odds(_odds(error) * pilots.effort ** (2 * power)) for error in few)
-    return least, median, most
-
-
-def _convergence(pilots: Pilots) -> float:
-    """p of error ∝ effort⁻ᵖ from the pilots on: what it was between `lower` and them (median over the scenes; ½ where
-    nothing tells), and its growth, averaged over the way."""
-    powers = [
-        0.5 * math.log(_odds(low.error) / _odds(high.error)) / math.log(high.effort / low.effort)
-        for low, high in zip(pilots.lower, pilots.scenes, strict=False)
-        if 0 < low.error < 1 and 0 < high.error < 1
-    ]
-    if not powers:
-        return 0.5
-    steps = -math.log(pilots.effort) / math.log(4)
-    power = statistics.median(powers) + STEEPENING * (steps + 1) / 2
-    return min(max(power, CONVERGENCE[0]), CONVERGENCE[1])
-
-
-def _odds(error: float) -> float:
-    """Noise over signal, both squared norms: the norm that an estimated error is relative to holds the noise too."""
-    return error**2 / max(1.0 - error**2, 1e-6)
-
-
-def _from_odds(odds: float) -> float:
-    return math.sqrt(odds / (1.0 + odds))
+    if pilots.effort < 1.0:
+        targeted = config.transport.target is not None
+        found = [pilots.ladder.at_full(error, pilots.effort, targeted) for error in found]
+    return found[0], statistics.median(found), found[-1]
 
 
 def _stored(pilots: Pilots, schema: Schema) -> dict[str, float]:
-    """Field → bytes of a scene at full effort; sizes that depend on effort go on with its logarithm."""
-    stored = _mean_stored(pilots.scenes)
-    if pilots.lower:
-        low, high = pilots.lower[0].effort, pilots.effort
-        further = -math.log(high) / math.log(high / low)
-        less = _mean_stored(pilots.lower)
-        for name in NOISY_FIELDS:
-            if name in stored:
-                growth = max(0.0, (stored[name] - less[name]) * further)
-                stored[name] = min(stored[name] + growth, float(schema.by_name[name].bytes_per_scene))
+    """Field → bytes of a scene at full effort."""
+    stored = {
+        name: statistics.fmean(pilot.stored[name] for pilot in pilots.scenes) for name in pilots.scenes[0].stored
+    }
+    for name in NOISY_FIELDS:
+        if name in stored:
+            most = float(schema.by_name[name].bytes_per_scene)
+            stored[name] = min(stored[name] * pilots.ladder.larger(name, pilots.effort), most)
     stored["records"] += pilots.shard_bytes / schema.scenes_per_shard
     return stored
-
-
-def _mean_stored(pilots: Sequence[Pilot]) -> dict[str, float]:
-    return {name: statistics.fmean(pilot.stored[name] for pilot in pilots) for name in pilots[0].stored}
-
-
-def _transport_s(pilots: Sequence[Pilot]) -> float:
-    return statistics.fmean(pilot.seconds.get("transport", 0.0) for pilot in pilots)
 
 
 def _share(scenes: Sequence[Pilot]) -> float:

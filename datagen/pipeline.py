@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
+from datagen.config.transport import TransportConfig
 from datagen.detector import DetectorPlan, Exposure, Spad, detect, detector_for, plan_detector
 from datagen.effects import EffectPlan, plan_detector_effects, plan_transport_effects
 from datagen.errors import InputError
@@ -30,17 +31,21 @@ class _Allowed(TypedDict):
     approximate: bool
 
 
-def simulate_sample(config: DatasetConfig, index: int) -> Sample:
+def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig | None = None) -> Sample:
     """Scene number `index` of a dataset, from the room to the counts.
 
-    A function of (configuration, index) alone: every random stream is keyed by (`config.seed`, index, purpose).
+    A function of its arguments alone: every random stream is keyed by (`config.seed`, index, purpose).
+
+    planned : the accuracy for which the transport's effects are decided, if it is not that of `config`: a trial with
+        fewer samples is to follow the same light as the scene that it stands for.
     """
     seed, seconds = config.seed, dict[str, float]()
     with _timed(seconds, "scene"):
         scene = generate_scene(config.scene, seed, index)
         capture = capture_for(config, scene, seed, index)
     with _timed(seconds, "effects"):
-        effects = transport_effects(config, scene, capture, index)
+        whole = config if planned is None else config.model_copy(update={"transport": planned})
+        effects = transport_effects(whole, scene, capture, index)
     with _timed(seconds, "transport"):
         own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
         lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())

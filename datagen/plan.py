@@ -11,7 +11,8 @@ from typing import Any, Literal
 from datagen.config import DatasetConfig
 from datagen.errors import InputError
 from datagen.forecast import Forecast, Outcome, against, check_same, forecast
-from datagen.pilots import probe_workers, run_pilots
+from datagen.pilots import run_pilots
+from datagen.probe import probe_workers
 from datagen.store import Schema, schema_of
 from datagen.store.card import readable
 from datagen.store.environment import cores, environment, hardware
@@ -162,7 +163,10 @@ def _measured(expected: Forecast) -> str:
     scenes = _count(expected.pilots, "pilot scene")
     if expected.effort == 1.0:
         return f"measured on {scenes}"
-    return f"from {scenes} with {_percent(expected.effort)} of the paths, extrapolated"
+    few = f"from {scenes} with {_percent(expected.effort)} of the paths"
+    if expected.reached == 1.0:
+        return f"{few}, scaled by one with all of them"
+    return f"{few}, extrapolated; --seconds lets one have more"
 
 
 def _one_scene(config: DatasetConfig, schema: Schema, expected: Forecast) -> Iterator[str]:

@@ -1,9 +1,9 @@
 """Does a plan come true? `datagen bench plan [CONFIG …]`.
 
-Forecasts a few scenes of each configuration, makes them as a worker does, and prints predicted beside actual:
-seconds, error and bytes of a scene. The clock of a busy machine says little, so times are processor seconds, of the
-pilots and of the scenes alike; what a worker's start takes is left out. Exits with 1 when a number is off by more
-than a factor of `WITHIN`.
+Runs the pilots of each configuration, makes its first scenes as a worker does, and prints predicted beside actual:
+seconds, error and bytes of a scene. The pilots are spread over the whole dataset, so they are other scenes, but one.
+The clock of a busy machine says little, so times are processor seconds, of the pilots and of the scenes alike; what a
+worker's start takes is left out. Exits with 1 when a number is off by more than a factor of `WITHIN`.
 """
 
 from __future__ import annotations
@@ -12,16 +12,20 @@ import math
 import tempfile
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import click
 
 from datagen.cli import guarded
 from datagen.config import DatasetConfig, load_config
+from datagen.config.transport import TransportConfig
 from datagen.errors import CheckError, InputError
 from datagen.forecast import Outcome, against, forecast
-from datagen.pilots import Workers, run_pilots
+from datagen.pilots import run_pilots
 from datagen.pipeline import simulate_sample
+from datagen.plan import BUDGET_S
+from datagen.probe import Workers
 from datagen.records import Sample
 from datagen.store import committed, finish, prepare, schema_of, write_shard
 from datagen.store.environment import cores, processor
@@ -31,11 +35,12 @@ WITHIN = 1.5
 
 @dataclass(frozen=True)
 class Held:
-    """One configuration: effort of its pilots, and what was predicted beside what came."""
+    """One configuration: predicted beside what came, from pilots with `effort` and one of them with `reached`."""
 
     name: str
     scenes: int
     effort: float
+    reached: float
     outcomes: tuple[Outcome, ...]
 
     @property
@@ -46,9 +51,9 @@ class Held:
 
 
 def hold(config: DatasetConfig, scenes: int, budget_s: float) -> Held:
-    """Forecast `scenes` scenes of a configuration, then make them in this process."""
+    """Forecast a configuration by pilots from all over it, then make its first scenes in this process."""
     few = config.with_scenes(min(scenes, config.scenes))
-    pilots = run_pilots(few, budget_s, _in_processor_seconds)
+    pilots = run_pilots(config, budget_s, partial(_in_processor_seconds, config.transport), time.process_time)
     expected = forecast(few, schema_of(few), pilots, Workers(0.0, 0.0), 1, cores())
     with tempfile.TemporaryDirectory(prefix="datagen-bench-") as folder:
         root = Path(folder) / "set"
@@ -61,21 +66,23 @@ def hold(config: DatasetConfig, scenes: int, budget_s: float) -> Held:
         finish(root, manifest, committed(root, manifest))
         clock, *others = against(expected, few, root)
     seconds = Outcome(clock.name, "s", expected.worker_s / few.scenes, taken_s / few.scenes)
-    return Held(few.name, few.scenes, expected.effort, (seconds, *others))
+    return Held(few.name, few.scenes, expected.effort, expected.reached, (seconds, *others))
 
 
-def _in_processor_seconds(config: DatasetConfig, index: int) -> Sample:
+def _in_processor_seconds(planned: TransportConfig, config: DatasetConfig, index: int) -> Sample:
     """A sample as an idle machine would have timed it, and so would have counted it against the budget."""
     began = time.process_time()
-    sample = simulate_sample(config, index)
+    sample = simulate_sample(config, index, planned)
     share = min(1.0, (time.process_time() - began) / max(sum(sample.seconds.values()), 1e-9))
     return replace(sample, seconds={stage: taken * share for stage, taken in sample.seconds.items()})
 
 
 def head(held: Held) -> str:
     """Markdown: the head of the table."""
-    names = [row.name for row in held.outcomes]
-    return f"| configuration | scenes | pilots' effort | {' | '.join(names)} |\n|---|---:|---:|{'---|' * len(names)}"
+    columns = " | ".join(
+        ("configuration", "scenes", "effort of the pilots", "of one", *(r.name for r in held.outcomes))
+    )
+    return f"| {columns} |\n|---|---:|---:|---:|{'---|' * len(held.outcomes)}"
 
 
 def line(held: Held) -> str:
@@ -84,7 +91,7 @@ def line(held: Held) -> str:
         f"{_number(row.predicted, row.unit)} → {_number(row.actual, row.unit)} ({row.ratio:.2f})"
         for row in held.outcomes
     ]
-    return f"| {held.name} | {held.scenes} | {held.effort:.2g} | {' | '.join(cells)} |"
+    return f"| {held.name} | {held.scenes} | {held.effort:.2g} | {held.reached:.2g} | {' | '.join(cells)} |"
 
 
 def _number(value: float, unit: str) -> str:
@@ -98,7 +105,7 @@ def _number(value: float, unit: str) -> str:
 @click.command()
 @click.argument("configs", nargs=-1, required=True)
 @click.option("--scenes", default=10, show_default=True, type=click.IntRange(1), help="Scenes built of each.")
-@click.option("--seconds", default=6.0, show_default=True, type=float, help="Budget of the pilots of each.")
+@click.option("--seconds", default=BUDGET_S, show_default=True, type=float, help="Budget of the pilots of each.")
 def main(configs: tuple[str, ...], scenes: int, seconds: float) -> None:
     """Forecast and build a few scenes of every CONFIG, and print predicted beside actual."""
     if not 0 < seconds < math.inf:
