@@ -36,6 +36,8 @@ class MeshOptions:
     max_triangles: int | None = None
 
 
+COARSEST_STEP = 1e-3
+"""Steps of a file's coordinates, relative to the object's size, above which its shape is taken to be lost."""
 MESHES_KEPT = 256
 """Meshes held in memory by each process; beyond that the oldest is dropped."""
 _cache: dict[tuple[str, int, int, MeshOptions], Solid] = {}
@@ -60,6 +62,7 @@ def unit_mesh(path: Path, options: MeshOptions) -> Solid:
 
 def _unit(path: Path, options: MeshOptions) -> Solid:
     vertices, faces = cleaned(*_read(path))
+    _check_steps(vertices)
     if options.max_triangles is not None and len(faces) > options.max_triangles:
         vertices, faces = cleaned(*simplified(vertices, faces, options.max_triangles))
     vertices = vertices @ np.array(_TURN_UP[options.up], np.float64).T
@@ -68,6 +71,17 @@ def _unit(path: Path, options: MeshOptions) -> Solid:
         raise BadMesh(f"is flat along its upward axis {options.up}, so it has no height to scale; set another `up`")
     vertices = (vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]) / (high[2] - low[2])
     return Solid.of(vertices, faces)
+
+
+def _check_steps(vertices: NDArray[np.float64]) -> None:
+    """Raise `BadMesh` for what was rounded to single precision far from its origin, as surveyed models may be."""
+    single = vertices.astype(np.float32)
+    step = float(np.spacing(np.abs(single).max())) / float(np.ptp(vertices, axis=0).max())
+    if step > COARSEST_STEP and np.array_equal(single, vertices):
+        raise BadMesh(
+            f"lies so far from its origin that its coordinates, in single precision, go in steps of {step:.2g} of "
+            "its size; move it to the origin and export it again"
+        )
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -220,6 +220,22 @@ def test_nan_in_a_binary_stl_is_refused(tmp_path: Path) -> None:
         check_scene_config(spec_with("nan.stl", tmp_path).scene)
 
 
+def test_coordinates_far_from_the_origin(tmp_path: Path) -> None:
+    """In national coordinates a shape is lost in single precision, half a metre a step, and kept in decimals."""
+    far = lump()
+    far.apply_translation([4.5e6, 5.1e6, 300.0])
+    far.export(tmp_path / "far.stl")
+    with pytest.raises(InputError, match=r"path = 'far.stl': lies so far from its origin .* steps of 0\.[2-5]"):
+        check_scene_config(spec_with("far.stl", tmp_path).scene)
+    lines = ["v " + " ".join(map(repr, map(float, vertex))) for vertex in far.vertices]
+    lines += ["f " + " ".join(str(k + 1) for k in face) for face in far.faces]
+    _write(tmp_path, "far.obj", "\n".join(lines))
+    lump().export(tmp_path / "near.ply")
+    found, expected = (unit_mesh(tmp_path / name, MeshOptions()) for name in ("far.obj", "near.ply"))
+    assert len(found.triangles) == len(expected.triangles)
+    np.testing.assert_allclose(np.ptp(found.vertices, axis=0), np.ptp(expected.vertices, axis=0), rtol=1e-6)
+
+
 def test_missing_file_and_folder_are_refused_when_the_configuration_is_read(tmp_path: Path) -> None:
     (tmp_path / "folder.obj").mkdir()
     for name, reason in (("absent.obj", "no such file"), ("folder.obj", "is a directory")):
