@@ -44,6 +44,7 @@ class Effect(Generic[World]):
     estimate : (world, names of the effects left out already) → how much leaving it out can change.
     without : the world with the effect not simulated.
     always : the world with the effect simulated even where that can change nothing; given the setting.
+    cheapest : the world with the effect simulated as is cheapest there, the answer being the same.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Effect(Generic[World]):
     estimate: Callable[[World, frozenset[str]], Estimate]
     without: Callable[[World], World]
     always: Callable[[World, str | int], World] = lambda world, setting: world
+    cheapest: Callable[[World], World] = lambda world: world
 
 
 @dataclass(frozen=True)

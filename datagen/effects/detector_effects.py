@@ -26,6 +26,10 @@ from datagen.effects.decision import Effect, Estimate
 from datagen.effects.detector_world import DetectorWorld
 
 _LARGEST_EXPONENT = 700.0
+EVENTS_PER_ENTRY = 8.0
+"""Events for each entry of a histogram from which the flux is worth a look only to draw cycles apart: an event takes
+0.1 µs to draw, an entry's figures 0.1 to 0.6 µs to work out."""
+_ONE_BY_ONE = "avalanches are drawn one by one in any case"
 
 
 def _exp(value: float) -> float:
@@ -63,6 +67,19 @@ def _loss(world: DetectorWorld, value: float, reason: str) -> Estimate:
     return _bounded(value, reason, hidden or value == 0)
 
 
+def _plainly_more(world: DetectorWorld, least: float, reason: str) -> Estimate | None:
+    """Where an effect on the law of the counts is plainly too strong, `least` being no more than what it changes."""
+    deviation = least * math.sqrt(world.least_total * world.exposure.cycles)
+    if world.looked or (least <= min(world.tolerance, world.leave) and deviation <= HIDDEN_DEVIATION):
+        return None
+    allowed = f"(allowed: {world.tolerance:.2g} and {HIDDEN_DEVIATION:g})"
+    return Estimate(least, "bound", f"{reason}, at least {deviation:.2g} standard deviations {allowed}", False)
+
+
+def _not_worth_it(what: str) -> Estimate:
+    return Estimate(None, "bound", f"{what}: that costs less than to work out how much it matters", False)
+
+
 def _timing(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     cycle = world.cycle
     kept = 1.0
@@ -74,6 +91,9 @@ def _timing(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     reason = f"it moves {1 - kept:.2g} of the photons into other bins"
     if moved >= 1.0:
         return Estimate(None, "bound", reason)
+    if not world.looked and moved / (1.0 - moved) > world.leave:
+        # No light is less than what is kept of it.
+        return Estimate(moved / (1.0 - moved), "bound", f"{reason}: more than may be left out")
     # Light that the gate would shut out may be moved into it.
     light = math.hypot(world.figures.norm, world.figures.shut_everywhere)
     value = _by_norm(world, moved / (1.0 - moved) * light)
@@ -90,17 +110,26 @@ def _background(world: DetectorWorld, norm: float, rate_hz: float, deviation: fl
 
 
 def _ambient(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
+    if not world.looked:
+        return _not_worth_it("one more addend")
     rate_hz = world.spad.pde * world.exposure.ambient_rate_hz
     return _background(world, world.figures.ambient_norm, rate_hz, world.figures.ambient_deviation, "ambient light")
 
 
 def _dark(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
+    if not world.looked:
+        return _not_worth_it("one more addend")
     spad = world.spad
     rate_hz = spad.dark_count_rate_hz * (spad.hot_pixel_factor if spad.hot_pixel_fraction > 0 else 1.0)
     return _background(world, world.figures.dark_norm, rate_hz, world.figures.dark_deviation, "dark counts")
 
 
 def _pile_up(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
+    if not world.looked and not gone >= {"afterpulsing", "crosstalk"}:
+        return _not_worth_it(_ONE_BY_ONE)
+    least = world.least_within
+    if more := _plainly_more(world, least, f"≥ {least:.2g} events within a dead time"):
+        return more
     most = world.figures.most if world.spad.paralyzable else world.figures.within
     # Afterpulses come once the dead time is over, and crosstalk dies out in it: both then move, at most all of them.
     moved = ("afterpulsing" not in gone) * _afterpulses(world) + ("crosstalk" not in gone) * _shared(world)
@@ -119,6 +148,13 @@ def _by_events(world: DetectorWorld, more: float) -> float:
 def _across(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     if "pile_up" in gone and not _thins_evenly(world):
         return _bounded(0.0, "left out together with pile-up: it is the same dead time")
+    if not world.looked and not gone >= {"afterpulsing", "crosstalk"}:
+        return _not_worth_it(_ONE_BY_ONE)
+    least = world.whole_periods * world.least_total
+    if more := _plainly_more(world, least, f"≥ {least:.2g} events of earlier cycles within a dead time"):
+        return more
+    if not world.looked and world.most_events < EVENTS_PER_ENTRY * world.transient.size:
+        return _not_worth_it(f"≤ {world.most_events:.2g} events")
     earlier = world.whole_periods * world.figures.total + world.figures.late
     value = earlier * _exp(_most(world))
     if "afterpulsing" not in gone:
@@ -133,13 +169,21 @@ def _thins_evenly(world: DetectorWorld) -> bool:
 
 
 def _afterpulsing(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
-    more = _afterpulses(world)
-    return _loss(world, _by_events(world, more), f"≤ {more:.2g} afterpulses an avalanche")
+    more, reason = _afterpulses(world), f"≤ {_afterpulses(world):.2g} afterpulses an avalanche"
+    if plain := _plainly_more(world, more, reason):
+        return plain
+    if not world.looked and (world.spad.paralyzable or _plainly_more(world, _shared(world), "")):
+        return _not_worth_it(_ONE_BY_ONE)
+    return _loss(world, _by_events(world, more), reason)
 
 
 def _crosstalk(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
-    more = _shared(world)
-    return _loss(world, _by_events(world, more), f"≤ {more:.2g} avalanches in neighbours for each")
+    more, reason = _shared(world), f"≤ {_shared(world):.2g} avalanches in neighbours for each"
+    if plain := _plainly_more(world, more, reason):
+        return plain
+    if not world.looked and (world.spad.paralyzable or "afterpulsing" not in gone):
+        return _not_worth_it(_ONE_BY_ONE)
+    return _loss(world, _by_events(world, more), reason)
 
 
 def _caused(world: DetectorWorld) -> float:
@@ -160,6 +204,8 @@ def _shared(world: DetectorWorld) -> float:
 
 
 def _gate(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
+    if not world.looked:
+        return _not_worth_it("one more factor")
     figures = world.figures
     more = _exp(2.0 * figures.most_shut * (1.0 + _caused(world)))
     added = figures.shut_norm + _caused(world) * figures.shut_everywhere
@@ -177,6 +223,11 @@ def _gate(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
 
 def _saturation(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     counter_max = world.spad.counter_max or 0
+    if not world.looked:
+        highest = world.most_in_bin * world.exposure.cycles * (1.0 + _caused(world))
+        if highest + 8.0 * math.sqrt(highest) + 8.0 <= counter_max:
+            return _bounded(0.0, f"at most {highest:.2g} counts are expected in a bin, {counter_max} fit")
+        return _not_worth_it("one comparison a bin")
     # The most counts that dead time would leave, with all that avalanches may add; jitter only spreads them. What is
     # lost of a bin is less of a fainter one.
     highest = world.figures.brightest_bin * world.exposure.cycles * (1.0 + _caused(world))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -61,6 +62,7 @@ class DetectorWorld:
 
     transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
     tolerance : `detector.tolerance`, the relative bias that a cheaper sampler may cause.
+    leave : what may be left out together, at most: what surely changes more is not worked out any further.
     """
 
     transient: NDArray[np.float64]
@@ -68,6 +70,7 @@ class DetectorWorld:
     spad: Spad
     exposure: Exposure
     tolerance: float
+    leave: float = math.inf
 
     def with_spad(self, **changes: object) -> DetectorWorld:
         return replace(self, spad=replace(self.spad, **changes))  # type: ignore[arg-type]
@@ -88,6 +91,69 @@ class DetectorWorld:
         """Whole laser periods in the dead time."""
         return int(np.floor(self.spad.dead_time_s * self.exposure.repetition_rate_hz * (1 + 1e-15)))
 
+    @property
+    def looked(self) -> bool:
+        """Whether the figures are there already, or wanted whatever they take. What costs nothing to simulate is not
+        worth them: they take some tenths of the time of a detection."""
+        return math.isinf(self.leave) or "figures" in vars(self)
+
+    @cached_property
+    def least_signal(self) -> float:
+        """No more than the brightest histogram's photons detected per cycle, nearly for nothing: those whose response
+        falls into the open gate from its first bin to its last."""
+        cycle, kernel = self.cycle, self.cycle.before_avalanche
+        values = checked_transient(self.transient, self.time, self.exposure.photons_per_pulse)
+        whole = np.ones(values.shape[2])
+        if (cycle.gate < 1).any():
+            open_bins = (cycle.gate[: cycle.window] == 1).astype(np.float64)
+            open_bins = np.pad(open_bins, (kernel.before, kernel.after + len(whole) - cycle.window))
+            found = np.convolve(open_bins, np.ones(len(kernel.weights)), "valid")
+            whole = (found > len(kernel.weights) - 0.5).astype(np.float64)
+        return self.spad.pde * self.exposure.photons_per_pulse * float((values @ whole).max())
+
+    @cached_property
+    def least_total(self) -> float:
+        """No more than Λ of the brightest histogram, nearly for nothing."""
+        background = self.spad.pde * self.exposure.ambient_rate_hz + self.spad.dark_count_rate_hz
+        return self.least_signal + background * float(self.cycle.gate @ self.cycle.widths_s)
+
+    @cached_property
+    def least_within(self) -> float:
+        """No more than `FluxFigures.within`, nearly for nothing: of the dead times that the light lasts, one holds no
+        less than the mean."""
+        cycle = self.cycle
+        if self.spad.mode == "synchronous" and self.whole_periods:
+            return self.least_total
+        rest = self.spad.dead_time_s - self.whole_periods * cycle.period_s
+        lasts = min(cycle.period_s, (cycle.bins + len(cycle.before_avalanche.weights)) * cycle.width_s)
+        return self.least_signal / math.ceil(lasts / rest) if rest > 1e-9 * cycle.width_s else 0.0
+
+    @cached_property
+    def most_events(self) -> float:
+        """Events of all histograms together in the exposure, at most, nearly for nothing."""
+        spad, exposure, cycle = self.spad, self.exposure, self.cycle
+        background = (spad.pde * exposure.ambient_rate_hz + self._most_dark_hz) * cycle.period_s
+        lasers, pixels, _ = self.transient.shape
+        signal = spad.pde * exposure.photons_per_pulse * float(self.transient.sum())
+        return (signal + lasers * pixels * background) * exposure.cycles
+
+    @cached_property
+    def most_in_bin(self) -> float:
+        """No less than `FluxFigures.brightest_bin`, nearly for nothing: a response spreads light, and a time axis
+        longer than the period lays some of it over other light."""
+        spad, exposure, cycle = self.spad, self.exposure, self.cycle
+        lasts = (cycle.bins + len(cycle.before_avalanche.weights)) * cycle.width_s
+        laps = 1 if lasts <= cycle.period_s else 2 + int(lasts / cycle.period_s)
+        signal = laps * exposure.photons_per_pulse * float(self.transient.max())
+        background = spad.pde * exposure.ambient_rate_hz + self._most_dark_hz
+        return spad.pde * signal + background * float(cycle.widths_s[: cycle.window].max())
+
+    @property
+    def _most_dark_hz(self) -> float:
+        """Dark counts per second of a pixel, hot or not, at most."""
+        factor = self.spad.hot_pixel_factor if self.spad.hot_pixel_fraction > 0 else 1.0
+        return self.spad.dark_count_rate_hz * max(factor, 1.0)
+
     @cached_property
     def figures(self) -> FluxFigures:
         """One pass over all histograms' flux."""
@@ -96,7 +162,7 @@ class DetectorWorld:
         opened, widths = cycle.gate[: cycle.window], cycle.widths_s[: cycle.window]
         ambient = opened * spad.pde * self.exposure.ambient_rate_hz * widths
         dark = opened * widths * dark_count_rates(spad, pixels)[:, None]
-        tdc = Tdc(cycle)
+        tdc, gated = Tdc(cycle), bool((cycle.gate < 1).any())
         square = kept_square = shut_square = shut_before_jitter = 0.0
         most: dict[str, float] = {}
         for ungated in self._blocks(replace(cycle, gate=np.ones_like(cycle.gate))):
@@ -104,7 +170,7 @@ class DetectorWorld:
             shut = ungated - flux
             inside = flux[..., : cycle.window]
             # With its jitter: some of what comes beside the window is recorded within it.
-            shut_recorded = tdc.mean(shut)
+            shut_recorded = tdc.mean(shut) if gated else np.zeros((1, 1, 1))
             recorded = tdc.mean(flux)
             losses = self._in_dead_time(flux, cycle)
             # Bins beyond the window may be long: their density counts.

@@ -1,7 +1,7 @@
 """The pilot: the same transport at a fiftieth of its cost, to see how much of the light takes each way.
 
-Two independent runs a and b of a few laser points and pixels. A component x is compared with T, all light of three
-bounces and more, by
+Two independent runs a and b of a few laser points and pixels, by one call where it tells them apart: small runs cost
+little beside their preparation. A component x is compared with T, all light of three bounces and more, by
 
     ‖(x_a + x_b)/2‖ / √(T_a · T_b),
 
@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 
 from datagen.records import Accuracy, Capture, Laser, Scene, Sensor
 from datagen.transport import simulate
-from datagen.transport.cost import CALL, RAY
+from datagen.transport.cost import BIN, CALL, RAY
 
 SHARE = 0.02
 """Share of the transport's cost that a pilot may take."""
 LARGEST_SHARE = 0.1
 """Share above which the smallest pilot is not worth its cost: then nothing is measured."""
 OVERHEAD = 60_000.0
-"""What a run costs whatever its size, in shadow rays: the scene is prepared anew, calls are made for few walks."""
+"""What a call costs whatever its size, in shadow rays: the scene is prepared, each order is traced for few walks."""
 FEWEST_WALKS, MOST_WALKS = 512, 4096
 """Walks of one of the two runs, all channels together."""
 LASERS, PIXELS = 32, 8
@@ -84,48 +84,85 @@ def _jackknife(above: NDArray[np.float64], below: NDArray[np.float64], ratio: fl
     return float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
 
 
-def affordable(capture: Capture, accuracy: Accuracy) -> bool:
-    """Whether even the smallest pilot costs no more than `LARGEST_SHARE` of the transport; with a target, always."""
-    orders = min(accuracy.max_bounces or MOST_ORDERS, MOST_ORDERS) - 2
-    smallest = 2 * (OVERHEAD / orders + FEWEST_WALKS * (RAY + _pixels(capture)))
-    return accuracy.target is not None or smallest <= LARGEST_SHARE * _cost(capture, accuracy)
+def affordable(scene: Scene, capture: Capture, accuracy: Accuracy, share: float = LARGEST_SHARE) -> bool:
+    """Whether even the smallest pilot costs no more than a `share` of the transport; with a target, always."""
+    if accuracy.target is not None:
+        return True
+    return _Size.of(scene, capture, FEWEST_WALKS).cost(capture, accuracy) <= share * _cost(capture, accuracy)
+
+
+@dataclass(frozen=True)
+class _Size:
+    """How large a pilot is: laser points and pixels of each run, histogram entries of each of them, and walks.
+
+    at_once : whether both runs are made by one call, in which the capture is there twice over.
+    """
+
+    lasers: int
+    pixels: int
+    entries: int
+    walks: int
+    at_once: bool
+
+    @classmethod
+    def of(cls, scene: Scene, capture: Capture, walks: int) -> _Size:
+        lasers, (_, pixels, bins) = len(capture.laser.targets), capture.shape
+        entries = bins * (len(scene.part_names) + 3)
+        channels = int(np.clip(VALUES // entries, 1, LASERS * PIXELS))
+        seen = min(pixels, PIXELS, channels)
+        lit = min(lasers, LASERS, max(channels // seen, 1))
+        # Of L laser points and P pixels twice over, 2 L P pairs are of one copy with the other. Flood illumination
+        # gives the mean over laser points, so that its copies cannot be told apart.
+        idle = 0 if capture.pairing == "confocal" else 2 * lit * seen * entries
+        return cls(lit, seen, entries, walks, capture.illumination == "scan" and BIN * idle <= OVERHEAD)
+
+    def cost(self, capture: Capture, accuracy: Accuracy) -> float:
+        """In the units of `_cost`, for each order."""
+        orders = min(accuracy.max_bounces or MOST_ORDERS, MOST_ORDERS) - 2
+        copies = 2 if self.at_once and capture.pairing != "confocal" else 1
+        calls = OVERHEAD * (1 if self.at_once else 2) + 2 * copies * BIN * self.lasers * self.pixels * self.entries
+        return calls / orders + 2 * self.walks * (RAY + copies * self.pixels)
 
 
 def run_pilot(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> Pilot:
     """Simulate a few channels of the capture twice, all orders and parts."""
-    lasers, pixels, bins = capture.shape
     budget = MOST_WALKS
     if accuracy.target is None:
-        budget = int(SHARE * _cost(capture, accuracy) / (2 * (RAY + _pixels(capture))))
-    walks = int(np.clip(budget, FEWEST_WALKS, MOST_WALKS))
-    rows = len(scene.part_names) + 3
-    channels = int(np.clip(VALUES // (bins * rows), 1, LASERS * PIXELS))
-    looked_at = min(_pixels(capture), channels)
-    chosen = _spread(lasers, max(min(LASERS, channels // looked_at), 1))
+        budget = int(SHARE * _cost(capture, accuracy) / (2 * (RAY + min(capture.shape[1], PIXELS))))
+    size = _Size.of(scene, capture, int(np.clip(budget, FEWEST_WALKS, MOST_WALKS)))
     few = Accuracy(
-        lookins=max(walks // len(chosen), 1),
+        lookins=max(size.walks // size.lasers, 1),
         fov_samples=1,
         max_bounces=accuracy.max_bounces,
         scramblings=1,
         direct=accuracy.direct,
         secondary="none" if accuracy.secondary == "none" else "all",
+        occlusion=accuracy.occlusion,
     )
-    part_of = _excerpt(capture, chosen, _spread(pixels, looked_at))
-    runs = [simulate(scene, part_of, few, seed=(seed + k) % 2**64) for k in (0, 1)]
-    return Pilot(_paired([run.components for run in runs]), _paired([run.parts for run in runs]))
+    lasers, pixels = _spread(len(capture.laser.targets), size.lasers), _spread(capture.shape[1], size.pixels)
+    copies = 2 if size.at_once else 1
+    made = [simulate(scene, _excerpt(capture, np.tile(lasers, copies), np.tile(pixels, copies)), few, seed=seed)]
+    # The factorised form shares its points between laser points, whose noise is then no longer their own.
+    if not size.at_once or (made[0].spend is not None and "factorised" in "".join(made[0].spend.way.values())):
+        made.append(simulate(scene, _excerpt(capture, lasers, pixels), few, seed=(seed + 1) % 2**64))
+    shape = _excerpt(capture, lasers, pixels).shape[:2]
+    return Pilot(_paired([run.components for run in made], shape), _paired([run.parts for run in made], shape))
 
 
-def _paired(runs: list[Mapping[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
-    return {name: np.stack([run[name].reshape(-1, run[name].shape[2]) for run in runs]) for name in runs[0]}
+def _paired(runs: list[Mapping[str, NDArray[np.float64]]], shape: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
+    """Two runs of `shape` laser points and pixels: the first of the first arrays, and the last of the last."""
+    lasers, pixels = shape
 
+    def pair(name: str) -> NDArray[np.float64]:
+        corners = runs[0][name][:lasers, :pixels], runs[-1][name][-lasers:, -pixels:]
+        return np.stack([corner.reshape(-1, corner.shape[2]) for corner in corners])
 
-def _pixels(capture: Capture) -> int:
-    return min(capture.shape[1], PIXELS)
+    return {name: pair(name) for name in runs[0]}
 
 
 def _cost(capture: Capture, accuracy: Accuracy) -> float:
     """Of the transport, in units of a shadow ray, for each order; see `transport.cost`."""
-    lasers, pixels, _ = capture.shape
+    lasers, pixels = len(capture.laser.targets), capture.shape[1]
     return lasers * accuracy.lookins * (RAY + pixels * accuracy.fov_samples) + CALL * accuracy.scramblings
 
 

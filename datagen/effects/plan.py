@@ -105,7 +105,7 @@ def plan_detector_effects(
 ) -> EffectPlan:
     """Decide for the effects of the detector on a transient (laser, pixel, bin). tolerance : `detector.tolerance`."""
     settings = settings or EffectsConfig()
-    world = DetectorWorld(transient, time, spad, exposure, tolerance)
+    world = DetectorWorld(transient, time, spad, exposure, tolerance, settings.tolerance)
     return EffectPlan(decide(DETECTOR_EFFECTS, world, settings.of, settings.tolerance), settings.tolerance)
 
 
@@ -124,6 +124,7 @@ def plan_effects(
     """Which effects a scene calls for (DESIGN, sec. 6): what changes the answer too little to matter is left out.
 
     Each effect has a bound, or a pilot measures it (two runs of the transport at about a hundredth of its cost each).
+    Nothing is worked out or measured that would cost more than it can save.
     Those whose estimates together stay within `settings.tolerance` are left out, the costliest first.
 
     Parameters
@@ -178,4 +179,6 @@ def _applied(rows: Sequence[Effect[Any]], decisions: Sequence[Decision], world: 
             world = row.without(world)
         elif decision.setting != "auto":
             world = row.always(world, decision.setting)
+        else:
+            world = row.cheapest(world)
     return world

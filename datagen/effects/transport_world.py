@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.effects.lobes import is_lambertian, lambertian_of
-from datagen.effects.pilot import Pilot, affordable, run_pilot
+from datagen.effects.pilot import LARGEST_SHARE, Pilot, affordable, run_pilot
 from datagen.records import Accuracy, Capture, Lambertian, Material, Scene
 from datagen.transport.fov import PixelCones
 from datagen.transport.raycast import Raycaster
@@ -47,10 +47,14 @@ class TransportWorld:
         """Bounces of the longest paths followed; infinite where there is no limit."""
         return np.inf if self.accuracy.max_bounces is None else self.accuracy.max_bounces
 
+    def can_afford_pilot(self, share: float = LARGEST_SHARE) -> bool:
+        """Whether a pilot costs no more than a share of the transport."""
+        return affordable(self.scene, self.capture, self.accuracy, share)
+
     @cached_property
     def pilot(self) -> Pilot | None:
         """The pilot; None where the transport is so small that it would not pay."""
-        if not affordable(self.capture, self.accuracy):
+        if not self.can_afford_pilot():
             return None
         return run_pilot(self.scene, self.capture, self.accuracy, self.seed)
 

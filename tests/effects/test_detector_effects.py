@@ -9,6 +9,7 @@ import pytest
 
 from datagen.detector import Exposure, Spad, detect, expected_histogram
 from datagen.detector.expected import has_exact_mean
+from datagen.effects import plan_detector_effects
 from datagen.effects.detector_effects import DETECTOR_EFFECTS
 from datagen.effects.detector_world import DetectorWorld
 from datagen.records import TimeAxis
@@ -88,6 +89,55 @@ def test_bound_holds_in_random_detectors(effect: str) -> None:
         rounding = 1e-8 if has_exact_mean(world.spad, world.transient.shape[1]) else 2e-5
         assert actual <= found.value * (1 + 1e-6) + rounding, (found, world.spad, world.exposure)
         strong, weak = strong + (actual > 0.01), weak + (found.value <= 0.01)
+
+
+def test_what_is_known_for_nothing_bounds_the_figures() -> None:
+    """200 random detectors; each bound must be close to what it bounds in some of them."""
+    rng, close = np.random.default_rng(12), np.zeros(3)
+    for _ in range(200):
+        world = random_world(rng)
+        if rng.random() < 0.3:
+            world = world.with_spad(gate_start_s=None, gate_width_s=None)
+        figures, slack = world.figures, 1 + 1e-9
+        assert world.least_total <= figures.total * slack
+        assert not world.has_dead_time or world.least_within <= figures.within * slack
+        assert world.most_in_bin * slack >= figures.brightest_bin
+        assert world.most_events * slack >= figures.total * world.exposure.cycles
+        bounds = (world.least_total, figures.total), (world.least_within, figures.within)
+        close += [a > 0.7 * b for a, b in (*bounds, (figures.brightest_bin, world.most_in_bin))]
+    assert (close > 10).all(), close
+
+
+def test_what_is_not_worked_out_is_simulated() -> None:
+    """Without the figures of the flux nothing is left out that would not be left out with them, by the same estimate
+    or a larger one; some of it is, some is not, and the figures are often done without."""
+    rng, left, without = np.random.default_rng(13), 0, 0
+    for _ in range(150):
+        world = random_world(rng)
+        for row in DETECTOR_EFFECTS:
+            quick = replace(world, leave=0.01)
+            if not row.present(world):
+                continue
+            soon, full = row.estimate(quick, frozenset()), row.estimate(world, frozenset())
+            without += not quick.looked
+            if soon.allowed and soon.value is not None and soon.value <= 0.01:
+                left += 1
+                assert full.allowed and full.value is not None and full.value <= soon.value
+    assert left > 50 and without > 200, (left, without)
+
+
+def test_plainly_bright_detections_are_not_looked_into(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*arguments: object) -> None:
+        raise AssertionError("worked out although plain")
+
+    spad = Spad(pde=0.3, jitter_fwhm_s=3e-10, afterpulse_probability=0.05, dead_time_s=50e-9, mode="free_running")
+    exposure = Exposure(repetition_rate_hz=20e6, cycles=10000, photons_per_pulse=1e10, ambient_rate_hz=1e5)
+    values = signal(np.random.default_rng(1))
+    monkeypatch.setattr(DetectorWorld, "_blocks", never)
+    plan = plan_detector_effects(values, AXIS, spad, exposure)
+    assert all(decision.simulated or decision.kind == "absent" for decision in plan.decisions)
+    with pytest.raises(AssertionError, match="worked out"):
+        plan_detector_effects(values, AXIS, replace(spad, afterpulse_probability=1e-6), exposure)
 
 
 @pytest.mark.parametrize("jitter_fwhm_s", [2e-10, 3e-9])

@@ -74,7 +74,7 @@ def test_direct_return_off_is_not_called(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_occlusion_off_sends_no_shadow_rays() -> None:
-    scene, capture, accuracy = world_of(small(transport={"lookins": 4096, "max_bounces": 3}))
+    scene, capture, accuracy = world_of(small(transport={"lookins": 4096, "max_bounces": 3, "fov_samples": 16}))
     rays = {}
     for setting in ("auto", "on", "off"):
         plan = plan_transport_effects(scene, capture, accuracy, switched(occlusion=setting))

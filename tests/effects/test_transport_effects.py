@@ -10,7 +10,7 @@ import pytest
 from rooms import furnished_box, rectangle, square_pixels
 
 from datagen.config import EffectsConfig
-from datagen.effects import EFFECTS, EffectPlan, plan_transport_effects
+from datagen.effects import EFFECTS, EffectPlan, pilot, plan_transport_effects
 from datagen.effects.lobes import is_lambertian, lambertian_of, largest_deviation, mean_albedo
 from datagen.records import (
     GGX,
@@ -29,7 +29,7 @@ from datagen.records import (
     TimeAxis,
 )
 from datagen.transport import simulate
-from datagen.transport.brdf import MaterialTable, evaluate
+from datagen.transport.brdf import MaterialTable, albedo, evaluate
 
 DEVICE = (1.5, 0.1, 1.3)
 SPOTS = [(0, y, z) for y in (-0.8, 0.8) for z in (0.8, 1.6)]
@@ -44,7 +44,7 @@ def capture(pairing: str = "exhaustive", time: TimeAxis = AXIS) -> Capture:
 
 
 def accuracy(max_bounces: int | None = 3, direct: bool = False) -> Accuracy:
-    return Accuracy(lookins=32768, fov_samples=2, scramblings=2, max_bounces=max_bounces, direct=direct)
+    return Accuracy(lookins=131072, fov_samples=2, scramblings=2, max_bounces=max_bounces, direct=direct)
 
 
 def painted(scene: Scene, **materials: Material) -> Scene:
@@ -166,6 +166,52 @@ def test_small_transports_are_not_measured(monkeypatch: pytest.MonkeyPatch) -> N
     assert "cost" in plan["secondary_bounce"].reason
 
 
+def test_lobes_get_a_pilot_of_their_own_only_where_it_is_cheap(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Scene] = []
+
+    def noted(scene: Scene, *others: object) -> pilot.Pilot:
+        made.append(scene)
+        return run_pilot(scene, *others)  # type: ignore[arg-type]
+
+    run_pilot = pilot.run_pilot
+    monkeypatch.setattr("datagen.effects.transport_world.run_pilot", noted)
+    scene = painted(furnished_box(0.7), relay_wall=OrenNayar(0.7, sigma_rad=0.5))
+    for lookins, pilots in ((131072, 2), (16384, 1)):
+        made.clear()
+        planned(scene, capture(), replace(accuracy(4), lookins=lookins))
+        assert len(made) == pilots
+
+
+@pytest.mark.parametrize("how", ["confocal", "exhaustive", "flood"])
+def test_both_runs_of_a_pilot_are_independent(how: str) -> None:
+    """They may be made by one call. Over 100 seeds the noise of one must not show in the other: Σ cov(a, b) over all
+    channels and bins is 0 to within 4 standard errors, where Σ var(a) is many times as much."""
+    few = Accuracy(lookins=1024, fov_samples=1, max_bounces=4)
+    looked = capture("confocal" if how == "confocal" else "exhaustive")
+    looked = replace(looked, illumination="flood") if how == "flood" else looked
+    runs = [pilot.run_pilot(furnished_box(0.7), looked, few, seed) for seed in range(100)]
+    total = np.array([sum(run.components.values()) for run in runs])
+    assert total.shape == (100, 2, 16 if how == "exhaustive" else 4, AXIS.bins)
+    noise = (total - total.mean(axis=0)) / np.sqrt(1 - 1 / len(runs))
+    shared = (noise[:, 0] * noise[:, 1]).sum(axis=(1, 2))
+    error = shared.std() / np.sqrt(len(shared))
+    assert abs(shared.mean()) < 4 * error
+    assert (noise[:, 0] ** 2).sum(axis=(1, 2)).mean() > 20 * error
+
+
+def test_proofs_of_clear_sight_are_tried_where_each_stands_for_many_rays() -> None:
+    scene, wanted = furnished_box(), Accuracy(lookins=32768, fov_samples=2, scramblings=2, max_bounces=3)
+    for pairing, tried in (("confocal", "on"), ("exhaustive", "auto")):
+        looked = capture(pairing)
+        _, applied = planned(scene, looked, wanted).apply_transport(scene, looked, wanted)
+        assert applied.occlusion == tried
+        given = replace(wanted, occlusion="off")
+        assert planned(scene, looked, given).apply_transport(scene, looked, given)[1].occlusion == "off"
+        asked, proven = (simulate(scene, looked, replace(wanted, occlusion=how), seed=1) for how in ("on", "auto"))
+        assert proven.rays["proven"] > 0
+        assert asked.total == pytest.approx(proven.total, rel=1e-12, abs=1e-30)
+
+
 def _never(*arguments: object, **named: object) -> None:
     raise AssertionError("called although switched off")
 
@@ -193,6 +239,15 @@ def test_largest_deviation_bounds_the_brdf(material: Material) -> None:
         found = max(found, abs(f / matt - 1))
     assert found <= bound * (1 + 1e-9) + 1e-12
     assert found >= 0.5 * bound
+
+
+@pytest.mark.parametrize("exponent", [0.3, 1.0, 5.0, 40.0, 2000.0])
+def test_mean_albedo_of_a_lobe_in_closed_form(exponent: float) -> None:
+    """Against quadrature of the directional albedo, which is itself one by quadrature."""
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    cosine = (nodes + 1) / 2
+    material = Phong(0.6, exponent, 0.7)
+    assert mean_albedo(material) == pytest.approx(np.sum(weights * cosine * albedo(material, cosine)), rel=1e-6)
 
 
 @pytest.mark.parametrize("material", [*BOUNDED, *UNBOUNDED], ids=repr)
