@@ -29,6 +29,7 @@ _LARGEST_EXPONENT = 700.0
 EVENTS_PER_ENTRY = 8.0
 """Events for each entry of a histogram from which the flux is worth a look only to draw cycles apart: an event takes
 0.1 µs to draw, an entry's figures 0.1 to 0.6 µs to work out."""
+_FEW_EVENTS = "few avalanches, drawn one by one"
 _ONE_BY_ONE = "avalanches are drawn one by one in any case"
 
 
@@ -44,6 +45,11 @@ def _most(world: DetectorWorld) -> float:
 def _by_dead_time(world: DetectorWorld, events: float) -> float:
     """Relative change of the armed share by a number of `events` more or less within a dead time."""
     return events * _exp(2.0 * _most(world))
+
+
+def _least_by_dead_time(world: DetectorWorld, events: float) -> float:
+    """No more than `_by_dead_time`, nearly for nothing."""
+    return events * _exp(2.0 * world.least_within)
 
 
 def _by_norm(world: DetectorWorld, norm: float) -> float:
@@ -91,9 +97,10 @@ def _timing(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     reason = f"it moves {1 - kept:.2g} of the photons into other bins"
     if moved >= 1.0:
         return Estimate(None, "bound", reason)
-    if not world.looked and moved / (1.0 - moved) > world.leave:
-        # No light is less than what is kept of it.
-        return Estimate(moved / (1.0 - moved), "bound", f"{reason}: more than may be left out")
+    # What is kept of the light is no more than the light.
+    least = moved / (1.0 - moved) + _least_by_dead_time(world, moved * world.least_within)
+    if not world.looked and least > world.leave:
+        return Estimate(least, "bound", f"{reason}: more than may be left out")
     # Light that the gate would shut out may be moved into it.
     light = math.hypot(world.figures.norm, world.figures.shut_everywhere)
     value = _by_norm(world, moved / (1.0 - moved) * light)
@@ -145,6 +152,11 @@ def _by_events(world: DetectorWorld, more: float) -> float:
     return _by_norm(world, more * world.figures.norm) + _by_dead_time(world, more * min(_most(world), 1.0))
 
 
+def _least_by_events(world: DetectorWorld, more: float) -> float:
+    """No more than `_by_events`, nearly for nothing."""
+    return more + _least_by_dead_time(world, more * min(world.least_within, 1.0))
+
+
 def _across(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     if "pile_up" in gone and not _thins_evenly(world):
         return _bounded(0.0, "left out together with pile-up: it is the same dead time")
@@ -170,20 +182,36 @@ def _thins_evenly(world: DetectorWorld) -> bool:
 
 def _afterpulsing(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     more, reason = _afterpulses(world), f"≤ {_afterpulses(world):.2g} afterpulses an avalanche"
-    if plain := _plainly_more(world, more, reason):
+    if plain := _plainly_more(world, _least_by_events(world, more), reason):
         return plain
-    if not world.looked and (world.spad.paralyzable or _plainly_more(world, _shared(world), "")):
+    if not world.looked and (
+        world.spad.paralyzable or _plainly_more(world, _least_by_events(world, _shared(world)), "")
+    ):
         return _not_worth_it(_ONE_BY_ONE)
+    if _sooner_drawn(world):
+        return _not_worth_it(_FEW_EVENTS)
     return _loss(world, _by_events(world, more), reason)
 
 
 def _crosstalk(world: DetectorWorld, gone: frozenset[str]) -> Estimate:
     more, reason = _shared(world), f"≤ {_shared(world):.2g} avalanches in neighbours for each"
-    if plain := _plainly_more(world, more, reason):
+    if plain := _plainly_more(world, _least_by_events(world, more), reason):
         return plain
     if not world.looked and (world.spad.paralyzable or "afterpulsing" not in gone):
         return _not_worth_it(_ONE_BY_ONE)
+    if _sooner_drawn(world):
+        return _not_worth_it(_FEW_EVENTS)
     return _loss(world, _by_events(world, more), reason)
+
+
+def _sooner_drawn(world: DetectorWorld) -> bool:
+    """Whether avalanches are so few that they are drawn one by one sooner than a dead time alone is reckoned with,
+    which would remain without their afterpulses and crosstalk."""
+    many = world.most_events >= EVENTS_PER_ENTRY * world.transient.size
+    if math.isinf(world.leave) or many or not world.has_dead_time:
+        return False
+    rest = _pile_up(world, frozenset({"afterpulsing", "crosstalk"}))
+    return not (rest.allowed and rest.value is not None and rest.value <= world.leave)
 
 
 def _caused(world: DetectorWorld) -> float:

@@ -122,6 +122,8 @@ class DetectorWorld:
         """No more than `FluxFigures.within`, nearly for nothing: of the dead times that the light lasts, one holds no
         less than the mean."""
         cycle = self.cycle
+        if not self.has_dead_time:
+            return 0.0
         if self.spad.mode == "synchronous" and self.whole_periods:
             return self.least_total
         rest = self.spad.dead_time_s - self.whole_periods * cycle.period_s

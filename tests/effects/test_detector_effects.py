@@ -100,7 +100,7 @@ def test_what_is_known_for_nothing_bounds_the_figures() -> None:
             world = world.with_spad(gate_start_s=None, gate_width_s=None)
         figures, slack = world.figures, 1 + 1e-9
         assert world.least_total <= figures.total * slack
-        assert not world.has_dead_time or world.least_within <= figures.within * slack
+        assert world.least_within <= figures.within * slack
         assert world.most_in_bin * slack >= figures.brightest_bin
         assert world.most_events * slack >= figures.total * world.exposure.cycles
         bounds = (world.least_total, figures.total), (world.least_within, figures.within)
@@ -110,8 +110,8 @@ def test_what_is_known_for_nothing_bounds_the_figures() -> None:
 
 def test_what_is_not_worked_out_is_simulated() -> None:
     """Without the figures of the flux nothing is left out that would not be left out with them, by the same estimate
-    or a larger one; some of it is, some is not, and the figures are often done without."""
-    rng, left, without = np.random.default_rng(13), 0, 0
+    or a larger one, and what is refused for nothing is refused with them too."""
+    rng, left, without, refused = np.random.default_rng(13), 0, 0, 0
     for _ in range(150):
         world = random_world(rng)
         for row in DETECTOR_EFFECTS:
@@ -123,7 +123,11 @@ def test_what_is_not_worked_out_is_simulated() -> None:
             if soon.allowed and soon.value is not None and soon.value <= 0.01:
                 left += 1
                 assert full.allowed and full.value is not None and full.value <= soon.value
-    assert left > 50 and without > 200, (left, without)
+            elif not quick.looked and soon.value is not None:
+                # Refused by a lower bound on the estimate.
+                refused += 1
+                assert full.value is None or full.value >= soon.value * (1 - 1e-9)
+    assert left > 50 and without > 200 and refused > 100, (left, without, refused)
 
 
 def test_plainly_bright_detections_are_not_looked_into(monkeypatch: pytest.MonkeyPatch) -> None:
