@@ -66,25 +66,33 @@ class Ladder:
     def transport_s(self, effort: float) -> float:
         """Seconds of the transport with the effort of the top rung, or more.
 
-        Beyond the top, from two rungs: the geometric mean of the straight line through them, which is too high where
-        something saturates, and of the power law, which is too low where much of the time does not grow. From one
-        rung: in proportion, an upper bound.
+        Beyond the top the geometric mean of the straight line through the two highest rungs, which is too high where
+        something saturates, and of the power law, which is too low where much of the time does not grow.
         """
-        high, times = self.top.transport_s, effort / self.top.effort
-        if times == 1.0 or high <= 0.0:
-            return high
+        growth, step = self._growth()
+        power = (effort / self.top.effort) ** min(math.log(growth) / math.log(step), 1.0)
+        return math.sqrt(self._line_s(effort) * self.top.transport_s * power)
+
+    def _line_s(self, effort: float) -> float:
+        growth, step = self._growth()
+        slope = min((1.0 - 1.0 / growth) / (1.0 - 1.0 / step), 1.0)
+        return self.top.transport_s * (1.0 + slope * (effort / self.top.effort - 1.0))
+
+    def _growth(self) -> tuple[float, float]:
+        """How many times the seconds, and how many times the effort, of the rung before the top has. Of one rung
+        alone everything is taken to grow with effort."""
         low = self.rungs[-2] if len(self.rungs) > 1 else None
         if low is None or low.transport_s <= 0.0:
-            return high * times
-        growth = max(high / low.transport_s, 1.0)
-        step = self.top.effort / low.effort
-        line = min(1.0 + (1.0 - 1.0 / growth) / (1.0 - 1.0 / step) * (times - 1.0), times)
-        power = times ** min(math.log(growth) / math.log(step), 1.0)
-        return high * math.sqrt(line * power)
+            return 2.0, 2.0
+        return max(self.top.transport_s / low.transport_s, 1.0), self.top.effort / low.effort
 
     def scene_s(self, effort: float) -> float:
         """Seconds of all stages with this effort; only the transport's depend on it."""
         return self.top.total_s - self.top.transport_s + self.transport_s(effort)
+
+    def most_s(self, effort: float) -> float:
+        """Seconds of all stages by the straight line, so that what they cost is no surprise."""
+        return self.top.total_s - self.top.transport_s + self._line_s(effort)
 
     def slower(self, effort: float) -> float:
         """Transport seconds at full effort over those at a rung's."""

@@ -137,8 +137,8 @@ def run_pilots(
 def _climbed(trial: _Trial, index: int, budget_s: float, others: int) -> Ladder:
     """One scene with rising effort, as far as twice the budget goes with `others` scenes on the lowest rung.
 
-    From the second rung on it goes straight to full effort where that is within reach, and from the first where as
-    many scenes as are wanted can have full effort.
+    From the second rung on it goes straight to full effort where twice the budget holds that, whatever the others
+    then come to; from the first where as many scenes as are wanted can have full effort.
     """
     rungs: list[Pilot] = []
     reductions = list(REDUCTIONS)
@@ -154,11 +154,12 @@ def _climbed(trial: _Trial, index: int, budget_s: float, others: int) -> Ladder:
         spent_s += pilot.total_s
         if pilot.effort == 1.0:
             break
-        ladder, left_s = Ladder(tuple(rungs)), 2 * budget_s - spent_s - others * rungs[0].total_s
-        full_s = ladder.scene_s(1.0)
+        ladder, left_s = Ladder(tuple(rungs)), 2 * budget_s - spent_s
+        full_s = ladder.most_s(1.0)
         within_reach = (full_s <= left_s and len(rungs) > 1) or (1 + others) * full_s <= budget_s - spent_s
         reductions = [1] if within_reach else reductions
-        expected_s = ladder.scene_s(1 / reductions[0])
+        expected_s = ladder.most_s(1 / reductions[0])
+        left_s -= others * rungs[0].total_s
         # From two rungs others can be told, so the second is only left out when it alone is too much.
         if expected_s > (max(left_s, budget_s) if len(rungs) == 1 else left_s) and not within_reach:
             break

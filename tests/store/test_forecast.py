@@ -52,7 +52,7 @@ def expected_of(config: DatasetConfig, pilots: Pilots, workers: int = 1, **runni
 
 @pytest.mark.parametrize(
     ("budget_s", "effort", "reached", "within"),
-    [(1000.0, 1.0, 1.0, 1e-9), (12.0, 1 / 16, 1.0, 1e-9), (3.0, 1 / 64, 1.0, 1e-9), (2.0, 1 / 64, 0.25, 0.2)],
+    [(1000.0, 1.0, 1.0, 1e-9), (12.0, 1 / 16, 1.0, 1e-9), (3.0, 1 / 64, 1.0, 1e-9), (2.5, 1 / 64, 0.25, 0.2)],
 )
 def test_less_effort_leads_to_the_same_forecast(
     budget_s: float, effort: float, reached: float, within: float
@@ -87,7 +87,7 @@ def test_one_scene_with_full_effort_scales_the_others() -> None:
         assert rung.stored["transient"] * ladder.larger("transient", effort) == pytest.approx(
             full.stored["transient"]
         )
-    assert ladder.scene_s(1.0) == pytest.approx(full.total_s)
+    assert ladder.scene_s(1.0) == ladder.most_s(1.0) == pytest.approx(full.total_s)
 
 
 @pytest.mark.parametrize("efforts", [(1 / 64, 1 / 16), (1 / 16, 1 / 4), (1 / 64, 1 / 16, 1 / 4)])
@@ -99,6 +99,7 @@ def test_what_is_out_of_reach_lies_between_a_power_law_and_a_straight_line(effor
     power = math.log(high.transport_s / low.transport_s) / math.log(high.effort / low.effort)
     law = high.transport_s * high.effort**-power
     assert ladder.transport_s(1.0) == pytest.approx(math.sqrt(line * law)) and law < ladder.transport_s(1.0) < line
+    assert ladder.most_s(1.0) == pytest.approx(line + 0.5)
     assert ladder.at_full(high.error, high.effort, targeted=False) == pytest.approx(saturating(1.0).error, rel=0.35)
     assert ladder.larger("transient", high.effort) * high.stored["transient"] == pytest.approx(1000, rel=0.01)
 
