@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scene_library.polygons import Polygon, boundary_distance, contains, convex_gap
+from scene_library.polygons import Polygon, boundary_distance, contains
+from scene_library.separation import gap_between
 from scene_library.visibility import is_hidden
 
 Obstacle = Literal["wall", "object", "sight", "height"]
@@ -57,7 +58,7 @@ class FreeSpace:
             return "wall"
         for other in self.taken:
             above = max(other.bottom_m - candidate.top_m, candidate.bottom_m - other.top_m)
-            if above < self.clearance_m and convex_gap(other.footprint, candidate.footprint) < self.clearance_m:
+            if above < self.clearance_m and gap_between(other.footprint, candidate.footprint) < self.clearance_m:
                 return "object"
         return None
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scene_library.polygons import Polygon, convex_gap, cross
+from scene_library.polygons import Polygon, cross
+from scene_library.separation import stays_clear
 
 _NUDGE_RAD = 1e-7
 """Rays pass each corner on both sides by this angle: 1 µm at 10 m, far below any clearance asked for."""
@@ -48,9 +49,7 @@ def first_hit(
 
 def is_hidden(footprint: Polygon, fan: NDArray[np.float64], margin_m: float) -> bool:
     """Whether a convex footprint stays at least `margin_m` clear of everything that is seen."""
-    low, high = footprint.min(axis=0) - margin_m, footprint.max(axis=0) + margin_m
-    near = ((fan.max(axis=1) >= low) & (fan.min(axis=1) <= high)).all(axis=1)
-    return all(convex_gap(footprint, triangle) >= margin_m for triangle in fan[near])
+    return bool(stays_clear(np.ascontiguousarray(footprint), np.ascontiguousarray(fan), margin_m))
 
 
 def visible_interval(

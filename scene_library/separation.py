@@ -1,0 +1,57 @@
+"""How far apart convex polygons are, compiled: furnishing asks that some hundred times for a crowded room."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+@njit(cache=True)
+def gap_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """`polygons.convex_gap` of convex polygons (n, 2) and (m, 2): along the best separating edge normal."""
+    return max(_along_normals(a, b), _along_normals(b, a))
+
+
+@njit(cache=True)
+def stays_clear(footprint: NDArray[np.float64], triangles: NDArray[np.float64], margin_m: float) -> bool:
+    """Whether a convex footprint (n, 2) has a gap of at least `margin_m` to each of (m, 3, 2) triangles.
+
+    A triangle whose bounding box is further away than that is not asked.
+    """
+    low_x, high_x = footprint[:, 0].min() - margin_m, footprint[:, 0].max() + margin_m
+    low_y, high_y = footprint[:, 1].min() - margin_m, footprint[:, 1].max() + margin_m
+    for triangle in triangles:
+        if triangle[:, 0].max() < low_x or triangle[:, 0].min() > high_x:
+            continue
+        if triangle[:, 1].max() < low_y or triangle[:, 1].min() > high_y:
+            continue
+        if gap_between(footprint, triangle) < margin_m:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _along_normals(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """The largest gap between the two along a normal of an edge of `a`; an edge without length has none."""
+    best = -np.inf
+    for k in range(len(a)):
+        following = a[(k + 1) % len(a)]
+        x, y = following[1] - a[k, 1], a[k, 0] - following[0]
+        length = np.sqrt(x * x + y * y)
+        if length == 0.0:
+            continue
+        x, y = x / length, y / length
+        low_a, high_a = _extent(a, x, y)
+        low_b, high_b = _extent(b, x, y)
+        best = max(best, low_b - high_a, low_a - high_b)
+    return best
+
+
+@njit(cache=True)
+def _extent(polygon: NDArray[np.float64], x: float, y: float) -> tuple[float, float]:
+    low, high = np.inf, -np.inf
+    for corner in polygon:
+        place = x * corner[0] + y * corner[1]
+        low, high = min(low, place), max(high, place)
+    return low, high
