@@ -18,7 +18,7 @@ from datagen.report.cutaway import room_faces
 from datagen.report.label_plots import draw_label
 from datagen.report.room_plots import RoomPicture, draw_opened, draw_plan
 from datagen.report.style import INK, caption, caption_height, house_style, new_figure, save_png
-from datagen.scene import generate_scene
+from datagen.scene import check_scene_config, generate_scene
 from scene_library.visibility import visible_fan
 
 if TYPE_CHECKING:
@@ -122,7 +122,10 @@ _SHORT = {
 
 
 def first_scenes(configs: Sequence[DatasetConfig], count: int) -> list[tuple[DatasetConfig, int]]:
-    """The first scenes of each, as many of one as of another but for the rest."""
+    """The first scenes of each, as many of one as of another but for the rest. Raises `InputError` for a mesh file that
+    cannot be used."""
+    for config in configs:
+        check_scene_config(config.scene)
     share = [count // len(configs) + (k < count % len(configs)) for k in range(len(configs))]
     return [(config, index) for config, n in zip(configs, share, strict=True) for index in range(n)]
 
