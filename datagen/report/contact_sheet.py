@@ -122,8 +122,8 @@ _SHORT = {
 
 
 def first_scenes(configs: Sequence[DatasetConfig], count: int) -> list[tuple[DatasetConfig, int]]:
-    """The first scenes of each, as many of one as of another but for the rest. Raises `InputError` for a mesh file that
-    cannot be used."""
+    """The first scenes of each, as many of one as of another but for the rest. Raises `InputError` for a mesh file
+    that cannot be used."""
     for config in configs:
         check_scene_config(config.scene)
     share = [count // len(configs) + (k < count % len(configs)) for k in range(len(configs))]
