@@ -139,7 +139,8 @@ def table(found: Sequence[Outcome]) -> str:
         good = sum(one.within for one in some)
         interval = stats.binomtest(good, len(some)).proportion_ci(0.95, "exact")
         share = np.array([one.error for one in some]) / target
-        ratio, lenient = (np.array([one.cost / cost for one, cost in of if cost > 0]) for of in _hindsights(some))
+        ratio = np.array([one.cost / one.promised for one in some if one.promised > 0])
+        lenient = np.array([one.cost / one.on_average for one in some if one.on_average > 0])
         lines.append(
             f"| {target:g} | {len(some)} | {good / len(some):.1%} | {interval.low:.1%} … {interval.high:.1%} "
             f"| {np.median(share):.2f} | {np.quantile(share, 0.95):.2f} | {share.max():.2f} "
@@ -149,10 +150,6 @@ def table(found: Sequence[Outcome]) -> str:
             f"| {np.median([one.seconds for one in some]):.2f} |"
         )
     return "\n".join(lines)
-
-
-def _hindsights(found: Sequence[Outcome]) -> list[list[tuple[Outcome, float]]]:
-    return [[(one, one.promised) for one in found], [(one, one.on_average) for one in found]]
 
 
 @click.command()

@@ -14,6 +14,7 @@ from datagen.transport.cost import Work
 from datagen.transport.fov import FovPool
 from datagen.transport.sampling import Streams
 from datagen.transport.spread import Sketch, standard_error
+from datagen.transport.vertices import runs_of
 from datagen.transport.walk import (
     FOV_POINTS_PER_POOL,
     Job,
@@ -127,7 +128,7 @@ def _traced(job: Job, count: int, scramblings: NDArray[np.int64]) -> Iterator[tu
         if not confocal:
             shared = _shared_pool(job, count, few)
             drawn = Work(rays=shared.weight.size, calls=0)
-        for run in _chunks(existing, size):
+        for run in runs_of(existing, size):
             if len(few) == 1:
                 part, chunk, streams = job, run, Streams.of(job.seed, few, np.arange(len(job.points.part)))
             else:
@@ -149,9 +150,3 @@ def _shared_pool(job: Job, count: int, scramblings: NDArray[np.int64]) -> FovPoo
     streams = Streams.of(job.seed, scramblings, pixels)
     pool = pool_for(job, np.tile(pixels, len(scramblings)), blocks_for(job, pixels, count), streams)
     return pool.side_by_side(len(scramblings))
-
-
-def _chunks(lasers: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
-    """Runs of consecutive laser points, at most `size` in each; a laser ray that met nothing ends a run."""
-    runs = np.split(lasers, np.flatnonzero(np.diff(lasers) != 1) + 1)
-    return [run[k : k + size] for run in runs for k in range(0, len(run), size)]

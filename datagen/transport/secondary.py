@@ -65,7 +65,7 @@ from datagen.transport.secondary_samples import (
     place_lookins,
 )
 from datagen.transport.spread import Sketch, standard_error
-from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
+from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, runs_of, scattered_rays
 from datagen.units import path_from_time
 
 RAYS_PER_CHUNK = 1 << 17
@@ -234,7 +234,7 @@ def _walk_near(
     splits = np.zeros(len(job.materials.kind), np.int64)
     axis, walks = job.capture.time, WALKS_PER_LOOKIN * count
     at_once = max(1, min(RAYS_PER_CHUNK // walks, HISTOGRAM_VALUES_AT_ONCE // (len(pixels) * bins)))
-    for run in _runs(lasers, at_once):
+    for run in runs_of(lasers, at_once):
         lookins = draw_lookins(job.caster, job.scene, job.materials, job.points, run, walks, nothing, streams, 2)
         rays = scattered_rays(job.caster, job.materials, lookins, lookins.numbers(0))
         found = continued(job.scene, lookins, *rays)
@@ -253,12 +253,6 @@ def _walk_near(
         rows = slice(run[0] - lasers[0], run[-1] + 1 - lasers[0])
         sums.transient[rows] += receiver.tally.histogram.reshape(len(run), len(pixels), bins)
         sums.overflow[rows] += receiver.tally.overflow.reshape(len(run), len(pixels))
-
-
-def _runs(lasers: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
-    """Runs of consecutive laser points, at most `size` in each; a laser ray that met nothing ends a run."""
-    runs = np.split(lasers, np.flatnonzero(np.diff(lasers) != 1) + 1)
-    return [run[k : k + size] for run in runs for k in range(0, len(run), size)]
 
 
 def _add_lookins(

@@ -139,6 +139,12 @@ class AreaTarget:
         )
 
 
+def runs_of(lasers: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
+    """Runs of consecutive laser points, at most `size` in each; a laser ray that met nothing ends a run."""
+    runs = np.split(lasers, np.flatnonzero(np.diff(lasers) != 1) + 1)
+    return [run[k : k + size] for run in runs for k in range(0, len(run), size)]
+
+
 def spot_vertices(
     points: LaserPoints, lasers: NDArray[np.int64], count: int, streams: Streams, attenuation_per_m: float
 ) -> Vertices:
