@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 from datagen._version import __version__
 
 if TYPE_CHECKING:
-    from datagen.builder import build
+    from datagen.building.build import build
     from datagen.capture import capture_for
     from datagen.config import load_config
     from datagen.detector import Exposure, Spad, detect, expected_histogram
     from datagen.effects import plan_effects
     from datagen.loader import TransientDataset
+    from datagen.paper.as_printed import AsPrinted, simulate_as_printed
     from datagen.records import (
         GGX,
         Accuracy,
@@ -34,11 +35,10 @@ if TYPE_CHECKING:
     )
     from datagen.scene import generate_scene
     from datagen.transport import simulate
-    from datagen.transport.as_printed import AsPrinted, simulate_as_printed
 
 _HOME = {
     "Accuracy": "datagen.records",
-    "AsPrinted": "datagen.transport.as_printed",
+    "AsPrinted": "datagen.paper.as_printed",
     "Capture": "datagen.records",
     "Exposure": "datagen.detector",
     "GGX": "datagen.records",
@@ -54,7 +54,7 @@ _HOME = {
     "Spad": "datagen.detector",
     "TimeAxis": "datagen.records",
     "TransientDataset": "datagen.loader",
-    "build": "datagen.builder",
+    "build": "datagen.building.build",
     "capture_for": "datagen.capture",
     "detect": "datagen.detector",
     "expected_histogram": "datagen.detector",
@@ -62,7 +62,7 @@ _HOME = {
     "load_config": "datagen.config",
     "plan_effects": "datagen.effects",
     "simulate": "datagen.transport",
-    "simulate_as_printed": "datagen.transport.as_printed",
+    "simulate_as_printed": "datagen.paper.as_printed",
 }
 
 __all__ = [

@@ -1,23 +1,17 @@
-"""The command line: every command parses, calls one function, prints. Heavy imports happen inside the commands.
-
-Exit status: 0 success, 1 a check failed, 2 bad input (one line on standard error), 130 interrupted.
-"""
+"""The command line: every command parses, calls one function, prints. Heavy imports happen inside the commands."""
 
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import ClassVar, NoReturn, cast
 
 import click
 
 from datagen._version import __version__
-from datagen.errors import CheckError, InputError
-
-INTERRUPTED = 130
+from datagen.errors import CheckError
+from datagen.exit_status import guarded
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -38,7 +32,7 @@ def plan(
 ) -> None:
     """Check CONFIG and say what building it would make and take. Pilot scenes are simulated, nothing is built."""
     from datagen.config import load_config
-    from datagen.plan import plan as make_plan
+    from datagen.forecast.text import plan as make_plan
 
     settings = load_config(config)
     if scenes is not None:
@@ -66,7 +60,7 @@ def build(
     quiet: bool,
 ) -> None:
     """Build the dataset that CONFIG describes in the folder OUT. Running it again resumes."""
-    from datagen.builder import build as build_dataset
+    from datagen.building.build import build as build_dataset
     from datagen.config import load_config
 
     result = build_dataset(
@@ -150,7 +144,7 @@ def sheet(configs: tuple[str, ...], out: str, rooms: int, labels: int | None) ->
 @click.option("--quiet", is_flag=True, help="No progress.")
 def reproduce(out: str, config: str | None, quick: bool, quiet: bool) -> None:
     """Compute the paper's figures, as printed and radiometrically, into the folder OUT, and say what of it holds."""
-    from datagen.report.reproduce import reproduce as write
+    from datagen.paper.reproduce import reproduce as write
 
     click.echo(
         write(out, config, quick, (lambda stage: None) if quiet else (lambda stage: click.echo(stage, err=True)))
@@ -210,42 +204,3 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a `datagen` command; returns the exit status."""
     return guarded(cli, arguments, "datagen")
-
-
-def guarded(command: click.Command, arguments: Sequence[str] | None = None, name: str | None = None) -> int:
-    """Run any click command; errors of the user's become one line on standard error. Returns the exit status."""
-    try:
-        status = command.main(arguments, prog_name=name, standalone_mode=False)
-        sys.stdout.flush()
-        return status if isinstance(status, int) else 0
-    except click.ClickException as error:
-        return _complain(_one_line(error), 2)
-    except InputError as error:
-        return _complain(str(error), 2)
-    except CheckError as error:
-        return _complain(str(error), 1)
-    except (KeyboardInterrupt, click.Abort):
-        return _complain("interrupted; what is committed stays, run the same command again to go on", INTERRUPTED)
-    except BrokenPipeError:
-        # The reader of our output (such as `head`) has seen enough. Nothing more may be written, not even at exit.
-        _silence(sys.stdout)
-        return 0
-    except OSError as error:
-        return _complain(f"{error.filename or 'input/output'}: {error.strerror or error}", 2)
-
-
-def _one_line(error: click.ClickException) -> str:
-    command = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else "datagen"
-    text = " ".join(error.format_message().split()).rstrip(".")
-    return f"{text[:1].lower()}{text[1:]}; see `{command} --help`"
-
-
-def _complain(message: str, status: int) -> int:
-    with suppress(BrokenPipeError):
-        print(f"datagen: {' '.join(message.split())}", file=sys.stderr, flush=True)
-    return status
-
-
-def _silence(stream: object) -> None:
-    with suppress(OSError, ValueError, AttributeError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # type: ignore[attr-defined]

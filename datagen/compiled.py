@@ -11,13 +11,14 @@ import os
 from pathlib import Path
 
 
-def drop_stale_kernels(package: Path) -> int:
-    """Delete numba's cache files (`.nbi`, `.nbc`) that are older than the package's newest source; return how many.
+def drop_stale_kernels(package: Path, *called: Path) -> int:
+    """Delete a package's cache files of numba (`.nbi`, `.nbc`) that are older than its newest source, or than that of
+    the packages whose kernels it calls; return how many.
 
     Where they cannot be deleted (a read-only installation) nothing is done: such sources do not change either.
     """
     caches: list[tuple[float, str]] = []
-    newest = 0.0
+    newest = max((_newest_source(folder) for folder in called), default=0.0)
     for folder, _, names in os.walk(package):
         for name in names:
             path = os.path.join(folder, name)
@@ -38,3 +39,7 @@ def drop_stale_kernels(package: Path) -> int:
                 # Another process was quicker, or the folder is read-only.
                 continue
     return dropped
+
+
+def _newest_source(package: Path) -> float:
+    return max((path.stat().st_mtime for path in package.rglob("*.py")), default=0.0)

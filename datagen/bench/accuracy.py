@@ -37,9 +37,9 @@ from datagen.bench.accuracy_measure import (
 from datagen.bench.accuracy_report import advice, percent, picture, table
 from datagen.bench.accuracy_settings import Setting, settings_of
 from datagen.capture import capture_for
-from datagen.cli import guarded
 from datagen.config import DatasetConfig, load_config
 from datagen.errors import InputError
+from datagen.exit_status import guarded
 from datagen.records import Accuracy
 from datagen.scene import generate_scene
 from datagen.store.environment import commit, cores, environment, hardware, processor

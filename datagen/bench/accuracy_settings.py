@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.paper.as_printed import AsPrinted, simulate_as_printed
 from datagen.records import Accuracy, Capture, Scene
 from datagen.transport import simulate
-from datagen.transport.as_printed import AsPrinted, simulate_as_printed
 
 Run = Callable[[Scene, Capture, int], NDArray[np.float64]]
 """(scene, capture, seed) → (laser, pixel, bin)."""

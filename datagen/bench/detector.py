@@ -17,8 +17,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cli import guarded
 from datagen.detector import Exposure, Spad, detect, expected_histogram, plan_detector
+from datagen.exit_status import guarded
 from datagen.records import TimeAxis
 from datagen.store.environment import cores, processor
 

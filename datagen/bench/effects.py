@@ -29,11 +29,11 @@ from numpy.typing import NDArray
 
 from datagen.bench.effects_cases import LOOKINS, nearly_everything_skipped, nearly_nothing_skipped, random_case
 from datagen.capture import capture_for
-from datagen.cli import guarded
 from datagen.config import DatasetConfig, EffectsConfig
 from datagen.detector import Exposure, Spad, detect, detector_for, expected_histogram
 from datagen.effects import EFFECTS, EffectPlan, plan_detector_effects, plan_transport_effects
 from datagen.errors import CheckError, InputError
+from datagen.exit_status import guarded
 from datagen.records import TimeAxis, Transient
 from datagen.scene import generate_scene
 from datagen.store.environment import cores, processor

@@ -20,8 +20,8 @@ import trimesh
 from datagen.bench.peers import grid_points, point_capture
 from datagen.bench.problems import DEVICE, WALL, room_with_sphere, tessellated_room
 from datagen.capture import capture_for
-from datagen.cli import guarded
 from datagen.config import load_config
+from datagen.exit_status import guarded
 from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Rectangle, Scene, Sensor, TimeAxis
 from datagen.scene import generate_scene
 from datagen.store.environment import cores, processor

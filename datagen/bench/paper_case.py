@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from datagen.records import Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.store.environment import processor
 from datagen.transport.brdf import MaterialTable
+from datagen.transport.factorised.secondary import SecondaryEstimate, secondary_transient
 from datagen.transport.fov import PixelCones, PixelPatches
 from datagen.transport.raycast import Raycaster
-from datagen.transport.secondary import SecondaryEstimate, secondary_transient
 from datagen.transport.vertices import LaserPoints
 
 LOOKINS, OBSERVED, FOV_POINTS = 45 * 45, 60 * 60, 60 * 60

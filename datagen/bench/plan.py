@@ -17,15 +17,15 @@ from pathlib import Path
 
 import click
 
-from datagen.cli import guarded
 from datagen.config import DatasetConfig, load_config
 from datagen.config.transport import TransportConfig
 from datagen.errors import CheckError, InputError
-from datagen.forecast import Outcome, against, forecast
-from datagen.pilots import run_pilots
+from datagen.exit_status import guarded
+from datagen.forecast.forecast import Outcome, against, forecast
+from datagen.forecast.pilots import run_pilots
+from datagen.forecast.probe import Workers
+from datagen.forecast.text import BUDGET_S
 from datagen.pipeline import simulate_sample
-from datagen.plan import BUDGET_S
-from datagen.probe import Workers
 from datagen.records import Sample
 from datagen.store import committed, finish, prepare, schema_of, write_shard
 from datagen.store.environment import cores, processor

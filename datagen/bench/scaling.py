@@ -22,7 +22,7 @@ import click
 import numpy as np
 
 from datagen.bench.problems import Problem
-from datagen.cli import guarded
+from datagen.exit_status import guarded
 from datagen.store.environment import cores, processor
 
 LOOKINS_OF_SCANS = 256

@@ -36,7 +36,7 @@ from datagen.bench.peers import (
     plate_quadrature,
     point_capture,
 )
-from datagen.cli import guarded
+from datagen.exit_status import guarded
 from datagen.records import Accuracy, Lambertian, Part, Rectangle, Scene, TimeAxis
 from datagen.store.environment import cores, processor
 from datagen.transport import simulate

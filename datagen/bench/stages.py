@@ -16,9 +16,9 @@ from pathlib import Path
 
 import click
 
-from datagen.builder import build
-from datagen.cli import guarded
+from datagen.building.build import build
 from datagen.config import DatasetConfig, load_config
+from datagen.exit_status import guarded
 from datagen.store import ShardRecord, committed, read_manifest
 from datagen.store.environment import cores, processor
 from datagen.store.info import STAGES

@@ -28,8 +28,8 @@ from scipy import stats
 
 from datagen.bench.hindsight import hindsight
 from datagen.bench.target_cases import random_case, room_of
-from datagen.cli import guarded
 from datagen.errors import InputError
+from datagen.exit_status import guarded
 from datagen.records import Accuracy, Capture, Scene, Transient
 from datagen.transport import simulate
 

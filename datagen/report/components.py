@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.capture import capture_for
-from datagen.cli import guarded
 from datagen.config import DatasetConfig, load_config
 from datagen.detector import detector_for
 from datagen.detector.irf import Kernel, response_kernel, spread
+from datagen.exit_status import guarded
 from datagen.records import Capture, Scene, TimeAxis, Transient
 from datagen.report.style import INK, caption, caption_height, empty_note, house_style, new_figure, save_png
 from datagen.report.transient_plots import busy_window, clear_channel

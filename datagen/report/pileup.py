@@ -15,9 +15,9 @@ import click
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datagen.cli import guarded
 from datagen.detector import Exposure, Spad, detector_for, expected_histogram
 from datagen.errors import InputError
+from datagen.exit_status import guarded
 from datagen.records import Accuracy, TimeAxis
 from datagen.report.style import EXPECTED, INK, LASER, caption, caption_height, house_style, new_figure, save_png
 from datagen.report.transient_plots import busy_window

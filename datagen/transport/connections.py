@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from datagen.records import Scene, Sensor
 from datagen.transport.brdf import MaterialTable
-from datagen.transport.clear_sight import ClearSight
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches
 from datagen.transport.kernels import deposit, gather, inside_pixels, near_a_pixel, spots_in_pixels
 from datagen.transport.raycast import Hits, Raycaster
 from datagen.transport.vertices import LaserPoints, Vertices
+from datagen.transport.visibility.clear_sight import ClearSight
 
 CONNECTIONS_PER_BATCH = 1 << 19
 

@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scene, Spend, Transient
-from datagen.transport.adaptive import meet_target
 from datagen.transport.averages import Average, Estimate, walk_average
 from datagen.transport.brdf import MaterialTable
-from datagen.transport.clear_sight import ClearSight
+from datagen.transport.factorised.secondary import factorising, secondary_transient
 from datagen.transport.flood import flooded
 from datagen.transport.fov import PixelCones, PixelPatches
 from datagen.transport.raycast import Raycaster
-from datagen.transport.secondary import factorising, secondary_transient
 from datagen.transport.spread import Sketch
 from datagen.transport.surroundings import CONTACT, surroundings
+from datagen.transport.target.adaptive import meet_target
 from datagen.transport.vertices import AreaTarget, LaserPoints
+from datagen.transport.visibility.clear_sight import ClearSight
 from datagen.transport.walk import Job, Splits, components_asked
 
 OBSERVED_IN_CONTACT = 64

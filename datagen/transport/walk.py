@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from datagen.records import Accuracy, Capture, Laser, Scene, Sensor
 from datagen.transport import cost
 from datagen.transport.brdf import MaterialTable
-from datagen.transport.clear_sight import ClearSight
 from datagen.transport.connections import Clock, Receiver, Rows, Tally
 from datagen.transport.cost import Work
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches, fov_pool
@@ -29,6 +28,7 @@ from datagen.transport.vertices import (
     scattered_rays,
     spot_vertices,
 )
+from datagen.transport.visibility.clear_sight import ClearSight
 from datagen.units import path_from_time
 
 COMPONENTS: tuple[str, ...] = ("direct", "primary", "secondary", "higher")

@@ -73,7 +73,7 @@ def test_there_are_at_least_eight() -> None:
 
 @pytest.mark.parametrize("path", READY, ids=lambda path: path.stem)
 def test_every_ready_configuration_is_built(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.builder.started", here)
+    monkeypatch.setattr("datagen.building.build.started", here)
     config = reduced(load_config(path))
     result = dg.build(config, tmp_path / "set", progress=False)
     assert result.complete

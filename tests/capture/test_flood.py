@@ -120,7 +120,7 @@ def test_what_makes_no_flood_is_refused(scene: Scene) -> None:
 
 
 def test_built_verified_and_simulated_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.builder.started", here)
+    monkeypatch.setattr("datagen.building.build.started", here)
     values = flood(4).model_dump(mode="json") | {"scenes": 1}
     values["transport"] = {"lookins": 8, "scramblings": 2, "direct": True}
     values["store"]["fields"] = ["histogram", "transient"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from datagen.cli import run
-from datagen.plan import duration
+from datagen.forecast.text import duration
 
 CONFIG = """
 name: tiny
@@ -90,7 +90,7 @@ def test_durations_for_people(seconds: float, text: str) -> None:
 
 def test_a_plan_that_is_far_off_is_found_out() -> None:
     from datagen.bench.plan import WITHIN, Held, line
-    from datagen.forecast import Outcome
+    from datagen.forecast.forecast import Outcome
 
     near = Held("near", 4, 1.0, 1.0, (Outcome("one", "s", 1.0, 1.4), Outcome("two", "bytes", 5000.0, 4000.0)))
     far = Held("far", 4, 0.25, 0.25, (Outcome("one", "s", 1.6, 1.0), Outcome("two", "bytes", float("nan"), 4000.0)))

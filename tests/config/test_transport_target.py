@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from datagen.builder import build
+from datagen.building.build import build
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.store.info import info

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from datagen.builder import build
+from datagen.building.build import build
 from datagen.config import config_from_mapping
 from datagen.effects import EFFECTS
 from datagen.report.effects_page import effects_page

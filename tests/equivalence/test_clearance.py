@@ -9,8 +9,14 @@ from rooms import furnished_box
 
 from datagen import Scene
 from datagen.bench.paper_case import demonstration_room
-from datagen.transport.clearance import flat_patch, light_buffer, lit_for_certain, plane_of_faces, pyramids_clear
 from datagen.transport.raycast import Raycaster
+from datagen.transport.visibility.clearance import (
+    flat_patch,
+    light_buffer,
+    lit_for_certain,
+    plane_of_faces,
+    pyramids_clear,
+)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from datagen.errors import InputError
 from datagen.records.materials import Phong
 from datagen.transport import convolution, secondary
 from datagen.transport.brdf import MaterialTable, evaluate
-from datagen.transport.convolution import Histograms, Paths, Sums
+from datagen.transport.factorised.convolution import Histograms, Paths, Sums
 from datagen.transport.fov import PixelCones, PixelPatches, fov_pool
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import Streams, stream_seeds

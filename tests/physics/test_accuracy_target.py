@@ -15,8 +15,8 @@ from datagen.bench import hindsight
 from datagen.bench.target import Outcome, outcomes, table
 from datagen.errors import InputError
 from datagen.records import Transient
-from datagen.transport.confidence import Scatter, bound_factor, disagreement
 from datagen.transport.spread import Sketch
+from datagen.transport.target.confidence import Scatter, bound_factor, disagreement
 
 AXIS = bins_of_path(40, 0.5, 0.0)
 DEVICE = np.array([2.0, 0.0, 1.2])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from datagen.builder import build
+from datagen.building.build import build
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.report.contact_sheet import contact_sheet, first_scenes, label_sheet, mark_sight

@@ -13,11 +13,10 @@ import datagen as dg
 from datagen.cli import run
 from datagen.config import load_config
 from datagen.errors import InputError
-from datagen.report.components import component_curves
-from datagen.report.reproduce import command
-from datagen.report.reproduce.level_statements import level_statements
-from datagen.report.reproduce.lookin_balance import lookin_balance
-from datagen.report.reproduce.measures import (
+from datagen.paper import reproduce as command
+from datagen.paper.level_statements import level_statements
+from datagen.paper.lookin_balance import lookin_balance
+from datagen.paper.measures import (
     best_copy,
     exceeds_from_ns,
     mean_ns,
@@ -26,10 +25,11 @@ from datagen.report.reproduce.measures import (
     shape_difference,
     width_ns,
 )
-from datagen.report.reproduce.page import times
-from datagen.report.reproduce.published import PEAKS_NS
-from datagen.report.reproduce.runs import QUICK, Case, Runs, room_laid_out_as_printed, run_all
-from datagen.report.reproduce.statements import Statement, arrival_statements, scheme_statements
+from datagen.paper.page import times
+from datagen.paper.published import PEAKS_NS
+from datagen.paper.runs import QUICK, Case, Runs, room_laid_out_as_printed, run_all
+from datagen.paper.statements import Statement, arrival_statements, scheme_statements
+from datagen.report.components import component_curves
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "configs" / "demonstration_room.yaml"

@@ -9,7 +9,7 @@ from drawn_distributions import LEVEL, departures, p_values_of, redrawn_share
 from random_specs import LAYOUTS
 from scipy import stats
 
-import datagen.scene
+import datagen.scene.generate
 from datagen.config import SceneConfig, config_from_mapping
 from datagen.config.distributions import Choice, LogUniform, Normal, NormalShape, Uniform
 from datagen.scene import generate_scene
@@ -88,7 +88,7 @@ def test_what_is_hard_to_place_is_drawn_as_often_as_declared(monkeypatch: pytest
     p_value, redrawn = _large_share(100)
     assert redrawn < 0.1
     assert p_value > LEVEL
-    monkeypatch.setattr(datagen.scene, "placings", lambda max_attempts, draw_number: 1)
+    monkeypatch.setattr(datagen.scene.generate, "placings", lambda max_attempts, draw_number: 1)
     p_value, redrawn = _large_share(100)
     assert redrawn > 0.2
     assert p_value < LEVEL
@@ -96,7 +96,7 @@ def test_what_is_hard_to_place_is_drawn_as_often_as_declared(monkeypatch: pytest
 
 def test_tries_leave_most_of_them_for_rooms_drawn_anew() -> None:
     for most in (1, 2, 7, 20, 200, 100_000):
-        kept = [datagen.scene.placings(most, number) for number in range(100)]
+        kept = [datagen.scene.generate.placings(most, number) for number in range(100)]
         assert kept[0] == max(1, most // 8)
         assert kept == sorted(kept, reverse=True)
         assert kept[-1] == 1

@@ -24,7 +24,7 @@ from fake_samples import (
     too_many_counts,
 )
 
-from datagen.builder import build, parse_shards
+from datagen.building.build import build, parse_shards
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.store import running_path, verify
@@ -32,7 +32,7 @@ from datagen.store import running_path, verify
 CHILD = """
 import sys
 from fake_samples import fake_sample, slow_sample, small_config
-from datagen.builder import build
+from datagen.building.build import build
 if __name__ == "__main__":
     build(small_config(), sys.argv[1], 2, sample_function=slow_sample)
 """
@@ -290,7 +290,7 @@ def test_a_scene_that_kills_its_workers_is_given_up(tmp_path: Path) -> None:
 def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import fcntl
 
-    from datagen import shard_job
+    from datagen.building import shard_job
     from datagen.store import prepare
 
     monkeypatch.setattr(shard_job, "LOCK_PATIENCE_S", 0.1)
@@ -312,7 +312,7 @@ def test_a_full_disk_ends_the_build_in_one_line_and_can_be_resumed(tmp_path: Pat
     script = """
 import resource, sys
 from fake_samples import fake_sample, large_config
-from datagen.builder import build
+from datagen.building.build import build
 from datagen.errors import CheckError
 if __name__ == "__main__":
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))

@@ -14,11 +14,11 @@ from fake_samples import always_fails, fake_sample, small_config, too_many_count
 
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
-from datagen.forecast import Forecast, against, forecast, wall_seconds
-from datagen.ladder import Ladder, Pilot
-from datagen.pilots import Pilots, effort_reduced, run_pilots, spread_indices
+from datagen.forecast.forecast import Forecast, against, forecast, wall_seconds
+from datagen.forecast.ladder import Ladder, Pilot
+from datagen.forecast.pilots import Pilots, effort_reduced, run_pilots, spread_indices
+from datagen.forecast.probe import Workers
 from datagen.pipeline import simulate_sample
-from datagen.probe import Workers
 from datagen.records import Sample
 from datagen.store import committed, finish, prepare, schema_of, write_shard
 

@@ -12,7 +12,7 @@ import pytest
 import zarr
 from fake_samples import fake_sample, small_config
 
-from datagen.builder import build
+from datagen.building.build import build
 from datagen.errors import InputError
 from datagen.store import read_manifest, verify
 from datagen.store.card import croissant, readable

@@ -1,0 +1,1 @@
+"""Builds: one job a shard, run by any number of processes, resumed where they stopped."""

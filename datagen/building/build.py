@@ -1,0 +1,258 @@
+"""Building a dataset: shards → workers → commit records. Running it again resumes.
+
+One job is one shard and has one writer; this process alone creates metadata. A sample depends on (dataset seed, scene
+index) only and the division into shards on the configuration only, so the bytes are the same for any number of
+workers, any engine, and any number of interruptions.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from datagen.building.engines import Engine, check_engine, started
+from datagen.building.progress import Progress
+from datagen.building.shard_job import ShardJob, abandon_shard, run_shard, scene_at
+from datagen.config import DatasetConfig
+from datagen.errors import CheckError, InputError
+from datagen.records import Sample
+from datagen.store import (
+    Manifest,
+    Schema,
+    check_output,
+    check_writable,
+    committed,
+    finish,
+    is_fresh,
+    prepare,
+    read_manifest,
+    running_path,
+    schema_of,
+    write_card,
+)
+
+SampleFunction = Callable[[DatasetConfig, int], Sample]
+
+DEATHS_ALLOWED = 2
+"""A scene over which this many worker processes died is given up."""
+HOPELESS = 8
+"""A build whose first so many scenes all failed stops: the rest would fail likewise."""
+
+
+@dataclass(frozen=True)
+class BuildResult:
+    """What a build did. scenes : in the dataset. built, kept : shards made now, and found committed.
+    complete : whether every shard is there.
+    """
+
+    path: Path
+    scenes: int
+    built: int
+    kept: int
+    complete: bool
+    seconds: float
+
+    def summary(self) -> str:
+        """One line for people."""
+        did = f"{self.built} shards built in {self.seconds:.1f} s" if self.built else "nothing left to build"
+        found = f", {self.kept} were there" if self.kept else ""
+        state = (
+            f"complete with {self.scenes} scenes" if self.complete else "not complete yet: other shards are missing"
+        )
+        return f"{self.path}: {did}{found}; {state}"
+
+
+def build(
+    config: DatasetConfig,
+    path: str | Path,
+    workers: int = 1,
+    *,
+    scenes: int | None = None,
+    shards: str | None = None,
+    engine: str = "local",
+    scheduler: str | None = None,
+    progress: bool = True,
+    sample_function: SampleFunction | None = None,
+    input_check: Callable[[DatasetConfig], None] | None = None,
+) -> BuildResult:
+    """Build a dataset, or go on with one.
+
+    Parameters
+    ----------
+    workers : processes, one core each. The bytes do not depend on it.
+    scenes : instead of `config.scenes`. An existing dataset may grow: its scenes stay as they are.
+    shards : only these, such as `"0-99"` or `"3,7-9"`, for job arrays; several such builds may run side by side.
+    engine : `local` processes, or `dask` with the address of a `scheduler` (none: a cluster on this machine).
+    progress : report to standard error.
+    sample_function, input_check : what makes a sample, and what examines the configuration before anything is
+        created; left out, the whole simulation (`datagen.pipeline`). Must be importable by the workers.
+
+    Raises
+    ------
+    InputError : the configuration cannot be simulated; the output is a file, unwritable, holds other files, another
+        dataset or fewer scenes are asked for than it holds. Nothing has been created or changed then.
+    CheckError : scenes failed (all others are there), workers keep dying, or the disk refused.
+
+    A script that calls it with local workers needs `if __name__ == "__main__":`, as with all of Python's pools.
+    """
+    began = time.monotonic()
+    if scenes is not None:
+        config = config.with_scenes(scenes)
+    root = Path(path)
+    check_engine(engine, workers, scheduler)
+    check_output(root, config)
+    check_writable(root)
+    schema = schema_of(config, None if is_fresh(root) else read_manifest(root).schema.scenes_per_shard)
+    wanted = parse_shards(shards, schema.shards)
+    if sample_function is None:
+        from datagen import pipeline
+
+        sample_function, input_check = pipeline.simulate_sample, input_check or pipeline.check_inputs
+    if input_check is not None:
+        input_check(config)
+    try:
+        with started(engine, workers, scheduler) as running:
+            manifest = prepare(root, config)
+            kept = _Build(config, root, manifest, running, sample_function).run(wanted, progress)
+        records = committed(root, manifest)
+        complete = len(records) == schema.shards
+        if complete:
+            finish(root, manifest, records)
+        else:
+            write_card(root, manifest, records)
+    except OSError as error:
+        reason = f"{error.filename or root}: {error.strerror or error}"
+        raise CheckError(f"{reason}; mend that and build again to resume") from None
+    failures = {scene: why for record in records for scene, why in record.failures.items()}
+    if failures:
+        scene, why = min(failures.items())
+        raise CheckError(
+            f"{len(failures)} of {schema.scenes} scenes could not be made, the first is scene {scene}: {why}; "
+            "all others are stored, and building again tries these anew"
+        )
+    return BuildResult(root, schema.scenes, len(wanted) - kept, kept, complete, time.monotonic() - began)
+
+
+@dataclass
+class _Build:
+    """The loop over shards, and what it must remember of workers that died."""
+
+    config: DatasetConfig
+    root: Path
+    manifest: Manifest
+    engine: Engine
+    sample_function: SampleFunction
+    deaths: Counter[int] = field(default_factory=Counter)
+    """Scene → workers that died over it; −1 counts those that died before any scene."""
+    given_up: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def schema(self) -> Schema:
+        return self.manifest.schema
+
+    def run(self, wanted: Iterable[int], shown: bool) -> int:
+        """Make the wanted shards that are not there; returns how many were."""
+        wanted = list(wanted)
+        kept = {record.shard for record in committed(self.root, self.manifest, hashes=True) if not record.failures}
+        for shard in kept:
+            running_path(self.root, shard).unlink(missing_ok=True)
+        waiting = deque(shard for shard in wanted if shard not in kept)
+        if not waiting:
+            return len(wanted)
+        write_card(self.root, self.manifest, committed(self.root, self.manifest))
+        sizes = {shard: len(self.schema.scenes_of(shard)) for shard in wanted}
+        progress = Progress(sum(sizes.values()), sum(sizes[shard] for shard in wanted if shard in kept), shown)
+        if len(waiting) < len(wanted):
+            progress.say(f"{len(wanted) - len(waiting)} of {len(wanted)} shards are there already")
+        running: dict[Future[Any], int] = {}
+        made = failed = 0
+        try:
+            while waiting or running:
+                while waiting and len(running) < self.engine.capacity:
+                    shard = waiting.popleft()
+                    running[self.engine.submit(run_shard, self._job(shard))] = shard
+                done, _ = wait(running, timeout=0.5, return_when=FIRST_COMPLETED)
+                progress.under_way(sum(self._scenes_done(shard) for shard in running.values()))
+                for future in done:
+                    shard = running.pop(future)
+                    failures = self._outcome(future, shard)
+                    if failures is None:
+                        waiting.appendleft(shard)
+                        continue
+                    progress.shard_done(shard, sizes[shard], len(failures))
+                    made, failed = made + sizes[shard], failed + len(failures)
+                    if failed == made >= min(HOPELESS, self.schema.scenes):
+                        scene, reason = min(failures.items())
+                        raise CheckError(
+                            f"all of the first {made} scenes failed, so the build stops; scene {scene}: {reason}"
+                        )
+        except BaseException:
+            # Their writers must be gone before what they left is cleared.
+            self.engine.close(kill=True)
+            for shard in running.values():
+                self._clear(shard)
+            raise
+        finally:
+            progress.close()
+        return len(wanted) - sum(1 for shard in wanted if shard not in kept)
+
+    def _job(self, shard: int) -> ShardJob:
+        skip = {scene: self.given_up[scene] for scene in self.schema.scenes_of(shard) if scene in self.given_up}
+        root, fingerprint = self.root.resolve(), self.manifest.fingerprint
+        return ShardJob(root, self.config, self.schema, fingerprint, shard, self.sample_function, skip, time.time())
+
+    def _scenes_done(self, shard: int) -> int:
+        scene = scene_at(self.root, shard)
+        return 0 if scene is None else scene - self.schema.scenes_of(shard).start
+
+    def _outcome(self, future: Future[Any], shard: int) -> dict[int, str] | None:
+        """The failures of a finished shard; None when its worker died and it must be made again."""
+        error = future.exception()
+        if error is None:
+            failures: dict[int, str] = future.result()
+            return failures
+        if not isinstance(error, self.engine.deaths):
+            self._clear(shard)
+            raise error
+        scene = scene_at(self.root, shard)
+        self.deaths[-1 if scene is None else scene] += 1
+        if scene is None and self.deaths[-1] > DEATHS_ALLOWED:
+            raise CheckError(
+                "worker processes die before their first scene; in a script, call build under "
+                'if __name__ == "__main__": and see the messages above'
+            )
+        if scene is not None and self.deaths[scene] >= DEATHS_ALLOWED:
+            self.given_up[scene] = f"{DEATHS_ALLOWED} worker processes died over it (killed, or out of memory)"
+        self._clear(shard)
+        return None
+
+    def _clear(self, shard: int) -> None:
+        """Remove what an unfinished shard left, unless it was committed at the last moment."""
+        if committed(self.root, self.manifest, [shard]):
+            running_path(self.root, shard).unlink(missing_ok=True)
+        else:
+            abandon_shard(self.root, self.schema, shard)
+
+
+def parse_shards(text: str | None, shards: int) -> list[int]:
+    """`"0-99"`, `"3,7-9"` → shard numbers, ascending; None: all of them."""
+    if text is None:
+        return list(range(shards))
+    chosen: set[int] = set()
+    for piece in text.split(","):
+        first, dash, last = piece.partition("-")
+        try:
+            low, high = int(first), int(last) if dash else int(first)
+        except ValueError:
+            raise InputError(f"--shards {text}: must be numbers and ranges such as 0-99 or 3,7-9") from None
+        if low > high:
+            raise InputError(f"--shards {text}: the range {piece} is upside down; write the smaller number first")
+        if high >= shards:
+            raise InputError(f"--shards {text}: this dataset has the shards 0-{shards - 1}")
+        chosen.update(range(low, high + 1))
+    return sorted(chosen)

@@ -1,0 +1,122 @@
+"""The configured capture, fitted to a scene: laser points, pixels and time axis on this room's relay wall."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.capture.in_sight import check_hidden, check_in_sight, pixel_points
+from datagen.capture.scans import flood_targets, rectangle_on, scan_targets
+from datagen.config import DatasetConfig
+from datagen.config.capture import CaptureConfig, FieldOfView
+from datagen.config.scans import GridScan, PointsScan
+from datagen.errors import InputError
+from datagen.records import Capture, Laser, Rectangle, Scene, Sensor
+from datagen.seeding import Purpose, generator
+
+CONFOCAL_PIXEL_M = 0.05
+"""Side of a confocal pixel on the wall when no size is configured."""
+SAME_PLACE_M = 1e-9
+
+
+def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, index: int = 0) -> Capture:
+    """Laser, sensor and time axis of `config.capture` for this scene.
+
+    Laser points of a grid are numbered row by row from the top left as seen from the device (right × up of the relay
+    wall points into the room); so are the pixels.
+
+    Parameters
+    ----------
+    seed, index : of the dataset (left out: `config.seed`) and of the scene in it. Scans drawn anew for every scene
+        depend on them, the others do not.
+
+    Raises
+    ------
+    InputError : the scene names no relay wall or device; the scan or the field of view is larger than the wall that
+        the device sees; from a configured position a laser point or pixel is hidden, or an object in plain sight.
+    """
+    settings = config.capture
+    wall = scene.relay_wall
+    if wall is None:
+        raise InputError(
+            "scene: names no relay wall; give Scene.from_parts(relay_wall=Rectangle…) or build a Capture"
+        )
+    rng = generator(config.seed if seed is None else seed, index, Purpose.CAPTURE)
+    targets = _targets(settings, wall, rng)
+    laser = Laser(_position("laser", settings.laser_position_m, settings.laser_offset_m, scene), targets)
+    place = _position("sensor", settings.sensor_position_m, settings.sensor_offset_m, scene)
+    sensor = _sensor(settings, place, wall, targets)
+    capture = Capture(laser, sensor, settings.time.axis(), settings.pairing, settings.illumination)
+    _check_sight(settings, scene, capture)
+    return capture
+
+
+def _targets(settings: CaptureConfig, wall: Rectangle, rng: np.random.Generator) -> NDArray[np.float64]:
+    scan, view = settings.scan, settings.field_of_view
+    if settings.illumination != "flood" or not isinstance(scan, GridScan):
+        return scan_targets(scan, wall, rng)
+    if settings.flood_fills_view:
+        lit = rectangle_on("field_of_view", wall, view.center_m, view.width_m, view.height_m)
+    else:
+        lit = rectangle_on("scan", wall, scan.center_m, scan.width_m, scan.height_m)
+    return flood_targets(scan, *lit)
+
+
+def _position(
+    device: str,
+    configured: tuple[float, float, float] | None,
+    offset: tuple[float, float, float] | None,
+    scene: Scene,
+) -> NDArray[np.float64]:
+    if configured is not None:
+        return np.asarray(configured, np.float64)
+    if scene.device_position is None:
+        raise InputError(f"capture.{device}_position_m: missing, and the scene names no place for the device; set it")
+    return scene.device_position if offset is None else scene.device_position + np.asarray(offset, np.float64)
+
+
+def _sensor(
+    settings: CaptureConfig, position: NDArray[np.float64], wall: Rectangle, targets: NDArray[np.float64]
+) -> Sensor:
+    view: FieldOfView = settings.field_of_view
+    radius = view.aperture_radius_mm * 1e-3
+    if settings.pairing == "exhaustive":
+        center, right, up = rectangle_on("field_of_view", wall, view.center_m, view.width_m, view.height_m)
+        return Sensor.grid(position, center, right, up, view.rows, view.columns, radius)
+    width = CONFOCAL_PIXEL_M if view.width_m is None else view.width_m
+    height = CONFOCAL_PIXEL_M if view.height_m is None else view.height_m
+    right = wall.right * (width / 2 / np.linalg.norm(wall.right))
+    up = wall.up * (height / 2 / np.linalg.norm(wall.up))
+    square = np.stack([-right - up, right - up, right + up, -right + up])
+    return Sensor(position, targets[:, None] + square, radius)
+
+
+def _check_sight(settings: CaptureConfig, scene: Scene, capture: Capture) -> None:
+    """What the scene already guarantees for its own device is checked again for one that stands elsewhere.
+
+    Confocal pixels may stick out beyond the wall's edge, so only their middles have to be in sight.
+    """
+    if scene.device_position is None:
+        return
+    elsewhere = {
+        device: float(np.linalg.norm(place - scene.device_position)) > SAME_PLACE_M
+        for device, place in (("laser", capture.laser.position), ("sensor", capture.sensor.position))
+    }
+    scan = settings.scan
+    anywhere = isinstance(scan, PointsScan) and any(len(point) == 3 for point in scan.points_m)
+    if elsewhere["laser"] or anywhere:
+        key = _key(settings, "laser") if elsewhere["laser"] else "scan.points_m"
+        check_in_sight(key, "laser points", scene, capture.laser.position, capture.laser.targets)
+    if elsewhere["sensor"] or (anywhere and settings.pairing == "confocal"):
+        key = _key(settings, "sensor") if elsewhere["sensor"] else "scan.points_m"
+        pixels = capture.sensor.pixels
+        points = pixels.mean(axis=1) if settings.pairing == "confocal" else pixel_points(pixels)
+        check_in_sight(key, "points of pixels", scene, capture.sensor.position, points)
+    for device, place in (("laser", capture.laser.position), ("sensor", capture.sensor.position)):
+        if elsewhere[device]:
+            check_hidden(_key(settings, device), scene, place)
+
+
+def _key(settings: CaptureConfig, device: str) -> str:
+    configured = getattr(settings, f"{device}_position_m") is not None
+    return f"{device}_{'position' if configured else 'offset'}_m"

@@ -1,0 +1,286 @@
+"""What a build would make, how, and what it would take, before it is begun."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from datagen.config import DatasetConfig
+from datagen.errors import InputError
+from datagen.forecast.forecast import Forecast, Outcome, against, check_same, forecast
+from datagen.forecast.pilots import run_pilots
+from datagen.forecast.probe import probe_workers
+from datagen.store import Schema, schema_of
+from datagen.store.card import readable
+from datagen.store.environment import cores, environment, hardware
+from datagen.store.files import json_bytes, write_atomically
+
+PILOT_LOOKINS = 256
+"""Lookins of the pilot transient from which the detector's flux is estimated."""
+BUDGET_S = 15.0
+BUSY = 0.8
+"""Pilots that got a smaller share of a core than this were held up by other processes, which the plan then says."""
+
+
+def make_forecast(config: DatasetConfig, workers: int = 1, budget_s: float = BUDGET_S) -> Forecast:
+    """Seconds, error and bytes of a build with `workers` processes on this machine.
+
+    Pilot scenes take about `budget_s` seconds; compiling kernels for the first time, encoding, and starting worker
+    processes to see how long that takes, come on top.
+
+    Raises
+    ------
+    InputError : whatever a build would refuse; `workers` under 1; a budget that is no positive number.
+    """
+    from datagen.pipeline import check_inputs
+
+    if workers < 1:
+        raise InputError(f"--workers {workers}: must be ≥ 1")
+    if not 0 < budget_s < math.inf:
+        raise InputError(f"--seconds {budget_s:g}: must be > 0, such as {BUDGET_S:g}")
+    check_inputs(config)
+    schema = schema_of(config)
+    pilots = run_pilots(config, budget_s)
+    running = probe_workers(config, pilots, min(workers, schema.shards, cores()))
+    return forecast(config, schema, pilots, running, workers, cores())
+
+
+def plan(
+    config: DatasetConfig,
+    workers: int = 1,
+    budget_s: float = BUDGET_S,
+    json_path: str | Path | None = None,
+    dataset: str | Path | None = None,
+) -> str:
+    """The plan as text; also written to `json_path` for machines, and held against a `dataset` built before.
+
+    Raises `InputError` as `make_forecast` and `forecast.against` do, before any pilot where that is possible.
+    """
+    if json_path is not None:
+        _check_file(Path(json_path))
+    if dataset is not None:
+        check_same(config, dataset)
+    expected = make_forecast(config, workers, budget_s)
+    outcomes = [] if dataset is None else against(expected, config, dataset)
+    if json_path is not None:
+        write_atomically(Path(json_path), json_bytes(_as_json(config, expected, outcomes)))
+    return plan_text(config, expected, outcomes)
+
+
+def plan_text(config: DatasetConfig, expected: Forecast, outcomes: Sequence[Outcome] = ()) -> str:
+    """The plan for people: what is made, what is decided and why, what one scene and the whole build take.
+
+    outcomes : what a build of it came to (`forecast.against`), shown beside what was expected.
+    """
+    schema = schema_of(config)
+    lines = [
+        f"{config.name}: {config.description}".rstrip(": "),
+        "",
+        *_what(config, schema),
+        "",
+        *_decisions(config),
+        "",
+        f"one scene ({_measured(expected)})",
+        *_one_scene(config, schema, expected),
+        "",
+        f"whole build ({_count(expected.workers, 'worker')}; this machine has {_count(cores(), 'core')})",
+        *_whole_build(expected),
+        "",
+        *_fields(config, schema, expected),
+    ]
+    if outcomes:
+        lines += ["", *_outcomes(outcomes)]
+    return "\n".join(lines)
+
+
+def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
+    lasers, pixels, bins = config.capture.shape
+    accuracy = config.transport.accuracy()
+    bounces = "all bounce orders" if accuracy.max_bounces is None else f"up to {accuracy.max_bounces} bounces"
+    how = (
+        f"{accuracy.lookins} lookins a laser point, {accuracy.fov_samples} FoV samples, {accuracy.scramblings} "
+        "scramblings"
+        if accuracy.target is None
+        else f"as many lookins as an error of {accuracy.target:.3g} needs"
+    )
+    flood = config.capture.illumination == "flood"
+    lit = f"a flood of {config.capture.scan.laser_points} points" if flood else _count(lasers, "laser point")
+    yield f"scenes       {config.scenes}, seed {config.seed}"
+    yield (
+        f"capture      {config.capture.pairing}, {lit} × {_count(pixels, 'pixel')} × "
+        f"{bins} bins of {config.capture.time.bin_width_ps:g} ps"
+    )
+    yield f"transport    {how}, {bounces}"
+    kind = f", detectors of the class {config.detector.detector_class}" if config.detector.detector_class else ""
+    yield f"detector     {config.detector.mode}{kind}"
+
+
+def _decisions(config: DatasetConfig) -> list[str]:
+    """The effects decided for scene 0 and why, and the detector's sampler."""
+    from datagen.capture import capture_for
+    from datagen.detector import detector_for, plan_detector
+    from datagen.effects import EFFECTS, EffectPlan, decision_lines
+    from datagen.pipeline import detector_effects, transport_effects
+    from datagen.records import Accuracy
+    from datagen.scene import generate_scene
+    from datagen.transport import simulate
+
+    scene = generate_scene(config.scene, config.seed, 0)
+    capture = capture_for(config, scene, config.seed, 0)
+    effects = transport_effects(config, scene, capture, 0)
+    lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
+    secondary: Literal["all", "none"] = "none" if accuracy.secondary == "none" else "all"
+    few = Accuracy(
+        lookins=PILOT_LOOKINS, fov_samples=1, max_bounces=accuracy.max_bounces, scramblings=1,
+        direct=accuracy.direct, secondary=secondary, occlusion=accuracy.occlusion,
+    )  # fmt: skip
+    transient = simulate(lit, capture, few, seed=0, split_parts=False)
+    spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
+    effects += detector_effects(config, transient, spad, exposure)
+    used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
+    seen = (transient.total, capture.time, used, conditions)
+    decided = plan_detector(*seen, tolerance=tolerance, approximate=config.detector.approximate)
+    there = tuple(decision for decision in effects.decisions if decision.kind != "absent")
+    titles = {effect.name: effect.title for effect in EFFECTS}
+    absent = [titles[decision.effect] for decision in effects.decisions if decision.kind == "absent"]
+    brightest = f"{decided.flux_per_cycle:.2g} events a cycle, {decided.detections:.2g} detections"
+    return [
+        f"decisions for scene 0 (each scene gets its own; all that is left out may change a result by "
+        f"{_percent(effects.tolerance)})",
+        f"  {'effect':30}{'is':5}{'from':8}{'change':>9}  why",
+        *(f"  {line}" for line in decision_lines(EffectPlan(there, effects.tolerance))),
+        f"  not there: {', '.join(absent)}",
+        f"  sampler {decided.sampler}: {decided.reason}",
+        f"  PDE {spad.pde:.3g}, {exposure.cycles} cycles at {exposure.repetition_rate_hz / 1e6:.3g} MHz; in the "
+        f"brightest histogram {brightest}",
+    ]
+
+
+def _measured(expected: Forecast) -> str:
+    scenes = _count(expected.pilots, "pilot scene")
+    if expected.effort == 1.0:
+        return f"measured on {scenes}"
+    few = f"from {scenes} with {_percent(expected.effort)} of the paths"
+    if expected.reached == 1.0:
+        return f"{few}, scaled by one with all of them"
+    return f"{few}, extrapolated; --seconds lets one have more"
+
+
+def _one_scene(config: DatasetConfig, schema: Schema, expected: Forecast) -> Iterator[str]:
+    total = sum(expected.seconds.values())
+    stages = ", ".join(f"{stage} {_digits(taken)}" for stage, taken in _largest_first(expected.seconds))
+    yield f"  time       {_digits(total)} s of one core: {stages}"
+    least, _, most = expected.scene_s
+    if most > 1.2 * least:
+        yield f"             {_digits(least)} … {_digits(most)} s from scene to scene"
+    yield f"  error      {_error(expected)}"
+    yield (
+        f"  disk       {readable(_two(expected.bytes_per_scene))} compressed, "
+        f"{readable(schema.bytes_per_scene)} decoded"
+    )
+
+
+def _error(expected: Forecast) -> str:
+    least, median, most = expected.error
+    if math.isnan(median):
+        return "not known: with 1 scrambling nothing estimates it; set transport.scramblings to 2 or more"
+    spread = f" ({_percent(least)} … {_percent(most)} from scene to scene)" if most > 1.2 * least else ""
+    return f"{_percent(median)}{spread} of a transient, relative L2 over all bins; photon noise comes on top"
+
+
+def _whole_build(expected: Forecast) -> Iterator[str]:
+    each = f", of which {_digits(expected.startup_s)} s until each worker is warm"
+    yield f"  time       {duration(expected.build_s)}{each if expected.build_s < 1200 else ''}"
+    if expected.processor_share < BUSY:
+        yield (
+            f"             as busy as the machine is now; alone on it about "
+            f"{duration(expected.build_s * expected.processor_share)} "
+            f"(the pilots had {expected.processor_share:.0%} of a core)"
+        )
+    yield f"  disk       {readable(_two(expected.build_bytes))}"
+    idle = expected.workers - expected.working
+    unused = f"; {idle} of {expected.workers} workers would have nothing to do" if idle else ""
+    yield f"  shards     {expected.shards} of {expected.scenes_per_shard} scenes{unused}"
+    yield f"  memory     {readable(expected.shard_memory_bytes)} for each worker's shard"
+
+
+def _fields(config: DatasetConfig, schema: Schema, expected: Forecast) -> Iterator[str]:
+    yield f"{'field':20}{'one scene':22}{'dtype':9}{'decoded':>10}{'on disk':>10}"
+    for field in schema.fields:
+        shape = " × ".join(map(str, field.shape))
+        decoded, stored = config.scenes * field.bytes_per_scene, config.scenes * expected.stored[field.name]
+        yield f"{field.name:20}{shape:22}{field.dtype:9}{readable(decoded):>10}{readable(_two(stored)):>10}"
+    decoded = config.scenes * schema.bytes_per_scene
+    records = config.scenes * expected.stored["records"]
+    yield f"{'commit records':51}{'':>10}{readable(_two(records)):>10}"
+    yield f"{'all scenes':51}{readable(decoded):>10}{readable(_two(expected.build_bytes)):>10}"
+
+
+def _outcomes(outcomes: Sequence[Outcome]) -> Iterator[str]:
+    yield f"{'against the dataset':22}{'predicted':>12}{'actual':>12}{'ratio':>8}"
+    for row in outcomes:
+        predicted, actual = (_quantity(value, row.unit) for value in (row.predicted, row.actual))
+        yield f"{row.name:22}{predicted:>12}{actual:>12}{row.ratio:8.2f}"
+
+
+def _as_json(config: DatasetConfig, expected: Forecast, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    return {
+        "name": config.name,
+        "fingerprint": config.fingerprint(),
+        "forecast": expected.as_json(),
+        "against": [row.as_json() for row in outcomes],
+        "machine": hardware(),
+        "versions": environment(),
+    }
+
+
+def _check_file(path: Path) -> None:
+    if path.is_dir():
+        raise InputError(f"--json {path}: is a folder; name a file")
+    if not path.parent.is_dir():
+        raise InputError(f"--json {path}: there is no folder {path.parent}; make it, or name another file")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"--json {path}: {path.parent} cannot be written; name a file elsewhere")
+
+
+def duration(seconds: float) -> str:
+    """Seconds for people: `8.1 s`, `12 min`, `3.4 h`, `5.2 days`."""
+    for least, size, unit in ((172800, 86400, "days"), (5400, 3600, "h"), (100, 60, "min")):
+        if seconds >= least:
+            return f"{_digits(seconds / size)} {unit}"
+    return f"{_digits(seconds)} s"
+
+
+def _digits(value: float) -> str:
+    """Two significant digits, without an exponent down to a millisecond."""
+    if value >= 99.5:
+        return f"{value:.0f}"
+    return f"{value:.2g}" if value >= 0.01 else f"{value:.3f}"
+
+
+def _two(size: float) -> float:
+    """A forecast claims no more than two digits."""
+    return float(f"{size:.2g}")
+
+
+def _quantity(value: float, unit: str) -> str:
+    if math.isnan(value):
+        return "unknown"
+    if unit == "bytes":
+        return readable(_two(value))
+    return f"{_digits(value)} s" if unit == "s" else f"{value:.3g}"
+
+
+def _largest_first(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
+    return sorted(seconds.items(), key=lambda item: -item[1])
+
+
+def _percent(share: float) -> str:
+    return f"{_digits(100 * share)} %"
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

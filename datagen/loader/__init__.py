@@ -1,0 +1,16 @@
+"""Datasets as torch sees them. Nothing else in datagen imports torch.
+
+data = TransientDataset("out/rooms.zarr", fields=("histogram", "depth"))
+order = EpochSampler(data, seed=0)
+loader = DataLoader(data, batch_size=16, sampler=order, num_workers=2)
+for epoch in range(10):
+    order.set_epoch(epoch)
+    for batch in loader:
+        batch["histogram"]          # (16, laser, pixel, bin) float32
+"""
+
+from datagen.loader.batches import collate
+from datagen.loader.dataset import TransientDataset
+from datagen.loader.sampler import EpochSampler
+
+__all__ = ["EpochSampler", "TransientDataset", "collate"]

@@ -1,0 +1,201 @@
+"""A dataset on disk as a map-style torch `Dataset`."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import Dataset
+
+from datagen.errors import InputError
+from datagen.loader.batches import Batch
+from datagen.loader.redrawn_noise import NoiseSource
+from datagen.store import Manifest, committed, read_manifest
+from datagen.store.arrays import open_array
+from datagen.store.reader import ShardReader
+from datagen.store.record import recorded_shards
+from datagen.store.table import TABLE
+
+MEMORY_BYTES = 64 * 2**20
+"""Fields that decode to no more than this in all are read once and kept in memory."""
+COUNT_TYPES = ("float32", "float64", "int32", "int64", "stored")
+
+
+class TransientDataset(Dataset[dict[str, torch.Tensor]]):
+    """A dataset on disk as a map-style torch `Dataset`; an item maps each field, and `"scene"`, to a tensor.
+
+    Parameters
+    ----------
+    fields : any of the dataset's fields; `data.fields` lists all, and "objects" stands for those that begin with
+        `object_` (the classes, poses and boxes of the objects; `data.classes` names the classes).
+    counts : dtype that histograms are handed over in, since torch lacks most operations for uint16 and uint32.
+        float32 is exact up to 2²⁴ counts a bin. `"stored"` leaves them as they are, the least to move from worker to
+        device: cast them there, `batch["histogram"].to(device).float()`. Other fields keep their dtype.
+    redraw_noise : draw histograms anew from the stored transient, with the scene's own detector, every epoch: a
+        function of (`seed`, epoch, scene). Call `set_epoch` (or `EpochSampler.set_epoch`) before each epoch.
+    seed : of the redrawn noise.
+
+    Files are opened by each process for itself, at the first read; a dataset can be handed to loader workers started
+    in any way. Scenes whose simulation failed are left out, with a warning.
+
+    Raises
+    ------
+    InputError : the folder is no dataset, shards are not committed, or an unknown field.
+    CheckError : while reading, for a chunk that is missing or damaged.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        fields: Sequence[str] = ("histogram", "depth"),
+        *,
+        counts: str = "float32",
+        redraw_noise: bool = False,
+        seed: int = 0,
+    ) -> None:
+        self.path = Path(path).resolve()
+        manifest = read_manifest(path)
+        self._schema = manifest.schema
+        self.fields = tuple(self._schema.by_name)
+        tables = tuple(name for name in self.fields if name.startswith("object_")) or ("objects",)
+        asked = (fields,) if isinstance(fields, str) else tuple(fields)
+        self.selected = tuple(dict.fromkeys(f for name in asked for f in (tables if name == "objects" else (name,))))
+        for name in self.selected:
+            if name not in self.fields and not (name == "histogram" and redraw_noise):
+                raise InputError(f"fields: {name!r} is not in {path}; it has {', '.join(self.fields)}")
+        if counts == "int32" and "histogram" in self.fields and self._schema.by_name["histogram"].dtype == "uint32":
+            raise InputError("counts = 'int32': histograms are stored as uint32, which it cannot hold; use 'int64'")
+        if counts not in COUNT_TYPES:
+            raise InputError(f"counts = {counts!r}: must be one of {', '.join(COUNT_TYPES)}")
+        self._counts = None if counts == "stored" else np.dtype(counts)
+        if redraw_noise and "transient" not in self.fields:
+            raise InputError(
+                f"redraw_noise: {path} has no field transient to draw from; build it with one (store.fields)"
+            )
+        self._noise = NoiseSource(manifest) if redraw_noise else None
+        self.scenes = self._scenes_there(manifest)
+        self.seed = seed
+        # Shared memory, so that workers that outlive an epoch see the next one begin.
+        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
+        self._pid = -1
+        self._readers: dict[str, ShardReader] = {}
+        self._memory: dict[str, NDArray[np.generic]] = {}
+
+    def __len__(self) -> int:
+        return len(self.scenes)
+
+    def __getitem__(self, item: int) -> dict[str, torch.Tensor]:
+        return self.__getitems__([item])[0]
+
+    def __getitems__(self, items: Sequence[int]) -> list[dict[str, torch.Tensor]]:
+        """Several items in one read each field; the batch that a `DataLoader` asks for."""
+        scenes = [int(self.scenes[self._checked(int(item))]) for item in items]
+        self._open()
+        batch = {name: torch.from_numpy(self._values(name, scenes)) for name in self.selected}
+        return Batch(batch | {"scene": torch.tensor(scenes)})
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Open files stay with the process that opened them."""
+        return self.__dict__ | {"_pid": -1, "_readers": {}, "_memory": {}}
+
+    def set_epoch(self, epoch: int) -> None:
+        """The epoch that redrawn noise belongs to, also in workers that are running."""
+        if epoch < 0:
+            raise InputError(f"epoch = {epoch}: must be ≥ 0")
+        self._epoch.fill_(epoch)
+
+    def shape(self, field: str) -> tuple[int, ...]:
+        """The shape of one scene's value of a field."""
+        stored = "transient" if field == "histogram" and self._noise else field
+        return self._schema.by_name[stored].shape
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """What the numbers of `object_class` stand for; empty where the dataset has no such field."""
+        field = self._schema.by_name.get("object_class")
+        return () if field is None else field.classes
+
+    def parameters(self, name: str) -> NDArray[np.generic]:
+        """A column of `samples.parquet` (scene parameters, error estimates) in the order of the items."""
+        import pyarrow.parquet as pq
+
+        table = self.path / TABLE
+        known = pq.read_schema(table).names
+        if name not in known:
+            raise InputError(f"parameters: {name!r} is no column of {table}; it has {', '.join(known)}")
+        column: NDArray[np.generic] = pq.read_table(table, columns=[name])[name].to_numpy()
+        return column[self.scenes]
+
+    def _scenes_there(self, manifest: Manifest) -> NDArray[np.int64]:
+        there, failed = self._shards_and_failures(manifest)
+        missing = sorted(set(range(self._schema.shards)) - there)
+        if missing:
+            raise InputError(
+                f"{self.path}: {len(missing)} of {self._schema.shards} shards are not committed, the first is "
+                f"{missing[0]}; run the same `datagen build` again to finish it"
+            )
+        if failed:
+            warnings.warn(f"{self.path}: {len(failed)} scenes could not be made and are left out", stacklevel=3)
+        return np.array([scene for scene in range(self._schema.scenes) if scene not in failed], np.int64)
+
+    def _shards_and_failures(self, manifest: Manifest) -> tuple[set[int], set[int]]:
+        """Shards committed and scenes that failed: from the table when the dataset is complete, which spares reading
+        every commit record of a large one.
+        """
+        table = self.path / TABLE
+        if table.is_file():
+            import pyarrow.parquet as pq
+
+            rows = pq.read_table(table, columns=["scene", "failure"])
+            failed = rows.filter(rows["failure"].is_valid())["scene"].to_pylist()
+            return set(recorded_shards(self.path)), set(failed)
+        records = committed(self.path, manifest)
+        return {record.shard for record in records}, {scene for record in records for scene in record.failures}
+
+    def _checked(self, item: int) -> int:
+        if not -len(self) <= item < len(self):
+            raise IndexError(f"item {item}: this dataset has {len(self)} items")
+        return item
+
+    def _open(self) -> None:
+        """Open files in this process; what a fork inherited is not used."""
+        if self._pid == os.getpid():
+            return
+        self._readers, self._memory = {}, {}
+        wanted = set(self.selected) | ({"transient"} if self._noise and "histogram" in self.selected else set())
+        for name in sorted(wanted):
+            field = self._schema.by_name[name]
+            if not field.sharded or self._schema.scenes * field.bytes_per_scene <= MEMORY_BYTES:
+                self._memory[name] = np.asarray(open_array(self.path, name)[:])
+            else:
+                self._readers[name] = ShardReader(self.path, field, self._schema)
+        self._pid = os.getpid()
+
+    def _stored(self, name: str, scenes: Sequence[int], dtype: np.dtype[Any] | None = None) -> NDArray[np.generic]:
+        if name in self._memory:
+            values = self._memory[name][list(scenes)]
+            return values if dtype is None else values.astype(dtype)
+        return self._readers[name].read(scenes, dtype)
+
+    def _values(self, name: str, scenes: Sequence[int]) -> NDArray[np.generic]:
+        if name != "histogram":
+            return self._stored(name, scenes)
+        if self._noise is None:
+            return self._stored(name, scenes, self._counts)
+        drawn = self._drawn(scenes)
+        if self._counts is None:
+            return drawn
+        if self._counts.kind == "i" and int(drawn.max()) > np.iinfo(self._counts).max:
+            raise InputError(f"counts = {self._counts.name!r}: {int(drawn.max())} counts do not fit; use 'int64'")
+        return drawn.astype(self._counts)
+
+    def _drawn(self, scenes: Sequence[int]) -> NDArray[np.integer[Any]]:
+        assert self._noise is not None
+        transients, epoch = self._stored("transient", scenes), int(self._epoch)
+        return np.stack([self._noise.draw(t, s, self.seed, epoch) for t, s in zip(transients, scenes, strict=True)])

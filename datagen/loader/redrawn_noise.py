@@ -1,0 +1,56 @@
+"""The detector's noise drawn anew from a stored transient."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.config import CaptureConfig, DetectorConfig, EffectsConfig
+from datagen.seeding import Purpose, seed_sequence
+from datagen.store import Manifest
+
+if TYPE_CHECKING:
+    from datagen.detector import Exposure, Spad
+
+
+class NoiseSource:
+    """Counts from a stored transient, with the detector that the scene was given."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        # Only the sections needed: the scene's mesh files may be gone.
+        self._detector = DetectorConfig.model_validate_json(json.dumps(manifest.config["detector"]))
+        self._effects = EffectsConfig.model_validate_json(json.dumps(manifest.config.get("effects", {})))
+        self._time = CaptureConfig.model_validate_json(json.dumps(manifest.config["capture"])).time.axis()
+        self._seed = manifest.seed
+        self._decided: dict[int, tuple[Spad, Exposure, float]] = {}
+
+    def draw(self, transient: NDArray[np.generic], scene: int, seed: int, epoch: int) -> NDArray[np.integer[Any]]:
+        from datagen.detector import detect
+
+        spad, exposure, tolerance = self._detector_of(scene, transient)
+        stream = seed_sequence(seed, scene, Purpose.LOADER, attempt=epoch)
+        noise_seed = int(stream.generate_state(1, np.uint64)[0])
+        return detect(
+            transient.astype(np.float64),
+            self._time,
+            spad,
+            exposure,
+            seed=noise_seed,
+            tolerance=tolerance,
+            approximate=self._detector.approximate,
+        )
+
+    def _detector_of(self, scene: int, transient: NDArray[np.generic]) -> tuple[Spad, Exposure, float]:
+        """The detector of a scene with the effects that its transient calls for, decided once."""
+        if scene not in self._decided:
+            from datagen.detector import detector_for
+            from datagen.effects import plan_detector_effects
+
+            given = detector_for(self._detector, self._seed, scene, self._time)
+            seen = transient.astype(np.float64)
+            plan = plan_detector_effects(seen, self._time, *given, self._effects, self._detector.tolerance)
+            self._decided[scene] = plan.apply_detector(*given, self._detector.tolerance)
+        return self._decided[scene]

@@ -1,0 +1,74 @@
+"""All numbers of a reproduction as plain values for JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from datagen.paper.measures import mean_ns, peak_ns
+from datagen.paper.published import PEAKS_NS, SECONDS
+from datagen.paper.runs import Case, Runs
+from datagen.paper.statements import Statement
+from datagen.store.environment import processor
+
+MADE_BY = "datagen reproduce"
+
+
+def numbers(runs: Runs, statements: Sequence[Statement], command: str) -> dict[str, Any]:
+    """Statements, levels, peaks, seconds and curves; what is not a number becomes null."""
+    cases = {f"{kind}, {rays}, {scheme}": _case(case) for (kind, rays, scheme), case in runs.cases.items()}
+    cases |= {f"as printed in metres, {rays}, all": _case(case) for rays, case in runs.in_metres.items()}
+    cases |= {f"as printed, {runs.sparse}, all, {grid}, α₁ over {conserved}": _case(case)
+              for (grid, conserved), case in runs.choices.items()}  # fmt: skip
+    cases |= {
+        f"laid out for the printed weights, {f'as printed, {rays}' if rays else 'converged'}": _case(case)
+        for rays, case in runs.laid_out.items()
+    }
+    found = {
+        "made_by": MADE_BY,
+        "command": command,
+        "processor": processor(),
+        "config": runs.config.model_dump(mode="json"),
+        "sizes": asdict(runs.sizes),
+        "published": {"peaks_ns": PEAKS_NS, "seconds": {f"{r}, {s}": text for (r, s), text in SECONDS.items()}},
+        "statements": [asdict(statement) for statement in statements],
+        "cases": cases,
+        "levels_as_printed_by_rays": {str(rays): asdict(level) for rays, level in runs.sweep.items()},
+        "levels_radiometric_by_rays": {str(rays): asdict(level) for rays, level in runs.radiometric_levels.items()},
+        "levels_radiometric_lengths_times_1_and_1000": [asdict(level) for level in runs.rescaled],
+        "converged_relative_standard_error": runs.relative_error[0],
+        "time_ns": runs.time_ns,
+    }
+    plain: dict[str, Any] = _plain(found)
+    return plain
+
+
+def _case(case: Case) -> dict[str, Any]:
+    curves = {**case.curves.parts, "secondary": case.secondary}
+    time = case.curves.time_ns
+    return {
+        "level": dict(case.level),
+        "secondary_over_primary": case.ratio,
+        "peaks_ns": {name: peak_ns(curve, time) for name, curve in curves.items()},
+        "heights": {name: curve.max() for name, curve in curves.items()},
+        "mean_arrival_ns": {"primary": mean_ns(case.primary, time), "secondary": mean_ns(case.secondary, time)},
+        "seconds": case.seconds,
+        "processor_s": case.processor_s,
+        "curves": curves,
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return [float(f"{number:.6g}") for number in value.tolist()]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value

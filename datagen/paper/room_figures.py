@@ -1,0 +1,195 @@
+"""Fig. 3 and 5 of the paper: how light spreads over the observed points, for both estimators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.paper.room_samples import FromLookin, Lit, panels_of_light
+from datagen.paper.runs import Runs
+from datagen.report.cutaway import Camera, Shaded, shaded
+from datagen.report.room_plots import best_view
+from datagen.report.style import LASER, caption, caption_height, house_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_WIDTH_IN = 13.0
+_PANEL_IN = 3.4
+_DECADES = 3.0
+_MOST_POINTS = 60_000
+_GREEN = "#1B9E3A"
+_COLORS = "inferno"
+
+
+def light_figure(runs: Runs, points: Lit) -> Figure:
+    """Fig. 3: inverse square, angular distribution, product; as printed above, radiometric below."""
+    shadowed = 100 * float(1 - points.lit.mean())
+    text = (
+        "As Fig. 3 of Scholes & Leach (2024): the laser's light over the "
+        f"{len(points.position):,} observed points of {runs.sparse} × {runs.sparse} lookins. Left the inverse square "
+        "of the distance to the laser point (orange dot), in the middle the angular distribution there, right their "
+        f"product; logarithmic over {_DECADES:g} decades below the brightest (the middle: linear). Points in shadow "
+        f"({shadowed:.0f} %) are left out, as are ceiling and near walls in the picture. Below, radiometrically, a "
+        "surface also receives by the cosine of its own tilt, which the printed equations leave out: surfaces that "
+        "the light grazes darken."
+    )
+    panels = panels_of_light(points)
+    height = caption_height(_WIDTH_IN, text)
+    with house_style():
+        figure = new_figure(_WIDTH_IN, 2 * _PANEL_IN + height)
+        grid = figure.add_gridspec(3, 3, height_ratios=[_PANEL_IN, _PANEL_IN, height])
+        backdrop = _Backdrop.of(runs)
+        for row, (estimator, three) in enumerate(panels.items()):
+            for column, (name, values) in enumerate(three):
+                axes = figure.add_subplot(grid[row, column])
+                _paint(
+                    figure, axes, backdrop, points.position, points.face, np.where(points.lit, values, 0), column == 1
+                )
+                axes.set_title(f"{estimator}: {name}")
+        caption(figure, figure.add_subplot(grid[2, :]), text)
+    return figure
+
+
+def lookins_figure(runs: Runs, examples: list[FromLookin]) -> Figure:
+    """Fig. 5: BRDF, inverse square and field of view for the example lookins, for both estimators."""
+    text = (
+        "As Fig. 5 of Scholes & Leach (2024): where a lookin (grey triangle) sends light. Left by its B alone, in "
+        "the middle with the inverse square, right the observed points within the field of view (green square), seen "
+        f"from the sensor, with the final bounce; logarithmic over {_DECADES:g} decades (left: linear), each panel "
+        "relative to its brightest point. As printed every camera pixel counts alike and surfaces receive whatever "
+        "their tilt; radiometrically points receive by their own cosine. The paper names no lookins: these are, on "
+        "the wall and on the pillar, the nearest to the laser point that light up the field of view."
+    )
+    rows = 2 * len(examples)
+    height = caption_height(_WIDTH_IN, text)
+    with house_style():
+        figure = new_figure(_WIDTH_IN, rows * _PANEL_IN + height)
+        grid = figure.add_gridspec(rows + 1, 3, height_ratios=[_PANEL_IN] * rows + [height])
+        backdrop = _Backdrop.of(runs)
+        for k, example in enumerate(examples):
+            first = example.brdf, example.brdf * example.spread, example.final
+            second = example.lobe, example.lobe * example.spread * example.received, example.final_radiometric
+            names = ("α B", "α B / R²", "into the sensor"), ("per solid angle", "irradiance", "into the sensor")
+            for turn, (estimator, values, three) in enumerate(
+                (("as printed", first, names[0]), ("radiometric", second, names[1]))
+            ):
+                row = 2 * k + turn
+                for column in (0, 1):
+                    axes = figure.add_subplot(grid[row, column])
+                    _paint(
+                        figure, axes, backdrop, example.position, example.face, values[column], column == 0,
+                        lookin=example.lookin,
+                    )  # fmt: skip
+                    axes.set_title(
+                        f"({'ab'[k]}) {estimator}: {three[column]}" + (f"; {example.where}" * (not column))
+                    )
+                axes = figure.add_subplot(grid[row, 2])
+                _close_up(figure, axes, runs, example, values[2])
+                axes.set_title(f"{estimator}: {three[2]}")
+        caption(figure, figure.add_subplot(grid[rows, :]), text)
+    return figure
+
+
+@dataclass(frozen=True)
+class _Backdrop:
+    """The opened room in pale colours. camera, faces : how it is seen, and which triangles stay."""
+
+    camera: Camera
+    faces: NDArray[np.int64]
+    outlines: NDArray[np.float64]
+    picture: Shaded
+    field_of_view: NDArray[np.float64]
+    beam: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, runs: Runs) -> _Backdrop:
+        camera, cut = best_view(runs.scene)
+        pale = {"relay_wall": "#DDE4EC", "structure": "#ECECEC", "object": "#D9D9D9"}
+        colors = {n: pale[role] for n, role in zip(runs.scene.part_names, runs.scene.roles, strict=True)}
+        colors |= {name: color for name, color in (("box", "#D9C7E8"), ("pillar", "#F7D9B5")) if name in colors}
+        corners = runs.capture.sensor.pixels[0]
+        return cls(
+            camera, cut.faces, cut.outlines, shaded(runs.scene, camera, cut.faces, colors, 420),
+            np.concatenate([corners, corners[:1]]), np.stack([runs.capture.laser.position, runs.laser_point]),
+        )  # fmt: skip
+
+    def draw(self, axes: Axes) -> None:
+        axes.imshow(self.picture[0], extent=self.picture[1], interpolation="bilinear", zorder=2)
+        for edge in self.camera.project(self.outlines):
+            axes.plot(edge[:, 0], edge[:, 1], color="#999999", linewidth=0.7, linestyle=(0, (4, 3)), zorder=3)
+        for points, color, width in ((self.field_of_view, _GREEN, 1.5), (self.beam, LASER, 0.7)):
+            at = self.camera.project(points)
+            axes.plot(at[:, 0], at[:, 1], color=color, linewidth=width, zorder=11)
+        axes.set_aspect("equal")
+        axes.margins(0.03)
+        axes.set_axis_off()
+
+    def mark(self, axes: Axes, place: NDArray[np.float64], marker: str, size: float, color: str) -> None:
+        at = self.camera.project(place)
+        axes.scatter(at[0], at[1], s=size, marker=marker, color=color, edgecolors="black", linewidths=0.7, zorder=13)
+
+
+def _paint(
+    figure: Figure,
+    axes: Axes,
+    backdrop: _Backdrop,
+    position: NDArray[np.float64],
+    face: NDArray[np.int32],
+    values: NDArray[np.float64],
+    linear: bool,
+    lookin: NDArray[np.float64] | None = None,
+) -> None:
+    """Points over the opened room, coloured by value relative to the highest; those on removed walls left out."""
+    backdrop.draw(axes)
+    shown = np.flatnonzero(np.isin(face, backdrop.faces) & (values > 0))
+    if not len(shown):
+        return
+    highest = float(values[values > 0].max()) if linear else float(np.quantile(values[shown], 0.999))
+    shown = shown[:: max(1, len(shown) // _MOST_POINTS)]
+    at = backdrop.camera.project(position[shown])
+    order = np.argsort(-at[:, 2])
+    color = _relative(values[shown] / highest, linear)
+    size = float(np.clip(25_000 / len(shown), 0.4, 9.0))
+    drawn = axes.scatter(
+        at[order, 0], at[order, 1], c=color[order], s=size, cmap=_COLORS, vmin=-_DECADES * (not linear),
+        vmax=1.0 if linear else 0.0, linewidths=0, zorder=6,
+    )  # fmt: skip
+    backdrop.mark(axes, backdrop.beam[1], "o", 26, LASER)
+    if lookin is not None:
+        backdrop.mark(axes, lookin, "^", 60, "#9A9A9A")
+    figure.colorbar(drawn, ax=axes, shrink=0.7, pad=0.01).set_label("relative" if linear else "log₁₀, relative")
+
+
+def _close_up(figure: Figure, axes: Axes, runs: Runs, example: FromLookin, values: NDArray[np.float64]) -> None:
+    """The field of view in its own plane, seen from the sensor."""
+    corners = runs.capture.sensor.pixels[0]
+    right, up = corners[1] - corners[0], corners[3] - corners[0]
+    middle = corners.mean(axis=0)
+    # From the sensor's side: a frame whose normal points to it has right on the right.
+    if np.cross(right, up) @ (runs.capture.sensor.position - middle) < 0:
+        right = -right
+    frame = np.stack([right / np.linalg.norm(right), up / np.linalg.norm(up)])
+    at = (example.position[example.in_view] - middle) @ frame.T
+    square = (np.concatenate([corners, corners[:1]]) - middle) @ frame.T
+    highest = float(values.max(initial=0.0))
+    color = _relative(values / highest, False) if highest > 0 else np.full(len(values), -_DECADES)
+    size = float(np.clip(6000 / max(len(at), 1), 3.0, 60.0))
+    drawn = axes.scatter(
+        at[:, 0], at[:, 1], c=color, s=size, cmap=_COLORS, vmin=-_DECADES, vmax=0.0, edgecolors="#888888",
+        linewidths=0.2,
+    )  # fmt: skip
+    axes.plot(square[:, 0], square[:, 1], color=_GREEN, linewidth=1.8)
+    axes.set_aspect("equal")
+    axes.set(xlabel="right (m)", ylabel="up (m)")
+    figure.colorbar(drawn, ax=axes, shrink=0.7, pad=0.01).set_label("log₁₀, relative")
+
+
+def _relative(values: NDArray[np.float64], linear: bool) -> NDArray[np.float64]:
+    if linear:
+        return np.clip(values, 0, 1)
+    return np.asarray(np.clip(np.log10(np.maximum(values, 1e-300)), -_DECADES, 0), np.float64)

@@ -1,0 +1,261 @@
+"""The simulations behind the reproduction: both estimators, two densities, two secondary schemes, and timings."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.capture import capture_for
+from datagen.config import DatasetConfig
+from datagen.errors import InputError
+from datagen.paper.as_printed import AsPrinted, Conserved, simulate_as_printed
+from datagen.paper.as_printed_sampling import Grid
+from datagen.records import Accuracy, Capture, Laser, Scene, Sensor, TimeAxis, Transient
+from datagen.report.components import ComponentCurves, component_curves
+from datagen.scene import generate_scene
+from datagen.transport import simulate
+from datagen.transport.raycast import Raycaster
+from datagen.transport.vertices import LaserPoints
+
+Estimator = Literal["as printed", "radiometric", "converged"]
+Scheme = Literal["all", "strongest"]
+Progress = Callable[[str], None]
+
+ROOM_UNIT_M, OTHER_UNIT_M = 1e-3, 1.0
+GRIDS: tuple[Grid, ...] = ("angles", "solid_angle")
+CONSERVED: tuple[Conserved, ...] = ("room", "lookin", "rays")
+LAYOUT_AS_PRINTED: dict[str, float] = {"height_m": 3.0}
+CONTENTS_AS_PRINTED: dict[str, dict[str, float]] = {"box": {"height_m": 2.2}, "pillar": {"across": 0.7}}
+SCHEMES: tuple[Scheme, ...] = ("all", "strongest")
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is simulated.
+
+    rays : side of the two grids of rays. pixels : side of a lookin's unfolded picture. reference : lookins of the
+    converged run. seeds : radiometric runs whose spread is the error of a level. sweep, sweep_pixels : sides of the
+    grids over which the level as printed is followed, and the pixels there.
+    """
+
+    rays: tuple[int, int] = (10, 45)
+    pixels: int = 60
+    reference: int = 1 << 18
+    seeds: int = 8
+    sweep: tuple[int, ...] = (5, 10, 20, 40, 80)
+    sweep_pixels: int = 20
+
+
+FULL = Sizes()
+QUICK = Sizes(rays=(8, 16), pixels=20, reference=1 << 14, seeds=4, sweep=(4, 8, 16), sweep_pixels=8)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One simulation. curves : its likelihood envelopes; level : component → energy per emitted photon (or what
+    stands for it as printed); seconds, processor_s : elapsed and processor time of all of it."""
+
+    curves: ComponentCurves
+    level: Mapping[str, float]
+    seconds: float
+    processor_s: float
+
+    @property
+    def primary(self) -> NDArray[np.float64]:
+        """(bin,) envelope of all primary paths."""
+        return np.asarray(np.sum(list(self.curves.parts.values()), axis=0), np.float64)
+
+    @property
+    def secondary(self) -> NDArray[np.float64]:
+        """(bin,) envelope of the secondary paths."""
+        return self.curves.orders["secondary"]
+
+    @property
+    def ratio(self) -> float:
+        """Secondary over primary level."""
+        return self.level["secondary"] / self.level["primary"] if self.level["primary"] > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class Level:
+    """A level with its standard error (NaN where the samples are a fixed grid)."""
+
+    primary: float
+    secondary: float
+    primary_error: float = float("nan")
+    secondary_error: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Runs:
+    """All that was simulated.
+
+    cases : (estimator, rays a side, scheme) → Case; the converged run has 0 rays.
+    choices : (grid, conserved) → Case of the sparse grid. sweep : rays a side → level as printed.
+    radiometric_levels : rays a side → level over several seeds.
+    in_metres : the sparse grid as printed with lengths in metres. rescaled : levels of the radiometric run of the
+        sparse counts, and of the same with all lengths of room, aperture and time axis multiplied as from mm to m.
+    laid_out : rays a side → dense case as printed, 0 → converged, in `room_laid_out_as_printed`; empty without one.
+    relative_error : of the converged run.
+    """
+
+    config: DatasetConfig
+    scene: Scene
+    capture: Capture
+    sizes: Sizes
+    cases: dict[tuple[Estimator, int, Scheme], Case] = field(default_factory=dict)
+    choices: dict[tuple[Grid, Conserved], Case] = field(default_factory=dict)
+    sweep: dict[int, Level] = field(default_factory=dict)
+    radiometric_levels: dict[int, Level] = field(default_factory=dict)
+    in_metres: dict[int, Case] = field(default_factory=dict)
+    rescaled: list[Level] = field(default_factory=list)
+    laid_out: dict[int, Case] = field(default_factory=dict)
+    relative_error: list[float] = field(default_factory=list)
+
+    def case(self, estimator: Estimator, rays: int = 0, scheme: Scheme = "all") -> Case:
+        return self.cases[estimator, rays, scheme]
+
+    @property
+    def sparse(self) -> int:
+        return self.sizes.rays[0]
+
+    @property
+    def dense(self) -> int:
+        return self.sizes.rays[1]
+
+    @property
+    def laser_point(self) -> NDArray[np.float64]:
+        """(3,) where the laser meets the relay wall."""
+        return LaserPoints.of(Raycaster(self.scene), self.scene, self.capture.laser).position[0]
+
+    @property
+    def time_ns(self) -> NDArray[np.float64]:
+        """(bin,) since the light reached the laser point."""
+        return self.case("converged").curves.time_ns
+
+
+def run_all(config: DatasetConfig, sizes: Sizes, progress: Progress) -> Runs:
+    """Simulate everything that figures and statements need. Raises `InputError` for a room without light."""
+    scene = generate_scene(config.scene, config.seed, 0)
+    capture = capture_for(config, scene, config.seed, 0)
+    if capture.shape[:2] != (1, 1):
+        raise InputError(
+            f"{config.name}: {capture.shape[0]} laser points and {capture.shape[1]} pixels; the paper's figures are "
+            "of one laser point and one field of view"
+        )
+    runs = Runs(config, scene, capture, sizes)
+    progress("compiling")
+    for scheme in SCHEMES:
+        _printed(runs, AsPrinted(runs.sparse, min(sizes.pixels, 20), secondary=scheme))
+    for rays in sizes.rays:
+        for scheme in SCHEMES:
+            progress(f"as printed, {rays} × {rays} rays, {scheme}")
+            settings = AsPrinted(rays, sizes.pixels, ROOM_UNIT_M, scheme)
+            runs.cases["as printed", rays, scheme] = _printed(runs, settings)
+            progress(f"radiometric, {rays * rays} lookins, {scheme}")
+            # Twice: which kernels it needs, and so compiles, depends on room and counts.
+            for _ in range(2):
+                runs.cases["radiometric", rays, scheme] = _radiometric(runs, rays, sizes.pixels, scheme, 0)
+    progress(f"radiometric, converged, {sizes.reference} lookins")
+    runs.cases["converged", 0, "all"], error = _converged(runs)
+    runs.relative_error.append(error)
+    if not runs.case("converged").level["primary"] > 0:
+        raise InputError(f"{config.name}: no light comes around the corner within the time window; nothing to plot")
+    progress("levels against units, rays and choices")
+    _levels(runs)
+    other = room_laid_out_as_printed(config)
+    if other is not None:
+        progress("the room laid out for the printed weights")
+        _lay_out(runs, other)
+    return runs
+
+
+def room_laid_out_as_printed(config: DatasetConfig) -> DatasetConfig | None:
+    """The demonstration room with three lengths changed so that Eq. 6, and not radiometry, has the published peaks.
+
+    The paper gives no plan; any room with its peaks will do. None for another configuration.
+    """
+    if config.name != "demonstration_room":
+        return None
+    layout = config.scene.layout.model_copy(update=LAYOUT_AS_PRINTED)
+    contents = tuple(
+        content.model_copy(update=CONTENTS_AS_PRINTED.get(content.kind, {})) for content in config.scene.contents
+    )
+    scene = config.scene.model_copy(update={"layout": layout, "contents": contents})
+    return config.model_copy(update={"scene": scene})
+
+
+def _lay_out(runs: Runs, config: DatasetConfig) -> None:
+    scene = generate_scene(config.scene, config.seed, 0)
+    there = Runs(config, scene, capture_for(config, scene, config.seed, 0), runs.sizes)
+    runs.laid_out[runs.dense] = _printed(there, AsPrinted(runs.dense, runs.sizes.pixels))
+    runs.laid_out[0] = _converged(there)[0]
+
+
+def _levels(runs: Runs) -> None:
+    sizes, sparse = runs.sizes, AsPrinted(runs.sparse, runs.sizes.pixels)
+    runs.in_metres[runs.sparse] = _printed(runs, replace(sparse, unit_m=OTHER_UNIT_M))
+    for factor in (1.0, OTHER_UNIT_M / ROOM_UNIT_M):
+        runs.rescaled.append(_rescaled(runs, factor))
+    for grid in GRIDS:
+        for conserved in CONSERVED:
+            runs.choices[grid, conserved] = _printed(runs, replace(sparse, grid=grid, conserved=conserved))
+    for rays in sizes.sweep:
+        case = _printed(runs, AsPrinted(rays, sizes.sweep_pixels))
+        runs.sweep[rays] = Level(case.level["primary"], case.level["secondary"])
+    for rays in sizes.rays:
+        levels = [_radiometric(runs, rays, sizes.pixels, "all", seed).level for seed in range(1, sizes.seeds + 1)]
+        primary, secondary = (np.array([level[name] for level in levels]) for name in ("primary", "secondary"))
+        error = 1 / np.sqrt(len(levels))
+        runs.radiometric_levels[rays] = Level(
+            float(primary.mean()), float(secondary.mean()),
+            float(primary.std(ddof=1) * error), float(secondary.std(ddof=1) * error),
+        )  # fmt: skip
+
+
+def _printed(runs: Runs, settings: AsPrinted) -> Case:
+    return _timed(runs, lambda: simulate_as_printed(runs.scene, runs.capture, settings))[0]
+
+
+def _radiometric(runs: Runs, rays: int, pixels: int, scheme: Scheme, seed: int) -> Case:
+    return _timed(runs, lambda: simulate(runs.scene, runs.capture, _counts(rays, pixels, scheme), seed))[0]
+
+
+def _counts(rays: int, pixels: int, scheme: Scheme) -> Accuracy:
+    """As many lookins, observed points and FoV points as the paper counts."""
+    return Accuracy(
+        lookins=rays * rays, observed=pixels**2, fov_samples=pixels**2, max_bounces=4, scramblings=1, secondary=scheme
+    )
+
+
+def _rescaled(runs: Runs, factor: float) -> Level:
+    """Every length times `factor`, the aperture and the way of light in a bin too: the same room in another unit."""
+    scene, capture, sensor, axis = runs.scene, runs.capture, runs.capture.sensor, runs.capture.time
+    larger = replace(scene, vertices=scene.vertices * factor, attenuation_per_m=scene.attenuation_per_m / factor)
+    seen = Capture(
+        Laser(capture.laser.position * factor, capture.laser.targets * factor),
+        Sensor(sensor.position * factor, sensor.pixels * factor, sensor.aperture_radius_m * factor),
+        TimeAxis(axis.bins, axis.width_s * factor, axis.start_s * factor, axis.origin),
+    )
+    found = simulate(larger, seen, _counts(runs.sparse, runs.sizes.pixels, "all"), 0).components
+    return Level(float(found["primary"].sum()), float(found["secondary"].sum()))
+
+
+def _converged(runs: Runs) -> tuple[Case, float]:
+    accuracy = Accuracy(lookins=runs.sizes.reference, fov_samples=16, max_bounces=4, scramblings=16)
+    case, transient = _timed(runs, lambda: simulate(runs.scene, runs.capture, accuracy, 0))
+    return case, transient.relative_error
+
+
+def _timed(runs: Runs, run: Callable[[], Transient]) -> tuple[Case, Transient]:
+    began, began_processor = clock.perf_counter(), clock.process_time()
+    transient = run()
+    seconds, processor_s = clock.perf_counter() - began, clock.process_time() - began_processor
+    curves = component_curves(runs.config, runs.scene, runs.capture, transient)
+    level = {name: float(values.sum()) for name, values in transient.components.items()}
+    return Case(curves, level, seconds, processor_s), transient

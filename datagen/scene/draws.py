@@ -1,0 +1,206 @@
+"""Draws from settings to things: a layout's plan, an item's solid, surfaces' materials; no object has a place yet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datagen.config.distributions import draw, draw_count
+from datagen.config.scene import SceneConfig
+from datagen.config.scene_contents import Box, Content, Item, Library, Mesh, MeshFolder, Pillar, Standing
+from datagen.config.scene_files import label_of
+from datagen.config.scene_layouts import AnyLayout, Closed
+from datagen.config.scene_materials import Surface as SurfaceSettings
+from datagen.errors import InputError
+from datagen.records import Lambertian, Material, Scalar
+from datagen.scene.relay_wall import draw_clutter, draw_relay_wall
+from scene_library import layouts
+from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
+from scene_library.objects import build
+from scene_library.placement import Occupied
+from scene_library.rooms import Plan, mirrored, out_of_square, surfaces, wall_groups
+from scene_library.solids import Solid, Surface, prism, rectangle, regular_polygon
+
+PLANS: dict[str, Callable[..., Plan]] = {
+    "straight_corridor": layouts.straight_corridor,
+    "l_corridor": layouts.l_corridor,
+    "t_corridor": layouts.t_corridor,
+    "z_corridor": layouts.z_corridor,
+    "corridor_room": layouts.corridor_room,
+    "doorway_room": layouts.doorway_room,
+    "isolated_wall": layouts.isolated_wall,
+}
+
+
+@dataclass(frozen=True)
+class Thing:
+    """An object to be placed: all that is drawn for it but its place.
+
+    where : its settings, such as contents[0]. name : of its part. label : its class.
+    rotation_deg, elevation_m : as declared.
+    """
+
+    where: str
+    item: Content
+    name: str
+    label: str
+    solid: Solid
+    material: Material
+    rotation_deg: float
+    elevation_m: float
+
+
+@dataclass(frozen=True)
+class DrawnRoom:
+    """Everything of a room that is drawn once: what is left are the places of its objects.
+
+    surfaces, materials : of the room's own parts, by name. clutter : those of them that stand before the relay wall,
+    and the place they take. parameters : every number drawn, by dotted name.
+    """
+
+    plan: Plan
+    surfaces: dict[str, Surface]
+    materials: dict[str, Material]
+    clutter: dict[str, Occupied]
+    things: tuple[Thing, ...]
+    parameters: dict[str, Scalar]
+
+
+def draw_room(spec: SceneConfig, rng: np.random.Generator) -> DrawnRoom:
+    """Layout, materials, and the objects with their number, classes and sizes, each from its declared distribution.
+
+    Raises `scene_library.rooms.RoomDoesNotClose`.
+    """
+    plan, drawn = draw_plan(spec.layout, rng)
+    parameters: dict[str, Scalar] = {"layout.kind": spec.layout.kind}
+    parameters |= {f"layout.{name}": value for name, value in drawn.items()}
+    room = surfaces(plan, floor=spec.layout.floor, ceiling=spec.layout.ceiling)
+    uneven, numbers = draw_relay_wall(spec.layout.relay_wall, plan, rng)
+    if uneven is not None:
+        room["relay_wall"] = uneven
+    parameters |= numbers
+    materials = {name: _material(spec, getattr(spec.materials, name), name, parameters, rng) for name in room}
+    names, things, clutter = set(room), [], dict[str, Occupied]()
+    for piece in draw_clutter(spec.layout.relay_wall, plan, spec.clearance_m, rng):
+        name = _free_name(f"clutter_{piece.kind}", names)
+        names.add(name)
+        room[name], clutter[name] = piece.surface, piece.occupied
+        materials[name] = _material(spec, spec.layout.relay_wall.clutter, name, parameters, rng)
+        parameters |= {f"{name}.{key}": value for key, value in piece.parameters.items()}
+    for i, item in enumerate(spec.contents):
+        for _ in range(draw_count(item.count, rng)):
+            found = draw_object(item, plan.height_m, rng)
+            name = _free_name(item.name or label_of(found.label), names)
+            names.add(name)
+            parameters |= {f"{name}.kind": item.kind, f"{name}.class": found.label}
+            parameters |= {f"{name}.{key}": value for key, value in found.sizes.items()}
+            rotation = draw(item.rotation_deg, rng)
+            elevation = draw(item.elevation_m, rng) if isinstance(item, Standing) else 0.0
+            if isinstance(item, Standing):
+                parameters |= {f"{name}.placement": item.placement, f"{name}.elevation_m": elevation}
+            material = _material(spec, item, name, parameters, rng)
+            things.append(
+                Thing(f"contents[{i}]", item, name, found.label, found.solid, material, rotation, elevation)
+            )
+    parameters["objects"] = len(things)
+    return DrawnRoom(plan, room, materials, clutter, tuple(things), parameters)
+
+
+def _free_name(wanted: str, taken: set[str]) -> str:
+    """The name itself, or numbered from 2 when it is taken."""
+    number, name = 1, wanted
+    while name in taken:
+        number += 1
+        name = f"{wanted}_{number}"
+    return name
+
+
+def _material(
+    spec: SceneConfig, surface: SurfaceSettings, name: str, parameters: dict[str, Scalar], rng: np.random.Generator
+) -> Material:
+    """Draw the material of the part `name`, and note its numbers."""
+    material, catalogue_name = surface.draw_material(spec.wavelength_nm, rng)
+    if catalogue_name is not None:
+        parameters[f"{name}.material"] = catalogue_name
+    numbers = {key: value for key, value in asdict(material).items() if isinstance(value, (int, float))}
+    parameters |= {f"{name}.{key}": value for key, value in numbers.items()}
+    if not isinstance(material, Lambertian):
+        parameters[f"{name}.brdf"] = type(material).__name__
+    return material
+
+
+def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[Plan, dict[str, Scalar]]:
+    """A plan and the dimensions drawn for it. Raises `scene_library.rooms.RoomDoesNotClose`."""
+    dimensions = {name: draw(d, rng) for name, d in layout.dimensions().items()}
+    side = ("left", "right")[int(rng.integers(2))] if layout.turn == "random" else layout.turn
+    plan = PLANS[layout.kind](**dimensions)
+    drawn: dict[str, Scalar] = {**dimensions, "turn": side}
+    if isinstance(layout, Closed) and layout.out_of_square_deg != 0:
+        groups = wall_groups(plan)
+        turned = {wall: draw(layout.out_of_square_deg, rng) for wall in dict.fromkeys(groups)}
+        turned[groups[plan.relay_edge]] = 0.0
+        plan = out_of_square(plan, np.radians([turned[wall] for wall in groups]))
+        drawn |= {f"wall_{wall}_turned_deg": angle for wall, angle in turned.items()}
+    return plan if side == "left" else mirrored(plan), drawn
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """An object before it is placed: its solid, its class, and the sizes drawn for it."""
+
+    solid: Solid
+    label: str
+    sizes: dict[str, Scalar]
+
+
+def draw_object(item: Item, room_height_m: float, rng: np.random.Generator) -> Drawn:
+    """An item's solid, standing at the origin. Raises `InputError` for a mesh file that cannot be used."""
+    sizes = {name: draw(d, rng) for name in item.sizes if (d := getattr(item, name)) is not None}
+    match item:
+        case Pillar():
+            width, depth = sizes["width_m"], sizes.get("depth_m", sizes["width_m"])
+            base = rectangle(width, depth) if item.shape == "square" else regular_polygon(1.0, 32) * [width, depth]
+            drawn: dict[str, Scalar] = {**sizes, "depth_m": depth, "height_m": room_height_m}
+            return Drawn(prism(base, room_height_m), item.part_name, drawn)
+        case Box():
+            base = rectangle(sizes["width_m"], sizes["depth_m"])
+            return Drawn(prism(base, sizes["height_m"]), item.part_name, dict(sizes))
+        case Library():
+            name = item.names[int(rng.integers(len(item.names)))]
+            solid = build(name, rng)
+            if "height_m" in sizes:
+                solid = solid.scaled(sizes["height_m"] / solid.top_m)
+            return Drawn(solid, name, _extents(solid))
+        case Mesh():
+            return _mesh(item, item.file, item.part_name, item.path, sizes["height_m"])
+        case MeshFolder():
+            classes = item.files()
+            if not classes:
+                raise InputError(f"path = {item.path!r}: holds no mesh files any more; put them back")
+            label = list(classes)[int(rng.integers(len(classes)))]
+            file = classes[label][int(rng.integers(len(classes[label])))]
+            return _mesh(
+                item, file, label, f"{item.path}/{file.relative_to(item.folder).as_posix()}", sizes["height_m"]
+            )
+    raise TypeError(f"no solid is known for {type(item).__name__}")
+
+
+def load_mesh(item: Mesh | MeshFolder, file: Path, shown: str) -> Solid:
+    """The file's solid at height 1. Raises `InputError` naming it as `shown`."""
+    try:
+        return unit_mesh(file, MeshOptions(item.up, item.max_triangles))
+    except BadMesh as error:
+        raise InputError(f"path = {shown!r}: {error}") from None
+
+
+def _mesh(item: Mesh | MeshFolder, file: Path, label: str, shown: str, height_m: float) -> Drawn:
+    solid = load_mesh(item, file, shown).scaled(height_m)
+    return Drawn(solid, label, {**_extents(solid), "triangles": len(solid.triangles), "file": shown})
+
+
+def _extents(solid: Solid) -> dict[str, Scalar]:
+    width, depth = np.ptp(solid.hull, axis=0)
+    return {"width_m": float(width), "depth_m": float(depth), "height_m": solid.top_m}

@@ -1,0 +1,209 @@
+"""Scene settings + scene library → Scene: draw a room, furnish it, check it, or say why that cannot be done.
+
+`generate_scene` is a pure function of (settings, seed, index). Every room drawn has its own random stream, and so has
+every try at placing its objects, so what one consumed never shifts the next.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.config.distributions import draw
+from datagen.config.scene import SceneConfig
+from datagen.config.scene_contents import Mesh, MeshFolder
+from datagen.errors import InputError
+from datagen.records import Material, Pose, Rectangle, Role, Scalar, Scene
+from datagen.scene.draws import DrawnRoom, draw_room, load_mesh
+from datagen.scene.placing import Unmet, place
+from datagen.scene.refusals import explain
+from datagen.seeding import Purpose, generator
+from scene_library.placement import FreeSpace
+from scene_library.rooms import Plan, RoomDoesNotClose
+from scene_library.sightlines import even_points, seen_fractions
+from scene_library.visibility import visible_fan, visible_interval
+
+MESHES_CHECKED = 200
+"""At most about this many files of a folder are loaded before a build."""
+SMALLEST_VIEW_M = 0.05
+"""A relay wall seen over less than this width is no relay wall."""
+
+
+@dataclass
+class _Parts:
+    """Surfaces collected so far, in the order of their part index."""
+
+    names: list[str] = field(default_factory=list)
+    roles: list[Role] = field(default_factory=list)
+    materials: list[Material] = field(default_factory=list)
+    vertices: list[NDArray[np.float64]] = field(default_factory=list)
+    triangles: list[NDArray[np.int64]] = field(default_factory=list)
+
+    def add(
+        self, name: str, role: Role, material: Material, vertices: NDArray[np.float64], faces: NDArray[np.int64]
+    ) -> None:
+        self.names.append(name)
+        self.roles.append(role)
+        self.materials.append(material)
+        self.vertices.append(vertices)
+        self.triangles.append(faces)
+
+    def joined(self) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]]:
+        offsets = np.cumsum([0] + [len(v) for v in self.vertices])
+        faces = np.concatenate([f + o for f, o in zip(self.triangles, offsets, strict=False)])
+        part = np.repeat(np.arange(len(self.names)), [len(f) for f in self.triangles])
+        return np.concatenate(self.vertices), faces.astype(np.int32), part.astype(np.int32)
+
+
+def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
+    """Draw scene `index` of the dataset with this `seed`.
+
+    A room is drawn with everything in it, then its objects are placed: inside, with `clearance_m` to walls and other
+    objects, none to be seen from the device, and each seen from the visible part of the relay wall (`minimum_seen`).
+    Where that fails the same objects are placed anew; only after many tries (`placings`) is the room given up and all
+    of it drawn again, so that what is declared is what is found in the dataset, whether it is easy to place or not.
+    The same arguments give the same scene, whoever asks and when.
+
+    Raises `InputError` after `spec.max_attempts` placings in all, naming what failed how often and what to change.
+    """
+    reasons: Counter[tuple[str, str]] = Counter()
+    draws = 0
+    while (left := spec.max_attempts - reasons.total()) > 0:
+        try:
+            room = draw_room(spec, generator(seed, index, Purpose.SCENE, draws))
+            view = _View.of(room.plan)
+        except RoomDoesNotClose as error:
+            reasons["layout", str(error)] += 1
+        else:
+            tries = min(left, placings(spec.max_attempts, draws))
+            for number in range(tries):
+                rng = generator(seed, index, Purpose.SCENE, draws, 1 + number)
+                counted: dict[str, Scalar] = {"attempts": reasons.total() + 1, "draws": draws + 1}
+                try:
+                    return _furnished(spec, room, view, rng, counted, turn_anew=2 * number > tries)
+                except Unmet as unmet:
+                    reasons[unmet.args] += 1
+                    if unmet.final:
+                        break
+        draws += 1
+    raise InputError(explain(spec, seed, index, reasons))
+
+
+def placings(max_attempts: int, draw_number: int) -> int:
+    """How often the objects of a drawn room are placed before it is given up.
+
+    An eighth of all attempts for the first room, half as many for each further one, at least one: most attempts are
+    left for rooms drawn anew, in case few of those that can be drawn are possible at all.
+    """
+    return max(1, max_attempts >> min(3 + draw_number, 62))
+
+
+@dataclass(frozen=True)
+class _View:
+    """What the device sees: `fan` (n, 3, 2) in plan, and the part of the relay wall in it."""
+
+    fan: NDArray[np.float64]
+    relay_wall: Rectangle
+
+    @classmethod
+    def of(cls, plan: Plan) -> _View:
+        fan = visible_fan(plan.limits, plan.device[:2])
+        return cls(fan, _visible_relay_wall(plan, fan))
+
+
+def _furnished(
+    spec: SceneConfig,
+    room: DrawnRoom,
+    view: _View,
+    rng: np.random.Generator,
+    counted: dict[str, Scalar],
+    turn_anew: bool,
+) -> Scene:
+    """Place every object and check what is seen of it. Raises `Unmet`.
+
+    turn_anew : draw rotations afresh too, since an object may only fit in turned otherwise.
+    """
+    plan, parameters = room.plan, counted | room.parameters
+    parts, poses = _Parts(), dict[str, Pose]()
+    for name, (vertices, faces) in room.surfaces.items():
+        # What stands before the relay wall scatters like it: labels look through it, scans may meet it.
+        role: Role = "relay_wall" if name == "relay_wall" or name in room.clutter else "structure"
+        parts.add(name, role, room.materials[name], vertices, faces)
+    space = FreeSpace(plan.outline, plan.hidden, plan.walls, plan.height_m, view.fan, spec.clearance_m)
+    space.taken.extend(room.clutter.values())
+    for thing in room.things:
+        rotation = draw(thing.item.rotation_deg, rng) if turn_anew else thing.rotation_deg
+        spot = place(thing, rotation, plan, space, rng)
+        parts.add(thing.name, "object", thing.material, spot.vertices(thing.solid), thing.solid.triangles)
+        poses[thing.name] = Pose.upright(thing.label, spot.rotation_deg)
+        parameters |= {f"{thing.name}.{key}": value for key, value in asdict(spot).items()}
+
+    corners, triangles, face_part = parts.joined()
+    if room.things:
+        wanted = np.arange(len(room.surfaces), len(parts.names))
+        seen = seen_fractions(corners[triangles], face_part, wanted, even_points(*_spread(view.relay_wall)))
+        for thing, fraction in zip(room.things, seen, strict=True):
+            if fraction <= spec.minimum_seen:
+                raise Unmet(thing.where, "unseen")
+            parameters[f"{thing.name}.seen_fraction"] = float(fraction)
+    parameters["attenuation_per_m"] = attenuation_per_m = draw(spec.attenuation_per_m, rng)
+    return Scene(
+        vertices=corners,
+        triangles=triangles,
+        face_part=face_part,
+        part_names=tuple(parts.names),
+        materials=tuple(parts.materials),
+        roles=tuple(parts.roles),
+        relay_wall=view.relay_wall,
+        hidden_view=_hidden_view(plan),
+        hidden_bounds=np.array([[*plan.hidden[0], 0.0], [*plan.hidden[1], plan.height_m]]),
+        device_position=plan.device,
+        parameters=parameters,
+        poses=poses,
+        attenuation_per_m=attenuation_per_m,
+    )
+
+
+def _visible_relay_wall(plan: Plan, fan: NDArray[np.float64]) -> Rectangle:
+    start, end = plan.relay_segment
+    seen = visible_interval(fan, start, end)
+    if seen is None or seen[1] - seen[0] < SMALLEST_VIEW_M:
+        raise RoomDoesNotClose(f"the device sees less than {SMALLEST_VIEW_M} m of the relay wall: widen the corridor")
+    unit = (end - start) / np.linalg.norm(end - start)
+    return _upright(start + seen[0] * unit, start + seen[1] * unit, plan.visible_top_m)
+
+
+def _hidden_view(plan: Plan) -> Rectangle:
+    """The hidden part's width and height in the plane of the relay wall."""
+    x = plan.relay_segment[0, 0]
+    return _upright(np.array([x, plan.hidden[0, 1]]), np.array([x, plan.hidden[1, 1]]), plan.height_m)
+
+
+def _upright(right_end: NDArray[np.float64], left_end: NDArray[np.float64], height_m: float) -> Rectangle:
+    """The rectangle above a plan segment given from right to left as seen from the room; its normal points there."""
+    center = np.array([*(right_end + left_end) / 2, height_m / 2])
+    return Rectangle.of(center, [*(right_end - left_end) / 2, 0.0], [0.0, 0.0, height_m / 2])
+
+
+def _spread(wall: Rectangle) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    return wall.center, wall.right, wall.up
+
+
+def check_scene_config(spec: SceneConfig) -> None:
+    """Load the meshes named, so that a bad file is refused before anything is built. Raises `InputError`.
+
+    Of a folder with very many files an even selection is loaded.
+    """
+    for i, item in enumerate(spec.contents):
+        try:
+            if isinstance(item, Mesh):
+                load_mesh(item, item.file, item.path)
+            elif isinstance(item, MeshFolder):
+                files = [file for files in item.files().values() for file in files]
+                for file in files[:: 1 + len(files) // MESHES_CHECKED]:
+                    load_mesh(item, file, f"{item.path}/{file.relative_to(item.folder).as_posix()}")
+        except InputError as error:
+            raise InputError(f"scene.contents[{i}].{error}") from None

@@ -1,0 +1,91 @@
+"""Find a free place for one object: anywhere, with its back to a wall, or hanging from the ceiling."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.config.distributions import draw
+from datagen.config.scene_contents import Standing
+from datagen.scene.draws import Thing
+from scene_library.placement import FreeSpace, Occupied, WallSpots
+from scene_library.rooms import Plan
+from scene_library.solids import Solid
+
+POSITIONS_PER_OBJECT = 40
+"""Positions tried for one object before all objects of the room are placed anew."""
+
+
+class Unmet(Exception):
+    """One attempt at a room failed; the arguments are (where, what) for the tally.
+
+    `final`: no other places of the objects would mend it.
+    """
+
+    def __init__(self, where: str, what: str, *, final: bool = False) -> None:
+        super().__init__(where, what)
+        self.final = final
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A pose: the solid is turned about z, then moved. `along` and `across` are its place in the hidden part."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    rotation_deg: float
+    along: float
+    across: float
+
+    def vertices(self, solid: Solid) -> NDArray[np.float64]:
+        return solid.placed(self.x_m, self.y_m, self.z_m, self.rotation_deg)
+
+
+def place(thing: Thing, rotation_deg: float, plan: Plan, space: FreeSpace, rng: np.random.Generator) -> Spot:
+    """Try positions until one is free, and take it. Raises `Unmet` with the commonest obstacle."""
+    where, item, solid = thing.where, thing.item, thing.solid
+    placement = item.placement if isinstance(item, Standing) else "floor"
+    z = plan.height_m - thing.elevation_m - solid.top_m if placement == "hanging" else thing.elevation_m
+    spots = _wall_spots(plan) if placement == "wall" else None
+    obstacles: Counter[str] = Counter()
+    only_one = spots is None and isinstance(item.along, float) and isinstance(item.across, float)
+    for _ in range(1 if only_one else POSITIONS_PER_OBJECT):
+        if spots is None:
+            spot = _spot(plan, z, rotation_deg, draw(item.along, rng), draw(item.across, rng))
+        else:
+            # A hair more than the clearance, which rounding must not eat.
+            pose = spots.pose(solid.hull, space.clearance_m * (1 + 1e-6) + 1e-9, rng)
+            if pose is None:
+                raise Unmet(where, "no_wall", final=True)
+            spot = _spot_at(plan, z, *pose)
+        taken = Occupied(solid.footprint(spot.x_m, spot.y_m, spot.rotation_deg), z, z + solid.top_m)
+        obstacle = space.obstacle(taken)
+        if obstacle is None:
+            space.taken.append(taken)
+            return spot
+        obstacles[obstacle] += 1
+        if obstacle == "height":
+            raise Unmet(where, "height", final=True)
+    raise Unmet(where, obstacles.most_common(1)[0][0])
+
+
+def _spot(plan: Plan, z: float, rotation_deg: float, along: float, across: float) -> Spot:
+    (x0, y0), (x1, y1) = plan.hidden
+    y = y0 + across * (y1 - y0) if plan.across_from_low else y1 - across * (y1 - y0)
+    return Spot(float(x0 + along * (x1 - x0)), float(y), z, rotation_deg, along, across)
+
+
+def _spot_at(plan: Plan, z: float, x: float, y: float, rotation_deg: float) -> Spot:
+    low, high = plan.hidden
+    along, across = (np.array([x, y]) - low) / (high - low)
+    return Spot(x, y, z, rotation_deg, float(along), float(across if plan.across_from_low else 1 - across))
+
+
+def _wall_spots(plan: Plan) -> WallSpots:
+    """The walls of the hidden part other than the relay wall; in the open, none."""
+    edges = np.delete(plan.edges, plan.relay_edge, axis=0)
+    return WallSpots.within(edges[:0] if plan.open_air else edges, plan.hidden)

@@ -1,0 +1,318 @@
+"""Full secondary scattering: laser point → observed point → lookin → FoV point, all paths, at the cost of one sum.
+
+Each lookin b is a Lambertian surface point. What arrives through its Ñ observed points and what leaves it through
+its FoV points factorise, so all Ñ × M pairs are one convolution in time (`convolution.py`). A sample is a pair
+(observed point o, lookin b) drawn in either of two ways, joined by the balance heuristic (Veach & Guibas, SIGGRAPH
+1995):
+
+- b by a cosine ray from a FoV point, o by a cosine ray from b. The density of b, Σ share_q cosθ₄ cosθ_b V / (π R²)
+  over its FoV points q, is a by-product of the paths that leave it, so that what leaves, divided by the density,
+  never exceeds what the whole FoV weighs;
+- b the same, o one of the points that cosine rays from the laser point meet near it, which bounds the 1/R₁ₒ².
+
+Both need b to keep its distance from the laser point. Lookins near it are found by a walk from it instead, whose
+connections to the FoV are bounded by their own means (`connections.py`): where laser point and FoV share a corner, so
+do all vertices of the brightest paths. Any sample count is unbiased, and one sample is bounded.
+Lookins placed by rays from the laser point, as the paper has it, miss all those the laser does not light itself.
+Scholes & Leach, Sensors 24, 6522 (2024), sec. 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.records import Capture, Scene
+from datagen.transport.brdf import LAMBERTIAN, MaterialTable
+from datagen.transport.connections import Clock, Receiver, Rows, Tally
+from datagen.transport.cost import Work, factorised_work
+from datagen.transport.factorised import secondary_kernels as kernels
+from datagen.transport.factorised.convolution import (
+    Histograms,
+    Paths,
+    Sums,
+    convolve,
+    double_sum,
+    histograms,
+    keep_strongest,
+    reachable,
+    recentre,
+    take_rows,
+)
+from datagen.transport.factorised.secondary_kernels import FovPoints, Frame, Lookins, Pace, Spot, Surfaces
+from datagen.transport.factorised.secondary_samples import (
+    OBSERVED_STREAM,
+    WALK_STREAM,
+    Job,
+    Placement,
+    density_from,
+    fov_points,
+    laser_spots,
+    place_lookins,
+)
+from datagen.transport.fov import FovPool, PixelCones, PixelPatches
+from datagen.transport.raycast import Raycaster
+from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
+from datagen.transport.spread import Sketch, standard_error
+from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, runs_of, scattered_rays
+from datagen.transport.visibility.clearance import (
+    LightBuffer,
+    flat_patch,
+    light_buffer,
+    no_light_buffer,
+    plane_of_faces,
+    pyramids_clear,
+)
+from datagen.units import path_from_time
+
+RAYS_PER_CHUNK = 1 << 17
+"""Rays of the lookins followed at once: what bounds the memory."""
+LASERS_AT_ONCE = 64
+WALKS_PER_LOOKIN = 4
+"""Walks from each laser point; only those whose second vertex is near it count, and cost more than two rays."""
+HISTOGRAM_VALUES_AT_ONCE = 1 << 22
+RAYS_WORTH_A_BUFFER = 200_000
+"""Shadow rays of a laser point that take as long as making its light buffer, about; so many rays a triangle, too."""
+RAYS_WORTH_A_TRIANGLE = 6
+BUFFERS_AT_MOST = 256
+EVERY_BIN = 1 << 60
+
+
+@dataclass(frozen=True)
+class SecondaryEstimate:
+    """mean, stderr : (L, P, T) photons at the aperture per emitted photon and bin (stderr NaN for one scrambling);
+    overflow : (L, P) energy outside the time window. work : what was done."""
+
+    mean: NDArray[np.float64]
+    stderr: NDArray[np.float64]
+    overflow: NDArray[np.float64]
+    work: Work
+
+
+def factorising(materials: MaterialTable) -> NDArray[np.bool_]:
+    """(K,) the parts whose lookins factorise: where light goes does not depend on where it came from (Lambert)."""
+    return materials.kind == LAMBERTIAN
+
+
+def secondary_transient(
+    caster: Raycaster,
+    scene: Scene,
+    materials: MaterialTable,
+    capture: Capture,
+    points: LaserPoints,
+    cones: PixelCones,
+    patches: PixelPatches,
+    *,
+    lookins: int,
+    observed: int,
+    fov_samples: int,
+    scramblings: int,
+    strongest: int | None,
+    seed: int,
+    placement: Placement = "fov",
+    carriers: NDArray[np.bool_] | None = None,
+    plain: bool = False,
+    sketch: Sketch | None = None,
+) -> SecondaryEstimate:
+    """The four-bounce transient, every path from `observed` observed points through `fov_samples` FoV points.
+
+        L = ∫∫∫ f₁ cosθ₁cosθₒ V/R₁ₒ² · fₒ · cosθₒ′cosθ_b V/Rₒ_b² · (ρ_b/π) cosθ_b′cosθ₄ V/R_b4² · f₄ · A dΩ dA_b dAₒ
+
+    Parameters
+    ----------
+    lookins : over all scramblings. observed : for each lookin. fov_samples : for each lookin and pixel.
+    strongest : None for all paths; k for only the k strongest arriving paths of each lookin (the paper's optimised
+        scheme has k = 1), which leaves out energy: it is biased, and the fewer of its paths the more so.
+    placement : `fov` draws lookins from FoV points, unbiased. `laser` draws them from the laser point as the paper
+        does: biased low, as it misses all paths whose lookin (the third vertex) the laser point does not see, and
+        without bound where lookins far from the laser point are close to the field of view.
+    carriers : (K,) parts that may carry lookins, all of them Lambertian (`factorising`); paths whose lookin lies on
+        another part are left out, for another method to add. None: all parts, which then must all be Lambertian.
+        The other vertices may have any BRDF.
+    plain : form Eq. 8's double sum as it is written, O(Ñ²), over the very same points: what tests compare with.
+    sketch : gets each scrambling's transient too, for the correlations between bins.
+
+    Raises
+    ------
+    InputError : for a lookin's material that does not factorise, or a count under 1.
+    """
+    for name, value in (("lookins", lookins), ("observed", observed), ("fov_samples", fov_samples)):
+        if value < 1:
+            raise InputError(f"{name} = {value}: must be an integer ≥ 1")
+    if strongest is not None and strongest < 1:
+        raise InputError(f"strongest = {strongest}: must be an integer ≥ 1, or None for all paths")
+    allowed = np.ones(len(materials.kind), np.bool_) if carriers is None else carriers
+    wrong = np.flatnonzero(allowed & ~factorising(materials))
+    if len(wrong):
+        raise InputError(
+            f"part {scene.part_names[wrong[0]]!r}: {type(scene.materials[wrong[0]]).__name__} does not factorise; "
+            "only Lambertian lookins do: follow this part's light by the walk instead"
+        )
+    axis = capture.time
+    job = Job(
+        caster, scene, materials, capture, points, cones, patches, observed, fov_samples, strongest, seed, placement,
+        plain, allowed & (materials.values[:, 0] > 0),
+        Surfaces(caster.corners[:, 0].copy(), caster.face_normal, scene.face_part, materials.kind, materials.values),
+        Pace(
+            1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s + 0.5,
+            float(axis.origin == "source"), scene.attenuation_per_m,
+        ),
+        Frame(caster.center, caster.half_extent_m, caster.offset_m), plane_of_faces(caster),
+    )  # fmt: skip
+    total, squares = np.zeros(capture.shape), np.zeros(capture.shape)
+    overflow = np.zeros(capture.shape[:2])
+    sums = Sums.zeros(*capture.shape)
+    scramblings = min(scramblings, lookins)
+    for scrambling in range(scramblings):
+        count = lookins // scramblings + (scrambling < lookins % scramblings)
+        for array in sums:
+            array.fill(0.0)
+        for lasers, pixels in job.groups():
+            _add_group(job, lasers, pixels, count, scrambling, sums.take(lasers))
+        total += sums.transient
+        overflow += sums.overflow
+        if sketch is not None:
+            sketch.add(scrambling, sums.transient, 0)
+        squares += np.square(sums.transient, out=sums.transient)
+    total /= scramblings
+    work = Work(0, 0, total.size * scramblings, 0)
+    for lasers, pixels in job.groups():
+        work += factorised_work(lookins, observed, len(lasers), len(pixels), fov_samples, axis.bins, scramblings)
+    return SecondaryEstimate(total, standard_error([total], squares, scramblings), overflow / scramblings, work)
+
+
+def _add_group(
+    job: Job, lasers: NDArray[np.int64], pixels: NDArray[np.int64], count: int, scrambling: int, sums: Sums
+) -> None:
+    """Add `count` lookins' worth of paths from `lasers` to `pixels`; `sums` begins with the first of `lasers`."""
+    pool, fov, blocks = fov_points(job, pixels, count, scrambling)
+    if not fov.share.any():
+        return
+    patch = None
+    if len(job.caster.corners) < 5 * fov.weight.size // blocks:
+        used = fov.weight > 0
+        patch = flat_patch(fov.position[used], fov.normal[used], job.caster.offset_m)
+    lookins = place_lookins(job, fov, blocks, lasers, pixels, count, scrambling)
+    spots = laser_spots(job, lasers, count, scrambling)
+    worth = count * job.observed > max(RAYS_WORTH_A_BUFFER, RAYS_WORTH_A_TRIANGLE * len(job.caster.corners))
+    buffers = [
+        light_buffer(job.caster, job.face_plane, spot.position, spot.normal)
+        if worth and len(lasers) <= BUFFERS_AT_MOST
+        else no_light_buffer()
+        for spot in spots
+    ]
+    seeds = stream_seeds(job.seed, OBSERVED_STREAM, scrambling, int(lasers[0]))
+    base = scrambled_sobol(seeds, job.observed, 2)[0]
+    size = max(
+        1, RAYS_PER_CHUNK // max(job.observed + max(len(s.lit_part) for s in spots), fov.weight.size // blocks)
+    )
+    for start in range(0, len(lookins.part), size):
+        chunk = lookins.take(slice(start, start + size))
+        _add_lookins(job, fov, patch, chunk, base, count, lasers, spots, buffers, sums)
+    recentre(sums)
+    if spots[0].near_square > 0:
+        _walk_near(job, lasers, pixels, pool, count, scrambling, sums)
+
+
+def _walk_near(
+    job: Job,
+    lasers: NDArray[np.int64],
+    pixels: NDArray[np.int64],
+    pool: FovPool,
+    count: int,
+    scrambling: int,
+    sums: Sums,
+) -> None:
+    """Add the paths whose lookin is near the laser point, by walks from it."""
+    bins = sums.transient.shape[2]
+    nothing = AreaTarget(0.0, np.empty(0, np.int64), np.empty(0), 1.0, np.zeros(len(job.caster.corners), np.bool_))
+    seed = int(stream_seeds(job.seed, WALK_STREAM)[0])
+    streams = Streams.of(seed, np.array([scrambling]), np.arange(len(job.points.part)))
+    splits = np.zeros(len(job.materials.kind), np.int64)
+    axis, walks = job.capture.time, WALKS_PER_LOOKIN * count
+    at_once = max(1, min(RAYS_PER_CHUNK // walks, HISTOGRAM_VALUES_AT_ONCE // (len(pixels) * bins)))
+    for run in runs_of(lasers, at_once):
+        lookins = draw_lookins(job.caster, job.scene, job.materials, job.points, run, walks, nothing, streams, 2)
+        rays = scattered_rays(job.caster, job.materials, lookins, lookins.numbers(0))
+        found = continued(job.scene, lookins, *rays)
+        apart = ((found.position - job.points.position[found.laser]) ** 2).sum(axis=1)
+        found = found.take(np.flatnonzero((apart < job.near_square) & job.carries[found.part]))
+        device_leg = job.points.leg[run] if axis.origin == "source" else np.full(len(run), -1.0)
+        receiver = Receiver(
+            job.caster, job.scene, job.materials, job.capture.sensor, pool, job.cones.take(pixels),
+            job.patches.take(pixels), job.fov_samples, Clock(job.pace.per_metre, job.pace.start - 0.5, device_leg),
+            Rows(int(run[0]), job.capture.pairing == "confocal", len(pixels), 1),
+            Tally(np.zeros((len(run) * len(pixels), bins)), np.zeros(len(run) * len(pixels))),
+        )  # fmt: skip
+        receiver.connect(found, found.numbers(1)[:, 0], splits)
+        found = found.take(receiver.near(found))
+        receiver.follow(found, *scattered_rays(job.caster, job.materials, found, found.numbers(1)), splits)
+        rows = slice(run[0] - lasers[0], run[-1] + 1 - lasers[0])
+        sums.transient[rows] += receiver.tally.histogram.reshape(len(run), len(pixels), bins)
+        sums.overflow[rows] += receiver.tally.overflow.reshape(len(run), len(pixels))
+
+
+def _add_lookins(
+    job: Job,
+    fov: FovPoints,
+    patch: NDArray[np.float64] | None,
+    lookins: Lookins,
+    base: NDArray[np.float64],
+    count: int,
+    lasers: NDArray[np.int64],
+    spots: list[Spot],
+    buffers: list[LightBuffer],
+    sums: Sums,
+) -> None:
+    leaving_paths, density = _leaving(job, fov, patch, lookins)
+    pixels = fov.weight.shape[0]
+    displacement = np.repeat(1.0 - lookins.displacement, pixels)
+    every = np.full(len(displacement), EVERY_BIN)
+    leaving = histograms(leaving_paths, displacement, -every, every)
+    if job.placement == "laser":
+        density = density_from(spots[0], lookins)
+    alive = (leaving.total.reshape(-1, pixels).sum(axis=1) > 0) & (density > 0)
+    if not alive.any():
+        return
+    if not alive.all() and not job.plain:
+        lookins, density = lookins.take(alive), density[alive]
+        leaving = take_rows(leaving, np.repeat(alive, pixels))
+    origin, direction = kernels.observing_rays(lookins, base, job.frame)
+    face = job.caster.closest_scaled(origin, direction)
+    low, high = reachable(leaving, len(lookins.part), pixels, sums.transient.shape[2])
+    arriving: list[Histograms] = []
+    for k, (spot, buffer) in enumerate(zip(spots, buffers, strict=True)):
+        paths, rays = kernels.arriving_paths(
+            lookins, density * count, face, direction, spot, buffer, job.surfaces, job.pace, job.frame
+        )
+        kernels.drop_hidden(rays, job.caster.occluded_scaled(rays.origin, rays.span), paths.energy)
+        if job.strongest is not None:
+            keep_strongest(paths, job.strongest)
+        if job.plain:
+            double_sum(paths, leaving_paths, sums.of_laser(lasers[k] - lasers[0]))
+            continue
+        arriving.append(histograms(paths, lookins.displacement, low, high))
+        # A laser ray that met nothing leaves a gap in the rows.
+        ends_run = k + 1 == len(spots) or lasers[k + 1] != lasers[k] + 1
+        if ends_run or len(arriving) == LASERS_AT_ONCE:
+            rows = np.arange(lasers[k] + 1 - len(arriving), lasers[k] + 1) - lasers[0]
+            convolve(arriving, leaving, sums.take(rows))
+            arriving = []
+
+
+def _leaving(
+    job: Job, fov: FovPoints, patch: NDArray[np.float64] | None, lookins: Lookins
+) -> tuple[Paths, NDArray[np.float64]]:
+    """Paths out of the lookins, rows (lookin, pixel), and the density with which each lookin is drawn, per area."""
+    clear = np.zeros(len(lookins.part), np.bool_)
+    if patch is not None:
+        caster = job.caster
+        clear = pyramids_clear(lookins.position, patch, caster.corners, caster.face_normal, caster.offset_m)
+    paths, each, rays = kernels.leaving_paths(lookins, clear, fov, job.fov_samples, job.surfaces, job.pace, job.frame)
+    hidden = job.caster.occluded_scaled(rays.origin, rays.span)
+    kernels.drop_hidden(rays, hidden, paths.energy)
+    kernels.drop_hidden(rays, hidden, each)
+    return paths, kernels.sum_rows(paths.first, each, fov.weight.shape[0])

@@ -1,0 +1,166 @@
+"""Meeting an accuracy target: a pilot, then rounds of samples where the variance is, until the error bound is met."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.records import Spend
+from datagen.transport.averages import Estimate, split_rows
+from datagen.transport.target.allocation import SCRAMBLINGS, Order, next_orders, one_more
+from datagen.transport.target.confidence import Scatter, bound_factor, total_variance
+from datagen.transport.target.strata import Stratum, square_norm
+from datagen.transport.target.strategies import Seeds, piloted
+from datagen.transport.walk import Job
+
+ROUNDS_AT_LEAST, ROUNDS_AT_MOST = 2, 64
+MATTERS = 0.2
+"""Share of the variance from which a stratum needs `ROUNDS_AT_LEAST`."""
+MARGIN = 0.9
+"""Share of the variance that would just do which a round aims at: it comes out above what was predicted as often as
+below, and a further round costs more than a few samples too many."""
+NOISE_AT_MOST = 0.9
+"""Share of ‖mean‖² that may be noise when ‖truth‖² is estimated from it, so that the estimate stays positive."""
+NOTHING_AFTER = 1 << 16
+"""Lookins in all after which a component without any light is taken for dark."""
+SEARCH_GROWTH = 8
+
+
+def meet_target(job: Job) -> Estimate:
+    """Sample until an upper bound of the relative L2 error of the whole transient is within `Accuracy.target`.
+
+    Each component is a stratum with samples of its own, unless a walk that finds several together is cheaper. A pilot
+    gives variances and costs; each round goes where it lowers the variance most for its cost (`allocation.py`), is
+    sized by the observed order of convergence, and adds to the average with its number of lookins as its weight. It
+    stops when the bound (`confidence.py`) is within the target, after two rounds at least and with the last in
+    agreement with those before; or, unmet, before `Accuracy.max_lookins` are exceeded.
+    """
+    target = job.accuracy.target
+    assert target is not None
+    lasers = int((job.points.part >= 0).sum())
+    if lasers == 0:
+        return _nothing(job)
+    seeds = Seeds(job.seed)
+    strata, tried = piloted(job, target, seeds)
+    budget = float(job.accuracy.max_lookins) * lasers
+    bound, outcome, rounds = np.inf, "", 1
+    while not outcome:
+        variance, factor = _uncertainty(strata)
+        seen = square_norm(strata)
+        if seen == 0.0:
+            bound = 0.0
+            outcome = _search(strata, seeds, budget)
+            rounds += not outcome
+            continue
+        truth = max(seen - variance, (1 - NOISE_AT_MOST) * seen)
+        bound = float(np.sqrt(variance * factor / truth))
+        once = _seen_once(strata)
+        orders: list[Order] | None = None
+        if bound <= target and once:
+            orders = one_more(strata, once)
+        elif bound > target and rounds < ROUNDS_AT_MOST:
+            spent = sum(float(s.weight.sum()) * s.rays_per_lookin for s in strata)
+            orders = next_orders(strata, MARGIN * target**2 * truth / _factor_to_come(strata), budget - spent)
+        if orders is None:
+            outcome = "target met" if bound <= target else f"target not met in {rounds} rounds within max_lookins"
+            break
+        for stratum, order in zip(strata, orders, strict=True):
+            if order.lookins:
+                stratum.sample(order.points, order.scramblings, seeds.draw())
+        rounds += 1
+    return _estimate(job, strata, tried, rounds, bound, outcome)
+
+
+def _uncertainty(strata: list[Stratum]) -> tuple[float, float]:
+    """The variance of the whole transient, summed over all bins, and what bounds the squared error when multiplied
+    with it."""
+    scatters = [
+        Scatter(one.variance * stratum.excess, one.freedom, one.scramblings)
+        for stratum in strata
+        for one in stratum.scatters()
+    ]
+    return total_variance(scatters), bound_factor(scatters)
+
+
+def _factor_to_come(strata: list[Stratum]) -> float:
+    """The bound's factor after one more round, which makes the variance better known."""
+    return bound_factor(
+        [replace(one, scramblings=2 * one.scramblings) for stratum in strata for one in stratum.scatters()]
+    )
+
+
+def _seen_once(strata: list[Stratum]) -> list[int]:
+    """Strata that matter and have had only their pilot, which nothing has confirmed yet."""
+    variances = [total_variance(stratum.scatters()) for stratum in strata]
+    return [
+        k
+        for k, (stratum, variance) in enumerate(zip(strata, variances, strict=True))
+        if len(stratum.rounds) < ROUNDS_AT_LEAST and variance > MATTERS * sum(variances)
+    ]
+
+
+def _search(strata: list[Stratum], seeds: Seeds, budget: float) -> str:
+    """Look harder for light where there was none; says why it gave up, or nothing."""
+    looked = [float(stratum.weight.sum()) for stratum in strata]
+    more = [SEARCH_GROWTH * int(stratum.points.max()) for stratum in strata]
+    rays = sum(
+        stratum.rays_per_lookin * (before + count * SCRAMBLINGS * len(stratum.weight))
+        for stratum, before, count in zip(strata, looked, more, strict=True)
+    )
+    if min(looked) >= NOTHING_AFTER or rays > budget:
+        return f"nothing visible: no light in {sum(looked):.0f} lookins"
+    for stratum, count in zip(strata, more, strict=True):
+        stratum.sample(np.full(len(stratum.weight), count), SCRAMBLINGS, seeds.draw())
+    return ""
+
+
+def _estimate(job: Job, strata: list[Stratum], tried: float, rounds: int, bound: float, outcome: str) -> Estimate:
+    components: dict[str, NDArray[np.float64]] = {}
+    parts: dict[str, NDArray[np.float64]] = {}
+    variance, overflow = np.zeros(job.capture.shape), np.zeros(job.capture.shape[:2])
+    lookins: dict[str, float] = {}
+    costs: dict[str, float] = {}
+    ways: dict[str, str] = {}
+    points: dict[str, int] = {}
+    seen = job.points.part >= 0
+    for stratum in strata:
+        variance += stratum.variance / np.maximum(stratum.weight, 1.0)[:, None, None] ** 2
+        overflow += stratum.mean(stratum.overflow)
+        found, of_parts = split_rows([stratum.mean(row) for row in stratum.rows], stratum.job.splits)
+        parts |= of_parts
+        for name, values in found.items():
+            components[name] = components[name] + values if name in components else values
+            lookins[name] = lookins.get(name, 0.0) + float(stratum.weight[seen].mean())
+            costs[name] = costs.get(name, 0.0) + stratum.work.cost / len(found)
+            way = "walk" if stratum.observed is None else "factorised"
+            ways[name] = "walk + factorised" if ways.get(name, way) != way else way
+            points[name] = int(stratum.job.accuracy.fov_samples)
+    total = sum(costs.values())
+    asked = job.splits.components
+    spend = Spend(
+        lookins={name: lookins[name] for name in asked},
+        share={name: costs[name] / total for name in asked},
+        way={name: ways[name] for name in asked},
+        fov_samples={name: points[name] for name in asked},
+        rounds=rounds,
+        cost=total + tried,
+        outcome=outcome,
+    )
+    target = job.accuracy.target
+    ordered = {name: components[name] for name in asked}
+    return Estimate(ordered, parts, np.sqrt(variance), overflow, spend, bound, target is not None and bound <= target)
+
+
+def _nothing(job: Job) -> Estimate:
+    """No laser ray meets the scene: the transient is zero, exactly."""
+    asked, shape = job.splits.components, job.capture.shape
+    spend = Spend(
+        lookins=dict.fromkeys(asked, 0.0), share=dict.fromkeys(asked, 0.0), way=dict.fromkeys(asked, "walk"),
+        fov_samples=dict.fromkeys(asked, 1), rounds=0, cost=0.0,
+        outcome="nothing visible: no laser ray meets the scene",
+    )  # fmt: skip
+    zeros = {name: np.zeros(shape) for name in asked}
+    parts = {name: np.zeros(shape) for name in job.splits.parts}
+    return Estimate(zeros, parts, np.zeros(shape), np.zeros(shape[:2]), spend, 0.0, True)
