@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scene_library.rooms import Doorway, Plan, RoomDoesNotClose
+from scene_library.rooms import Doorway, FloorPlan, RoomDoesNotClose
 
 MINIMUM_APPROACH_M = 0.1
 """At least this much corridor lies between the device and the corner that hides the rest."""
@@ -25,7 +25,7 @@ def l_corridor(
     corridor_behind_m: float,
     room_length_m: float,
     room_width_m: float,
-) -> Plan:
+) -> FloorPlan:
     """A corridor along +x that ends at the relay wall; before the end a room opens to the side.
 
     The room reaches `room_length_m` back from the relay wall and `room_width_m` away from the corridor. The inner
@@ -56,7 +56,7 @@ def straight_corridor(
     partition_distance_m: float,
     partition_reach: float,
     partition_thickness_m: float,
-) -> Plan:
+) -> FloorPlan:
     """A straight corridor with a partition that juts out from one side and hides what stands behind it.
 
     The partition begins `partition_distance_m` before the relay wall and covers the share `partition_reach` of the
@@ -94,7 +94,7 @@ def t_corridor(
     arm_width_m: float,
     left_arm_m: float,
     right_arm_m: float,
-) -> Plan:
+) -> FloorPlan:
     """A corridor that meets a cross corridor; the relay wall is its far side, both arms are hidden."""
     low, high = _sides(corridor_width_m, device_offset)
     corner = relay_distance_m - arm_width_m
@@ -115,7 +115,7 @@ def corridor_room(
     room_length_m: float,
     room_width_m: float,
     opening_offset: float,
-) -> Plan:
+) -> FloorPlan:
     """A corridor that opens into a wider room; the relay wall is the room's far wall.
 
     `opening_offset` is where the corridor enters across the room: 0 puts all of the room on the hidden side.
@@ -144,7 +144,7 @@ def z_corridor(
     middle_length_m: float,
     last_width_m: float,
     last_length_m: float,
-) -> Plan:
+) -> FloorPlan:
     """Two bends: the first leg ends at the relay wall, the middle leg goes sideways, the last goes on beyond it.
 
     Objects stand in the middle leg. The last leg, behind the relay wall's plane, swallows light.
@@ -182,7 +182,7 @@ def doorway_room(
     room_length_m: float,
     room_width_m: float,
     opening_offset: float,
-) -> Plan:
+) -> FloorPlan:
     """A room seen through a doorway from a hall; the relay wall is the room's far wall.
 
     The device stands in the hall straight before the doorway (`device_offset` across it). `opening_offset` is where
@@ -217,7 +217,7 @@ def doorway_room(
         (outer, high + around / 2),
         (-hall_behind_m, high + around / 2),
     ]
-    return Plan(
+    return FloorPlan(
         outline=np.array(outline),
         relay_edge=5,
         height_m=height_m,
@@ -237,7 +237,7 @@ def isolated_wall(
     screen_to_wall_m: float,
     screen_offset_m: float,
     space_width_m: float,
-) -> Plan:
+) -> FloorPlan:
     """The classic bench: a relay wall in free space, and a screen beside the device that hides the objects.
 
     The screen runs along the line of sight, `screen_offset_m` to its side, and ends `screen_to_wall_m` before the
@@ -258,7 +258,7 @@ def isolated_wall(
         (corner, left),
         (behind, left),
     ]
-    return Plan(
+    return FloorPlan(
         outline=np.array(outline),
         relay_edge=2,
         height_m=height_m,
@@ -279,7 +279,7 @@ def _crossing(
     behind: float,
     height_m: float,
     device_height_m: float,
-) -> Plan:
+) -> FloorPlan:
     """A corridor low … high that widens at x = corner by `right` and `left` metres up to the relay wall at `end`."""
     outline = [(-behind, low), (corner, low)] if right > 0 else [(-behind, low)]
     first = len(outline)
@@ -293,9 +293,9 @@ def _crossing(
 
 def _plan(
     outline: ArrayLike, relay_edge: int, height_m: float, device_height_m: float, hidden_corners: tuple[int, ...]
-) -> Plan:
+) -> FloorPlan:
     device = _device(device_height_m, height_m)
-    return Plan(np.asarray(outline, np.float64), relay_edge, height_m, device, hidden_corners)
+    return FloorPlan(np.asarray(outline, np.float64), relay_edge, height_m, device, hidden_corners)
 
 
 def _device(device_height_m: float, height_m: float) -> np.ndarray:

@@ -40,7 +40,7 @@ class Doorway:
 
 
 @dataclass(frozen=True)
-class Plan:
+class FloorPlan:
     """A room in plan.
 
     Attributes
@@ -107,7 +107,7 @@ class Plan:
         return float(min(self.height_m, self.device[2] + rise))
 
 
-def mirrored(plan: Plan) -> Plan:
+def mirrored(plan: FloorPlan) -> FloorPlan:
     """The plan reflected in y = 0; it stays counter-clockwise."""
     n = len(plan.outline)
     door = plan.doorway
@@ -126,7 +126,7 @@ def mirrored(plan: Plan) -> Plan:
     )
 
 
-def wall_groups(plan: Plan) -> list[int]:
+def wall_groups(plan: FloorPlan) -> list[int]:
     """For every edge the first edge on the same line: both sides of an opening belong to one wall."""
     edges = plan.edges
     along = edges[:, 1] - edges[:, 0]
@@ -141,7 +141,7 @@ def wall_groups(plan: Plan) -> list[int]:
     return groups
 
 
-def out_of_square(plan: Plan, angles_rad: NDArray[np.float64]) -> Plan:
+def out_of_square(plan: FloorPlan, angles_rad: NDArray[np.float64]) -> FloorPlan:
     """Turn every wall but the relay wall about its middle by `angles_rad` (n,); the corners move along.
 
     Edges of one wall (`wall_groups`) turn together, by the angle of the first.
@@ -172,7 +172,7 @@ def out_of_square(plan: Plan, angles_rad: NDArray[np.float64]) -> Plan:
     return replace(plan, outline=outline)
 
 
-def surfaces(plan: Plan, *, floor: bool = True, ceiling: bool = True) -> dict[str, Surface]:
+def surfaces(plan: FloorPlan, *, floor: bool = True, ceiling: bool = True) -> dict[str, Surface]:
     """The plan as surfaces `relay_wall`, `walls`, `floor`, `ceiling`: closed, triangles meeting edge to edge.
 
     In the open there are no `walls`, and a `screen` where the plan has one.
@@ -195,7 +195,7 @@ def surfaces(plan: Plan, *, floor: bool = True, ceiling: bool = True) -> dict[st
     return result
 
 
-def _other_walls(plan: Plan, levels: dict[int, list[float]]) -> Surface:
+def _other_walls(plan: FloorPlan, levels: dict[int, list[float]]) -> Surface:
     n, door, height = len(plan.outline), plan.doorway, plan.height_m
     walls = []
     for i in range(n):
@@ -208,7 +208,7 @@ def _other_walls(plan: Plan, levels: dict[int, list[float]]) -> Surface:
     return joined(walls)
 
 
-def _ceiling_pieces(plan: Plan) -> list[tuple[Polygon, float]]:
+def _ceiling_pieces(plan: FloorPlan) -> list[tuple[Polygon, float]]:
     door, n = plan.doorway, len(plan.outline)
     if door is None:
         return [(plan.outline, plan.height_m)]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, Tag, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
-from datagen.config.base import Settings, tag
-from datagen.config.scene_kinds import kind_of, unknown_kind
+from datagen.config.base import Settings
+from datagen.config.scene_kinds import ByKind
 
 LARGEST_SCAN = 65536
 Count = Annotated[int, Field(ge=1, le=LARGEST_SCAN)]
@@ -139,13 +139,4 @@ def _refuse_too_many(rows: int, columns: int) -> None:
         )
 
 
-SCAN_KINDS = ("grid", "points", "circle", "random", "subset")
-AnyScan = Annotated[
-    Annotated[GridScan, Tag(tag("grid"))]
-    | Annotated[PointsScan, Tag(tag("points"))]
-    | Annotated[CircleScan, Tag(tag("circle"))]
-    | Annotated[RandomScan, Tag(tag("random"))]
-    | Annotated[SubsetScan, Tag(tag("subset"))]
-    | Annotated[GridScan, *unknown_kind(*SCAN_KINDS)],
-    kind_of(*SCAN_KINDS, default="grid"),
-]
+AnyScan = Annotated[GridScan | PointsScan | CircleScan | RandomScan | SubsetScan, ByKind(default="grid")]

@@ -10,10 +10,10 @@ import numpy as np
 
 from datagen.config.distributions import draw, draw_count
 from datagen.config.scene import SceneConfig
-from datagen.config.scene_contents import Box, Content, Item, Library, Mesh, MeshFolder, Pillar, Standing
+from datagen.config.scene_contents import Box, Content, Item, Library, Mesh, MeshFolder, MeshItem, Pillar, Standing
 from datagen.config.scene_files import label_of
 from datagen.config.scene_layouts import AnyLayout, Closed
-from datagen.config.scene_materials import Surface as SurfaceSettings
+from datagen.config.scene_materials import SurfaceMaterial
 from datagen.errors import InputError
 from datagen.records import Lambertian, Material, Scalar
 from datagen.scene.relay_wall import draw_clutter, draw_relay_wall
@@ -21,10 +21,10 @@ from scene_library import layouts
 from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
 from scene_library.objects import build
 from scene_library.placement import Occupied
-from scene_library.rooms import Plan, mirrored, out_of_square, surfaces, wall_groups
+from scene_library.rooms import FloorPlan, mirrored, out_of_square, surfaces, wall_groups
 from scene_library.solids import Solid, Surface, prism, rectangle, regular_polygon
 
-PLANS: dict[str, Callable[..., Plan]] = {
+PLANS: dict[str, Callable[..., FloorPlan]] = {
     "straight_corridor": layouts.straight_corridor,
     "l_corridor": layouts.l_corridor,
     "t_corridor": layouts.t_corridor,
@@ -61,7 +61,7 @@ class DrawnRoom:
     and the place they take. parameters : every number drawn, by dotted name.
     """
 
-    plan: Plan
+    plan: FloorPlan
     surfaces: dict[str, Surface]
     materials: dict[str, Material]
     clutter: dict[str, Occupied]
@@ -119,7 +119,7 @@ def _free_name(wanted: str, taken: set[str]) -> str:
 
 
 def _material(
-    spec: SceneConfig, surface: SurfaceSettings, name: str, parameters: dict[str, Scalar], rng: np.random.Generator
+    spec: SceneConfig, surface: SurfaceMaterial, name: str, parameters: dict[str, Scalar], rng: np.random.Generator
 ) -> Material:
     """Draw the material of the part `name`, and note its numbers."""
     material, catalogue_name = surface.draw_material(spec.wavelength_nm, rng)
@@ -132,7 +132,7 @@ def _material(
     return material
 
 
-def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[Plan, dict[str, Scalar]]:
+def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[FloorPlan, dict[str, Scalar]]:
     """A plan and the dimensions drawn for it. Raises `scene_library.rooms.RoomDoesNotClose`."""
     dimensions = {name: draw(d, rng) for name, d in layout.dimensions().items()}
     side = ("left", "right")[int(rng.integers(2))] if layout.turn == "random" else layout.turn
@@ -169,7 +169,7 @@ def draw_object(item: Item, room_height_m: float, rng: np.random.Generator) -> D
             base = rectangle(sizes["width_m"], sizes["depth_m"])
             return Drawn(prism(base, sizes["height_m"]), item.part_name, dict(sizes))
         case Library():
-            name = item.names[int(rng.integers(len(item.names)))]
+            name = item.class_names[int(rng.integers(len(item.class_names)))]
             solid = build(name, rng)
             if "height_m" in sizes:
                 solid = solid.scaled(sizes["height_m"] / solid.top_m)
@@ -182,13 +182,11 @@ def draw_object(item: Item, room_height_m: float, rng: np.random.Generator) -> D
                 raise InputError(f"path = {item.path!r}: holds no mesh files any more; put them back")
             label = list(classes)[int(rng.integers(len(classes)))]
             file = classes[label][int(rng.integers(len(classes[label])))]
-            return _mesh(
-                item, file, label, f"{item.path}/{file.relative_to(item.folder).as_posix()}", sizes["height_m"]
-            )
+            return _mesh(item, file, label, item.shown(file), sizes["height_m"])
     raise TypeError(f"no solid is known for {type(item).__name__}")
 
 
-def load_mesh(item: Mesh | MeshFolder, file: Path, shown: str) -> Solid:
+def load_mesh(item: MeshItem, file: Path, shown: str) -> Solid:
     """The file's solid at height 1. Raises `InputError` naming it as `shown`."""
     try:
         return unit_mesh(file, MeshOptions(item.up, item.max_triangles))
@@ -196,7 +194,7 @@ def load_mesh(item: Mesh | MeshFolder, file: Path, shown: str) -> Solid:
         raise InputError(f"path = {shown!r}: {error}") from None
 
 
-def _mesh(item: Mesh | MeshFolder, file: Path, label: str, shown: str, height_m: float) -> Drawn:
+def _mesh(item: MeshItem, file: Path, label: str, shown: str, height_m: float) -> Drawn:
     solid = load_mesh(item, file, shown).scaled(height_m)
     return Drawn(solid, label, {**_extents(solid), "triangles": len(solid.triangles), "file": shown})
 

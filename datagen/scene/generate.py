@@ -22,7 +22,7 @@ from datagen.scene.placing import Unmet, place
 from datagen.scene.refusals import explain
 from datagen.seeding import Purpose, generator
 from scene_library.placement import FreeSpace
-from scene_library.rooms import Plan, RoomDoesNotClose
+from scene_library.rooms import FloorPlan, RoomDoesNotClose
 from scene_library.sightlines import even_points, seen_fractions
 from scene_library.visibility import visible_fan, visible_interval
 
@@ -109,7 +109,7 @@ class _View:
     relay_wall: Rectangle
 
     @classmethod
-    def of(cls, plan: Plan) -> _View:
+    def of(cls, plan: FloorPlan) -> _View:
         fan = visible_fan(plan.limits, plan.device[:2])
         return cls(fan, _visible_relay_wall(plan, fan))
 
@@ -167,7 +167,7 @@ def _furnished(
     )
 
 
-def _visible_relay_wall(plan: Plan, fan: NDArray[np.float64]) -> Rectangle:
+def _visible_relay_wall(plan: FloorPlan, fan: NDArray[np.float64]) -> Rectangle:
     start, end = plan.relay_segment
     seen = visible_interval(fan, start, end)
     if seen is None or seen[1] - seen[0] < SMALLEST_VIEW_M:
@@ -176,7 +176,7 @@ def _visible_relay_wall(plan: Plan, fan: NDArray[np.float64]) -> Rectangle:
     return _upright(start + seen[0] * unit, start + seen[1] * unit, plan.visible_top_m)
 
 
-def _hidden_view(plan: Plan) -> Rectangle:
+def _hidden_view(plan: FloorPlan) -> Rectangle:
     """The hidden part's width and height in the plane of the relay wall."""
     x = plan.relay_segment[0, 0]
     return _upright(np.array([x, plan.hidden[0, 1]]), np.array([x, plan.hidden[1, 1]]), plan.height_m)
@@ -204,6 +204,6 @@ def check_scene_config(spec: SceneConfig) -> None:
             elif isinstance(item, MeshFolder):
                 files = [file for files in item.files().values() for file in files]
                 for file in files[:: 1 + len(files) // MESHES_CHECKED]:
-                    load_mesh(item, file, f"{item.path}/{file.relative_to(item.folder).as_posix()}")
+                    load_mesh(item, file, item.shown(file))
         except InputError as error:
             raise InputError(f"scene.contents[{i}].{error}") from None
