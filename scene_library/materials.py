@@ -75,7 +75,7 @@ _ROWS = (
     CatalogueMaterial("gypsum_board", (0.74, 0.77, 0.78, 0.56), 0.06, Brdf(),
         "Off-white paper facing over gypsum; gypsum's crystal water has strong bands near 1450–1550 nm."),
     CatalogueMaterial("mineral_ceiling_tile", (0.80, 0.82, 0.82, 0.70), 0.05, Brdf(),
-        "Sold as about 80–90 % light-reflecting; white mineral fibre with latex paint, small binder loss at 1550 nm."),
+        "Sold as about 80–90 % light-reflecting; white mineral fibre, latex paint, small binder loss at 1550 nm."),
     CatalogueMaterial("concrete", (0.30, 0.34, 0.37, 0.36), 0.10, Brdf(),
         "Dry grey concrete looks about a third as bright as white paper and slightly warm; cement hydrates hold some "
         "water, which flattens the rise at 1550 nm."),
@@ -91,7 +91,7 @@ _ROWS = (
         "Organic pigments in linseed binder: mid-grey to the eye, clearer in the near infrared, C–H overtones near "
         "1550 nm."),
     CatalogueMaterial("asphalt", (0.07, 0.08, 0.10, 0.13), 0.04, Brdf(),
-        "Bitumen is near black at all these lines; worn road shows stone and brightens slowly to longer wavelengths."),
+        "Bitumen is near black at all these lines; worn road shows stone and brightens slowly with wavelength."),
     CatalogueMaterial("gravel", (0.24, 0.27, 0.30, 0.33), 0.10, Brdf(),
         "Mixed grey stone with shadows between the grains, rising slowly as dry minerals do."),
     CatalogueMaterial("dry_sand", (0.25, 0.35, 0.43, 0.49), 0.10, Brdf(),
@@ -107,7 +107,7 @@ _ROWS = (
     CatalogueMaterial("plywood", (0.40, 0.54, 0.64, 0.48), 0.08, Brdf(),
         "As pine, slightly darker for the glue and the peeled grain."),
     CatalogueMaterial("cardboard", (0.28, 0.41, 0.56, 0.50), 0.07, Brdf(),
-        "Unbleached kraft fibre: lignin brown in the visible, clear in the near infrared, cellulose loss at 1550 nm."),
+        "Unbleached kraft fibre: lignin brown in the visible, clear in the near infrared, cellulose loss at 1550."),
     CatalogueMaterial("white_paper", (0.80, 0.82, 0.83, 0.66), 0.05, Brdf(specular=0.01, exponent=10.0),
         "Office paper is about as bright as white paint; cellulose overtones and moisture at 1550 nm. Brighteners "
         "act below 500 nm and are left out."),
@@ -156,7 +156,7 @@ _ROWS = (
         "1550 nm."),
     CatalogueMaterial("diffuse_white_target", (0.98, 0.98, 0.98, 0.97), 0.01, Brdf(),
         "Sintered PTFE calibration targets are sold as about 99 % diffuse throughout; handling costs a little."),
-    CatalogueMaterial("retroreflective_sign", (0.45, 0.48, 0.48, 0.40), 0.10, Brdf(specular=0.03, exponent=200.0, retro=0.6),
+    CatalogueMaterial("retroreflective_sign", (0.45, 0.48, 0.48, 0.40), 0.10, Brdf(0.03, 200.0, retro=0.6),
         "White sheeting looks mid-grey away from the source; glass beads or prisms send most of the rest straight "
         "back. The value is for all directions together."),
 )

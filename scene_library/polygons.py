@@ -96,19 +96,6 @@ def segments_cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np
     return np.asarray(over & under)
 
 
-def convex_gap(a: Polygon, b: Polygon) -> float:
-    """How far apart two convex polygons are, along the best separating edge normal; negative if they overlap.
-
-    Never more than the true distance (separating-axis theorem), so asking for a gap is always on the safe side.
-    """
-    edges = np.concatenate([following(a) - a, following(b) - b])
-    length = np.linalg.norm(edges, axis=1)
-    keep = length > 0
-    normals = np.stack([edges[keep, 1], -edges[keep, 0]], axis=1) / length[keep, None]
-    pa, pb = normals @ a.T, normals @ b.T
-    return float(np.maximum(pb.min(axis=1) - pa.max(axis=1), pa.min(axis=1) - pb.max(axis=1)).max())
-
-
 def is_simple(polygon: Polygon) -> bool:
     """Whether the polygon is counter-clockwise and no two edges cross."""
     edges = segments_of(polygon)

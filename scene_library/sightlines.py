@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
@@ -10,6 +12,14 @@ from numpy.typing import NDArray
 _POINTS = 64
 _GOLDEN = (0.754877666246693, 0.569840290998053)
 """Steps of the R2 sequence (powers of 1/plastic number): even cover of a square by any number of points."""
+
+
+def _ray_scene(triangles: NDArray[np.float64]) -> tuple[Any, NDArray[np.float64]]:
+    """Embree's scene of triangles (F, 3, 3) about their middle (3,), which keeps single precision fine, and that."""
+    middle = triangles.reshape(-1, 3).mean(axis=0)
+    scene = EmbreeScene()
+    TriangleMesh(scene, (triangles - middle).astype(np.float32))
+    return scene, middle
 
 
 def seen_fractions(
@@ -23,9 +33,7 @@ def seen_fractions(
     A surface point that faces away counts as blocked, so 0.5 is much for a closed object. triangles : (F, 3, 3) of
     the whole room; wall_points : (n, 3), n ≤ 64, on the relay wall. The points are fixed, not random.
     """
-    middle = triangles.reshape(-1, 3).mean(axis=0)
-    scene = EmbreeScene()
-    TriangleMesh(scene, (triangles - middle).astype(np.float32))
+    scene, middle = _ray_scene(triangles)
     points = np.concatenate([_surface_points(triangles[face_part == part]) for part in parts])
     # Each object point meets each wall point of its rank and a shifted one: pairs spread over both surfaces.
     n = len(wall_points)
@@ -53,9 +61,7 @@ def first_faces(
     triangles : (F, 3, 3). slack : a surface on the last part of the way, of this share, does not block: it is what
     the point lies on.
     """
-    middle = triangles.reshape(-1, 3).mean(axis=0)
-    scene = EmbreeScene()
-    TriangleMesh(scene, (triangles - middle).astype(np.float32))
+    scene, middle = _ray_scene(triangles)
     toward = points - eye
     distance = np.linalg.norm(toward, axis=1)
     direction = (toward / distance[:, None]).astype(np.float32)
@@ -103,9 +109,7 @@ def blocked(
     """(n,) whether one of `triangles` (F, 3, 3) cuts the segment from `starts` to `ends` (n, 3), both in the open."""
     if not len(triangles):
         return np.zeros(len(starts), np.bool_)
-    middle = triangles.reshape(-1, 3).mean(axis=0)
-    scene = EmbreeScene()
-    TriangleMesh(scene, (triangles - middle).astype(np.float32))
+    scene, middle = _ray_scene(triangles)
     span = (ends - starts).astype(np.float32)
     reach = np.ones(len(starts), np.float32)
     hit = scene.run((starts - middle).astype(np.float32), span, dists=reach, query="OCCLUDED")

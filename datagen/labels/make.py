@@ -26,7 +26,10 @@ _IMAGES: dict[str, Callable[[HiddenSurface], Array]] = {
     "part_id": part_image,
     "shaded": shaded_image,
 }
-_VOLUMES: dict[str, Callable[[VoxelGrid, list[ConnectedSurface]], Array]] = {"occupancy": occupancy, "sdf": signed_distance}
+_VOLUMES: dict[str, Callable[[VoxelGrid, list[ConnectedSurface]], Array]] = {
+    "occupancy": occupancy,
+    "sdf": signed_distance,
+}
 
 IMAGE_FIELDS = tuple(_IMAGES)
 VOLUME_FIELDS = tuple(_VOLUMES)

@@ -79,7 +79,9 @@ def _surface(corners: NDArray[np.float64], triangles: NDArray[np.int64]) -> Conn
     if len(rim) == 0:
         return ConnectedSurface(corners, np.empty((0, 3, 3)), True)
     lid = _fans(edges[rim], ends[rim])
-    return ConnectedSurface(corners, lid, float(_areas(lid).sum()) <= LARGEST_HOLE_SHARE * float(_areas(corners).sum()))
+    return ConnectedSurface(
+        corners, lid, float(_areas(lid).sum()) <= LARGEST_HOLE_SHARE * float(_areas(corners).sum())
+    )
 
 
 def _fans(edges: NDArray[np.int64], ends: NDArray[np.float64]) -> NDArray[np.float64]:

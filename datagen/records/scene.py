@@ -43,9 +43,22 @@ class Pose:
 class Part:
     """A named surface with one material.
 
-    `mesh` is a `trimesh.Trimesh` in metres, or anything with `vertices` (V, 3) and `faces` (F, 3).
-    Triangles are shaded on both sides, so their winding does not matter. `pose` serves the label of boxes; left out,
-    the part's name is its class and its axes are those of the scene.
+    Attributes
+    ----------
+    name : unique in its scene.
+    mesh : a `trimesh.Trimesh` in metres, or anything with `vertices` (V, 3) and `faces` (F, 3); its triangles are
+        shaded on both sides, whichever way they are wound.
+    material : how it scatters.
+    role : what it is to capture and labels.
+    pose : class and axes for the label of boxes; left out: the part's name, and the scene's axes.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> import datagen as dg
+    >>> box = dg.Part("box", trimesh.creation.box((0.4, 0.3, 0.5)), dg.Lambertian(0.7))
+    >>> box.role, len(box.mesh.faces)
+    ('object', 12)
     """
 
     name: str

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -17,22 +16,12 @@ from datagen.config.scene_materials import SurfaceMaterial
 from datagen.errors import InputError
 from datagen.records import Lambertian, Material, Scalar
 from datagen.scene.relay_wall import draw_clutter, draw_relay_wall
-from scene_library import layouts
+from scene_library.layouts import LAYOUTS
 from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
 from scene_library.objects import build
 from scene_library.placement import Occupied
 from scene_library.rooms import FloorPlan, mirrored, out_of_square, surfaces, wall_groups
 from scene_library.solids import Solid, Surface, prism, rectangle, regular_polygon
-
-PLANS: dict[str, Callable[..., FloorPlan]] = {
-    "straight_corridor": layouts.straight_corridor,
-    "l_corridor": layouts.l_corridor,
-    "t_corridor": layouts.t_corridor,
-    "z_corridor": layouts.z_corridor,
-    "corridor_room": layouts.corridor_room,
-    "doorway_room": layouts.doorway_room,
-    "isolated_wall": layouts.isolated_wall,
-}
 
 
 @dataclass(frozen=True)
@@ -136,7 +125,7 @@ def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[FloorPlan, d
     """A plan and the dimensions drawn for it. Raises `scene_library.rooms.RoomDoesNotClose`."""
     dimensions = {name: draw(d, rng) for name, d in layout.dimensions().items()}
     side = ("left", "right")[int(rng.integers(2))] if layout.turn == "random" else layout.turn
-    plan = PLANS[layout.kind](**dimensions)
+    plan = LAYOUTS[layout.kind](**dimensions)
     drawn: dict[str, Scalar] = {**dimensions, "turn": side}
     if isinstance(layout, Closed) and layout.out_of_square_deg != 0:
         groups = wall_groups(plan)

@@ -12,9 +12,10 @@ from datagen.config.scene_relay import RelayWall
 from datagen.records import Scalar
 from scene_library.clutter import CLUTTER
 from scene_library.placement import Occupied
-from scene_library.polygons import boundary_distance, contains, convex_gap
+from scene_library.polygons import boundary_distance, contains
 from scene_library.relief import Relief, ReliefTooFine, bumpy, corrugated, curved, stepped, uneven_wall
 from scene_library.rooms import FloorPlan, RoomDoesNotClose
+from scene_library.separation import gap_between
 from scene_library.solids import Surface
 from scene_library.visibility import visible_fan, visible_interval
 
@@ -69,7 +70,9 @@ def _relief(settings: RelayWall, size: tuple[float, float], length_m: float, rng
     return curved(*size)
 
 
-def draw_clutter(settings: RelayWall, plan: FloorPlan, clearance_m: float, rng: np.random.Generator) -> list[PlacedClutter]:
+def draw_clutter(
+    settings: RelayWall, plan: FloorPlan, clearance_m: float, rng: np.random.Generator
+) -> list[PlacedClutter]:
     """Things before the visible part of the relay wall, clear of the other walls and of each other.
 
     None are drawn, and nothing from `rng`, where the settings have none. Raises
@@ -133,7 +136,7 @@ def _is_free(
     if np.linalg.norm(footprint - plan.device[:2], axis=1).min() < 0.1:
         return False
     return all(
-        convex_gap(footprint, other.occupied.footprint) >= clearance_m
+        gap_between(footprint, other.occupied.footprint) >= clearance_m
         or max(other.occupied.bottom_m - candidate.top_m, candidate.bottom_m - other.occupied.top_m) >= clearance_m
         for other in placed
     )
