@@ -86,7 +86,7 @@ class FloorPlan:
     @property
     def relay_segment(self) -> NDArray[np.float64]:
         """(2, 2) the relay wall in plan, from right to left as seen from the room."""
-        return self.edges[self.relay_edge]
+        return np.asarray(self.edges[self.relay_edge])
 
     @cached_property
     def hidden(self) -> NDArray[np.float64]:
@@ -142,9 +142,9 @@ def wall_groups(plan: FloorPlan) -> list[int]:
 
 
 def out_of_square(plan: FloorPlan, angles_rad: NDArray[np.float64]) -> FloorPlan:
-    """Turn every wall but the relay wall about its middle by `angles_rad` (n,); the corners move along.
+    """Rotate every wall but the relay wall about its middle by `angles_rad` (n,); the corners move along.
 
-    Edges of one wall (`wall_groups`) turn together, by the angle of the first.
+    Edges of one wall (`wall_groups`) rotate together, by the angle of the first.
     Raises `RoomDoesNotClose` when walls would cross or the device would be left outside.
     """
     edges, groups = plan.edges, np.array(wall_groups(plan))
@@ -154,11 +154,11 @@ def out_of_square(plan: FloorPlan, angles_rad: NDArray[np.float64]) -> FloorPlan
     along = edges[:, 1] - edges[:, 0]
     along = np.stack([c * along[:, 0] - s * along[:, 1], s * along[:, 0] + c * along[:, 1]], axis=1)
     before, before_along = np.roll(middle, 1, axis=0), np.roll(along, 1, axis=0)
-    turn = cross(before_along, along)
+    bend = cross(before_along, along)
     length = np.linalg.norm(along, axis=1) * np.linalg.norm(before_along, axis=1)
-    if (np.abs(turn) < 0.1 * length).any():
+    if (np.abs(bend) < 0.1 * length).any():
         raise RoomDoesNotClose("two neighbouring walls come out nearly parallel; lower out_of_square_deg")
-    outline = before + (cross(middle - before, along) / turn)[:, None] * before_along
+    outline = before + (cross(middle - before, along) / bend)[:, None] * before_along
     # The relay wall stays in its plane to the last bit.
     outline[[plan.relay_edge, (plan.relay_edge + 1) % len(outline)], 0] = plan.relay_segment[:, 0]
     back = np.einsum("ij,ij->i", np.roll(outline, -1, axis=0) - outline, along)

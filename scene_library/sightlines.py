@@ -30,8 +30,11 @@ def seen_fractions(
 ) -> NDArray[np.float64]:
     """Share of (wall point, surface point) pairs whose segment nothing blocks, for each of `parts`.
 
-    A surface point that faces away counts as blocked, so 0.5 is much for a closed object. triangles : (F, 3, 3) of
-    the whole room; wall_points : (n, 3), n ≤ 64, on the relay wall. The points are fixed, not random.
+    A surface point that faces away counts as blocked, so 0.5 is much for a closed object. The points are fixed.
+
+    triangles : (F, 3, 3) corners of the whole room, metres.
+    face_part : (F,) the part that each belongs to.
+    wall_points : (n, 3) on the relay wall, n ≤ 64.
     """
     scene, middle = _ray_scene(triangles)
     points = np.concatenate([_surface_points(triangles[face_part == part]) for part in parts])
@@ -58,8 +61,8 @@ def first_faces(
 ) -> NDArray[np.int64]:
     """(n,) index of the triangle that blocks the way from `eye` (3,) to each of `points` (n, 3); −1: the way is free.
 
-    triangles : (F, 3, 3). slack : a surface on the last part of the way, of this share, does not block: it is what
-    the point lies on.
+    triangles : (F, 3, 3) corners, metres.
+    slack : a surface on the last part of the way, of this share, does not block: it is what the point lies on.
     """
     scene, middle = _ray_scene(triangles)
     toward = points - eye

@@ -42,7 +42,7 @@ class Item(SurfaceMaterial):
     across: Fraction = Uniform(uniform=(0.0, 1.0))
     """Position of the centre within the hidden part: 0 on the side it is entered from, 1 on the far side."""
     rotation_deg: Angle = ANY_ANGLE
-    """Turn about the vertical."""
+    """Rotation about the vertical."""
 
     sizes: ClassVar[tuple[str, ...]] = ()
     """Names of the keys that set the object's size, in the order they are drawn."""
@@ -89,7 +89,7 @@ class Standing(Item):
     """An object that stands on the floor, with its back to a wall, or hangs from the ceiling."""
 
     placement: Literal["floor", "wall", "hanging"] = "floor"
-    """`floor`: anywhere, turned by `rotation_deg`. `wall`: back to a wall of the hidden part; `along`, `across` and
+    """`floor`: anywhere, rotated by `rotation_deg`. `wall`: back to a wall of the hidden part; `along`, `across` and
     `rotation_deg` then follow from the wall. `hanging`: from the ceiling."""
     elevation_m: NonNegative = 0.0
     """Height of the lowest point above the floor; hanging: the gap between ceiling and highest point."""

@@ -75,7 +75,7 @@ class Closed(Layout):
     """Layouts with walls all around."""
 
     out_of_square_deg: Annotated[Distribution, within(-15, 15)] = 0.0
-    """Every wall but the relay wall is turned by an angle of its own, drawn from this."""
+    """Every wall but the relay wall is rotated by an angle of its own, drawn from this."""
 
 
 class Corridor(Closed):

@@ -103,4 +103,5 @@ def _fans(edges: NDArray[np.int64], ends: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def _areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(0.5 * np.linalg.norm(sides, axis=1))

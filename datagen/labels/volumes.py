@@ -150,4 +150,4 @@ def _distance(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDAr
         tensor(np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)),
     )
     query = tensor(np.ascontiguousarray(points - middle, dtype=np.float32))
-    return caster.compute_distance(query, nthreads=1).numpy().astype(np.float64)
+    return np.asarray(caster.compute_distance(query, nthreads=1).numpy(), np.float64)

@@ -34,7 +34,7 @@ class Pose:
 
     @classmethod
     def upright(cls, label: str, rotation_deg: float = 0.0) -> Pose:
-        """Height along z; width and depth along x and y, turned by `rotation_deg` about z."""
+        """Height along z; width and depth along x and y, rotated by `rotation_deg` about z."""
         c, s = np.cos(np.radians(rotation_deg)), np.sin(np.radians(rotation_deg))
         return cls(label, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
 
@@ -98,6 +98,7 @@ class Rectangle:
 
     @property
     def area_m2(self) -> float:
+        """Area, m²."""
         return 4.0 * float(np.linalg.norm(np.cross(self.right, self.up)))
 
 

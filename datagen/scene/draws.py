@@ -28,8 +28,15 @@ from scene_library.solids import Solid, Surface, prism, rectangle, regular_polyg
 class Thing:
     """An object to be placed: all that is drawn for it but its place.
 
-    where : its settings, such as contents[0]. name : of its part. label : its class.
-    rotation_deg, elevation_m : as declared.
+    Attributes
+    ----------
+    where : its settings, such as contents[0].
+    item : those settings.
+    name : of its part.
+    label : its class.
+    solid : its triangles, standing at the origin.
+    material : how it scatters.
+    rotation_deg, elevation_m : drawn as declared.
     """
 
     where: str
@@ -46,8 +53,13 @@ class Thing:
 class DrawnRoom:
     """Everything of a room that is drawn once: what is left are the places of its objects.
 
-    surfaces, materials : of the room's own parts, by name. clutter : those of them that stand before the relay wall,
-    and the place they take. parameters : every number drawn, by dotted name.
+    Attributes
+    ----------
+    plan : its floor plan.
+    surfaces, materials : of the room's own parts, by name.
+    clutter : the place taken by those parts that stand before the relay wall.
+    things : its objects.
+    parameters : every number drawn, by dotted name.
     """
 
     plan: FloorPlan
@@ -129,10 +141,10 @@ def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[FloorPlan, d
     drawn: dict[str, Scalar] = {**dimensions, "turn": side}
     if isinstance(layout, Closed) and layout.out_of_square_deg != 0:
         groups = wall_groups(plan)
-        turned = {wall: draw(layout.out_of_square_deg, rng) for wall in dict.fromkeys(groups)}
-        turned[groups[plan.relay_edge]] = 0.0
-        plan = out_of_square(plan, np.radians([turned[wall] for wall in groups]))
-        drawn |= {f"wall_{wall}_turned_deg": angle for wall, angle in turned.items()}
+        angles = {wall: draw(layout.out_of_square_deg, rng) for wall in dict.fromkeys(groups)}
+        angles[groups[plan.relay_edge]] = 0.0
+        plan = out_of_square(plan, np.radians([angles[wall] for wall in groups]))
+        drawn |= {f"wall_{wall}_turned_deg": angle for wall, angle in angles.items()}
     return plan if side == "left" else mirrored(plan), drawn
 
 

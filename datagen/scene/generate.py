@@ -85,6 +85,7 @@ class _View:
 
     @classmethod
     def of(cls, plan: FloorPlan) -> _View:
+        """The view of a room's device; raises `RoomDoesNotClose` where it sees too little of the relay wall."""
         fan = visible_fan(plan.limits, plan.device[:2])
         return cls(fan, _visible_relay_wall(plan, fan))
 

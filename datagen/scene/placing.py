@@ -32,7 +32,7 @@ class Unmet(Exception):
 
 @dataclass(frozen=True)
 class Spot:
-    """A pose: the solid is turned about z, then moved. `along` and `across` are its place in the hidden part."""
+    """A pose: the solid is rotated about z, then moved. `along` and `across` are its place in the hidden part."""
 
     x_m: float
     y_m: float
@@ -42,6 +42,7 @@ class Spot:
     across: float
 
     def vertices(self, solid: Solid) -> NDArray[np.float64]:
+        """(V, 3) the solid's vertices in this pose, metres."""
         return solid.placed(self.x_m, self.y_m, self.z_m, self.rotation_deg)
 
 

@@ -117,7 +117,7 @@ def _before_wall(
     inward = np.array([-along[1], along[0]])
 
     def in_plan(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        return start + (along_m + places[:, :1]) * along + (CLUTTER_GAP_M + places[:, 1:2]) * inward
+        return np.asarray(start + (along_m + places[:, :1]) * along + (CLUTTER_GAP_M + places[:, 1:2]) * inward)
 
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
