@@ -13,7 +13,7 @@ from scene_library.solids import Solid
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 
-_TURN_UP = {
+_ROTATION_UP = {
     "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
     "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
@@ -21,7 +21,7 @@ _TURN_UP = {
     "x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
     "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
 }
-"""Rotations (rows) that turn the named axis of the file to +z."""
+"""Rotations (rows) that take the named axis of the file to +z."""
 
 
 class BadMesh(ValueError):
@@ -65,7 +65,7 @@ def _unit(path: Path, options: MeshOptions) -> Solid:
     _check_steps(vertices)
     if options.max_triangles is not None and len(faces) > options.max_triangles:
         vertices, faces = cleaned(*simplified(vertices, faces, options.max_triangles))
-    vertices = vertices @ np.array(_TURN_UP[options.up], np.float64).T
+    vertices = vertices @ np.array(_ROTATION_UP[options.up], np.float64).T
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     if not high[2] - low[2] > 1e-9 * float((high - low).max()):
         raise BadMesh(f"is flat along its upward axis {options.up}, so it has no height to scale; set another `up`")
@@ -159,7 +159,7 @@ def _of_ordinary_size(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
     _, exponent = np.frexp(np.abs(vertices).max())
     vertices = np.ldexp(vertices, -exponent)
     _, exponent = np.frexp(np.ptp(vertices, axis=0).max())
-    return np.ldexp(vertices, 10 - exponent)
+    return np.asarray(np.ldexp(vertices, 10 - exponent))
 
 
 def simplified(

@@ -28,9 +28,15 @@ class Occupied:
 class FreeSpace:
     """The room left over while it is being furnished.
 
-    outline : the plan; zone : (2, 2) low and high corner of the part of it that may be furnished; walls : (n, 2, 2)
-    vertical surfaces to keep clear of; fan : (m, 3, 2) what the device sees; clearance_m : kept to walls, to other
-    objects and to the sight line.
+    Attributes
+    ----------
+    outline : of the floor plan.
+    zone : (2, 2) low and high corner of the part of it that may be furnished.
+    walls : (n, 2, 2) vertical surfaces to keep clear of.
+    height_m : floor to ceiling.
+    fan : (m, 3, 2) triangles of the plan that the device sees.
+    clearance_m : kept to walls, to other objects and to the sight line.
+    taken : what stands in it already.
     """
 
     outline: Polygon
@@ -67,7 +73,10 @@ class FreeSpace:
 class WallSpots:
     """Where an object may stand with its back to a wall.
 
-    starts, ends : (n, 2) stretches of wall; inward : (n, 2) unit normals into the room.
+    Attributes
+    ----------
+    starts, ends : (n, 2) stretches of wall.
+    inward : (n, 2) their unit normals into the room.
     """
 
     starts: NDArray[np.float64]

@@ -13,7 +13,7 @@ Polygon = NDArray[np.float64]
 
 def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """z component of the cross product of plane vectors (…, 2)."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def following(corners: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -27,7 +27,7 @@ def signed_area(polygon: Polygon) -> float:
 
 
 def rotation(angle_rad: float) -> NDArray[np.float64]:
-    """(2, 2) matrix that turns column vectors counter-clockwise."""
+    """(2, 2) matrix that rotates column vectors counter-clockwise."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s], [s, c]])
 
@@ -39,15 +39,15 @@ def convex_hull(points: ArrayLike) -> Polygon:
         return p if signed_area(p) > 0 else p[::-1]
     from scipy.spatial import ConvexHull
 
-    return p[ConvexHull(p).vertices]
+    return np.asarray(p[ConvexHull(p).vertices])
 
 
 def _is_convex(p: Polygon) -> bool:
     edge = following(p) - p
-    turn = cross(edge, following(edge))
-    # Turning one way only is not enough: a star may wind round twice.
-    total = np.arctan2(turn, (edge * following(edge)).sum(axis=1)).sum()
-    return bool(len(p) >= 3 and ((turn > 0).all() or (turn < 0).all()) and abs(total) < 7)
+    bend = cross(edge, following(edge))
+    # Bending one way only is not enough: a star may wind round twice.
+    total = np.arctan2(bend, (edge * following(edge)).sum(axis=1)).sum()
+    return bool(len(p) >= 3 and ((bend > 0).all() or (bend < 0).all()) and abs(total) < 7)
 
 
 def contains(polygon: Polygon, points: ArrayLike) -> NDArray[np.bool_]:
@@ -96,19 +96,6 @@ def segments_cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np
     return np.asarray(over & under)
 
 
-def convex_gap(a: Polygon, b: Polygon) -> float:
-    """How far apart two convex polygons are, along the best separating edge normal; negative if they overlap.
-
-    Never more than the true distance (separating-axis theorem), so asking for a gap is always on the safe side.
-    """
-    edges = np.concatenate([following(a) - a, following(b) - b])
-    length = np.linalg.norm(edges, axis=1)
-    keep = length > 0
-    normals = np.stack([edges[keep, 1], -edges[keep, 0]], axis=1) / length[keep, None]
-    pa, pb = normals @ a.T, normals @ b.T
-    return float(np.maximum(pb.min(axis=1) - pa.max(axis=1), pa.min(axis=1) - pb.max(axis=1)).max())
-
-
 def is_simple(polygon: Polygon) -> bool:
     """Whether the polygon is counter-clockwise and no two edges cross."""
     edges = segments_of(polygon)
@@ -145,12 +132,12 @@ def triangulate(polygon: Polygon) -> NDArray[np.int64]:
 _Point = tuple[float, float]
 
 
-def _turn(a: _Point, b: _Point, c: _Point) -> float:
+def _bend(a: _Point, b: _Point, c: _Point) -> float:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def _quality(a: _Point, b: _Point, c: _Point) -> float:
-    """Area over squared size; 0 for a corner that turns the wrong way or is straight."""
+    """Area over squared size; 0 for a corner that bends inwards or is straight."""
     size = (
         abs(b[0] - a[0])
         + abs(b[1] - a[1])
@@ -159,15 +146,15 @@ def _quality(a: _Point, b: _Point, c: _Point) -> float:
         + abs(a[0] - c[0])
         + abs(a[1] - c[1])
     )
-    quality = _turn(a, b, c) / size**2 if size > 0 else 0.0
+    quality = _bend(a, b, c) / size**2 if size > 0 else 0.0
     return quality if quality > 1e-12 else 0.0
 
 
 def _covers_another(corners: list[_Point], left: list[int], i: int, j: int, k: int) -> bool:
     """Whether triangle (i, j, k) holds another corner; one that lies on its boundary, but for rounding, counts."""
     a, b, c = corners[i], corners[j], corners[k]
-    rounding = -1e-9 * _turn(a, b, c)
+    rounding = -1e-9 * _bend(a, b, c)
     return any(
-        _turn(a, b, p) >= rounding and _turn(b, c, p) >= rounding and _turn(c, a, p) >= rounding
+        _bend(a, b, p) >= rounding and _bend(b, c, p) >= rounding and _bend(c, a, p) >= rounding
         for p in (corners[m] for m in left if m not in (i, j, k))
     )

@@ -37,7 +37,10 @@ class ReliefTooFine(ValueError):
 class Relief:
     """An uneven wall's shape, and the grid lines that resolve it.
 
-    shape : depth as a share of the relief; across, up : (n,), (m,) places of the grid lines inside the rim, metres.
+    Attributes
+    ----------
+    shape : depth as a share of the relief.
+    across, up : (n,), (m,) places of the grid lines inside the rim, metres.
     """
 
     shape: Shape
@@ -101,7 +104,7 @@ def stepped(width_m: float, height_m: float, side_m: float, max_triangles: int, 
     def shape(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         i = np.clip((u / width_m * columns).astype(int), 0, columns - 1)
         j = np.clip((v / height_m * rows).astype(int), 0, rows - 1)
-        return depth[i, j]
+        return np.asarray(depth[i, j])
 
     return Relief(shape, across, up)
 

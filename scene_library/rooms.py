@@ -40,7 +40,7 @@ class Doorway:
 
 
 @dataclass(frozen=True)
-class Plan:
+class FloorPlan:
     """A room in plan.
 
     Attributes
@@ -86,7 +86,7 @@ class Plan:
     @property
     def relay_segment(self) -> NDArray[np.float64]:
         """(2, 2) the relay wall in plan, from right to left as seen from the room."""
-        return self.edges[self.relay_edge]
+        return np.asarray(self.edges[self.relay_edge])
 
     @cached_property
     def hidden(self) -> NDArray[np.float64]:
@@ -107,7 +107,7 @@ class Plan:
         return float(min(self.height_m, self.device[2] + rise))
 
 
-def mirrored(plan: Plan) -> Plan:
+def mirrored(plan: FloorPlan) -> FloorPlan:
     """The plan reflected in y = 0; it stays counter-clockwise."""
     n = len(plan.outline)
     door = plan.doorway
@@ -126,7 +126,7 @@ def mirrored(plan: Plan) -> Plan:
     )
 
 
-def wall_groups(plan: Plan) -> list[int]:
+def wall_groups(plan: FloorPlan) -> list[int]:
     """For every edge the first edge on the same line: both sides of an opening belong to one wall."""
     edges = plan.edges
     along = edges[:, 1] - edges[:, 0]
@@ -141,10 +141,10 @@ def wall_groups(plan: Plan) -> list[int]:
     return groups
 
 
-def out_of_square(plan: Plan, angles_rad: NDArray[np.float64]) -> Plan:
-    """Turn every wall but the relay wall about its middle by `angles_rad` (n,); the corners move along.
+def out_of_square(plan: FloorPlan, angles_rad: NDArray[np.float64]) -> FloorPlan:
+    """Rotate every wall but the relay wall about its middle by `angles_rad` (n,); the corners move along.
 
-    Edges of one wall (`wall_groups`) turn together, by the angle of the first.
+    Edges of one wall (`wall_groups`) rotate together, by the angle of the first.
     Raises `RoomDoesNotClose` when walls would cross or the device would be left outside.
     """
     edges, groups = plan.edges, np.array(wall_groups(plan))
@@ -154,11 +154,11 @@ def out_of_square(plan: Plan, angles_rad: NDArray[np.float64]) -> Plan:
     along = edges[:, 1] - edges[:, 0]
     along = np.stack([c * along[:, 0] - s * along[:, 1], s * along[:, 0] + c * along[:, 1]], axis=1)
     before, before_along = np.roll(middle, 1, axis=0), np.roll(along, 1, axis=0)
-    turn = cross(before_along, along)
+    bend = cross(before_along, along)
     length = np.linalg.norm(along, axis=1) * np.linalg.norm(before_along, axis=1)
-    if (np.abs(turn) < 0.1 * length).any():
+    if (np.abs(bend) < 0.1 * length).any():
         raise RoomDoesNotClose("two neighbouring walls come out nearly parallel; lower out_of_square_deg")
-    outline = before + (cross(middle - before, along) / turn)[:, None] * before_along
+    outline = before + (cross(middle - before, along) / bend)[:, None] * before_along
     # The relay wall stays in its plane to the last bit.
     outline[[plan.relay_edge, (plan.relay_edge + 1) % len(outline)], 0] = plan.relay_segment[:, 0]
     back = np.einsum("ij,ij->i", np.roll(outline, -1, axis=0) - outline, along)
@@ -172,7 +172,7 @@ def out_of_square(plan: Plan, angles_rad: NDArray[np.float64]) -> Plan:
     return replace(plan, outline=outline)
 
 
-def surfaces(plan: Plan, *, floor: bool = True, ceiling: bool = True) -> dict[str, Surface]:
+def surfaces(plan: FloorPlan, *, floor: bool = True, ceiling: bool = True) -> dict[str, Surface]:
     """The plan as surfaces `relay_wall`, `walls`, `floor`, `ceiling`: closed, triangles meeting edge to edge.
 
     In the open there are no `walls`, and a `screen` where the plan has one.
@@ -195,7 +195,7 @@ def surfaces(plan: Plan, *, floor: bool = True, ceiling: bool = True) -> dict[st
     return result
 
 
-def _other_walls(plan: Plan, levels: dict[int, list[float]]) -> Surface:
+def _other_walls(plan: FloorPlan, levels: dict[int, list[float]]) -> Surface:
     n, door, height = len(plan.outline), plan.doorway, plan.height_m
     walls = []
     for i in range(n):
@@ -208,7 +208,7 @@ def _other_walls(plan: Plan, levels: dict[int, list[float]]) -> Surface:
     return joined(walls)
 
 
-def _ceiling_pieces(plan: Plan) -> list[tuple[Polygon, float]]:
+def _ceiling_pieces(plan: FloorPlan) -> list[tuple[Polygon, float]]:
     door, n = plan.doorway, len(plan.outline)
     if door is None:
         return [(plan.outline, plan.height_m)]

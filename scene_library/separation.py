@@ -9,7 +9,11 @@ from numpy.typing import NDArray
 
 @njit(cache=True)
 def gap_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """`polygons.convex_gap` of convex polygons (n, 2) and (m, 2): along the best separating edge normal."""
+    """How far apart convex polygons (n, 2) and (m, 2) are along the best separating edge normal, metres.
+
+    Negative where they overlap, and never more than the true distance (separating-axis theorem), so asking for a gap
+    is always on the safe side.
+    """
     return max(_along_normals(a, b), _along_normals(b, a))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
@@ -12,6 +14,14 @@ _GOLDEN = (0.754877666246693, 0.569840290998053)
 """Steps of the R2 sequence (powers of 1/plastic number): even cover of a square by any number of points."""
 
 
+def _ray_scene(triangles: NDArray[np.float64]) -> tuple[Any, NDArray[np.float64]]:
+    """Embree's scene of triangles (F, 3, 3) about their middle (3,), which keeps single precision fine, and that."""
+    middle = triangles.reshape(-1, 3).mean(axis=0)
+    scene = EmbreeScene()
+    TriangleMesh(scene, (triangles - middle).astype(np.float32))
+    return scene, middle
+
+
 def seen_fractions(
     triangles: NDArray[np.float64],
     face_part: NDArray[np.int32],
@@ -20,12 +30,13 @@ def seen_fractions(
 ) -> NDArray[np.float64]:
     """Share of (wall point, surface point) pairs whose segment nothing blocks, for each of `parts`.
 
-    A surface point that faces away counts as blocked, so 0.5 is much for a closed object. triangles : (F, 3, 3) of
-    the whole room; wall_points : (n, 3), n ≤ 64, on the relay wall. The points are fixed, not random.
+    A surface point that faces away counts as blocked, so 0.5 is much for a closed object. The points are fixed.
+
+    triangles : (F, 3, 3) corners of the whole room, metres.
+    face_part : (F,) the part that each belongs to.
+    wall_points : (n, 3) on the relay wall, n ≤ 64.
     """
-    middle = triangles.reshape(-1, 3).mean(axis=0)
-    scene = EmbreeScene()
-    TriangleMesh(scene, (triangles - middle).astype(np.float32))
+    scene, middle = _ray_scene(triangles)
     points = np.concatenate([_surface_points(triangles[face_part == part]) for part in parts])
     # Each object point meets each wall point of its rank and a shifted one: pairs spread over both surfaces.
     n = len(wall_points)
@@ -50,12 +61,10 @@ def first_faces(
 ) -> NDArray[np.int64]:
     """(n,) index of the triangle that blocks the way from `eye` (3,) to each of `points` (n, 3); −1: the way is free.
 
-    triangles : (F, 3, 3). slack : a surface on the last part of the way, of this share, does not block: it is what
-    the point lies on.
+    triangles : (F, 3, 3) corners, metres.
+    slack : a surface on the last part of the way, of this share, does not block: it is what the point lies on.
     """
-    middle = triangles.reshape(-1, 3).mean(axis=0)
-    scene = EmbreeScene()
-    TriangleMesh(scene, (triangles - middle).astype(np.float32))
+    scene, middle = _ray_scene(triangles)
     toward = points - eye
     distance = np.linalg.norm(toward, axis=1)
     direction = (toward / distance[:, None]).astype(np.float32)
@@ -103,9 +112,7 @@ def blocked(
     """(n,) whether one of `triangles` (F, 3, 3) cuts the segment from `starts` to `ends` (n, 3), both in the open."""
     if not len(triangles):
         return np.zeros(len(starts), np.bool_)
-    middle = triangles.reshape(-1, 3).mean(axis=0)
-    scene = EmbreeScene()
-    TriangleMesh(scene, (triangles - middle).astype(np.float32))
+    scene, middle = _ray_scene(triangles)
     span = (ends - starts).astype(np.float32)
     reach = np.ones(len(starts), np.float32)
     hit = scene.run((starts - middle).astype(np.float32), span, dists=reach, query="OCCLUDED")

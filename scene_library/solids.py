@@ -24,7 +24,8 @@ class Solid:
 
     Attributes
     ----------
-    vertices : (V, 3) metres. triangles : (F, 3) indices.
+    vertices : (V, 3) metres.
+    triangles : (F, 3) indices into `vertices`.
     hull : (n, 2) convex hull of the vertices in plan, counter-clockwise.
     top_m : height of the highest vertex; the lowest is at 0.
     """
@@ -36,6 +37,7 @@ class Solid:
 
     @classmethod
     def of(cls, vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> Solid:
+        """A solid that already stands on z = 0."""
         return cls(vertices, triangles, convex_hull(vertices[:, :2]), float(vertices[:, 2].max()))
 
     @classmethod
@@ -46,14 +48,15 @@ class Solid:
         return cls.of(vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], triangles)
 
     def scaled(self, factor: float) -> Solid:
+        """The solid `factor` times as large, still standing on z = 0."""
         return Solid(self.vertices * factor, self.triangles, self.hull * factor, self.top_m * factor)
 
     def footprint(self, x: float, y: float, rotation_deg: float) -> Polygon:
-        """The hull in plan when the solid is turned about z and moved to (x, y)."""
+        """The hull in plan when the solid is rotated about z and moved to (x, y)."""
         return self.hull @ rotation(np.radians(rotation_deg)).T + [x, y]
 
     def placed(self, x: float, y: float, z: float, rotation_deg: float) -> NDArray[np.float64]:
-        """(V, 3) vertices of the solid turned about z, then moved to (x, y, z)."""
+        """(V, 3) vertices of the solid rotated about z, then moved to (x, y, z)."""
         plan = self.vertices[:, :2] @ rotation(np.radians(rotation_deg)).T + [x, y]
         return np.column_stack([plan, self.vertices[:, 2] + z])
 
@@ -66,11 +69,12 @@ def joined(pieces: Sequence[Surface]) -> Surface:
 
 
 def moved(surface: Surface, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Surface:
+    """The surface moved by (x, y, z) metres."""
     return surface[0] + np.array([x, y, z]), surface[1]
 
 
-def turned(surface: Surface, axis: str, angle_deg: float) -> Surface:
-    """The surface turned counter-clockwise about an axis through the origin."""
+def rotated(surface: Surface, axis: str, angle_deg: float) -> Surface:
+    """The surface rotated counter-clockwise about an axis through the origin."""
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     matrix = {
         "x": [[1, 0, 0], [0, c, -s], [0, s, c]],

@@ -12,7 +12,7 @@ from scene_library.sightlines import first_faces, lattice_points
 INWARD = 0.02
 """Corners of a pixel are checked this share of the way towards its middle: an edge may lie exactly on a wall's."""
 ON_A_WALL = 1e-5
-"""Share of the way to an object within which a wall before it is not told from one behind it (single precision)."""
+"""Share of the way to an object within which single precision cannot say which of it and a wall comes first."""
 
 
 def check_in_sight(key: str, what: str, scene: Scene, eye: NDArray[np.float64], points: NDArray[np.float64]) -> None:

@@ -24,7 +24,7 @@ class Settings(BaseModel):
 def raise_input_error(source: str, error: pydantic.ValidationError, model: type[BaseModel]) -> None:
     """Raise `InputError` for the first problem in `error`: source, key, value, what is allowed."""
     details = error.errors(include_url=False)
-    # An unknown key is often the cause of a missing one, so it is told first.
+    # An unknown key is often the cause of a missing one, so it is named first.
     details.sort(key=lambda d: d["type"] != "extra_forbidden")
     first = details[0]
     key = _dotted(first["loc"], model)

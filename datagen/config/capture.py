@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
-from datagen.config.scans import AnyScan, Coordinate, Count, GridScan, Metres, Place
+from datagen.config.scans import AnyScan, Coordinate, GridScan, Metres, Place, PointCount
 from datagen.records import TimeAxis
 
 Point = tuple[Coordinate, Coordinate, Coordinate]
@@ -18,9 +18,9 @@ LARGEST_FLOOD = 2**28
 class FieldOfView(Settings):
     """What the pixels see: squares around the laser points (confocal), or a grid on the wall (exhaustive)."""
 
-    rows: Count = 1
+    rows: PointCount = 1
     """Pixel rows (exhaustive pairing only)."""
-    columns: Count = 1
+    columns: PointCount = 1
     """Pixel columns (exhaustive pairing only)."""
     width_m: Metres | None = None
     """Width on the wall: of one pixel (confocal), or of the whole grid (exhaustive).

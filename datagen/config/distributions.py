@@ -29,11 +29,11 @@ class Uniform(Settings):
         _check_range("uniform", *self.uniform)
         return self
 
-    def draw(self, rng: np.random.Generator) -> float:
+    def _draw(self, rng: np.random.Generator) -> float:
         low, high = self.uniform
         return low + (high - low) * rng.random()
 
-    def support(self) -> tuple[float, float]:
+    def _support(self) -> tuple[float, float]:
         return self.uniform
 
 
@@ -50,11 +50,11 @@ class LogUniform(Settings):
         _check_range("log_uniform", low, high)
         return self
 
-    def draw(self, rng: np.random.Generator) -> float:
+    def _draw(self, rng: np.random.Generator) -> float:
         low, high = self.log_uniform
         return float(min(max(low * (high / low) ** rng.random(), low), high))
 
-    def support(self) -> tuple[float, float]:
+    def _support(self) -> tuple[float, float]:
         return self.log_uniform
 
 
@@ -81,14 +81,14 @@ class Normal(Settings):
 
     normal: NormalShape
 
-    def draw(self, rng: np.random.Generator) -> float:
+    def _draw(self, rng: np.random.Generator) -> float:
         from scipy.special import ndtr, ndtri
 
         n = self.normal
         below, above = ndtr((n.low - n.mean) / n.std), ndtr((n.high - n.mean) / n.std)
         return float(np.clip(n.mean + n.std * ndtri(below + (above - below) * rng.random()), n.low, n.high))
 
-    def support(self) -> tuple[float, float]:
+    def _support(self) -> tuple[float, float]:
         return self.normal.low, self.normal.high
 
 
@@ -104,12 +104,12 @@ class Choice(Settings):
             raise ValueError(f"weights: {len(self.choice)} weights ≥ 0 with a positive sum are needed, one a value")
         return self
 
-    def draw(self, rng: np.random.Generator) -> float:
+    def _draw(self, rng: np.random.Generator) -> float:
         weights = np.ones(len(self.choice)) if self.weights is None else np.asarray(self.weights)
         cumulative = np.cumsum(weights) / np.sum(weights)
         return self.choice[min(int(np.searchsorted(cumulative, rng.random(), side="right")), len(self.choice) - 1)]
 
-    def support(self) -> tuple[float, float]:
+    def _support(self) -> tuple[float, float]:
         return min(self.choice), max(self.choice)
 
 
@@ -146,14 +146,14 @@ Distribution = Annotated[
 
 def draw(distribution: Distribution, rng: np.random.Generator) -> float:
     """One value. A constant draws nothing from `rng`."""
-    return float(distribution) if isinstance(distribution, (int, float)) else distribution.draw(rng)
+    return float(distribution) if isinstance(distribution, (int, float)) else distribution._draw(rng)
 
 
 def support(distribution: Distribution) -> tuple[float, float]:
     """The smallest and largest value that can be drawn."""
     if isinstance(distribution, (int, float)):
         return float(distribution), float(distribution)
-    return distribution.support()
+    return distribution._support()
 
 
 def within(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, Tag, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
-from datagen.config.base import Settings, tag
-from datagen.config.scene_kinds import kind_of, unknown_kind
+from datagen.config.base import Settings
+from datagen.config.scene_kinds import ByKind
 
 LARGEST_SCAN = 65536
-Count = Annotated[int, Field(ge=1, le=LARGEST_SCAN)]
+PointCount = Annotated[int, Field(ge=1, le=LARGEST_SCAN)]
 Metres = Annotated[float, Field(gt=0, le=1e5)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 Place = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=3)]
@@ -39,13 +39,14 @@ class GridScan(_Spread):
     """Laser targets on a regular grid on the visible part of the relay wall."""
 
     kind: Literal["grid"] = "grid"
-    rows: Count = 16
+    rows: PointCount = 16
     """Laser points from top to bottom."""
-    columns: Count = 16
+    columns: PointCount = 16
     """Laser points from left to right, as seen from the room."""
 
     @property
     def laser_points(self) -> int:
+        """The number of laser points."""
         return self.rows * self.columns
 
     @model_validator(mode="after")
@@ -66,17 +67,28 @@ class PointsScan(Settings):
 
     @property
     def laser_points(self) -> int:
+        """The number of laser points."""
         return len(self.points_m)
 
 
-class CircleScan(Settings):
-    """Laser targets at equal steps on a circle."""
+class _CountedScan(Settings):
+    """Scans of which the number of laser points is said."""
 
     model_config = ConfigDict(json_schema_extra=_kind_required)
 
+    count: PointCount
+    """How many laser points."""
+
+    @property
+    def laser_points(self) -> int:
+        """The number of laser points."""
+        return self.count
+
+
+class CircleScan(_CountedScan):
+    """Laser targets at equal steps on a circle, counter-clockwise as the device sees them."""
+
     kind: Literal["circle"] = "circle"
-    count: Count
-    """How many, counter-clockwise as the device sees them."""
     radius_m: Metres | None = None
     """Left out: 80 % of the largest circle on the visible relay wall."""
     center_m: Place | None = None
@@ -84,41 +96,22 @@ class CircleScan(Settings):
     start_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
     """Where the first stands: 0 to the right, 90 at the top."""
 
-    @property
-    def laser_points(self) -> int:
-        return self.count
 
-
-class RandomScan(_Spread):
+class RandomScan(_Spread, _CountedScan):
     """Laser targets anywhere in a rectangle, equally likely, drawn anew for every scene."""
 
-    model_config = ConfigDict(json_schema_extra=_kind_required)
-
     kind: Literal["random"] = "random"
-    count: Count
-    """How many."""
-
-    @property
-    def laser_points(self) -> int:
-        return self.count
 
 
-class SubsetScan(_Spread):
-    """Some laser targets of a regular grid, drawn anew for every scene, in the grid's order."""
-
-    model_config = ConfigDict(json_schema_extra=_kind_required)
+class SubsetScan(_Spread, _CountedScan):
+    """Some laser targets of a regular grid, drawn anew for every scene, in the grid's order; all choices are equally
+    likely."""
 
     kind: Literal["subset"] = "subset"
-    count: Count
-    """How many of the grid's points; all choices are equally likely."""
-    rows: Count = 16
+    rows: PointCount = 16
     """Rows of the whole grid."""
-    columns: Count = 16
+    columns: PointCount = 16
     """Columns of the whole grid."""
-
-    @property
-    def laser_points(self) -> int:
-        return self.count
 
     @model_validator(mode="after")
     def _part_of_the_grid(self) -> Self:
@@ -139,13 +132,4 @@ def _refuse_too_many(rows: int, columns: int) -> None:
         )
 
 
-SCAN_KINDS = ("grid", "points", "circle", "random", "subset")
-AnyScan = Annotated[
-    Annotated[GridScan, Tag(tag("grid"))]
-    | Annotated[PointsScan, Tag(tag("points"))]
-    | Annotated[CircleScan, Tag(tag("circle"))]
-    | Annotated[RandomScan, Tag(tag("random"))]
-    | Annotated[SubsetScan, Tag(tag("subset"))]
-    | Annotated[GridScan, *unknown_kind(*SCAN_KINDS)],
-    kind_of(*SCAN_KINDS, default="grid"),
-]
+AnyScan = Annotated[GridScan | PointsScan | CircleScan | RandomScan | SubsetScan, ByKind(default="grid")]

@@ -84,7 +84,7 @@ class SceneConfig(Settings):
 
 
 def _fits(sides: tuple[float, float], room: tuple[float, float], clearance_m: float) -> bool:
-    """Whether a rectangle can lie in another, turned as need be (necessary condition)."""
+    """Whether a rectangle can lie in another, rotated as need be (necessary condition)."""
     gap = 2 * clearance_m
     short, long = sorted(room)
     return sides[0] + gap <= short and sides[1] + gap <= float(np.hypot(short, long))

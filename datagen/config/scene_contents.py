@@ -7,9 +7,8 @@ import hashlib
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, PrivateAttr, Tag, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
-from datagen.config.base import tag
 from datagen.config.distributions import Count, Distribution, Fraction, Length, Uniform, support, within
 from datagen.config.scene_files import (
     RESERVED_NAMES,
@@ -21,9 +20,9 @@ from datagen.config.scene_files import (
     label_of,
     resolved,
 )
-from datagen.config.scene_kinds import kind_of, unknown_kind
+from datagen.config.scene_kinds import ByKind
 from datagen.config.scene_layouts import NonNegative
-from datagen.config.scene_materials import Surface
+from datagen.config.scene_materials import SurfaceMaterial
 from scene_library.objects.classes import CLASSES, GROUPS, classes_of
 
 Angle = Annotated[Distribution, within(-360, 360)]
@@ -31,7 +30,7 @@ ANY_ANGLE = Uniform(uniform=(0.0, 360.0))
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,40}$")]
 
 
-class Item(Surface):
+class Item(SurfaceMaterial):
     """What all objects share."""
 
     name: Name | None = None
@@ -43,7 +42,7 @@ class Item(Surface):
     across: Fraction = Uniform(uniform=(0.0, 1.0))
     """Position of the centre within the hidden part: 0 on the side it is entered from, 1 on the far side."""
     rotation_deg: Angle = ANY_ANGLE
-    """Turn about the vertical."""
+    """Rotation about the vertical."""
 
     sizes: ClassVar[tuple[str, ...]] = ()
     """Names of the keys that set the object's size, in the order they are drawn."""
@@ -56,6 +55,7 @@ class Item(Surface):
 
     @property
     def part_name(self) -> str:
+        """The name that its parts get."""
         return self.name or str(getattr(self, "kind", "object"))
 
     @property
@@ -64,11 +64,20 @@ class Item(Surface):
         return (self.part_name,)
 
     def smallest_footprint_m(self) -> tuple[float, float] | None:
-        """Short and long side of the smallest footprint, or None if only the drawn object tells."""
-        return None
+        """Short and long side of the smallest footprint, metres, or None where that depends on the object drawn."""
+        if "width_m" not in self.sizes:
+            return None
+        width = self._smallest("width_m", 0.0)
+        short, long = sorted((width, self._smallest("depth_m", width)))
+        return short, long
 
     def smallest_height_m(self) -> float:
-        return 0.0
+        """Smallest height that can be drawn, metres; 0 where that depends on the object drawn."""
+        return self._smallest("height_m", 0.0)
+
+    def _smallest(self, size: str, otherwise: float) -> float:
+        declared = getattr(self, size, None)
+        return otherwise if declared is None else support(declared)[0]
 
     def plan_sizes(self) -> list[str]:
         """Names of the keys that decide how much floor the object takes."""
@@ -80,7 +89,7 @@ class Standing(Item):
     """An object that stands on the floor, with its back to a wall, or hangs from the ceiling."""
 
     placement: Literal["floor", "wall", "hanging"] = "floor"
-    """`floor`: anywhere, turned by `rotation_deg`. `wall`: back to a wall of the hidden part; `along`, `across` and
+    """`floor`: anywhere, rotated by `rotation_deg`. `wall`: back to a wall of the hidden part; `along`, `across` and
     `rotation_deg` then follow from the wall. `hanging`: from the ceiling."""
     elevation_m: NonNegative = 0.0
     """Height of the lowest point above the floor; hanging: the gap between ceiling and highest point."""
@@ -96,10 +105,7 @@ class Pillar(Item):
     depth_m: Length | None = None
     """Left out: as deep as wide."""
 
-    sizes: ClassVar[tuple[str, ...]] = ("width_m", "depth_m")
-
-    def smallest_footprint_m(self) -> tuple[float, float] | None:
-        return _sides(self.width_m, self.width_m if self.depth_m is None else self.depth_m)
+    sizes = ("width_m", "depth_m")
 
 
 class Box(Standing):
@@ -110,13 +116,7 @@ class Box(Standing):
     depth_m: Length = Uniform(uniform=(0.3, 0.9))
     height_m: Length = Uniform(uniform=(0.3, 1.4))
 
-    sizes: ClassVar[tuple[str, ...]] = ("width_m", "depth_m", "height_m")
-
-    def smallest_footprint_m(self) -> tuple[float, float] | None:
-        return _sides(self.width_m, self.depth_m)
-
-    def smallest_height_m(self) -> float:
-        return support(self.height_m)[0]
+    sizes = ("width_m", "depth_m", "height_m")
 
 
 def _known_classes(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -141,27 +141,17 @@ class Library(Standing):
     height_m: Length | None = None
     """Scale to this height; left out: natural size."""
 
-    sizes: ClassVar[tuple[str, ...]] = ("height_m",)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The classes, groups resolved."""
-        return classes_of(self.classes)
+    sizes = ("height_m",)
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        return self.names
-
-    def smallest_height_m(self) -> float:
-        return 0.0 if self.height_m is None else support(self.height_m)[0]
+        """The classes, groups resolved."""
+        return classes_of(self.classes)
 
 
-class Mesh(Standing):
-    """A mesh file, scaled to a height."""
+class MeshItem(Standing):
+    """An object read from a mesh file, scaled to a height."""
 
-    kind: Literal["mesh"] = "mesh"
-    path: MeshPath
-    """An .obj, .ply, .stl or .glb file; relative to the configuration's folder."""
     height_m: Length = Uniform(uniform=(0.5, 1.5))
     """The object is scaled to this height."""
     up: UpAxis = "z"
@@ -169,7 +159,15 @@ class Mesh(Standing):
     max_triangles: TriangleBudget = None
     """Simplify to at most this many triangles; left out: never."""
 
-    sizes: ClassVar[tuple[str, ...]] = ("height_m",)
+    sizes = ("height_m",)
+
+
+class Mesh(MeshItem):
+    """A mesh file, scaled to a height."""
+
+    kind: Literal["mesh"] = "mesh"
+    path: MeshPath
+    """An .obj, .ply, .stl or .glb file; relative to the configuration's folder."""
 
     _file: Path = PrivateAttr(default=Path())
 
@@ -180,22 +178,20 @@ class Mesh(Standing):
 
     @property
     def file(self) -> Path:
-        """Where `path` led when the configuration was read."""
+        """Absolute path of the file: `path` from the folder of the configuration that named it."""
         return self._file
 
     @property
     def part_name(self) -> str:
+        """The name that its parts get; left out: that of the file."""
         return self.name or label_of(self.path)
-
-    def smallest_height_m(self) -> float:
-        return support(self.height_m)[0]
 
     def digest(self) -> str:
         """Hex SHA-256 of the file's bytes."""
         return hashlib.sha256(self._file.read_bytes()).hexdigest()
 
 
-class MeshFolder(Standing):
+class MeshFolder(MeshItem):
     """A folder of mesh files: one is drawn, scaled to a height; the name of its sub-folder is its class."""
 
     kind: Literal["mesh_folder"] = "mesh_folder"
@@ -203,14 +199,6 @@ class MeshFolder(Standing):
     """A folder with a sub-folder for each class; files directly in it are classes of their own."""
     classes: tuple[str, ...] | None = None
     """Names of the sub-folders to draw from, equally likely; left out: all."""
-    height_m: Length = Uniform(uniform=(0.5, 1.5))
-    """The object is scaled to this height."""
-    up: UpAxis = "z"
-    """The axis of the files that points up."""
-    max_triangles: TriangleBudget = None
-    """Simplify to at most this many triangles; left out: never."""
-
-    sizes: ClassVar[tuple[str, ...]] = ("height_m",)
 
     _folder: Path = PrivateAttr(default=Path())
     _found: dict[str, tuple[Path, ...]] | None = PrivateAttr(default=None)
@@ -226,12 +214,8 @@ class MeshFolder(Standing):
         return self
 
     @property
-    def folder(self) -> Path:
-        """Where `path` led when the configuration was read."""
-        return self._folder
-
-    @property
     def class_names(self) -> tuple[str, ...]:
+        """The classes that it holds, of those wanted."""
         return tuple(self.files())
 
     def files(self) -> dict[str, tuple[Path, ...]]:
@@ -241,8 +225,9 @@ class MeshFolder(Standing):
             self._found = found if self.classes is None else {c: found[c] for c in self.classes if c in found}
         return self._found
 
-    def smallest_height_m(self) -> float:
-        return support(self.height_m)[0]
+    def shown(self, file: Path) -> str:
+        """One of its files as messages and parameters name it: `path`, and the way from there."""
+        return f"{self.path}/{file.relative_to(self._folder).as_posix()}"
 
     def digest(self) -> str:
         """Hex SHA-256 of the names and bytes of all files that can be drawn."""
@@ -253,18 +238,4 @@ class MeshFolder(Standing):
         return total.hexdigest()
 
 
-def _sides(a: Distribution, b: Distribution) -> tuple[float, float]:
-    short, long = sorted((support(a)[0], support(b)[0]))
-    return short, long
-
-
-KINDS = ("pillar", "box", "library", "mesh", "mesh_folder")
-Content = Annotated[
-    Annotated[Pillar, Tag(tag("pillar"))]
-    | Annotated[Box, Tag(tag("box"))]
-    | Annotated[Library, Tag(tag("library"))]
-    | Annotated[Mesh, Tag(tag("mesh"))]
-    | Annotated[MeshFolder, Tag(tag("mesh_folder"))]
-    | Annotated[Box, *unknown_kind(*KINDS)],
-    kind_of(*KINDS),
-]
+Content = Annotated[Pillar | Box | Library | Mesh | MeshFolder, ByKind()]

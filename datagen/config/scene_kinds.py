@@ -1,56 +1,71 @@
-"""Settings that come in kinds: pick the member of a union by its key `kind`, and say which kinds there are.
-
-A union of kinds has one more member that accepts nothing, to which everything unknown is sent, because a
-discriminator itself cannot tell the value it refused::
-
-    Content = Annotated[
-        Annotated[Pillar, Tag(tag("pillar"))]
-        | Annotated[Box, Tag(tag("box"))]
-        | Annotated[Box, *unknown_kind("pillar", "box")],
-        kind_of("pillar", "box"),
-    ]
-"""
+"""Settings that come in kinds: the member of a union is picked by its key `kind`, and what is no kind is refused."""
 
 from __future__ import annotations
 
 import difflib
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, get_args
 
-from pydantic import BeforeValidator, Discriminator, Tag, WithJsonSchema
+from pydantic import BaseModel, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
 
-from datagen.config.base import tag
+from datagen.config.base import tag, tag_of
 
-_UNKNOWN = "unknown kind"
+_UNKNOWN = tag("unknown kind")
+
+
+def kinds_of(union: Any) -> dict[str, type[BaseModel]]:
+    """Kind → model of a union of models, each of which has its kind as the default of its key `kind`."""
+    return {tag_of(model): model for model in get_args(union)}
+
+
+@dataclass(frozen=True)
+class ByKind:
+    """Annotation of a union of models: `Annotated[Pillar | Box, ByKind()]`.
+
+    Attributes
+    ----------
+    default : the kind of a mapping without the key, or None where the key is required.
+    """
+
+    default: str | None = None
+
+    def __get_pydantic_core_schema__(self, union: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """A union tagged by `kind`.
+
+        Everything unknown is sent to one more member, which accepts nothing: a discriminator cannot tell the value
+        that it refused.
+        """
+        models = kinds_of(union)
+        kinds = [*models]
+
+        def member(value: Any) -> str:
+            kind = _kind(value)
+            if kind is None and isinstance(value, dict):
+                kind = self.default
+            return tag(kind) if kind in kinds else _UNKNOWN
+
+        def refuse(value: Any) -> Any:
+            raise ValueError(_refusal(value, kinds))
+
+        choices = {tag(kind): handler.generate_schema(model) for kind, model in models.items()}
+        refusing = core_schema.no_info_plain_validator_function(
+            refuse, metadata={"pydantic_js_functions": [lambda *_: {"not": {}}]}
+        )
+        return core_schema.tagged_union_schema({**choices, _UNKNOWN: refusing}, discriminator=member)
 
 
 def _kind(value: Any) -> Any:
     return value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
 
 
-def kind_of(*kinds: str, default: str | None = None) -> Discriminator:
-    """A discriminator on the key `kind`; a mapping without it is of the kind `default`, if there is one."""
-
-    def member(value: Any) -> str:
-        kind = _kind(value)
-        if kind is None and default is not None and isinstance(value, dict):
-            kind = default
-        return tag(kind if kind in kinds else _UNKNOWN)
-
-    return Discriminator(member)
-
-
-def unknown_kind(*kinds: str) -> tuple[BeforeValidator, WithJsonSchema, Tag]:
-    """The annotations of the member that refuses: it names the kind found, the nearest known one, and all."""
-    listed = ", ".join(kinds)
-
-    def refuse(value: Any) -> Any:
-        kind = _kind(value)
-        if not isinstance(value, dict):
-            raise ValueError(f"a mapping with the key kind is needed (kind: one of {listed})")
-        if kind is None:
-            raise ValueError(f"the key kind is missing; it must be one of {listed}")
-        near = difflib.get_close_matches(str(kind), kinds, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise ValueError(f"kind = {kind!r} is unknown; {hint}It must be one of {listed}")
-
-    return BeforeValidator(refuse), WithJsonSchema({"not": {}}), Tag(tag(_UNKNOWN))
+def _refusal(value: Any, kinds: list[str]) -> str:
+    """What is wrong with a value of no known kind: the kind found, the nearest known one, and all."""
+    kind, listed = _kind(value), ", ".join(kinds)
+    if not isinstance(value, dict):
+        return f"a mapping with the key kind is needed (kind: one of {listed})"
+    if kind is None:
+        return f"the key kind is missing; it must be one of {listed}"
+    near = difflib.get_close_matches(str(kind), kinds, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return f"kind = {kind!r} is unknown; {hint}It must be one of {listed}"

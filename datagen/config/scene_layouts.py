@@ -1,17 +1,17 @@
 """The key `scene.layout`: which kind of room, and how its dimensions are drawn.
 
-What each kind looks like is told in `scene_library/layouts.py`, whose functions take these dimensions.
+`scene_library/layouts.py` draws each kind: its functions take these dimensions.
 """
 
 from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Tag, model_validator
+from pydantic import model_validator
 
-from datagen.config.base import Settings, tag
+from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, Fraction, Length, Uniform, support, within
-from datagen.config.scene_kinds import kind_of, unknown_kind
+from datagen.config.scene_kinds import ByKind, kinds_of
 from datagen.config.scene_relay import RelayWall
 
 NonNegative = Annotated[Distribution, within(0)]
@@ -45,30 +45,37 @@ class Layout(Settings):
         """The dimensions to draw, in their declared order."""
         return {name: getattr(self, name) for name in type(self).model_fields if name not in self.choices}
 
+    limits: ClassVar[tuple[tuple[str, str, str], ...]] = ()
+    """(smaller, larger, reason): pairs of dimensions of which the first has to be below the second."""
+    hidden_m: ClassVar[tuple[str, tuple[str, ...]]]
+    """The dimension that limits the hidden part along x, and those of which the largest limits it across."""
+
     def largest_hidden_m(self) -> tuple[float, float]:
-        """Largest extents of the hidden part, along x and across."""
-        raise NotImplementedError
+        """Largest extents of the hidden part, along x and across, metres."""
+        along, across = self.hidden_m
+        return self._largest(along), max(self._largest(name) for name in across)
+
+    def _largest(self, name: str) -> float:
+        return support(getattr(self, name))[1]
 
     @model_validator(mode="after")
-    def _device_below_ceiling(self) -> Self:
-        self._less("device_height_m", "height_m", "no room is higher than the device; lower the first")
+    def _within_limits(self) -> Self:
+        """Refuse when not even the smallest value of one dimension is below the largest of the other."""
+        ceiling = ("device_height_m", "height_m", "no room is higher than the device")
+        for small, large, reason in (ceiling, *self.limits):
+            least, most = support(getattr(self, small))[0], self._largest(large)
+            if least >= most:
+                raise ValueError(
+                    f"{small} ≥ {least:g} with {large} ≤ {most:g}: {reason}; lower the first or raise {large}"
+                )
         return self
-
-    def _less(self, small: str, large: str, reason: str) -> None:
-        """Refuse when not even the smallest `small` is below the largest `large`."""
-        least, most = support(getattr(self, small))[0], support(getattr(self, large))[1]
-        if least >= most:
-            raise ValueError(f"{small} ≥ {least:g} with {large} ≤ {most:g}: {reason} or raise {large}")
-
-    def _largest(self, *names: str) -> float:
-        return sum(support(getattr(self, name))[1] for name in names)
 
 
 class Closed(Layout):
     """Layouts with walls all around."""
 
     out_of_square_deg: Annotated[Distribution, within(-15, 15)] = 0.0
-    """Every wall but the relay wall is turned by an angle of its own, drawn from this."""
+    """Every wall but the relay wall is rotated by an angle of its own, drawn from this."""
 
 
 class Corridor(Closed):
@@ -91,13 +98,8 @@ class StraightCorridor(Corridor):
     """Share of the corridor's width that the partition covers."""
     partition_thickness_m: Length = Uniform(uniform=(0.05, 0.2))
 
-    @model_validator(mode="after")
-    def _partition_before_device(self) -> Self:
-        self._less("partition_distance_m", "relay_distance_m", "the partition is behind the device; lower the first")
-        return self
-
-    def largest_hidden_m(self) -> tuple[float, float]:
-        return self._largest("partition_distance_m"), self._largest("corridor_width_m")
+    hidden_m = ("partition_distance_m", ("corridor_width_m",))
+    limits = (("partition_distance_m", "relay_distance_m", "the partition is behind the device"),)
 
 
 class LCorridor(Corridor):
@@ -109,13 +111,8 @@ class LCorridor(Corridor):
     room_width_m: Length = Uniform(uniform=(3.0, 5.0))
     """From the corridor to the far wall of the room."""
 
-    @model_validator(mode="after")
-    def _corner_before_device(self) -> Self:
-        self._less("room_length_m", "relay_distance_m", "the inner corner lies behind the device; lower the first")
-        return self
-
-    def largest_hidden_m(self) -> tuple[float, float]:
-        return self._largest("room_length_m"), self._largest("room_width_m")
+    hidden_m = ("room_length_m", ("room_width_m",))
+    limits = (("room_length_m", "relay_distance_m", "the inner corner lies behind the device"),)
 
 
 class TCorridor(Corridor):
@@ -129,13 +126,8 @@ class TCorridor(Corridor):
     right_arm_m: Length = Uniform(uniform=(3.0, 5.0))
     """Length of the other arm."""
 
-    @model_validator(mode="after")
-    def _corner_before_device(self) -> Self:
-        self._less("arm_width_m", "relay_distance_m", "the corners lie behind the device; lower the first")
-        return self
-
-    def largest_hidden_m(self) -> tuple[float, float]:
-        return self._largest("arm_width_m"), max(self._largest("left_arm_m"), self._largest("right_arm_m"))
+    hidden_m = ("arm_width_m", ("left_arm_m", "right_arm_m"))
+    limits = (("arm_width_m", "relay_distance_m", "the corners lie behind the device"),)
 
 
 class ZCorridor(Corridor):
@@ -148,14 +140,11 @@ class ZCorridor(Corridor):
     last_width_m: Length = Uniform(uniform=(1.4, 2.2))
     last_length_m: Length = Uniform(uniform=(1.0, 4.0))
 
-    @model_validator(mode="after")
-    def _corner_before_device(self) -> Self:
-        self._less("middle_width_m", "relay_distance_m", "the inner corner lies behind the device; lower the first")
-        self._less("last_width_m", "middle_length_m", "the last leg has no room to leave; lower the first")
-        return self
-
-    def largest_hidden_m(self) -> tuple[float, float]:
-        return self._largest("middle_width_m"), self._largest("middle_length_m")
+    hidden_m = ("middle_width_m", ("middle_length_m",))
+    limits = (
+        ("middle_width_m", "relay_distance_m", "the inner corner lies behind the device"),
+        ("last_width_m", "middle_length_m", "the last leg has no room to leave"),
+    )
 
 
 class CorridorRoom(Corridor):
@@ -168,14 +157,11 @@ class CorridorRoom(Corridor):
     opening_offset: Fraction = Uniform(uniform=(0.2, 0.8))
     """Where the corridor enters: 0 puts all of the room on the side of `turn`, 1 on the other."""
 
-    @model_validator(mode="after")
-    def _corner_before_device(self) -> Self:
-        self._less("room_length_m", "relay_distance_m", "the room's corners lie behind the device; lower the first")
-        self._less("corridor_width_m", "room_width_m", "the room is narrower than the corridor; lower the first")
-        return self
-
-    def largest_hidden_m(self) -> tuple[float, float]:
-        return self._largest("room_length_m"), self._largest("room_width_m")
+    hidden_m = ("room_length_m", ("room_width_m",))
+    limits = (
+        ("room_length_m", "relay_distance_m", "the room's corners lie behind the device"),
+        ("corridor_width_m", "room_width_m", "the room is narrower than the corridor"),
+    )
 
 
 class DoorwayRoom(Closed):
@@ -194,17 +180,14 @@ class DoorwayRoom(Closed):
     opening_offset: Fraction = Uniform(uniform=(0.2, 0.8))
     """Where the doorway is: 0 puts all of the room on the side of `turn`, 1 on the other."""
 
-    @model_validator(mode="after")
-    def _door_fits(self) -> Self:
-        self._less("room_length_m", "relay_distance_m", "the doorway lies behind the device; lower the first")
-        self._less("door_width_m", "room_width_m", "the doorway is wider than the room; lower the first")
-        self._less("door_width_m", "hall_width_m", "the doorway is wider than the hall; lower the first")
-        self._less("door_height_m", "height_m", "the doorway is higher than the room; lower the first")
-        self._less("device_height_m", "door_height_m", "the device looks at the lintel; lower the first")
-        return self
-
-    def largest_hidden_m(self) -> tuple[float, float]:
-        return self._largest("room_length_m"), self._largest("room_width_m")
+    hidden_m = ("room_length_m", ("room_width_m",))
+    limits = (
+        ("room_length_m", "relay_distance_m", "the doorway lies behind the device"),
+        ("door_width_m", "room_width_m", "the doorway is wider than the room"),
+        ("door_width_m", "hall_width_m", "the doorway is wider than the hall"),
+        ("door_height_m", "height_m", "the doorway is higher than the room"),
+        ("device_height_m", "door_height_m", "the device looks at the lintel"),
+    )
 
 
 class IsolatedWall(Layout):
@@ -224,32 +207,15 @@ class IsolatedWall(Layout):
     space_width_m: Length = Uniform(uniform=(2.0, 3.0))
     """From the screen to the far side of the space that holds the objects."""
 
-    @model_validator(mode="after")
-    def _screen_before_device(self) -> Self:
-        self._less("screen_to_wall_m", "relay_distance_m", "the screen ends behind the device; lower the first")
-        return self
+    hidden_m = ("screen_to_wall_m", ("space_width_m",))
+    limits = (("screen_to_wall_m", "relay_distance_m", "the screen ends behind the device"),)
 
     def largest_hidden_m(self) -> tuple[float, float]:
-        return self._largest("screen_to_wall_m"), self._largest("space_width_m", "wall_width_m")
+        """As for every layout; across, the wall may reach further than the space beside the screen."""
+        along, across = super().largest_hidden_m()
+        return along, across + self._largest("wall_width_m")
 
 
-LAYOUT_KINDS = (
-    "straight_corridor",
-    "l_corridor",
-    "t_corridor",
-    "z_corridor",
-    "corridor_room",
-    "doorway_room",
-    "isolated_wall",
-)
-AnyLayout = Annotated[
-    Annotated[StraightCorridor, Tag(tag("straight_corridor"))]
-    | Annotated[LCorridor, Tag(tag("l_corridor"))]
-    | Annotated[TCorridor, Tag(tag("t_corridor"))]
-    | Annotated[ZCorridor, Tag(tag("z_corridor"))]
-    | Annotated[CorridorRoom, Tag(tag("corridor_room"))]
-    | Annotated[DoorwayRoom, Tag(tag("doorway_room"))]
-    | Annotated[IsolatedWall, Tag(tag("isolated_wall"))]
-    | Annotated[LCorridor, *unknown_kind(*LAYOUT_KINDS)],
-    kind_of(*LAYOUT_KINDS),
-]
+_Layouts = StraightCorridor | LCorridor | TCorridor | ZCorridor | CorridorRoom | DoorwayRoom | IsolatedWall
+AnyLayout = Annotated[_Layouts, ByKind()]
+LAYOUT_KINDS = tuple(kinds_of(_Layouts))

@@ -24,7 +24,7 @@ def _known_materials(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-class Surface(Settings):
+class SurfaceMaterial(Settings):
     """The material of one part: how much light it returns, and how it scatters it."""
 
     albedo: Fraction = Uniform(uniform=(0.3, 0.9))
@@ -62,25 +62,25 @@ class Surface(Settings):
         return self.brdf.material(albedo, rng), name
 
 
-class BrightSurface(Surface):
+class BrightSurface(SurfaceMaterial):
     """Relay wall and ceiling."""
 
     albedo: Fraction = Uniform(uniform=(0.6, 0.9))
 
 
-class WallSurface(Surface):
+class WallSurface(SurfaceMaterial):
     """Walls."""
 
     albedo: Fraction = Uniform(uniform=(0.5, 0.9))
 
 
-class FloorSurface(Surface):
+class FloorSurface(SurfaceMaterial):
     """The floor."""
 
     albedo: Fraction = Uniform(uniform=(0.2, 0.7))
 
 
-class DarkSurface(Surface):
+class DarkSurface(SurfaceMaterial):
     """The screen that hides the objects in the layout `isolated_wall`."""
 
     albedo: Fraction = Uniform(uniform=(0.05, 0.2))

@@ -8,13 +8,13 @@ from pydantic import Field
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Count, Distribution, Length, Uniform, within
-from datagen.config.scene_materials import Surface
+from datagen.config.scene_materials import SurfaceMaterial
 
 ClutterKind = Literal["pillar", "pipe", "frame", "shelf"]
 Within1m = Annotated[Distribution, within(0, 1, open_low=True)]
 
 
-class Clutter(Surface):
+class Clutter(SurfaceMaterial):
     """Things before the visible part of the relay wall, which laser points and pixels then fall on as well."""
 
     kinds: Annotated[tuple[ClutterKind, ...], Field(min_length=1)] = ("pillar", "pipe", "frame", "shelf")

@@ -85,8 +85,9 @@ class ObjectBoxes:
         """(count, 8, 3) corners along (right, up, depth); corner k lies on the positive side of the box's width,
         depth or height where bit 0, 1 or 2 of k is set."""
         sides = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) - 0.5
-        offset = sides * self.size[: self.count, None].astype(np.float64)
-        return self.center[: self.count, None] + np.einsum("nij,nkj->nki", self.rotation[: self.count], offset)
+        n = self.count
+        offset = sides * self.size[:n, None].astype(np.float64)
+        return np.asarray(self.center[:n, None] + np.einsum("nij,nkj->nki", self.rotation[:n], offset))
 
 
 def classes_in(scene: Scene) -> tuple[str, ...]:

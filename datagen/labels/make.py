@@ -13,7 +13,7 @@ from datagen.errors import InputError
 from datagen.labels.boxes import ObjectBoxes, classes_in
 from datagen.labels.images import HiddenSurface, albedo_image, depth_image, hidden_surface, normal_image, part_image
 from datagen.labels.shading import shaded_image
-from datagen.labels.solids import Surface
+from datagen.labels.solids import ConnectedSurface
 from datagen.labels.volumes import VoxelGrid, object_surfaces, occupancy, signed_distance
 from datagen.records import Scene
 
@@ -26,7 +26,10 @@ _IMAGES: dict[str, Callable[[HiddenSurface], Array]] = {
     "part_id": part_image,
     "shaded": shaded_image,
 }
-_VOLUMES: dict[str, Callable[[VoxelGrid, list[Surface]], Array]] = {"occupancy": occupancy, "sdf": signed_distance}
+_VOLUMES: dict[str, Callable[[VoxelGrid, list[ConnectedSurface]], Array]] = {
+    "occupancy": occupancy,
+    "sdf": signed_distance,
+}
 
 IMAGE_FIELDS = tuple(_IMAGES)
 VOLUME_FIELDS = tuple(_VOLUMES)

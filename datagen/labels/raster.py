@@ -53,12 +53,12 @@ def _depth(triangle: NDArray[np.float64], px: float, py: float) -> float:
     ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
     vx, vy, vz = triangle[2, 0] - triangle[0, 0], triangle[2, 1] - triangle[0, 1], triangle[2, 2] - triangle[0, 2]
     nz = ux * vy - uy * vx
-    nearest = min(triangle[0, 2], triangle[1, 2], triangle[2, 2])
-    farthest = max(triangle[0, 2], triangle[1, 2], triangle[2, 2])
+    nearest: float = min(triangle[0, 2], triangle[1, 2], triangle[2, 2])
+    farthest: float = max(triangle[0, 2], triangle[1, 2], triangle[2, 2])
     if nz == 0.0:
         return nearest
     nx, ny = uy * vz - uz * vy, uz * vx - ux * vz
-    depth = triangle[0, 2] - (nx * (px - triangle[0, 0]) + ny * (py - triangle[0, 1])) / nz
+    depth: float = triangle[0, 2] - (nx * (px - triangle[0, 0]) + ny * (py - triangle[0, 1])) / nz
     return min(max(depth, nearest), farthest)
 
 

@@ -20,7 +20,7 @@ _LATTICE = 2**20  # cells across a part: 1 µm in an object of 1 m
 
 
 @dataclass(frozen=True)
-class Surface:
+class ConnectedSurface:
     """One connected surface.
 
     corners : (F, 3, 3) its triangles, without any that bridge holes.
@@ -43,7 +43,7 @@ class Surface:
         return 2 * volume / float(_areas(whole).sum())
 
 
-def surfaces(corners: NDArray[np.float64]) -> list[Surface]:
+def connected_surfaces(corners: NDArray[np.float64]) -> list[ConnectedSurface]:
     """Take triangles (F, 3, 3), metres, apart into connected surfaces."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -70,16 +70,18 @@ def _merged(corners: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
     return number.reshape(-1, 3), len(places)
 
 
-def _surface(corners: NDArray[np.float64], triangles: NDArray[np.int64]) -> Surface:
+def _surface(corners: NDArray[np.float64], triangles: NDArray[np.int64]) -> ConnectedSurface:
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     ends = corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
     key = edges[:, 0] * (int(edges.max()) + 1) + edges[:, 1]
     _, first, uses = np.unique(key, return_index=True, return_counts=True)
     rim = first[uses % 2 == 1]
     if len(rim) == 0:
-        return Surface(corners, np.empty((0, 3, 3)), True)
+        return ConnectedSurface(corners, np.empty((0, 3, 3)), True)
     lid = _fans(edges[rim], ends[rim])
-    return Surface(corners, lid, float(_areas(lid).sum()) <= LARGEST_HOLE_SHARE * float(_areas(corners).sum()))
+    return ConnectedSurface(
+        corners, lid, float(_areas(lid).sum()) <= LARGEST_HOLE_SHARE * float(_areas(corners).sum())
+    )
 
 
 def _fans(edges: NDArray[np.int64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -101,4 +103,5 @@ def _fans(edges: NDArray[np.int64], ends: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def _areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(0.5 * np.linalg.norm(sides, axis=1))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.labels.frame import ViewFrame
 from datagen.labels.raster import cut_voxels, inside_columns
-from datagen.labels.solids import Surface, surfaces
+from datagen.labels.solids import ConnectedSurface, connected_surfaces
 from datagen.records import Scene
 
 OPEN3D_SYSTEM_PACKAGES = ("libusb-1.0-0", "libgl1", "libegl1", "libx11-6", "libgomp1")
@@ -67,16 +67,16 @@ class VoxelGrid:
         return self.frame.to_world(self.low + np.stack([x, y, z], axis=-1) * (self.high - self.low))
 
 
-def object_surfaces(scene: Scene) -> list[Surface]:
+def object_surfaces(scene: Scene) -> list[ConnectedSurface]:
     """The connected surfaces of all parts with the role `object`, part by part."""
-    found: list[Surface] = []
+    found: list[ConnectedSurface] = []
     for part, role in enumerate(scene.roles):
         if role == "object":
-            found += surfaces(scene.corners[scene.face_part == part])
+            found += connected_surfaces(scene.corners[scene.face_part == part])
     return found
 
 
-def occupancy(grid: VoxelGrid, found: list[Surface]) -> NDArray[np.uint8]:
+def occupancy(grid: VoxelGrid, found: list[ConnectedSurface]) -> NDArray[np.uint8]:
     """(depth, row, column): 1 where an object is, else 0.
 
     A voxel is taken when its centre lies inside a closed surface, so volumes come out right on average. Surfaces
@@ -93,7 +93,7 @@ def occupancy(grid: VoxelGrid, found: list[Surface]) -> NDArray[np.uint8]:
     return taken.astype(np.uint8)
 
 
-def signed_distance(grid: VoxelGrid, found: list[Surface]) -> NDArray[np.float32]:
+def signed_distance(grid: VoxelGrid, found: list[ConnectedSurface]) -> NDArray[np.float32]:
     """(depth, row, column): metres from the voxel centre to the nearest object surface, negative inside a closed one.
 
     Open surfaces enclose nothing; their distance has no sign. Where closed surfaces overlap, the smallest of their
@@ -113,13 +113,13 @@ def signed_distance(grid: VoxelGrid, found: list[Surface]) -> NDArray[np.float32
     return smallest.astype(np.float32)
 
 
-def _inside(grid: VoxelGrid, surface: Surface) -> NDArray[np.bool_]:
+def _inside(grid: VoxelGrid, surface: ConnectedSurface) -> NDArray[np.bool_]:
     return inside_columns(grid.to_voxels(np.concatenate([surface.corners, surface.lid])), grid.shape)
 
 
-def _apart(found: list[Surface]) -> list[list[Surface]]:
+def _apart(found: list[ConnectedSurface]) -> list[list[ConnectedSurface]]:
     """Groups of surfaces whose bounding boxes do not meet: within one, no surface is inside another."""
-    groups: list[list[tuple[Surface, NDArray[np.float64]]]] = []
+    groups: list[list[tuple[ConnectedSurface, NDArray[np.float64]]]] = []
     for surface in found:
         box = np.stack([surface.corners.min(axis=(0, 1)), surface.corners.max(axis=(0, 1))])
         for group in groups:
@@ -150,4 +150,4 @@ def _distance(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDAr
         tensor(np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)),
     )
     query = tensor(np.ascontiguousarray(points - middle, dtype=np.float32))
-    return caster.compute_distance(query, nthreads=1).numpy().astype(np.float64)
+    return np.asarray(caster.compute_distance(query, nthreads=1).numpy(), np.float64)

@@ -91,6 +91,7 @@ class Sensor:
 
     @property
     def aperture_area_m2(self) -> float:
+        """Area of the aperture's disc, m²."""
         return float(np.pi * self.aperture_radius_m**2)
 
 
@@ -129,6 +130,7 @@ class TimeAxis:
 
     @property
     def stop_s(self) -> float:
+        """End of the last bin, seconds."""
         return self.start_s + self.width_s * self.bins
 
 

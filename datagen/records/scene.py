@@ -34,7 +34,7 @@ class Pose:
 
     @classmethod
     def upright(cls, label: str, rotation_deg: float = 0.0) -> Pose:
-        """Height along z; width and depth along x and y, turned by `rotation_deg` about z."""
+        """Height along z; width and depth along x and y, rotated by `rotation_deg` about z."""
         c, s = np.cos(np.radians(rotation_deg)), np.sin(np.radians(rotation_deg))
         return cls(label, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
 
@@ -43,9 +43,22 @@ class Pose:
 class Part:
     """A named surface with one material.
 
-    `mesh` is a `trimesh.Trimesh` in metres, or anything with `vertices` (V, 3) and `faces` (F, 3).
-    Triangles are shaded on both sides, so their winding does not matter. `pose` serves the label of boxes; left out,
-    the part's name is its class and its axes are those of the scene.
+    Attributes
+    ----------
+    name : unique in its scene.
+    mesh : a `trimesh.Trimesh` in metres, or anything with `vertices` (V, 3) and `faces` (F, 3); its triangles are
+        shaded on both sides, whichever way they are wound.
+    material : how it scatters.
+    role : what it is to capture and labels.
+    pose : class and axes for the label of boxes; left out: the part's name, and the scene's axes.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> import datagen as dg
+    >>> box = dg.Part("box", trimesh.creation.box((0.4, 0.3, 0.5)), dg.Lambertian(0.7))
+    >>> box.role, len(box.mesh.faces)
+    ('object', 12)
     """
 
     name: str
@@ -85,6 +98,7 @@ class Rectangle:
 
     @property
     def area_m2(self) -> float:
+        """Area, m²."""
         return 4.0 * float(np.linalg.norm(np.cross(self.right, self.up)))
 
 

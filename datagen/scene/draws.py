@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -10,37 +9,34 @@ import numpy as np
 
 from datagen.config.distributions import draw, draw_count
 from datagen.config.scene import SceneConfig
-from datagen.config.scene_contents import Box, Content, Item, Library, Mesh, MeshFolder, Pillar, Standing
+from datagen.config.scene_contents import Box, Content, Item, Library, Mesh, MeshFolder, MeshItem, Pillar, Standing
 from datagen.config.scene_files import label_of
 from datagen.config.scene_layouts import AnyLayout, Closed
-from datagen.config.scene_materials import Surface as SurfaceSettings
+from datagen.config.scene_materials import SurfaceMaterial
 from datagen.errors import InputError
 from datagen.records import Lambertian, Material, Scalar
 from datagen.scene.relay_wall import draw_clutter, draw_relay_wall
-from scene_library import layouts
+from scene_library.layouts import LAYOUTS
 from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
 from scene_library.objects import build
 from scene_library.placement import Occupied
-from scene_library.rooms import Plan, mirrored, out_of_square, surfaces, wall_groups
+from scene_library.rooms import FloorPlan, mirrored, out_of_square, surfaces, wall_groups
 from scene_library.solids import Solid, Surface, prism, rectangle, regular_polygon
-
-PLANS: dict[str, Callable[..., Plan]] = {
-    "straight_corridor": layouts.straight_corridor,
-    "l_corridor": layouts.l_corridor,
-    "t_corridor": layouts.t_corridor,
-    "z_corridor": layouts.z_corridor,
-    "corridor_room": layouts.corridor_room,
-    "doorway_room": layouts.doorway_room,
-    "isolated_wall": layouts.isolated_wall,
-}
 
 
 @dataclass(frozen=True)
 class Thing:
     """An object to be placed: all that is drawn for it but its place.
 
-    where : its settings, such as contents[0]. name : of its part. label : its class.
-    rotation_deg, elevation_m : as declared.
+    Attributes
+    ----------
+    where : its settings, such as contents[0].
+    item : those settings.
+    name : of its part.
+    label : its class.
+    solid : its triangles, standing at the origin.
+    material : how it scatters.
+    rotation_deg, elevation_m : drawn as declared.
     """
 
     where: str
@@ -57,11 +53,16 @@ class Thing:
 class DrawnRoom:
     """Everything of a room that is drawn once: what is left are the places of its objects.
 
-    surfaces, materials : of the room's own parts, by name. clutter : those of them that stand before the relay wall,
-    and the place they take. parameters : every number drawn, by dotted name.
+    Attributes
+    ----------
+    plan : its floor plan.
+    surfaces, materials : of the room's own parts, by name.
+    clutter : the place taken by those parts that stand before the relay wall.
+    things : its objects.
+    parameters : every number drawn, by dotted name.
     """
 
-    plan: Plan
+    plan: FloorPlan
     surfaces: dict[str, Surface]
     materials: dict[str, Material]
     clutter: dict[str, Occupied]
@@ -119,7 +120,7 @@ def _free_name(wanted: str, taken: set[str]) -> str:
 
 
 def _material(
-    spec: SceneConfig, surface: SurfaceSettings, name: str, parameters: dict[str, Scalar], rng: np.random.Generator
+    spec: SceneConfig, surface: SurfaceMaterial, name: str, parameters: dict[str, Scalar], rng: np.random.Generator
 ) -> Material:
     """Draw the material of the part `name`, and note its numbers."""
     material, catalogue_name = surface.draw_material(spec.wavelength_nm, rng)
@@ -132,18 +133,18 @@ def _material(
     return material
 
 
-def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[Plan, dict[str, Scalar]]:
+def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[FloorPlan, dict[str, Scalar]]:
     """A plan and the dimensions drawn for it. Raises `scene_library.rooms.RoomDoesNotClose`."""
     dimensions = {name: draw(d, rng) for name, d in layout.dimensions().items()}
     side = ("left", "right")[int(rng.integers(2))] if layout.turn == "random" else layout.turn
-    plan = PLANS[layout.kind](**dimensions)
+    plan = LAYOUTS[layout.kind](**dimensions)
     drawn: dict[str, Scalar] = {**dimensions, "turn": side}
     if isinstance(layout, Closed) and layout.out_of_square_deg != 0:
         groups = wall_groups(plan)
-        turned = {wall: draw(layout.out_of_square_deg, rng) for wall in dict.fromkeys(groups)}
-        turned[groups[plan.relay_edge]] = 0.0
-        plan = out_of_square(plan, np.radians([turned[wall] for wall in groups]))
-        drawn |= {f"wall_{wall}_turned_deg": angle for wall, angle in turned.items()}
+        angles = {wall: draw(layout.out_of_square_deg, rng) for wall in dict.fromkeys(groups)}
+        angles[groups[plan.relay_edge]] = 0.0
+        plan = out_of_square(plan, np.radians([angles[wall] for wall in groups]))
+        drawn |= {f"wall_{wall}_turned_deg": angle for wall, angle in angles.items()}
     return plan if side == "left" else mirrored(plan), drawn
 
 
@@ -169,7 +170,7 @@ def draw_object(item: Item, room_height_m: float, rng: np.random.Generator) -> D
             base = rectangle(sizes["width_m"], sizes["depth_m"])
             return Drawn(prism(base, sizes["height_m"]), item.part_name, dict(sizes))
         case Library():
-            name = item.names[int(rng.integers(len(item.names)))]
+            name = item.class_names[int(rng.integers(len(item.class_names)))]
             solid = build(name, rng)
             if "height_m" in sizes:
                 solid = solid.scaled(sizes["height_m"] / solid.top_m)
@@ -182,13 +183,11 @@ def draw_object(item: Item, room_height_m: float, rng: np.random.Generator) -> D
                 raise InputError(f"path = {item.path!r}: holds no mesh files any more; put them back")
             label = list(classes)[int(rng.integers(len(classes)))]
             file = classes[label][int(rng.integers(len(classes[label])))]
-            return _mesh(
-                item, file, label, f"{item.path}/{file.relative_to(item.folder).as_posix()}", sizes["height_m"]
-            )
+            return _mesh(item, file, label, item.shown(file), sizes["height_m"])
     raise TypeError(f"no solid is known for {type(item).__name__}")
 
 
-def load_mesh(item: Mesh | MeshFolder, file: Path, shown: str) -> Solid:
+def load_mesh(item: MeshItem, file: Path, shown: str) -> Solid:
     """The file's solid at height 1. Raises `InputError` naming it as `shown`."""
     try:
         return unit_mesh(file, MeshOptions(item.up, item.max_triangles))
@@ -196,7 +195,7 @@ def load_mesh(item: Mesh | MeshFolder, file: Path, shown: str) -> Solid:
         raise InputError(f"path = {shown!r}: {error}") from None
 
 
-def _mesh(item: Mesh | MeshFolder, file: Path, label: str, shown: str, height_m: float) -> Drawn:
+def _mesh(item: MeshItem, file: Path, label: str, shown: str, height_m: float) -> Drawn:
     solid = load_mesh(item, file, shown).scaled(height_m)
     return Drawn(solid, label, {**_extents(solid), "triangles": len(solid.triangles), "file": shown})
 

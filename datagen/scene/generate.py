@@ -7,7 +7,7 @@ every try at placing its objects, so what one consumed never shifts the next.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,46 +16,21 @@ from datagen.config.distributions import draw
 from datagen.config.scene import SceneConfig
 from datagen.config.scene_contents import Mesh, MeshFolder
 from datagen.errors import InputError
-from datagen.records import Material, Pose, Rectangle, Role, Scalar, Scene
+from datagen.records import Pose, Rectangle, Role, Scalar, Scene
 from datagen.scene.draws import DrawnRoom, draw_room, load_mesh
 from datagen.scene.placing import Unmet, place
 from datagen.scene.refusals import explain
 from datagen.seeding import Purpose, generator
 from scene_library.placement import FreeSpace
-from scene_library.rooms import Plan, RoomDoesNotClose
+from scene_library.rooms import FloorPlan, RoomDoesNotClose
 from scene_library.sightlines import even_points, seen_fractions
+from scene_library.solids import joined
 from scene_library.visibility import visible_fan, visible_interval
 
 MESHES_CHECKED = 200
 """At most about this many files of a folder are loaded before a build."""
 SMALLEST_VIEW_M = 0.05
 """A relay wall seen over less than this width is no relay wall."""
-
-
-@dataclass
-class _Parts:
-    """Surfaces collected so far, in the order of their part index."""
-
-    names: list[str] = field(default_factory=list)
-    roles: list[Role] = field(default_factory=list)
-    materials: list[Material] = field(default_factory=list)
-    vertices: list[NDArray[np.float64]] = field(default_factory=list)
-    triangles: list[NDArray[np.int64]] = field(default_factory=list)
-
-    def add(
-        self, name: str, role: Role, material: Material, vertices: NDArray[np.float64], faces: NDArray[np.int64]
-    ) -> None:
-        self.names.append(name)
-        self.roles.append(role)
-        self.materials.append(material)
-        self.vertices.append(vertices)
-        self.triangles.append(faces)
-
-    def joined(self) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]]:
-        offsets = np.cumsum([0] + [len(v) for v in self.vertices])
-        faces = np.concatenate([f + o for f, o in zip(self.triangles, offsets, strict=False)])
-        part = np.repeat(np.arange(len(self.names)), [len(f) for f in self.triangles])
-        return np.concatenate(self.vertices), faces.astype(np.int32), part.astype(np.int32)
 
 
 def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
@@ -83,7 +58,7 @@ def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
                 rng = generator(seed, index, Purpose.SCENE, draws, 1 + number)
                 counted: dict[str, Scalar] = {"attempts": reasons.total() + 1, "draws": draws + 1}
                 try:
-                    return _furnished(spec, room, view, rng, counted, turn_anew=2 * number > tries)
+                    return _furnished(spec, room, view, rng, counted, rotate_anew=2 * number > tries)
                 except Unmet as unmet:
                     reasons[unmet.args] += 1
                     if unmet.final:
@@ -109,7 +84,8 @@ class _View:
     relay_wall: Rectangle
 
     @classmethod
-    def of(cls, plan: Plan) -> _View:
+    def of(cls, plan: FloorPlan) -> _View:
+        """The view of a room's device; raises `RoomDoesNotClose` where it sees too little of the relay wall."""
         fan = visible_fan(plan.limits, plan.device[:2])
         return cls(fan, _visible_relay_wall(plan, fan))
 
@@ -120,43 +96,42 @@ def _furnished(
     view: _View,
     rng: np.random.Generator,
     counted: dict[str, Scalar],
-    turn_anew: bool,
+    rotate_anew: bool,
 ) -> Scene:
     """Place every object and check what is seen of it. Raises `Unmet`.
 
-    turn_anew : draw rotations afresh too, since an object may only fit in turned otherwise.
+    rotate_anew : draw rotations afresh too, since an object may only fit at another one.
     """
     plan, parameters = room.plan, counted | room.parameters
-    parts, poses = _Parts(), dict[str, Pose]()
-    for name, (vertices, faces) in room.surfaces.items():
-        # What stands before the relay wall scatters like it: labels look through it, scans may meet it.
-        role: Role = "relay_wall" if name == "relay_wall" or name in room.clutter else "structure"
-        parts.add(name, role, room.materials[name], vertices, faces)
+    surfaces, materials, poses = room.surfaces.copy(), room.materials.copy(), dict[str, Pose]()
     space = FreeSpace(plan.outline, plan.hidden, plan.walls, plan.height_m, view.fan, spec.clearance_m)
     space.taken.extend(room.clutter.values())
     for thing in room.things:
-        rotation = draw(thing.item.rotation_deg, rng) if turn_anew else thing.rotation_deg
+        rotation = draw(thing.item.rotation_deg, rng) if rotate_anew else thing.rotation_deg
         spot = place(thing, rotation, plan, space, rng)
-        parts.add(thing.name, "object", thing.material, spot.vertices(thing.solid), thing.solid.triangles)
+        surfaces[thing.name] = spot.vertices(thing.solid), thing.solid.triangles
+        materials[thing.name] = thing.material
         poses[thing.name] = Pose.upright(thing.label, spot.rotation_deg)
         parameters |= {f"{thing.name}.{key}": value for key, value in asdict(spot).items()}
 
-    corners, triangles, face_part = parts.joined()
+    vertices, triangles = joined(list(surfaces.values()))
+    face_part = np.repeat(np.arange(len(surfaces), dtype=np.int32), [len(faces) for _, faces in surfaces.values()])
     if room.things:
-        wanted = np.arange(len(room.surfaces), len(parts.names))
-        seen = seen_fractions(corners[triangles], face_part, wanted, even_points(*_spread(view.relay_wall)))
+        wanted, wall = np.arange(len(room.surfaces), len(surfaces)), view.relay_wall
+        wall_points = even_points(wall.center, wall.right, wall.up)
+        seen = seen_fractions(vertices[triangles], face_part, wanted, wall_points)
         for thing, fraction in zip(room.things, seen, strict=True):
             if fraction <= spec.minimum_seen:
                 raise Unmet(thing.where, "unseen")
             parameters[f"{thing.name}.seen_fraction"] = float(fraction)
     parameters["attenuation_per_m"] = attenuation_per_m = draw(spec.attenuation_per_m, rng)
     return Scene(
-        vertices=corners,
-        triangles=triangles,
+        vertices=vertices,
+        triangles=triangles.astype(np.int32),
         face_part=face_part,
-        part_names=tuple(parts.names),
-        materials=tuple(parts.materials),
-        roles=tuple(parts.roles),
+        part_names=tuple(surfaces),
+        materials=tuple(materials[name] for name in surfaces),
+        roles=tuple(_role(name, room) for name in surfaces),
         relay_wall=view.relay_wall,
         hidden_view=_hidden_view(plan),
         hidden_bounds=np.array([[*plan.hidden[0], 0.0], [*plan.hidden[1], plan.height_m]]),
@@ -167,7 +142,14 @@ def _furnished(
     )
 
 
-def _visible_relay_wall(plan: Plan, fan: NDArray[np.float64]) -> Rectangle:
+def _role(name: str, room: DrawnRoom) -> Role:
+    if name not in room.surfaces:
+        return "object"
+    # What stands before the relay wall scatters like it: labels look through it, scans may meet it.
+    return "relay_wall" if name == "relay_wall" or name in room.clutter else "structure"
+
+
+def _visible_relay_wall(plan: FloorPlan, fan: NDArray[np.float64]) -> Rectangle:
     start, end = plan.relay_segment
     seen = visible_interval(fan, start, end)
     if seen is None or seen[1] - seen[0] < SMALLEST_VIEW_M:
@@ -176,7 +158,7 @@ def _visible_relay_wall(plan: Plan, fan: NDArray[np.float64]) -> Rectangle:
     return _upright(start + seen[0] * unit, start + seen[1] * unit, plan.visible_top_m)
 
 
-def _hidden_view(plan: Plan) -> Rectangle:
+def _hidden_view(plan: FloorPlan) -> Rectangle:
     """The hidden part's width and height in the plane of the relay wall."""
     x = plan.relay_segment[0, 0]
     return _upright(np.array([x, plan.hidden[0, 1]]), np.array([x, plan.hidden[1, 1]]), plan.height_m)
@@ -186,10 +168,6 @@ def _upright(right_end: NDArray[np.float64], left_end: NDArray[np.float64], heig
     """The rectangle above a plan segment given from right to left as seen from the room; its normal points there."""
     center = np.array([*(right_end + left_end) / 2, height_m / 2])
     return Rectangle.of(center, [*(right_end - left_end) / 2, 0.0], [0.0, 0.0, height_m / 2])
-
-
-def _spread(wall: Rectangle) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    return wall.center, wall.right, wall.up
 
 
 def check_scene_config(spec: SceneConfig) -> None:
@@ -204,6 +182,6 @@ def check_scene_config(spec: SceneConfig) -> None:
             elif isinstance(item, MeshFolder):
                 files = [file for files in item.files().values() for file in files]
                 for file in files[:: 1 + len(files) // MESHES_CHECKED]:
-                    load_mesh(item, file, f"{item.path}/{file.relative_to(item.folder).as_posix()}")
+                    load_mesh(item, file, item.shown(file))
         except InputError as error:
             raise InputError(f"scene.contents[{i}].{error}") from None

@@ -12,7 +12,7 @@ from datagen.config.distributions import draw
 from datagen.config.scene_contents import Standing
 from datagen.scene.draws import Thing
 from scene_library.placement import FreeSpace, Occupied, WallSpots
-from scene_library.rooms import Plan
+from scene_library.rooms import FloorPlan
 from scene_library.solids import Solid
 
 POSITIONS_PER_OBJECT = 40
@@ -32,7 +32,7 @@ class Unmet(Exception):
 
 @dataclass(frozen=True)
 class Spot:
-    """A pose: the solid is turned about z, then moved. `along` and `across` are its place in the hidden part."""
+    """A pose: the solid is rotated about z, then moved. `along` and `across` are its place in the hidden part."""
 
     x_m: float
     y_m: float
@@ -42,10 +42,11 @@ class Spot:
     across: float
 
     def vertices(self, solid: Solid) -> NDArray[np.float64]:
+        """(V, 3) the solid's vertices in this pose, metres."""
         return solid.placed(self.x_m, self.y_m, self.z_m, self.rotation_deg)
 
 
-def place(thing: Thing, rotation_deg: float, plan: Plan, space: FreeSpace, rng: np.random.Generator) -> Spot:
+def place(thing: Thing, rotation_deg: float, plan: FloorPlan, space: FreeSpace, rng: np.random.Generator) -> Spot:
     """Try positions until one is free, and take it. Raises `Unmet` with the commonest obstacle."""
     where, item, solid = thing.where, thing.item, thing.solid
     placement = item.placement if isinstance(item, Standing) else "floor"
@@ -73,19 +74,19 @@ def place(thing: Thing, rotation_deg: float, plan: Plan, space: FreeSpace, rng: 
     raise Unmet(where, obstacles.most_common(1)[0][0])
 
 
-def _spot(plan: Plan, z: float, rotation_deg: float, along: float, across: float) -> Spot:
+def _spot(plan: FloorPlan, z: float, rotation_deg: float, along: float, across: float) -> Spot:
     (x0, y0), (x1, y1) = plan.hidden
     y = y0 + across * (y1 - y0) if plan.across_from_low else y1 - across * (y1 - y0)
     return Spot(float(x0 + along * (x1 - x0)), float(y), z, rotation_deg, along, across)
 
 
-def _spot_at(plan: Plan, z: float, x: float, y: float, rotation_deg: float) -> Spot:
+def _spot_at(plan: FloorPlan, z: float, x: float, y: float, rotation_deg: float) -> Spot:
     low, high = plan.hidden
     along, across = (np.array([x, y]) - low) / (high - low)
     return Spot(x, y, z, rotation_deg, float(along), float(across if plan.across_from_low else 1 - across))
 
 
-def _wall_spots(plan: Plan) -> WallSpots:
+def _wall_spots(plan: FloorPlan) -> WallSpots:
     """The walls of the hidden part other than the relay wall; in the open, none."""
     edges = np.delete(plan.edges, plan.relay_edge, axis=0)
     return WallSpots.within(edges[:0] if plan.open_air else edges, plan.hidden)

@@ -11,23 +11,23 @@ from datagen.config.scene_contents import Item
 
 def explain(spec: SceneConfig, seed: int, index: int, reasons: Counter[tuple[str, str]]) -> str:
     """The message for a scene that was given up; `reasons` counts (where, what) over the tries."""
-    told = [_told(spec, where, what, times) for (where, what), times in reasons.most_common(3)]
+    lines = [_line(spec, where, what, times) for (where, what), times in reasons.most_common(3)]
     others = sum(reasons.values()) - sum(times for _, times in reasons.most_common(3))
     more = f"; {others} × other reasons" if others else ""
     return (
         f"scene {index} (seed {seed}): no room met the constraints in {spec.max_attempts} attempts "
-        f"(scene.max_attempts): {'; '.join(told)}{more}"
+        f"(scene.max_attempts): {'; '.join(lines)}{more}"
     )
 
 
-def _told(spec: SceneConfig, where: str, what: str, times: int) -> str:
+def _line(spec: SceneConfig, where: str, what: str, times: int) -> str:
     if where == "layout":
         return f"{times} × scene.layout: {what}"
     i = int(where.removeprefix("contents[").removesuffix("]"))
     item = spec.contents[i]
     sizes = _sizes(i, item)
     where_to = f"scene.{where}.across ({_range(item.across)}) or along ({_range(item.along)})"
-    told = {
+    obstacle = {
         "wall": f"did not fit between the walls: lower {sizes}, change {where_to}, or enlarge the hidden part "
         "(scene.layout)",
         "object": f"had no place beside the other objects: lower {sizes}, scene.{where}.count "
@@ -40,7 +40,7 @@ def _told(spec: SceneConfig, where: str, what: str, times: int) -> str:
         "unseen": f"could hardly be seen from the visible part of the relay wall: change {where_to}, remove what "
         f"stands before it, or lower scene.minimum_seen ({spec.minimum_seen:g})",
     }[what]
-    return f"{times} × scene.{where} ({item.part_name}) {told}"
+    return f"{times} × scene.{where} ({item.part_name}) {obstacle}"
 
 
 def _sizes(i: int, item: Item) -> str:

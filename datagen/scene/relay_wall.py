@@ -12,9 +12,10 @@ from datagen.config.scene_relay import RelayWall
 from datagen.records import Scalar
 from scene_library.clutter import CLUTTER
 from scene_library.placement import Occupied
-from scene_library.polygons import boundary_distance, contains, convex_gap
+from scene_library.polygons import boundary_distance, contains
 from scene_library.relief import Relief, ReliefTooFine, bumpy, corrugated, curved, stepped, uneven_wall
-from scene_library.rooms import Plan, RoomDoesNotClose
+from scene_library.rooms import FloorPlan, RoomDoesNotClose
+from scene_library.separation import gap_between
 from scene_library.solids import Surface
 from scene_library.visibility import visible_fan, visible_interval
 
@@ -24,7 +25,7 @@ _PLACES_TRIED = 40
 
 
 @dataclass(frozen=True)
-class Clutter:
+class PlacedClutter:
     """One thing before the relay wall. parameters : its numbers, by short name."""
 
     kind: str
@@ -34,7 +35,7 @@ class Clutter:
 
 
 def draw_relay_wall(
-    settings: RelayWall, plan: Plan, rng: np.random.Generator
+    settings: RelayWall, plan: FloorPlan, rng: np.random.Generator
 ) -> tuple[Surface | None, dict[str, Scalar]]:
     """The uneven relay wall, or None for a flat one (which draws nothing), and the numbers drawn.
 
@@ -69,7 +70,9 @@ def _relief(settings: RelayWall, size: tuple[float, float], length_m: float, rng
     return curved(*size)
 
 
-def draw_clutter(settings: RelayWall, plan: Plan, clearance_m: float, rng: np.random.Generator) -> list[Clutter]:
+def draw_clutter(
+    settings: RelayWall, plan: FloorPlan, clearance_m: float, rng: np.random.Generator
+) -> list[PlacedClutter]:
     """Things before the visible part of the relay wall, clear of the other walls and of each other.
 
     None are drawn, and nothing from `rng`, where the settings have none. Raises
@@ -84,7 +87,7 @@ def draw_clutter(settings: RelayWall, plan: Plan, clearance_m: float, rng: np.ra
     if seen is None:
         return []
     walls = plan.walls[(np.abs(plan.walls - plan.relay_segment) > 0).any(axis=(1, 2))]
-    placed: list[Clutter] = []
+    placed: list[PlacedClutter] = []
     for _ in range(count):
         kind = clutter.kinds[int(rng.integers(len(clutter.kinds)))]
         reach_m, width_m = draw(clutter.reach_m, rng), draw(clutter.width_m, rng)
@@ -101,7 +104,7 @@ def draw_clutter(settings: RelayWall, plan: Plan, clearance_m: float, rng: np.ra
             )
         x, y = occupied.footprint.mean(axis=0)
         numbers: dict[str, Scalar] = {"x_m": float(x), "y_m": float(y), "width_m": width_m, "reach_m": reach_m}
-        placed.append(Clutter(kind, surface, occupied, numbers))
+        placed.append(PlacedClutter(kind, surface, occupied, numbers))
     return placed
 
 
@@ -114,7 +117,7 @@ def _before_wall(
     inward = np.array([-along[1], along[0]])
 
     def in_plan(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        return start + (along_m + places[:, :1]) * along + (CLUTTER_GAP_M + places[:, 1:2]) * inward
+        return np.asarray(start + (along_m + places[:, :1]) * along + (CLUTTER_GAP_M + places[:, 1:2]) * inward)
 
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
@@ -123,7 +126,7 @@ def _before_wall(
 
 
 def _is_free(
-    candidate: Occupied, placed: list[Clutter], plan: Plan, walls: NDArray[np.float64], clearance_m: float
+    candidate: Occupied, placed: list[PlacedClutter], plan: FloorPlan, walls: NDArray[np.float64], clearance_m: float
 ) -> bool:
     footprint = candidate.footprint
     if not plan.open_air and not contains(plan.outline, footprint).all():
@@ -133,7 +136,7 @@ def _is_free(
     if np.linalg.norm(footprint - plan.device[:2], axis=1).min() < 0.1:
         return False
     return all(
-        convex_gap(footprint, other.occupied.footprint) >= clearance_m
+        gap_between(footprint, other.occupied.footprint) >= clearance_m
         or max(other.occupied.bottom_m - candidate.top_m, candidate.bottom_m - other.occupied.top_m) >= clearance_m
         for other in placed
     )

@@ -1,8 +1,13 @@
-"""The table of classes: name → builder, and groups of names to draw from."""
+"""The table of classes: name → builder, and groups of names to draw from.
+
+Every public function of `furniture`, `household`, `figures` and `shapes` builds one class and gives it its name.
+What a seed draws depends on their order: a new one goes to the end of its module.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from types import ModuleType
 
 import numpy as np
 
@@ -22,64 +27,17 @@ def _glyph(character: str) -> Builder:
     return build_glyph
 
 
-def _named(*builders: Builder) -> dict[str, Builder]:
-    return {getattr(builder, "__name__", ""): builder for builder in builders}
+def _builders(module: ModuleType) -> dict[str, Builder]:
+    """The public functions that a module defines, in the order in which they stand there."""
+    return {
+        name: value
+        for name, value in vars(module).items()
+        if not name.startswith("_") and getattr(value, "__module__", None) == module.__name__
+    }
 
 
-_FURNITURE = _named(
-    furniture.chair,
-    furniture.stool,
-    furniture.armchair,
-    furniture.sofa,
-    furniture.table,
-    furniture.round_table,
-    furniture.desk,
-    furniture.bed,
-    furniture.shelf,
-    furniture.cabinet,
-    furniture.wardrobe,
-    furniture.coat_stand,
-    furniture.floor_lamp,
-    furniture.pendant_lamp,
-    furniture.monitor,
-    furniture.whiteboard,
-    furniture.beanbag,
-)
-_HOUSEHOLD = _named(
-    household.plant,
-    household.tree,
-    household.waste_bin,
-    household.wheelie_bin,
-    household.vase,
-    household.bottle,
-    household.suitcase,
-    household.carton,
-    household.ladder,
-    household.traffic_cone,
-    household.barrel,
-    household.fire_extinguisher,
-    household.tyre,
-    household.bicycle,
-    household.stairs,
-    household.radiator,
-)
-_FIGURES = _named(figures.mannequin, figures.child, figures.seated_person, figures.dog)
-_SHAPES = _named(
-    shapes.sphere,
-    shapes.egg,
-    shapes.cube,
-    shapes.pyramid,
-    shapes.cone,
-    shapes.column,
-    shapes.ring,
-    shapes.disc,
-    shapes.panel,
-    shapes.star,
-    shapes.arrow,
-    shapes.cross,
-    shapes.frame,
-    shapes.resolution_bars,
-)
+_FURNITURE, _HOUSEHOLD = _builders(furniture), _builders(household)
+_FIGURES, _SHAPES = _builders(figures), _builders(shapes)
 _LETTERS = {f"letter_{c}": _glyph(c) for c in GLYPHS if c.isalpha()}
 _DIGITS = {f"digit_{c}": _glyph(c) for c in GLYPHS if c.isdigit()}
 

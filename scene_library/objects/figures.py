@@ -65,18 +65,22 @@ def _figure(height: float, head_share: float, rng: np.random.Generator, seated: 
 
 
 def mannequin(rng: np.random.Generator) -> Solid:
+    """A grown person, standing or walking."""
     return _figure(rng.uniform(1.5, 1.95), 0.13, rng, seated=False)
 
 
 def child(rng: np.random.Generator) -> Solid:
+    """A child, standing or walking, its head larger for its height."""
     return _figure(rng.uniform(0.9, 1.4), 0.165, rng, seated=False)
 
 
 def seated_person(rng: np.random.Generator) -> Solid:
+    """A grown person on a round stool."""
     return _figure(rng.uniform(1.5, 1.9), 0.13, rng, seated=True)
 
 
 def dog(rng: np.random.Generator) -> Solid:
+    """A dog on four legs."""
     h = rng.uniform(0.35, 0.7)
     length, r = rng.uniform(1.0, 1.3) * h, 0.2 * h
     spine = 0.75 * h

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scene_library.solids import Solid, Surface, block, cylinder, ellipsoid, lathed, limb, moved, turned
+from scene_library.solids import Solid, Surface, block, cylinder, ellipsoid, lathed, limb, moved, rotated
 
 
 def _legs(width: float, depth: float, height: float, thick: float) -> list[Surface]:
@@ -13,6 +13,7 @@ def _legs(width: float, depth: float, height: float, thick: float) -> list[Surfa
 
 
 def chair(rng: np.random.Generator) -> Solid:
+    """A chair with four legs and a back of one to three slats."""
     width, depth = rng.uniform(0.38, 0.5), rng.uniform(0.38, 0.5)
     seat, back, leg = rng.uniform(0.42, 0.5), rng.uniform(0.35, 0.55), rng.uniform(0.03, 0.05)
     board = 0.03
@@ -28,6 +29,7 @@ def chair(rng: np.random.Generator) -> Solid:
 
 
 def stool(rng: np.random.Generator) -> Solid:
+    """A round stool on four splayed legs."""
     size, height, thick = rng.uniform(0.28, 0.4), rng.uniform(0.42, 0.75), 0.04
     spread = rng.uniform(1.0, 1.3)
     r = 0.35 * size
@@ -37,6 +39,7 @@ def stool(rng: np.random.Generator) -> Solid:
 
 
 def armchair(rng: np.random.Generator) -> Solid:
+    """An upholstered chair with arms."""
     width, depth = rng.uniform(0.7, 0.95), rng.uniform(0.7, 0.9)
     seat, arm, back = rng.uniform(0.36, 0.44), rng.uniform(0.55, 0.65), rng.uniform(0.75, 1.0)
     side = rng.uniform(0.12, 0.2)
@@ -44,6 +47,7 @@ def armchair(rng: np.random.Generator) -> Solid:
 
 
 def sofa(rng: np.random.Generator) -> Solid:
+    """An upholstered bench with arms."""
     width, depth = rng.uniform(1.5, 2.3), rng.uniform(0.8, 1.0)
     seat, arm, back = rng.uniform(0.36, 0.44), rng.uniform(0.55, 0.65), rng.uniform(0.7, 0.9)
     return Solid.compound(_upholstered(width, depth, seat, arm, back, rng.uniform(0.12, 0.25)))
@@ -60,6 +64,7 @@ def _upholstered(width: float, depth: float, seat: float, arm: float, back: floa
 
 
 def table(rng: np.random.Generator) -> Solid:
+    """A table on four legs."""
     width, depth = rng.uniform(0.9, 1.8), rng.uniform(0.6, 0.95)
     height, board, leg = rng.uniform(0.68, 0.76), rng.uniform(0.02, 0.05), rng.uniform(0.04, 0.08)
     inset = rng.uniform(0.9, 1.0)
@@ -67,6 +72,7 @@ def table(rng: np.random.Generator) -> Solid:
 
 
 def round_table(rng: np.random.Generator) -> Solid:
+    """A round table on one post."""
     size, height, board = rng.uniform(0.6, 1.2), rng.uniform(0.6, 0.78), 0.03
     foot, post = rng.uniform(0.4, 0.6) * size, rng.uniform(0.05, 0.1)
     return Solid.compound(
@@ -79,6 +85,7 @@ def round_table(rng: np.random.Generator) -> Solid:
 
 
 def desk(rng: np.random.Generator) -> Solid:
+    """A desk with a chest of drawers on one side."""
     width, depth, height = rng.uniform(1.1, 1.7), rng.uniform(0.6, 0.8), rng.uniform(0.7, 0.75)
     chest, side = rng.uniform(0.35, 0.45), 0.03
     x = (width - side) / 2
@@ -93,6 +100,7 @@ def desk(rng: np.random.Generator) -> Solid:
 
 
 def bed(rng: np.random.Generator) -> Solid:
+    """A bed with mattress, headboard and one or two pillows."""
     width, length = rng.uniform(0.9, 1.8), rng.uniform(1.95, 2.1)
     frame, mattress, head = rng.uniform(0.2, 0.32), rng.uniform(0.15, 0.25), rng.uniform(0.75, 1.1)
     pillows = 1 if width < 1.3 else 2
@@ -112,6 +120,7 @@ def bed(rng: np.random.Generator) -> Solid:
 
 
 def shelf(rng: np.random.Generator) -> Solid:
+    """An open shelf with a back, some boards holding books."""
     width, depth, height = rng.uniform(0.6, 1.2), rng.uniform(0.25, 0.4), rng.uniform(1.0, 2.0)
     boards, thick = int(rng.integers(3, 7)), 0.025
     inner = width - 2 * thick
@@ -135,6 +144,7 @@ def shelf(rng: np.random.Generator) -> Solid:
 
 
 def cabinet(rng: np.random.Generator) -> Solid:
+    """A low cabinet with one to three doors."""
     width, depth, height = rng.uniform(0.6, 1.4), rng.uniform(0.35, 0.5), rng.uniform(0.7, 1.1)
     foot = rng.uniform(0.05, 0.15)
     body = moved(block(width, depth, height - foot), z=foot)
@@ -150,6 +160,7 @@ def cabinet(rng: np.random.Generator) -> Solid:
 
 
 def wardrobe(rng: np.random.Generator) -> Solid:
+    """A wardrobe with two handles."""
     width, depth, height = rng.uniform(0.8, 1.8), rng.uniform(0.5, 0.65), rng.uniform(1.7, 2.1)
     handle = 0.02
     handles = [block(handle, 0.03, 0.2, s * 0.04, -depth / 2 - 0.015, 0.5 * height) for s in (-1, 1)]
@@ -157,6 +168,7 @@ def wardrobe(rng: np.random.Generator) -> Solid:
 
 
 def coat_stand(rng: np.random.Generator) -> Solid:
+    """A post with hooks on a round foot."""
     height, foot = rng.uniform(1.6, 1.9), rng.uniform(0.35, 0.5)
     hooks = int(rng.integers(4, 8))
     pieces = [cylinder(foot, 0.03), cylinder(0.04, height - 0.03, z=0.03)]
@@ -168,6 +180,7 @@ def coat_stand(rng: np.random.Generator) -> Solid:
 
 
 def floor_lamp(rng: np.random.Generator) -> Solid:
+    """A lamp on a tall post."""
     height, shade = rng.uniform(1.3, 1.8), rng.uniform(0.3, 0.5)
     tall = rng.uniform(0.2, 0.35)
     lampshade = lathed([(0, height - tall), (shade / 2, height - tall), (0.35 * shade, height), (0, height)])
@@ -177,6 +190,7 @@ def floor_lamp(rng: np.random.Generator) -> Solid:
 
 
 def pendant_lamp(rng: np.random.Generator) -> Solid:
+    """A lampshade on its cord."""
     size, cord = rng.uniform(0.25, 0.5), rng.uniform(0.3, 0.8)
     tall = rng.uniform(0.5, 0.9) * size
     shade = lathed([(0, 0), (size / 2, 0), (0.15 * size, tall), (0, tall)])
@@ -188,11 +202,12 @@ def monitor(rng: np.random.Generator) -> Solid:
     width = rng.uniform(0.5, 1.3)
     tall, post = 0.58 * width, rng.uniform(0.08, 0.18)
     tilt = rng.uniform(0, 8)
-    screen = moved(turned(block(width, 0.04, tall), "x", tilt), z=post + 0.02)
+    screen = moved(rotated(block(width, 0.04, tall), "x", tilt), z=post + 0.02)
     return Solid.compound([block(0.4 * width, 0.22, 0.02), block(0.06, 0.04, post, z=0.02), screen])
 
 
 def whiteboard(rng: np.random.Generator) -> Solid:
+    """A board on two feet."""
     width, height = rng.uniform(1.0, 1.8), rng.uniform(1.7, 1.95)
     board = rng.uniform(0.9, 1.1)
     frame = [block(0.04, 0.04, height, s * (width / 2 + 0.02)) for s in (-1, 1)]
@@ -201,5 +216,6 @@ def whiteboard(rng: np.random.Generator) -> Solid:
 
 
 def beanbag(rng: np.random.Generator) -> Solid:
+    """A flattened ball of cloth."""
     size = rng.uniform(0.7, 1.0)
     return Solid.compound([ellipsoid((size / 2, size / 2, rng.uniform(0.3, 0.42) * size))])

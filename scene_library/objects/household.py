@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scene_library.solids import Solid, block, cylinder, ellipsoid, hollow, lathed, limb, moved, torus, turned
+from scene_library.solids import Solid, block, cylinder, ellipsoid, hollow, lathed, limb, moved, rotated, torus
 
 
 def plant(rng: np.random.Generator) -> Solid:
@@ -20,7 +20,7 @@ def plant(rng: np.random.Generator) -> Solid:
         a, up = k * 2.399963, rng.uniform(-0.2, 1.2)
         reach = rng.uniform(0.2, 0.45)
         leaf = ellipsoid((reach / 2, rng.uniform(0.03, 0.08), 0.006), (reach / 2, 0, 0), sides=8)
-        leaf = turned(turned(leaf, "y", -np.degrees(up)), "z", np.degrees(a))
+        leaf = rotated(rotated(leaf, "y", -np.degrees(up)), "z", np.degrees(a))
         pieces.append(moved(leaf, z=rng.uniform(tall + 0.03, 0.8 * height)))
     return Solid.compound(pieces)
 
@@ -40,14 +40,16 @@ def tree(rng: np.random.Generator) -> Solid:
 
 
 def waste_bin(rng: np.random.Generator) -> Solid:
+    """An open bin, wider at the top."""
     size = rng.uniform(0.22, 0.45)
     return Solid.compound([hollow(0.8 * size, rng.uniform(0.9, 1.8) * size, 0.015, size)])
 
 
 def wheelie_bin(rng: np.random.Generator) -> Solid:
+    """A rubbish bin with two wheels and a lid."""
     width, depth, height = rng.uniform(0.48, 0.6), rng.uniform(0.5, 0.75), rng.uniform(0.9, 1.1)
-    lid = moved(turned(block(1.05 * width, 1.05 * depth, 0.05), "x", rng.uniform(0, 5)), z=height + 0.05)
-    wheels = [turned(cylinder(0.2, 0.05), "y", 90) for _ in range(2)]
+    lid = moved(rotated(block(1.05 * width, 1.05 * depth, 0.05), "x", rng.uniform(0, 5)), z=height + 0.05)
+    wheels = [rotated(cylinder(0.2, 0.05), "y", 90) for _ in range(2)]
     sides = [
         moved(w, s * (width / 2 + 0.026) - 0.025, depth / 2 - 0.1, 0.1) for w, s in zip(wheels, (-1, 1), strict=True)
     ]
@@ -55,6 +57,7 @@ def wheelie_bin(rng: np.random.Generator) -> Solid:
 
 
 def vase(rng: np.random.Generator) -> Solid:
+    """A bellied vase."""
     height, belly = rng.uniform(0.25, 0.8), rng.uniform(0.3, 0.6)
     r = belly * height / 2
     neck, lip = rng.uniform(0.3, 0.6) * r, rng.uniform(0.5, 0.9) * r
@@ -64,6 +67,7 @@ def vase(rng: np.random.Generator) -> Solid:
 
 
 def bottle(rng: np.random.Generator) -> Solid:
+    """A bottle."""
     height, size = rng.uniform(0.2, 0.4), rng.uniform(0.06, 0.1)
     r, neck = size / 2, 0.3 * size / 2
     shoulder = rng.uniform(0.55, 0.7)
@@ -74,6 +78,7 @@ def bottle(rng: np.random.Generator) -> Solid:
 
 
 def suitcase(rng: np.random.Generator) -> Solid:
+    """A suitcase on wheels, its handle pulled out."""
     width, depth, height = rng.uniform(0.35, 0.5), rng.uniform(0.2, 0.3), rng.uniform(0.5, 0.72)
     pull = rng.uniform(0.1, 0.4)
     rods = [block(0.015, 0.015, pull, s * 0.08, depth / 2 - 0.03, height + 0.05) for s in (-1, 1)]
@@ -92,9 +97,9 @@ def carton(rng: np.random.Generator) -> Solid:
     flap = 0.45 * depth
     for s in (-1, 1):
         lid = moved(block(flap, depth, t), x=flap / 2)
-        lid = turned(lid, "y", -rng.uniform(-60, 40))
+        lid = rotated(lid, "y", -rng.uniform(-60, 40))
         if s < 0:
-            lid = turned(lid, "z", 180)
+            lid = rotated(lid, "z", 180)
         pieces.append(moved(lid, s * width / 2, 0, height + t))
     return Solid.compound(pieces)
 
@@ -115,6 +120,7 @@ def ladder(rng: np.random.Generator) -> Solid:
 
 
 def traffic_cone(rng: np.random.Generator) -> Solid:
+    """A cone on a square foot."""
     height = rng.uniform(0.45, 0.9)
     foot = 0.55 * height
     cone = lathed([(0, 0.03), (0.2 * height, 0.03), (0.04 * height, height), (0, height)])
@@ -122,6 +128,7 @@ def traffic_cone(rng: np.random.Generator) -> Solid:
 
 
 def barrel(rng: np.random.Generator) -> Solid:
+    """A barrel."""
     size, height, bulge = rng.uniform(0.4, 0.6), rng.uniform(0.6, 0.95), rng.uniform(1.0, 1.2)
     z = np.linspace(0, 1, 7)
     r = size / 2 * (1 + (bulge - 1) * 4 * z * (1 - z))
@@ -129,6 +136,7 @@ def barrel(rng: np.random.Generator) -> Solid:
 
 
 def fire_extinguisher(rng: np.random.Generator) -> Solid:
+    """A fire extinguisher with its hose."""
     height, size = rng.uniform(0.45, 0.6), rng.uniform(0.14, 0.19)
     r = size / 2
     body = lathed(
@@ -143,14 +151,14 @@ def tyre(rng: np.random.Generator) -> Solid:
     """A car tyre, lying or standing."""
     r = rng.uniform(0.28, 0.36)
     ring = torus(0.75 * r, 0.25 * r)
-    return Solid.compound([turned(ring, "x", 90) if rng.random() < 0.5 else ring])
+    return Solid.compound([rotated(ring, "x", 90) if rng.random() < 0.5 else ring])
 
 
 def bicycle(rng: np.random.Generator) -> Solid:
     """A bicycle from wheels and tubes, along x."""
     r, base = rng.uniform(0.3, 0.36), rng.uniform(0.95, 1.1)
     tube = 0.017
-    wheels = [moved(turned(torus(r, 0.02, 28, 6), "x", 90), s * base / 2, 0, r + 0.02) for s in (-1, 1)]
+    wheels = [moved(rotated(torus(r, 0.02, 28, 6), "x", 90), s * base / 2, 0, r + 0.02) for s in (-1, 1)]
     z0 = r + 0.02
     rear, front = (-base / 2, 0, z0), (base / 2, 0, z0)
     crank, seat, head = (-0.05, 0, z0 - 0.03), (-0.2, 0, z0 + 0.5), (base / 2 - 0.14, 0, z0 + 0.48)
@@ -158,7 +166,7 @@ def bicycle(rng: np.random.Generator) -> Solid:
     pieces = [limb(a, b, tube, tube, 8) for a, b in frame]
     bars = limb((head[0], -0.27, z0 + 0.6), (head[0], 0.27, z0 + 0.6), 0.013, 0.013, 8)
     stem = limb(head, (head[0], 0, z0 + 0.6), tube, tube, 8)
-    hubs = [moved(turned(cylinder(0.06, 0.08), "x", 90), s * base / 2, 0.04, z0) for s in (-1, 1)]
+    hubs = [moved(rotated(cylinder(0.06, 0.08), "x", 90), s * base / 2, 0.04, z0) for s in (-1, 1)]
     return Solid.compound([*wheels, *pieces, *hubs, bars, stem, block(0.25, 0.13, 0.06, -0.22, 0, z0 + 0.5)])
 
 
@@ -170,6 +178,7 @@ def stairs(rng: np.random.Generator) -> Solid:
 
 
 def radiator(rng: np.random.Generator) -> Solid:
+    """A ribbed radiator."""
     width, height, ribs = rng.uniform(0.6, 1.4), rng.uniform(0.5, 0.7), int(rng.integers(6, 16))
     pitch = width / ribs
     columns = [block(0.6 * pitch, 0.1, height, (k - (ribs - 1) / 2) * pitch, 0, 0.1) for k in range(ribs)]

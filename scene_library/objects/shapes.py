@@ -5,34 +5,41 @@ from __future__ import annotations
 import numpy as np
 
 from scene_library.plates import union_plate
-from scene_library.solids import Solid, ellipsoid, extruded, lathed, rectangle, regular_polygon, torus, turned
+from scene_library.polygons import rotation
+from scene_library.solids import Solid, ellipsoid, extruded, lathed, rectangle, regular_polygon, rotated, torus
 
 
 def sphere(rng: np.random.Generator) -> Solid:
+    """A ball."""
     r = rng.uniform(0.15, 0.4)
     return Solid.compound([ellipsoid((r, r, r), sides=32)])
 
 
 def egg(rng: np.random.Generator) -> Solid:
+    """An ellipsoid."""
     return Solid.compound([ellipsoid(rng.uniform(0.15, 0.45, 3), sides=28)])
 
 
 def cube(rng: np.random.Generator) -> Solid:
+    """A cube."""
     size = rng.uniform(0.2, 0.7)
     return Solid.compound([extruded(rectangle(size, size), size)])
 
 
 def pyramid(rng: np.random.Generator) -> Solid:
+    """A pyramid of three to six sides."""
     sides, size = int(rng.integers(3, 7)), rng.uniform(0.3, 0.8)
     return Solid.compound([lathed([(0, 0), (size / 2, 0), (0.001, size), (0, size)], sides)])
 
 
 def cone(rng: np.random.Generator) -> Solid:
+    """A round cone."""
     size, height = rng.uniform(0.3, 0.7), rng.uniform(0.4, 1.2)
     return Solid.compound([lathed([(0, 0), (size / 2, 0), (0.001, height), (0, height)], 28)])
 
 
 def column(rng: np.random.Generator) -> Solid:
+    """A round column."""
     size, height = rng.uniform(0.15, 0.5), rng.uniform(0.5, 1.5)
     return Solid.compound([extruded(regular_polygon(size, 28), height)])
 
@@ -40,7 +47,7 @@ def column(rng: np.random.Generator) -> Solid:
 def ring(rng: np.random.Generator) -> Solid:
     """A ring standing upright."""
     r = rng.uniform(0.2, 0.5)
-    return Solid.compound([turned(torus(r, rng.uniform(0.12, 0.3) * r), "x", 90)])
+    return Solid.compound([rotated(torus(r, rng.uniform(0.12, 0.3) * r), "x", 90)])
 
 
 def disc(rng: np.random.Generator) -> Solid:
@@ -54,15 +61,16 @@ def panel(rng: np.random.Generator) -> Solid:
 
 
 def star(rng: np.random.Generator) -> Solid:
+    """A star of four to seven points."""
     points, size = int(rng.integers(4, 8)), rng.uniform(0.4, 1.0)
     outline = regular_polygon(size, 2 * points)
     outline[1::2] *= rng.uniform(0.35, 0.6)
-    turn = np.pi / 2
-    outline = outline @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    outline = outline @ rotation(np.pi / 2).T
     return Solid.compound([union_plate([outline], 0.03)])
 
 
 def arrow(rng: np.random.Generator) -> Solid:
+    """An arrow along x."""
     length, head, shaft = rng.uniform(0.5, 1.0), rng.uniform(0.3, 0.45), rng.uniform(0.08, 0.18)
     tip = 0.6 * head
     outline = np.array([(0, -shaft / 2), (length - tip, -shaft / 2), (length - tip, -head / 2), (length, 0)])
@@ -71,6 +79,7 @@ def arrow(rng: np.random.Generator) -> Solid:
 
 
 def cross(rng: np.random.Generator) -> Solid:
+    """A cross of two bars."""
     size, bar = rng.uniform(0.5, 1.0), rng.uniform(0.12, 0.25)
     return Solid.compound([union_plate([rectangle(size, bar), rectangle(bar, size)], 0.03)])
 

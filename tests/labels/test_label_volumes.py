@@ -16,7 +16,7 @@ from datagen.config import LabelsConfig
 from datagen.errors import InputError
 from datagen.labels import make_labels, volumes
 from datagen.labels.raster import cut_voxels
-from datagen.labels.solids import surfaces
+from datagen.labels.solids import connected_surfaces
 from datagen.labels.volumes import VoxelGrid
 from datagen.records import Lambertian, Part, Rectangle, Scene
 
@@ -163,8 +163,8 @@ def test_small_holes_are_bridged_and_large_ones_are_not() -> None:
     order = np.argsort(whole.triangles_center[:, 2])
     chipped = trimesh.Trimesh(whole.vertices, whole.faces[order[12:]], process=False)
     bowl = trimesh.Trimesh(whole.vertices, whole.faces[order[: len(order) // 2]], process=False)
-    assert [s.closed for s in surfaces(chipped.triangles)] == [True]
-    assert [s.closed for s in surfaces(bowl.triangles)] == [False]
+    assert [s.closed for s in connected_surfaces(chipped.triangles)] == [True]
+    assert [s.closed for s in connected_surfaces(bowl.triangles)] == [False]
     reference = make_labels(CONFIG, scene_of(whole), ("occupancy",))["occupancy"]
     mended = make_labels(CONFIG, scene_of(chipped), ("occupancy",))["occupancy"]
     assert (reference != mended).sum() < 0.01 * reference.sum()
@@ -195,7 +195,7 @@ def test_range_scan_with_holes_counts_as_solid() -> None:
     mesh = trimesh.load(MESHES / "stanford-bunny.obj", force="mesh", process=False)
     mesh.apply_scale(6)
     mesh.apply_translation(np.array([4.5, 2.5, 1.2]) - mesh.bounds.mean(axis=0))
-    (surface,) = surfaces(mesh.triangles)
+    (surface,) = connected_surfaces(mesh.triangles)
     assert surface.closed
     scene = scene_of(mesh)
     fine = LabelsConfig(voxels=(120, 120, 96))

@@ -21,7 +21,7 @@ from datagen.config.distributions import (
     support,
 )
 from datagen.config.scene_contents import Item
-from datagen.config.scene_materials import Surface
+from datagen.config.scene_materials import SurfaceMaterial
 from datagen.records import Scene
 from scene_library.materials import MATERIALS
 from scene_library.objects import classes_of
@@ -214,7 +214,7 @@ def _note_item(values: Any, declared: Any, item: Item, name: str, wavelength_nm:
 
 
 def _note_surface(
-    values: Any, declared: Any, key: str, surface: Surface, name: str, wavelength_nm: float, p: Any
+    values: Any, declared: Any, key: str, surface: SurfaceMaterial, name: str, wavelength_nm: float, p: Any
 ) -> None:
     if surface.material:
         material = MATERIALS[p[f"{name}.material"]]

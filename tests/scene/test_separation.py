@@ -5,10 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scene_library.polygons import boundary_distance, convex_gap, convex_hull, segments_of
+from scene_library.polygons import boundary_distance, convex_hull, segments_of
 from scene_library.separation import gap_between, stays_clear
 
 PAIRS = 400
+
+
+def convex_gap(a: np.ndarray, b: np.ndarray) -> float:
+    """The plain form of `gap_between`: the largest gap along a normal of an edge of either polygon."""
+    edges = np.concatenate([np.roll(polygon, -1, axis=0) - polygon for polygon in (a, b)])
+    edges = edges[np.linalg.norm(edges, axis=1) > 0]
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1)[:, None]
+    pa, pb = normals @ a.T, normals @ b.T
+    return float(np.maximum(pb.min(axis=1) - pa.max(axis=1), pa.min(axis=1) - pb.max(axis=1)).max())
 
 
 def drawn_polygon(rng: np.random.Generator, corners: int) -> np.ndarray:
