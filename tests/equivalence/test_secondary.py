@@ -15,8 +15,8 @@ from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, s
 from datagen.bench.paper_case import demonstration_capture, demonstration_room
 from datagen.errors import InputError
 from datagen.records.materials import Phong
-from datagen.transport import convolution, secondary
 from datagen.transport.brdf import MaterialTable, evaluate
+from datagen.transport.factorised import convolution, secondary
 from datagen.transport.factorised.convolution import Histograms, Paths, Sums
 from datagen.transport.fov import PixelCones, PixelPatches, fov_pool
 from datagen.transport.raycast import Raycaster
@@ -28,7 +28,7 @@ DEVICE = (1.5, 0.1, 1.3)
 
 def secondary_of(scene: Scene, capture: Capture, **changes: Any) -> secondary.SecondaryEstimate:
     settings: dict[str, Any] = {
-        "lookins": 256, "observed": 64, "fov_samples": 32, "scramblings": 1, "strongest": None, "seed": 0,
+        "lookins": 256, "observed": 64, "fov_samples": 32, "replicates": 1, "strongest": None, "seed": 0,
     } | changes  # fmt: skip
     caster, cones = Raycaster(scene), PixelCones.of(capture.sensor)
     points = LaserPoints.of(caster, scene, capture.laser)
@@ -145,7 +145,7 @@ def in_a_ball(albedo: float) -> tuple[Scene, Capture, float]:
 def test_inside_of_a_sphere_energy(albedo: float) -> None:
     """L = ρ⁴/π · A Ω / (4π r²)."""
     scene, capture, expected = in_a_ball(albedo)
-    estimate = secondary_of(scene, capture, lookins=8192, observed=64, scramblings=2)
+    estimate = secondary_of(scene, capture, lookins=8192, observed=64, replicates=2)
     assert estimate.mean.sum() + estimate.overflow.sum() == pytest.approx(expected, rel=1e-3)
 
 
@@ -353,7 +353,7 @@ def test_attenuation_dims_each_bin_by_its_path() -> None:
 
 def test_standard_error_is_that_of_repeated_runs() -> None:
     scene, capture = furnished_box(), one_point_capture()
-    estimates = [secondary_of(scene, capture, scramblings=8, seed=s) for s in range(12)]
+    estimates = [secondary_of(scene, capture, replicates=8, seed=s) for s in range(12)]
     means = np.array([e.mean[0, 0] for e in estimates])
     filled = means.mean(axis=0) > 0.05 * means.mean(axis=0).max()
     claimed = np.sqrt(np.mean([e.stderr[0, 0, filled] ** 2 for e in estimates], axis=0))

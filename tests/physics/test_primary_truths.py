@@ -173,5 +173,5 @@ def test_reciprocity() -> None:
     sigma = np.hypot(there.stderr / solid[0], back.stderr / solid[1])
     filled = sigma > 0
     z = np.abs(e_there - e_back)[filled] / sigma[filled]
-    # Two estimates of 8 scramblings each: Student's t with about 14 degrees, Bonferroni over the bins at 10⁻³.
+    # Two estimates of 8 replicates each: Student's t with about 14 degrees, Bonferroni over the bins at 10⁻³.
     assert z.max() < stats.t.ppf(1 - 0.5e-3 / filled.sum(), 14)
