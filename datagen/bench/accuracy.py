@@ -79,7 +79,7 @@ def run(
     orders = None if configured.max_bounces is None else max(configured.max_bounces, 4)
     wanted = Accuracy(
         lookins=1 << round(math.log2(max(configured.lookins, FEWEST_LOOKINS))), fov_samples=configured.fov_samples,
-        max_bounces=orders, scramblings=4, direct=configured.direct,
+        max_bounces=orders, replicates=4, direct=configured.direct,
     )  # fmt: skip
     base = base_lookins(wanted, problem, seconds / RUNS_IN_BUDGET)
     reference = converge(problem, base, SHARE_OF_REFERENCE * seconds)

@@ -191,7 +191,7 @@ def _long_run(
     finest = FACTORS[0]
     capture, count, spent = problem.widened(*finest), accuracy.lookins, 0.0
     while True:
-        long = replace(accuracy, lookins=count, scramblings=1)
+        long = replace(accuracy, lookins=count, replicates=1)
         began = time.process_time()
         halves = [
             simulate(problem.scene, capture, long, REFERENCE_SEED + half, split_parts=False).total

@@ -28,7 +28,7 @@ def random_case(index: int, seed: int = 0, lookins: int = LOOKINS) -> DatasetCon
             "transport": {
                 "lookins": lookins,
                 "fov_samples": 2,
-                "scramblings": 2,
+                "replicates": 2,
                 "max_bounces": _one_of(rng, [3, 4, 5, 6, None]),
                 "direct": bool(rng.random() < 0.5),
             },
@@ -54,7 +54,7 @@ def nearly_everything_skipped(lookins: int = LOOKINS) -> DatasetConfig:
                 "time": {"bins": 32, "bin_width_ps": 4000, "start_ns": 8.0},
             },
             "transport": {
-                "lookins": lookins, "fov_samples": 2, "scramblings": 2, "max_bounces": None, "direct": True,
+                "lookins": lookins, "fov_samples": 2, "replicates": 2, "max_bounces": None, "direct": True,
             },
             "detector": {
                 "mode": "free_running", "photons_per_pulse": 1e6, "cycles": 10000, "dark_count_rate_hz": 1e-4,
@@ -84,7 +84,7 @@ def nearly_nothing_skipped(lookins: int = LOOKINS) -> DatasetConfig:
                 "time": {"bins": 256, "bin_width_ps": 200},
             },
             "transport": {
-                "lookins": 2 * lookins, "fov_samples": 2, "scramblings": 2, "max_bounces": None, "direct": True,
+                "lookins": 2 * lookins, "fov_samples": 2, "replicates": 2, "max_bounces": None, "direct": True,
             },
             "detector": {
                 "mode": "free_running", "photons_per_pulse": 1e7, "cycles": 10000, "dark_count_rate_hz": 1e4,

@@ -1,6 +1,6 @@
 """What a target would have cost somebody who knew the best fixed sample counts beforehand.
 
-*Fixed counts* are `Accuracy(lookins=N, fov_samples=M)` with the default of eight scramblings. Their error is measured
+*Fixed counts* are `Accuracy(lookins=N, fov_samples=M)` with the default of eight replicates. Their error is measured
 by many repetitions, not taken from one run's own scatter. Two things may be asked of them: that the error is the
 target on average (root mean square), which half of all runs miss; or that it is within the target in 95 % of all
 runs, which is what `Accuracy(target=…)` promises.
@@ -19,10 +19,10 @@ from datagen.records import Accuracy, Capture, Scene
 from datagen.transport.solver import prepared, with_fixed_counts
 from datagen.transport.spread import Sketch
 
-SCRAMBLINGS = 8
+REPLICATES = 8
 REPETITIONS = 4
 LOOKINS = (16, 128)
-"""Lookins of a scrambling at which the error and its order of convergence are measured."""
+"""Lookins of a replicate at which the error and its order of convergence are measured."""
 FOV_SAMPLES = (1, 4, 16, 64)
 CONNECTIONS_AT_MOST = 256
 """Connections of a vertex beyond which more FoV points are not tried."""
@@ -43,7 +43,7 @@ class Hindsight:
 
 @dataclass(frozen=True)
 class _Counts:
-    """lookins : of each scrambling. square : squared error, as its mean and its 95 % quantile. cost : of a run."""
+    """lookins : of each replicate. square : squared error, as its mean and its 95 % quantile. cost : of a run."""
 
     fov_samples: int
     lookins: int
@@ -80,7 +80,7 @@ def hindsight(
 
 
 def _needed(kind: int, square: float, few: _Counts, many: _Counts) -> float:
-    """Lookins of a scrambling that the squared error (its mean or quantile) asks for; one at least."""
+    """Lookins of a replicate that the squared error (its mean or quantile) asks for; one at least."""
     if min(few.square[kind], many.square[kind]) <= 0:
         return 1.0
     order = math.log(few.square[0] / many.square[0]) / math.log(many.lookins / few.lookins)
@@ -98,11 +98,11 @@ def _price(few: _Counts, many: _Counts) -> float:
 
 
 def _measured(scene: Scene, capture: Capture, base: Accuracy, fov_samples: int, lookins: int, seed: int) -> _Counts:
-    """Runs with different seeds; what eight of all their scramblings may give is drawn from them again and again."""
-    counts = replace(base, lookins=lookins * SCRAMBLINGS, fov_samples=fov_samples, scramblings=SCRAMBLINGS)
+    """Runs with different seeds; what eight of all their replicates may give is drawn from them again and again."""
+    counts = replace(base, lookins=lookins * REPLICATES, fov_samples=fov_samples, replicates=REPLICATES)
     transients, costs = [], []
     for repetition in range(REPETITIONS):
-        sketch = Sketch(SCRAMBLINGS)
+        sketch = Sketch(REPLICATES)
         job = prepared(scene, capture, counts, seed + 2 * repetition, split_parts=False)
         costs.append(with_fixed_counts(job, sketch).spend.cost)
         transients.append(sketch.folded)
@@ -110,11 +110,11 @@ def _measured(scene: Scene, capture: Capture, base: Accuracy, fov_samples: int, 
 
 
 def _squares(transients: NDArray[np.float64]) -> tuple[float, float]:
-    """Mean and 95 % quantile of ‖deviation‖² of the mean of `SCRAMBLINGS` of the rows (bootstrap; the rows' own mean
+    """Mean and 95 % quantile of ‖deviation‖² of the mean of `REPLICATES` of the rows (bootstrap; the rows' own mean
     stands for the truth, which makes their deviations too small by n / (n − 1))."""
     n = len(transients)
     deviation = transients - transients.mean(axis=0)
     products = deviation @ deviation.T * n / (n - 1)
-    draws = np.random.default_rng(0).multinomial(SCRAMBLINGS, np.full(n, 1 / n), size=DRAWS) / SCRAMBLINGS
+    draws = np.random.default_rng(0).multinomial(REPLICATES, np.full(n, 1 / n), size=DRAWS) / REPLICATES
     squares = np.einsum("ri,ij,rj->r", draws, products, draws)
-    return float(np.trace(products)) / (n * SCRAMBLINGS), float(np.quantile(squares, PROMISED))
+    return float(np.trace(products)) / (n * REPLICATES), float(np.quantile(squares, PROMISED))

@@ -82,7 +82,7 @@ class Run:
     estimate: SecondaryEstimate
 
 
-def run(strongest: int | None, repeats: int, lookins: int = LOOKINS, scramblings: int = 1) -> Run:
+def run(strongest: int | None, repeats: int, lookins: int = LOOKINS, replicates: int = 1) -> Run:
     """Time the whole of it, from building the ray caster to the transient; the kernels are compiled beforehand."""
     scene, capture = demonstration_room(), demonstration_capture()
 
@@ -92,7 +92,7 @@ def run(strongest: int | None, repeats: int, lookins: int = LOOKINS, scramblings
             caster, scene, MaterialTable.of(scene.materials), capture,
             LaserPoints.of(caster, scene, capture.laser), cones,
             PixelPatches.of(caster, capture.sensor, cones, FOV_POINTS),
-            lookins=count, observed=OBSERVED, fov_samples=FOV_POINTS, scramblings=scramblings, strongest=strongest,
+            lookins=count, observed=OBSERVED, fov_samples=FOV_POINTS, replicates=replicates, strongest=strongest,
             seed=seed,
         )  # fmt: skip
 

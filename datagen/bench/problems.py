@@ -47,7 +47,7 @@ class Problem:
             sensor = Sensor.grid(DEVICE, WALL.center, WALL.right, WALL.up, self.pixels_a_side, self.pixels_a_side)
         capture = Capture(Laser(DEVICE, points), sensor, axis, "confocal" if self.confocal else "exhaustive")
         accuracy = Accuracy(
-            lookins=self.lookins, fov_samples=self.fov_samples, max_bounces=self.bounces, scramblings=2,
+            lookins=self.lookins, fov_samples=self.fov_samples, max_bounces=self.bounces, replicates=2,
             observed=self.observed,
         )  # fmt: skip
         return lambda: simulate(scene, capture, accuracy, seed=1, split_parts=False)

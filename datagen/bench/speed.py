@@ -146,7 +146,7 @@ def bare_plate() -> Case:
     capture = point_capture(scan, points, device, points, axis, confocal=True)
 
     def ours(samples: int, seed: int) -> NDArray[np.float64]:
-        accuracy = Accuracy(lookins=samples, fov_samples=1, max_bounces=3, scramblings=1)
+        accuracy = Accuracy(lookins=samples, fov_samples=1, max_bounces=3, replicates=1)
         photons = simulate(scene, capture, accuracy, seed, split_parts=False).total
         return photons_to_radiance(photons, capture)[:, 0]
 
@@ -173,8 +173,8 @@ def furnished_room(points_a_side: int, long_run: int = 1 << 20) -> Case:
     points = grid_points(wall, points_a_side, points_a_side)
     capture = point_capture(wall, points, device, laser_point[None], axis)
 
-    def ours(samples: int, seed: int, scramblings: int = 1) -> NDArray[np.float64]:
-        accuracy = Accuracy(lookins=samples, fov_samples=1, max_bounces=4, scramblings=scramblings)
+    def ours(samples: int, seed: int, replicates: int = 1) -> NDArray[np.float64]:
+        accuracy = Accuracy(lookins=samples, fov_samples=1, max_bounces=4, replicates=replicates)
         photons = simulate(scene, capture, accuracy, seed, split_parts=False).total
         return photons_to_radiance(photons, capture)[0]
 

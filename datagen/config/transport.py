@@ -11,7 +11,7 @@ from datagen.errors import InputError
 from datagen.records import Accuracy
 from datagen.records.accuracy import chosen_by_target
 
-CHOSEN_BY_TARGET = ("lookins", "fov_samples", "scramblings")
+CHOSEN_BY_TARGET = ("lookins", "fov_samples", "replicates")
 
 
 class TransportConfig(Settings):
@@ -23,7 +23,7 @@ class TransportConfig(Settings):
     """FoV points that each vertex of a light path connects to, per pixel."""
     max_bounces: Annotated[int, Field(ge=3, le=64)] | None = 3
     """Highest bounce order followed; 3 is the primary, 4 adds the secondary; null follows all orders."""
-    scramblings: Annotated[int, Field(ge=1, le=1024)] = 4
+    replicates: Annotated[int, Field(ge=1, le=1024)] = 4
     """Independent randomisations, from which the standard error comes."""
     observed: Annotated[int, Field(ge=1, le=2**24)] | None = None
     """Observed points of each lookin: the secondary in the factorised form; left out: by the walk."""
@@ -37,6 +37,7 @@ class TransportConfig(Settings):
     """With `target`: give up before more rays than this leave each laser point, on average, in all."""
 
     def accuracy(self) -> Accuracy:
+        """The same as the record that `simulate` takes."""
         if self.target is not None:
             return Accuracy(
                 max_bounces=self.max_bounces,
@@ -50,7 +51,7 @@ class TransportConfig(Settings):
             lookins=self.lookins,
             fov_samples=self.fov_samples,
             max_bounces=self.max_bounces,
-            scramblings=self.scramblings,
+            replicates=self.replicates,
             direct=self.direct,
             observed=self.observed,
             secondary=self.secondary,

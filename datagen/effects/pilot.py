@@ -134,7 +134,7 @@ def run_pilot(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> 
         lookins=max(size.walks // size.lasers, 1),
         fov_samples=1,
         max_bounces=accuracy.max_bounces,
-        scramblings=1,
+        replicates=1,
         direct=accuracy.direct,
         secondary="none" if accuracy.secondary == "none" else "all",
         occlusion=accuracy.occlusion,
@@ -163,7 +163,7 @@ def _paired(runs: list[Mapping[str, NDArray[np.float64]]], shape: tuple[int, int
 def _cost(capture: Capture, accuracy: Accuracy) -> float:
     """Of the transport, in units of a shadow ray, for each order; see `transport.cost`."""
     lasers, pixels = len(capture.laser.targets), capture.shape[1]
-    return lasers * accuracy.lookins * (RAY + pixels * accuracy.fov_samples) + CALL * accuracy.scramblings
+    return lasers * accuracy.lookins * (RAY + pixels * accuracy.fov_samples) + CALL * accuracy.replicates
 
 
 def _spread(total: int, count: int) -> NDArray[np.int64]:

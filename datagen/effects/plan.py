@@ -147,7 +147,7 @@ def plan_effects(
     if transient is None:
         reduced_scene, reduced = plan.apply_transport(scene, capture, accuracy)
         few = Accuracy(
-            lookins=FORESEEN_LOOKINS, fov_samples=1, scramblings=1, max_bounces=reduced.max_bounces,
+            lookins=FORESEEN_LOOKINS, fov_samples=1, replicates=1, max_bounces=reduced.max_bounces,
             direct=reduced.direct, secondary="none" if reduced.secondary == "none" else "all",
             occlusion=reduced.occlusion,
         )  # fmt: skip

@@ -12,13 +12,13 @@ from datagen.effects.lobes import is_lambertian, lambertian_of
 from datagen.effects.pilot import LARGEST_SHARE, Pilot, affordable, run_pilot
 from datagen.records import Accuracy, Capture, Lambertian, Material, Scene
 from datagen.transport.fov import PixelCones
+from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.raycast import Raycaster
 from datagen.transport.vertices import LaserPoints
 from datagen.units import path_from_time
 
 PAIRS_CHECKED = 1 << 22
 """Pairs up to which each is asked: of laser points and pixels, of triangles and vertices."""
-_GRID = np.array([0.0, 0.5, 1.0])
 
 
 @dataclass(frozen=True)
@@ -158,12 +158,6 @@ class TransportWorld:
     def _view(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Where nine lines of sight of each pixel, its corners among them, first meet the scene: (P, 9, 3), (P, 9)
         part or −1. A straight edge that cuts a pixel has one of its corners on either side."""
-        sensor = self.capture.sensor
-        u, v = np.tile(_GRID, 3)[:, None], np.repeat(_GRID, 3)[:, None]
-        a, b, c, d = ((sensor.pixels - sensor.position)[:, None, k] for k in range(4))
-        w = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
-        # A hair inside, so that a pixel that ends with the wall still finds it.
-        w = w + 1e-3 * (w[:, 4:5] - w)
-        hits = self._caster.closest(sensor.position, w.reshape(-1, 3))
-        part = np.where(hits.valid, self.scene.face_part[hits.face], -1)
-        return hits.position.reshape(w.shape), part.reshape(w.shape[:2]).astype(np.int64)
+        lines = lines_of_sight(self._caster, self.capture.sensor, 3)
+        part = np.where(lines.met.valid, self.scene.face_part[lines.met.face], -1)
+        return lines.position, part.reshape(lines.valid.shape).astype(np.int64)

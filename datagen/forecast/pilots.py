@@ -80,7 +80,7 @@ def effort_reduced(config: DatasetConfig, reduction: float) -> tuple[DatasetConf
         target = max(transport.target, min(LOOSEST_TARGET, transport.target * reduction**0.5))
         looser = transport.model_copy(update={"target": target})
         return config.model_copy(update={"transport": looser}), (transport.target / target) ** 2
-    lookins = min(transport.lookins, max(transport.scramblings, round(transport.lookins / reduction)))
+    lookins = min(transport.lookins, max(transport.replicates, round(transport.lookins / reduction)))
     fewer = transport.model_copy(update={"lookins": lookins})
     return config.model_copy(update={"transport": fewer}), lookins / transport.lookins
 

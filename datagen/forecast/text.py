@@ -101,8 +101,8 @@ def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
     accuracy = config.transport.accuracy()
     bounces = "all bounce orders" if accuracy.max_bounces is None else f"up to {accuracy.max_bounces} bounces"
     how = (
-        f"{accuracy.lookins} lookins a laser point, {accuracy.fov_samples} FoV samples, {accuracy.scramblings} "
-        "scramblings"
+        f"{accuracy.lookins} lookins a laser point, {accuracy.fov_samples} FoV samples, {accuracy.replicates} "
+        "replicates"
         if accuracy.target is None
         else f"as many lookins as an error of {accuracy.target:.3g} needs"
     )
@@ -134,7 +134,7 @@ def _decisions(config: DatasetConfig) -> list[str]:
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
     secondary: Literal["all", "none"] = "none" if accuracy.secondary == "none" else "all"
     few = Accuracy(
-        lookins=PILOT_LOOKINS, fov_samples=1, max_bounces=accuracy.max_bounces, scramblings=1,
+        lookins=PILOT_LOOKINS, fov_samples=1, max_bounces=accuracy.max_bounces, replicates=1,
         direct=accuracy.direct, secondary=secondary, occlusion=accuracy.occlusion,
     )  # fmt: skip
     transient = simulate(lit, capture, few, seed=0, split_parts=False)
@@ -186,7 +186,7 @@ def _one_scene(config: DatasetConfig, schema: Schema, expected: Forecast) -> Ite
 def _error(expected: Forecast) -> str:
     least, median, most = expected.error
     if math.isnan(median):
-        return "not known: with 1 scrambling nothing estimates it; set transport.scramblings to 2 or more"
+        return "not known: with 1 replicate nothing estimates it; set transport.replicates to 2 or more"
     spread = f" ({_percent(least)} … {_percent(most)} from scene to scene)" if most > 1.2 * least else ""
     return f"{_percent(median)}{spread} of a transient, relative L2 over all bins; photon noise comes on top"
 

@@ -229,7 +229,7 @@ def _radiometric(runs: Runs, rays: int, pixels: int, scheme: Scheme, seed: int) 
 def _counts(rays: int, pixels: int, scheme: Scheme) -> Accuracy:
     """As many lookins, observed points and FoV points as the paper counts."""
     return Accuracy(
-        lookins=rays * rays, observed=pixels**2, fov_samples=pixels**2, max_bounces=4, scramblings=1, secondary=scheme
+        lookins=rays * rays, observed=pixels**2, fov_samples=pixels**2, max_bounces=4, replicates=1, secondary=scheme
     )
 
 
@@ -247,7 +247,7 @@ def _rescaled(runs: Runs, factor: float) -> Level:
 
 
 def _converged(runs: Runs) -> tuple[Case, float]:
-    accuracy = Accuracy(lookins=runs.sizes.reference, fov_samples=16, max_bounces=4, scramblings=16)
+    accuracy = Accuracy(lookins=runs.sizes.reference, fov_samples=16, max_bounces=4, replicates=16)
     case, transient = _timed(runs, lambda: simulate(runs.scene, runs.capture, accuracy, 0))
     return case, transient.relative_error
 

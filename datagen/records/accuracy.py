@@ -10,7 +10,7 @@ from datagen.errors import InputError
 MAX_BOUNCES = 64
 TARGETS = (1e-4, 1.0)
 LEAST_MAX_LOOKINS = 2048
-"""A pilot and one round need as many."""
+"""The first round of a target and one more need as many."""
 
 
 class _Default(int):
@@ -23,11 +23,11 @@ class Accuracy:
 
     Attributes
     ----------
-    lookins : rays from each laser point into the scene (paper, sec. 3.1), over all scramblings; ≥ 1.
+    lookins : rays from each laser point into the scene (paper, sec. 3.1), over all replicates; ≥ 1.
     fov_samples : FoV points that each vertex connects to, per pixel; ≥ 1.
     max_bounces : highest bounce order followed, 3 (the primary) … 64; None follows light until Russian roulette ends
         every path, which leaves nothing out on average.
-    scramblings : independent randomisations of the quasi-random points, which give the standard error; ≥ 1
+    replicates : independent randomisations of the quasi-random points, which give the standard error; ≥ 1
         (with 1 there is no error estimate). Reduced to `lookins` when that is smaller.
     observed : how the secondary (4 bounces) is found. None: by the walk that gives all orders. A number: the paper's
         scheme, exactly and for all paths, with so many observed points for each lookin; what arrives at a lookin and
@@ -44,7 +44,7 @@ class Accuracy:
         no occluder stood behind the first surface that light meets. That adds light wherever one does.
         The factorised secondary (`observed`) has proofs of its own and asks the rest, whatever is set here.
     target : relative L2 error of the whole transient to be met, ‖error‖ / ‖truth‖ over all laser points, pixels and
-        bins, 0.0001 … 1. Then the solver chooses lookins, fov_samples, scramblings and the way of the secondary, and
+        bins, 0.0001 … 1. Then the solver chooses lookins, fov_samples, replicates and the way of the secondary, and
         naming one of them too is refused (`observed` belongs to the k strongest paths and stays). What it is held to
         is the upper bound of its own error estimate; the bias of the k strongest paths is not part of it.
     max_lookins : with a target: give up (`Transient.met_target` False) before more rays than this would leave each
@@ -54,7 +54,7 @@ class Accuracy:
     lookins: int = _Default(2048)
     fov_samples: int = _Default(16)
     max_bounces: int | None = 3
-    scramblings: int = _Default(8)
+    replicates: int = _Default(8)
     direct: bool = False
     observed: int | None = None
     secondary: Literal["all", "none", "strongest"] | int = "all"
@@ -74,7 +74,7 @@ class Accuracy:
             ("lookins", 1, 2**31),
             ("fov_samples", 1, 2**20),
             ("max_bounces", 3, MAX_BOUNCES),
-            ("scramblings", 1, 1024),
+            ("replicates", 1, 1024),
             ("observed", 1, 2**24),
             ("max_lookins", LEAST_MAX_LOOKINS, 2**40),
         ):
@@ -101,7 +101,7 @@ class Accuracy:
         low, high = TARGETS
         if not isinstance(target, (int, float)) or isinstance(target, bool) or not low <= target <= high:
             raise InputError(f"Accuracy.target = {target!r}: must be a number in {low} … {high}")
-        for name in ("lookins", "fov_samples", "scramblings"):
+        for name in ("lookins", "fov_samples", "replicates"):
             if not isinstance(getattr(self, name), _Default):
                 raise InputError(chosen_by_target("Accuracy.", name, getattr(self, name)))
         if self.observed is not None and self.strongest is None:

@@ -20,7 +20,7 @@ class Spend:
 
     Attributes
     ----------
-    lookins : component → lookins from each laser point, on average over the laser points, over all scramblings.
+    lookins : component → lookins from each laser point, on average over the laser points, over all replicates.
         Components that one walk finds together share its lookins.
     share : component → share of the cost, which adds to 1; those of a shared walk have equal parts of it.
     way : component → "walk" or "factorised", and "walk + factorised" where both find a part of the secondary.
@@ -56,7 +56,7 @@ class Transient:
     time : the time axis of the bins.
     components : "direct", "primary", "secondary", "higher" → (L, P, T) float64; only those simulated.
     parts : the primary split by the part that the lookin lies on, part name → (L, P, T).
-    stderr : (L, P, T) standard error of `total` from independent scramblings; NaN when there was only one.
+    stderr : (L, P, T) standard error of `total` from independent replicates; NaN when there was only one.
     overflow : (L, P) energy that arrives outside the window.
     laser_points : (L, 3) where each laser ray met the scene, metres; NaN where it met nothing. A flood has all its
         points here, and L = 1 elsewhere.

@@ -136,7 +136,7 @@ def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
         Field("transient", _MEASURED, measured, "float32", photons,
               "expected impulse response of the scene, before the detector"),
         Field("transient_stderr", _MEASURED, measured, "float32", photons,
-              "standard error of the transient from independent scramblings; NaN when there was only one"),
+              "standard error of the transient from independent replicates; NaN when there was only one"),
         Field("depth", _IMAGE, image, "float32", "m",
               "distance of the surface seen from the plane of the relay wall, along its normal; 0: empty"),
         Field("normal", (*_IMAGE, "axis"), (*image, 3), "float32", "1",

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from datagen.records import Scene, Sensor
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches
-from datagen.transport.kernels import deposit, gather, inside_pixels, near_a_pixel, spots_in_pixels
+from datagen.transport.kernels import deposit, gather, inside_pixels, laser_points_in_pixels, near_a_pixel
 from datagen.transport.raycast import Hits, Raycaster
 from datagen.transport.vertices import LaserPoints, Vertices
 from datagen.transport.visibility.clear_sight import ClearSight
@@ -32,8 +32,14 @@ CONNECTIONS_PER_BATCH = 1 << 19
 
 @dataclass(frozen=True)
 class Clock:
-    """Path length → fractional bin: position = path · per_metre − start. `device_leg` (laser,) is the path from laser
-    to laser point for the chunk's laser points, or −1 where device legs do not count (time origin `wall`)."""
+    """Path length → fractional bin: position = path · per_metre − start.
+
+    Attributes
+    ----------
+    per_metre : bins for each metre of path.
+    start : bin number of the window's start.
+    device_leg : (laser,) path from laser to laser point, m; −1 where device legs do not count (time origin `wall`).
+    """
 
     per_metre: float
     start: float
@@ -44,8 +50,12 @@ class Clock:
 class Rows:
     """Which histogram row a contribution belongs to: rows are ordered (laser, pixel, split).
 
-    first_laser : index of the chunk's first laser point. confocal : pixel i belongs to laser point i alone.
-    pixels : pixels a laser point has. splits : rows for each laser point and pixel.
+    Attributes
+    ----------
+    first_laser : index of the chunk's first laser point.
+    confocal : pixel i belongs to laser point i alone.
+    pixels : that a laser point has.
+    splits : rows for each laser point and pixel.
     """
 
     first_laser: int
@@ -131,9 +141,11 @@ class Receiver:
 
     def near(self, vertices: Vertices) -> NDArray[np.int64]:
         """The vertices whose followed rays count: those near any of their pixels."""
-        return near_a_pixel(
-            vertices.laser, vertices.position, vertices.part, self.materials.kind, self.patches.center,
-            self.patches.reach, self.rows.first_laser, self.rows.confocal,
+        return np.asarray(
+            near_a_pixel(
+                vertices.laser, vertices.position, vertices.part, self.materials.kind, self.patches.center,
+                self.patches.reach, self.rows.first_laser, self.rows.confocal,
+            )
         )  # fmt: skip
 
     def follow(
@@ -157,10 +169,10 @@ class Receiver:
         )  # fmt: skip
         self._add_if_seen(hits.position[owner] + self.caster.offset_m * hits.normal[owner], row, position, energy)
 
-    def spots(self, points: LaserPoints, lasers: NDArray[np.int64], split: int) -> None:
+    def add_laser_points(self, points: LaserPoints, lasers: NDArray[np.int64], split: int) -> None:
         """Add the laser points themselves where a pixel looks at them: the direct return of one bounce."""
         rows = self.rows
-        owner, row, position, energy = spots_in_pixels(
+        owner, row, position, energy = laser_points_in_pixels(
             lasers, points.position, points.normal, points.to_laser, points.part, points.leg, self.materials.kind,
             self.materials.values, self.sensor.position, self.cones.planes, self.sensor.aperture_area_m2,
             self.aperture_square, self.scene.attenuation_per_m, rows.first_laser, rows.confocal, rows.pixels, split,

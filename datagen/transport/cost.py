@@ -13,7 +13,7 @@ from dataclasses import dataclass
 RAY = 4.0
 """A vertex of a walk, or a FoV point: its random numbers, ray and refined hit."""
 BIN = 0.06
-"""An entry of a histogram: cleared, summed, squared and added up, once for each scrambling."""
+"""An entry of a histogram: cleared, summed, squared and added up, once for each replicate."""
 CALL = 15_000.0
 """One call of the tracing code for a run of laser points, whatever their number."""
 ORDER_CALL = 0.2
@@ -28,8 +28,15 @@ SPECTRUM, BUTTERFLY = 0.01, 0.0055
 
 @dataclass(frozen=True)
 class Work:
-    """What a piece of the transport did: rays followed (or FoV points drawn), connections made, histogram entries
-    handled, calls. The last two do not grow with the number of lookins."""
+    """What a piece of the transport did; the last two do not grow with the number of lookins.
+
+    Attributes
+    ----------
+    rays : followed, or FoV points drawn.
+    connections : of a vertex with a FoV point.
+    entries : of histograms cleared, squared and added up.
+    calls : of the tracing code.
+    """
 
     rays: float = 0.0
     connections: float = 0.0
@@ -51,16 +58,17 @@ class Work:
 
     @property
     def standing(self) -> float:
-        """The cost that each scrambling has, whatever its number of lookins."""
+        """The cost that each replicate has, whatever its number of lookins."""
         return BIN * self.entries + CALL * self.calls
 
     @property
     def cost(self) -> float:
+        """All of it, in connections with their shadow rays."""
         return self.growing + self.standing
 
 
 def factorised_work(
-    lookins: int, observed: int, lasers: int, pixels: int, fov_samples: int, bins: int, scramblings: int
+    lookins: int, observed: int, lasers: int, pixels: int, fov_samples: int, bins: int, replicates: int
 ) -> Work:
     """The work of the factorised secondary: observed points shared by all lasers, their shadow rays, what leaves
     towards the pixels, the walks near the laser points, and the convolution in time."""
@@ -68,4 +76,4 @@ def factorised_work(
     direct = fov_samples * (TERM_EACH + TERM * bins)
     spectral = 2 * bins * (SPECTRUM + BUTTERFLY * math.log2(2 * bins) * (1 / lasers + 1 / pixels))
     convolutions = lookins * lasers * pixels * min(direct, spectral)
-    return Work(rays, lookins * pixels * fov_samples + convolutions, 0.0, float(scramblings))
+    return Work(rays, lookins * pixels * fov_samples + convolutions, 0.0, float(replicates))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records import Scene, Sensor
+from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import scrambled_sobol
 
@@ -24,7 +25,7 @@ from datagen.transport.sampling import scrambled_sobol
 class FovPool:
     """Q FoV points for each of P pixels, grouped in blocks of M that each cover the whole pixel.
 
-    sets : independent sets of blocks side by side, as many of them in each; one for each scrambling traced at once.
+    sets : independent sets of blocks side by side, as many of them in each; one for each replicate traced at once.
 
     position, normal, to_sensor : (P, Q, 3) point in metres, unit normal facing the sensor, unit direction to it.
     part : (P, Q) part index, −1 where the line of sight meets nothing.
@@ -46,11 +47,11 @@ class FovPool:
         """A pool of (sets · P, Q) points, set after set, as one of `sets` sets for P pixels: (P, sets · Q)."""
         pixels = len(self.weight) // sets
 
-        def turned(values: NDArray[Any]) -> NDArray[Any]:
+        def joined(values: NDArray[Any]) -> NDArray[Any]:
             apart = values.reshape(sets, pixels, *values.shape[1:])
             return np.ascontiguousarray(apart.swapaxes(0, 1)).reshape(pixels, -1, *values.shape[2:])
 
-        arrays = {f.name: turned(getattr(self, f.name)) for f in fields(self) if f.name != "sets"}
+        arrays = {f.name: joined(getattr(self, f.name)) for f in fields(self) if f.name != "sets"}
         return FovPool(**arrays, sets=sets)
 
 
@@ -98,6 +99,7 @@ class PixelCones:
         return cls(planes, np.abs(solid_angle))
 
     def take(self, pixels: NDArray[np.int64]) -> PixelCones:
+        """Those of some pixels."""
         return PixelCones(self.planes[pixels], self.solid_angle[pixels])
 
 
@@ -120,19 +122,13 @@ class PixelPatches:
 
     @classmethod
     def of(cls, caster: Raycaster, sensor: Sensor, cones: PixelCones, points_per_vertex: int) -> PixelPatches:
-        knots = np.array([0.0, 0.5, 1.0])
-        u, v = np.tile(knots, 3)[:, None], np.repeat(knots, 3)[:, None]
-        corner = sensor.pixels - sensor.position
-        a, b, c, d = (corner[:, None, k] for k in range(4))
-        # A hair inside, so that a patch that ends with the wall still finds it.
-        w = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
-        w = w + 1e-3 * (w[:, 4:5] - w)
-        hits = caster.closest(sensor.position, w.reshape(-1, 3))
-        valid = hits.valid.reshape(w.shape[:2])
-        position = np.where(valid[..., None], hits.position.reshape(w.shape), np.inf)
+        """Those of all pixels, for vertices that join so many FoV points of each."""
+        lines = lines_of_sight(caster, sensor, 3)
+        w, valid = lines.inner, lines.valid
+        position = np.where(valid[..., None], lines.met.position.reshape(w.shape), np.inf)
         distance = np.linalg.norm(position - sensor.position, axis=2)
         direction = w / np.linalg.norm(w, axis=2, keepdims=True)
-        cosine = np.abs(np.einsum("pqk,pqk->pq", hits.normal.reshape(w.shape), direction))
+        cosine = np.abs(np.einsum("pqk,pqk->pq", lines.normal, direction))
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             center = position.mean(axis=1)
             radius = np.linalg.norm(position - center[:, None], axis=2).max(axis=1)
@@ -146,6 +142,7 @@ class PixelPatches:
         )
 
     def take(self, pixels: NDArray[np.int64]) -> PixelPatches:
+        """Those of some pixels."""
         return PixelPatches(self.center[pixels], self.radius[pixels], self.reach[pixels])
 
 
@@ -158,7 +155,7 @@ def _triangle_solid_angle(
     """
     triple = np.einsum("pk,pk->p", a, np.cross(b - a, c - a))
     dots = 1 + sum(np.einsum("pk,pk->p", x, y) for x, y in ((a, b), (b, c), (c, a)))
-    return 2 * np.arctan2(triple, dots)
+    return np.asarray(2 * np.arctan2(triple, dots))
 
 
 def fov_pool(
@@ -171,7 +168,7 @@ def fov_pool(
     blocks: int,
     seeds: NDArray[np.uint64],
 ) -> FovPool:
-    """Draw `blocks` × `points_per_vertex` FoV points for each of `pixels`, with one scrambling seed a pixel."""
+    """Draw `blocks` × `points_per_vertex` FoV points for each of `pixels`, with one seed of scrambling a pixel."""
     uv = scrambled_sobol(seeds, blocks * points_per_vertex, 2)
     direction, jacobian = _lines_of_sight(uv, sensor.pixels[pixels] - sensor.position)
     hits = caster.closest(sensor.position, direction.reshape(-1, 3))

@@ -243,7 +243,7 @@ def inside_pixels(
 
 
 @njit(cache=True)
-def spots_in_pixels(
+def laser_points_in_pixels(
     laser, position1, normal1, to_laser, part1, leg, kind, values, sensor, planes, aperture_area, aperture_square,
     attenuation, first_laser, confocal, pixels, row_offset, splits, per_metre, clock_start, device_leg,
 ):  # fmt: skip

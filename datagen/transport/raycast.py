@@ -7,6 +7,7 @@ triangle's plane, so that path lengths carry no float32 noise.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,9 +41,11 @@ class Hits:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
+        """(n,) whether anything was met."""
         return self.face >= 0
 
     def take(self, rows: NDArray[np.int64]) -> Hits:
+        """Those of some rays."""
         return Hits(self.face[rows], self.position[rows], self.normal[rows])
 
 
@@ -86,8 +89,7 @@ class Raycaster:
 
     def _met(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.int32]:
         face = np.empty(len(directions), np.int32)
-        for start in range(0, len(directions), RAYS_PER_BATCH):
-            batch = slice(start, start + RAYS_PER_BATCH)
+        for batch in _batches(len(directions)):
             face[batch] = self._embree.run(
                 self._scaled(origins[batch]), directions[batch].astype(np.float32), query="INTERSECT"
             )
@@ -101,8 +103,7 @@ class Raycaster:
         """Whether anything stands between each origin and target, (n, 3) metres, both off their surfaces."""
         hidden = np.empty(len(targets), np.bool_)
         origins = np.broadcast_to(origins, targets.shape)
-        for start in range(0, len(targets), RAYS_PER_BATCH):
-            batch = slice(start, start + RAYS_PER_BATCH)
+        for batch in _batches(len(targets)):
             o = self._scaled(origins[batch])
             hidden[batch] = self.occluded_scaled(o, self._scaled(targets[batch]) - o)
         return hidden
@@ -110,10 +111,14 @@ class Raycaster:
     def occluded_scaled(self, origins: NDArray[np.float32], spans: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Occlusion along spans already in embree's unit frame: from `origins` to `origins + spans`, (n, 3)."""
         reach = np.ones(len(origins), np.float32)
-        return self._embree.run(origins, spans, dists=reach, query="OCCLUDED") >= 0
+        return np.asarray(self._embree.run(origins, spans, dists=reach, query="OCCLUDED") >= 0)
 
     def _scaled(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         return ((points - self.center) / self.half_extent_m).astype(np.float32)
+
+
+def _batches(rays: int) -> Iterator[slice]:
+    return (slice(start, start + RAYS_PER_BATCH) for start in range(0, rays, RAYS_PER_BATCH))
 
 
 @njit(cache=True)

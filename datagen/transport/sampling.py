@@ -126,28 +126,28 @@ def scrambled_sobol(
 
 @dataclass(frozen=True)
 class Streams:
-    """Where each of n rows has its random numbers from: one scrambling of one laser point (or pixel) each, so that
-    scramblings traced together are what they would be one by one.
+    """Where each of n rows has its random numbers from: one replicate of one laser point (or pixel) each, so that
+    replicates traced together are what they would be one by one.
 
-    scrambling, index : (n,) which scrambling of which laser point.
+    replicate, index : (n,) which replicate of which laser point.
     """
 
     seed: int
-    scrambling: NDArray[np.int64]
+    replicate: NDArray[np.int64]
     index: NDArray[np.int64]
 
     @classmethod
-    def of(cls, seed: int, scramblings: NDArray[np.int64], index: NDArray[np.int64]) -> Streams:
-        """Each scrambling of each of some laser points, scrambling by scrambling."""
-        return cls(seed, np.repeat(scramblings, len(index)), np.tile(index, len(scramblings)))
+    def of(cls, seed: int, replicates: NDArray[np.int64], index: NDArray[np.int64]) -> Streams:
+        """Each replicate of each of some laser points, replicate by replicate."""
+        return cls(seed, np.repeat(replicates, len(index)), np.tile(index, len(replicates)))
 
     def seeds(self, purpose: int, rows: NDArray[np.int64], *more: NDArray[np.integer]) -> NDArray[np.uint64]:
         """(m,) a seed for each of m rows, each purpose, and each of what else tells them apart."""
-        return stream_seeds(self.seed, purpose, self.scrambling[rows], self.index[rows], *more)
+        return stream_seeds(self.seed, purpose, self.replicate[rows], self.index[rows], *more)
 
 
 def stream_seeds(seed: int, *coordinates: NDArray[np.integer] | int) -> NDArray[np.uint64]:
-    """32-bit seeds as a hash of (seed, coordinates…); coordinates broadcast (laser, scrambling, purpose …)."""
+    """32-bit seeds as a hash of (seed, coordinates…); coordinates broadcast (laser, replicate, purpose …)."""
     broadcast = np.broadcast_arrays(*[np.asarray(c, np.uint64) for c in coordinates])
     return _hash_all(np.uint64(seed), np.stack([c.ravel() for c in broadcast], axis=1))
 

@@ -21,7 +21,7 @@ from datagen.transport.surroundings import CONTACT, surroundings
 from datagen.transport.target.adaptive import meet_target
 from datagen.transport.vertices import AreaTarget, LaserPoints
 from datagen.transport.visibility.clear_sight import ClearSight
-from datagen.transport.walk import Job, Splits, components_asked
+from datagen.transport.walk import Splits, WalkTask, components_asked
 
 OBSERVED_IN_CONTACT = 64
 
@@ -64,14 +64,14 @@ def simulate(
         one_by_one = replace(capture, illumination="scan")
         return flooded(simulate(scene, one_by_one, accuracy, seed, split_parts=split_parts))
     began = clock_time.perf_counter()
-    job = prepared(scene, capture, accuracy, seed, split_parts=split_parts)
+    task = prepared(scene, capture, accuracy, seed, split_parts=split_parts)
     ready = clock_time.perf_counter()
     if accuracy.target is not None:
-        estimate, traced = meet_target(job), clock_time.perf_counter()
+        estimate, traced = meet_target(task), clock_time.perf_counter()
     else:
-        average = walk_average(job)
+        average = walk_average(task)
         traced = clock_time.perf_counter()
-        estimate = _with_factorised(job, average, None)
+        estimate = _with_factorised(task, average, None)
     finished = clock_time.perf_counter()
     return Transient(
         time=capture.time,
@@ -79,49 +79,49 @@ def simulate(
         parts=estimate.parts,
         stderr=estimate.stderr,
         overflow=estimate.overflow,
-        laser_points=job.points.position,
+        laser_points=task.points.position,
         seconds={"prepare": ready - began, "trace": traced - ready, "secondary": finished - traced},
         spend=estimate.spend,
         error_bound=estimate.error_bound,
         met_target=estimate.met_target,
-        rays=job.sight.rays,
+        rays=task.sight.rays,
     )
 
 
-def prepared(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool) -> Job:
+def prepared(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool) -> WalkTask:
     """What `simulate` works with: the scene as the kernels want it, and what is asked of it."""
     caster = Raycaster(scene)
     materials = MaterialTable.of(scene.materials)
     cones = PixelCones.of(capture.sensor)
     points = LaserPoints.of(caster, scene, capture.laser)
     splits = Splits(scene.part_names if split_parts else (), components_asked(accuracy), len(scene.part_names))
-    job = Job(
+    task = WalkTask(
         scene, capture, accuracy, caster, materials, cones,
         PixelPatches.of(caster, capture.sensor, cones, accuracy.fov_samples), points,
         AreaTarget.choose(caster, scene, materials, points, seed), seed, splits,
         ClearSight.of(caster, capture.sensor, accuracy.occlusion, *_connections(capture, accuracy)),
         _walked(accuracy, materials),
     )  # fmt: skip
-    if _needs_to_look_around(job):
-        job = replace(job, accuracy=replace(accuracy, observed=OBSERVED_IN_CONTACT), walked=~factorising(materials))
-    return job
+    if _needs_to_look_around(task):
+        task = replace(task, accuracy=replace(accuracy, observed=OBSERVED_IN_CONTACT), walked=~factorising(materials))
+    return task
 
 
-def with_fixed_counts(job: Job, sketch: Sketch | None = None) -> Estimate:
-    """The estimate with the sample counts of `Job.accuracy`; its target is not looked at.
+def with_fixed_counts(task: WalkTask, sketch: Sketch | None = None) -> Estimate:
+    """The estimate with the sample counts of `WalkTask.accuracy`; its target is not looked at.
 
-    sketch : gets each scrambling's transient too.
+    sketch : gets each replicate's transient too.
     """
-    return _with_factorised(job, walk_average(job, sketch), sketch)
+    return _with_factorised(task, walk_average(task, sketch), sketch)
 
 
-def _needs_to_look_around(job: Job) -> bool:
+def _needs_to_look_around(task: WalkTask) -> bool:
     """Whether the walk asked for would seldom meet the surfaces that give the field of view its secondary."""
-    accuracy = job.accuracy
+    accuracy = task.accuracy
     asked = accuracy.target is None and accuracy.observed is None and accuracy.occlusion != "off"
-    if not asked or "secondary" not in job.splits.components or not factorising(job.materials).any():
+    if not asked or "secondary" not in task.splits.components or not factorising(task.materials).any():
         return False
-    return surroundings(job, job.seed) > CONTACT
+    return surroundings(task, task.seed) > CONTACT
 
 
 def _connections(capture: Capture, accuracy: Accuracy) -> tuple[int, int]:
@@ -138,26 +138,26 @@ def _walked(accuracy: Accuracy, materials: MaterialTable) -> NDArray[np.bool_]:
     return np.ones(len(materials.kind), np.bool_) if accuracy.observed is None else ~factorising(materials)
 
 
-def _with_factorised(job: Job, average: Average, sketch: Sketch | None) -> Estimate:
+def _with_factorised(task: WalkTask, average: Average, sketch: Sketch | None) -> Estimate:
     """The walk's average, with what the factorised form gives of the secondary; its error is independent."""
-    accuracy, splits = job.accuracy, job.splits
+    accuracy, splits = task.accuracy, task.splits
     components, parts = average.split(splits)
     stderr, overflow = average.stderr, average.overflow
     costs = dict.fromkeys(components, average.work.cost / len(components))
     way = dict.fromkeys(components, "walk")
-    if "secondary" in components and not job.walked.all():
+    if "secondary" in components and not task.walked.all():
         assert accuracy.observed is not None
         more = secondary_transient(
-            job.caster, job.scene, job.materials, job.capture, job.points, job.cones, job.patches,
+            task.caster, task.scene, task.materials, task.capture, task.points, task.cones, task.patches,
             lookins=accuracy.lookins, observed=accuracy.observed, fov_samples=accuracy.fov_samples,
-            scramblings=accuracy.scramblings, strongest=accuracy.strongest, seed=job.seed, carriers=~job.walked,
+            replicates=accuracy.replicates, strongest=accuracy.strongest, seed=task.seed, carriers=~task.walked,
             sketch=sketch,
         )  # fmt: skip
         components["secondary"] += more.mean
         np.hypot(stderr, more.stderr, out=stderr)
         overflow += more.overflow
-        way["secondary"] = "walk + factorised" if job.walked.any() else "factorised"
-        costs["secondary"] = more.work.cost + costs["secondary"] * bool(job.walked.any())
+        way["secondary"] = "walk + factorised" if task.walked.any() else "factorised"
+        costs["secondary"] = more.work.cost + costs["secondary"] * bool(task.walked.any())
     total = sum(costs.values())
     spend = Spend(
         lookins=dict.fromkeys(components, float(accuracy.lookins)),

@@ -1,4 +1,4 @@
-"""The spread of independent scramblings: the standard error of their mean, and how many ways it can go wrong."""
+"""The spread of independent replicates: the standard error of their mean, and how many ways it can go wrong."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ SKETCH_SIZE = 4096
 
 
 def standard_error(
-    means: Sequence[NDArray[np.float64]], squares: NDArray[np.float64], scramblings: int
+    means: Sequence[NDArray[np.float64]], squares: NDArray[np.float64], replicates: int
 ) -> NDArray[np.float64]:
-    """Standard error of the sum of `means` from the scramblings' sum of squares, which it overwrites.
+    """Standard error of the sum of `means` from the replicates' sum of squares, which it overwrites.
 
     Laser point by laser point, so that no further array of a scan's full size is needed.
     """
-    if scramblings == 1:
+    if replicates == 1:
         squares.fill(np.nan)
         return squares
     for laser, row in enumerate(squares):
         mean = sum(component[laser] for component in means)
-        np.sqrt(np.maximum(row / scramblings - mean**2, 0.0) / (scramblings - 1), out=row)
+        np.sqrt(np.maximum(row / replicates - mean**2, 0.0) / (replicates - 1), out=row)
     return squares
 
 
 class Sketch:
-    """Scalar products between the scramblings' transients, without keeping them.
+    """Scalar products between the replicates' transients, without keeping them.
 
     Each transient is folded, with pseudo-random signs, into `SKETCH_SIZE` numbers, which keeps scalar products on
     average and to about 1/√size (Charikar, Chen & Farach-Colton, "Finding frequent items in data streams" (2004)).
     """
 
-    def __init__(self, scramblings: int) -> None:
-        self.folded = np.zeros((scramblings, SKETCH_SIZE))
+    def __init__(self, replicates: int) -> None:
+        self.folded = np.zeros((replicates, SKETCH_SIZE))
 
-    def add(self, scrambling: int, transient: NDArray[np.float64], first: int) -> None:
-        """Add a piece of a scrambling's transient whose first entry has the flat index `first` in the whole."""
-        _fold(transient.reshape(-1), first, self.folded[scrambling])
+    def add(self, replicate: int, transient: NDArray[np.float64], first: int) -> None:
+        """Add a piece of a replicate's transient whose first entry has the flat index `first` in the whole."""
+        _fold(transient.reshape(-1), first, self.folded[replicate])
 
     def freedom(self) -> float:
-        """Effective number ν of independent ways in which a scrambling deviates: for deviations of covariance Σ,
+        """Effective number ν of independent ways in which a replicate deviates: for deviations of covariance Σ,
         ‖deviation‖² has mean tr Σ and variance 2 tr Σ² (if Gaussian), like χ² of ν = (tr Σ)² / tr Σ² degrees of
         freedom (Satterthwaite 1946). At least 1; tr Σ² by its unbiased estimate.
         """

@@ -22,7 +22,7 @@ from datagen.transport.kernels import light_lookins, random_numbers, scatter
 from datagen.transport.raycast import Hits, Raycaster
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 
-PILOT_STREAM, COSINE_STREAM, AREA_STREAM, WALK_STREAM, SPOT_STREAM = range(5)
+TRIAL_STREAM, COSINE_STREAM, AREA_STREAM, WALK_STREAM, LASER_POINT_STREAM = range(5)
 CHOICES = 4
 """Random numbers a vertex needs: one picks its FoV points, two aim its ray, one is for Russian roulette."""
 SOBOL_STEPS = 3
@@ -45,6 +45,7 @@ class LaserPoints:
 
     @classmethod
     def of(cls, caster: Raycaster, scene: Scene, laser: Laser) -> LaserPoints:
+        """Where the rays towards the laser's targets first meet the scene."""
         span = laser.targets - laser.position
         hits = caster.closest(laser.position, span)
         part = np.where(hits.valid, scene.face_part[hits.face], -1).astype(np.int64)
@@ -80,20 +81,26 @@ class Vertices:
         return len(self.laser)
 
     def take(self, rows: NDArray[np.int64]) -> Vertices:
+        """Some of them."""
         return Vertices(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
     def numbers(self, step: int) -> NDArray[np.float64]:
         """(n, CHOICES) numbers in 0 … 1 for the choices at step 0 (lookins), 1, 2 …"""
         if (step + 1) * CHOICES <= self.choices.shape[1]:
             return self.choices[:, step * CHOICES : (step + 1) * CHOICES]
-        return random_numbers(self.stream, step, CHOICES)
+        return np.asarray(random_numbers(self.stream, step, CHOICES))
 
 
 @dataclass(frozen=True)
 class AreaTarget:
     """The triangles sampled by area and the share of lookins they get.
 
-    share : 0 … 7/8; faces : (n,) triangle indices; cumulative : (n,) running share of area; area_m2 : their total;
+    Attributes
+    ----------
+    share : of the lookins, 0 … 7/8.
+    faces : (n,) triangle indices.
+    cumulative : (n,) running share of area.
+    area_m2 : their total.
     contains : (F,) whether a triangle is one of them.
     """
 
@@ -107,7 +114,7 @@ class AreaTarget:
     def choose(
         cls, caster: Raycaster, scene: Scene, materials: MaterialTable, points: LaserPoints, seed: int
     ) -> AreaTarget:
-        """Aim at objects that too few rays would meet: a pilot of rays decides (its seed fixes the answer).
+        """Aim at objects that too few rays would meet: some trial rays decide (its seed fixes the answer).
 
         The share is a matter of variance only; any value gives the same mean.
         """
@@ -117,12 +124,12 @@ class AreaTarget:
         nothing = cls(0.0, np.empty(0, np.int64), np.empty(0), 1.0, contains)
         if not len(seen) or not object_parts:
             return nothing
-        pilots = np.repeat(seen[np.linspace(0, len(seen) - 1, min(len(seen), 8)).astype(int)], 256)
-        seeds = stream_seeds(seed, PILOT_STREAM, pilots[::256])
-        hits = _rays(caster, materials, points, pilots, scrambled_sobol(seeds, 256, 2).reshape(-1, 2))
+        trial = np.repeat(seen[np.linspace(0, len(seen) - 1, min(len(seen), 8)).astype(int)], 256)
+        seeds = stream_seeds(seed, TRIAL_STREAM, trial[::256])
+        hits = _rays(caster, materials, points, trial, scrambled_sobol(seeds, 256, 2).reshape(-1, 2))
         met = scene.face_part[hits.face[hits.valid]]
-        frequency = np.bincount(met, minlength=len(scene.part_names)) / len(pilots)
-        # A part the laser spot itself lies on (a wall made of one part) is lit by nothing of its own plane.
+        frequency = np.bincount(met, minlength=len(scene.part_names)) / len(trial)
+        # A part the laser point itself lies on (a wall made of one part) is lit by nothing of its own plane.
         chosen = [k for k in object_parts if frequency[k] < 0.25 and k not in points.part]
         faces = np.flatnonzero(np.isin(scene.face_part, chosen))
         if not len(faces):
@@ -145,7 +152,7 @@ def runs_of(lasers: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
     return [run[k : k + size] for run in runs for k in range(0, len(run), size)]
 
 
-def spot_vertices(
+def laser_point_vertices(
     points: LaserPoints, lasers: NDArray[np.int64], count: int, streams: Streams, attenuation_per_m: float
 ) -> Vertices:
     """The laser points themselves as vertices, `count` copies of each that share the emitted photon."""
@@ -158,7 +165,7 @@ def spot_vertices(
         part=points.part[owner],
         power=np.exp(-attenuation_per_m * points.leg[owner]) / count,
         path=np.zeros(len(owner)),
-        choices=scrambled_sobol(streams.seeds(SPOT_STREAM, lasers), count, CHOICES).reshape(-1, CHOICES),
+        choices=scrambled_sobol(streams.seeds(LASER_POINT_STREAM, lasers), count, CHOICES).reshape(-1, CHOICES),
         stream=np.zeros(len(owner), np.uint64),
     )
 

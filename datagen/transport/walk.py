@@ -25,8 +25,8 @@ from datagen.transport.vertices import (
     LaserPoints,
     continued,
     draw_lookins,
+    laser_point_vertices,
     scattered_rays,
-    spot_vertices,
 )
 from datagen.transport.visibility.clear_sight import ClearSight
 from datagen.units import path_from_time
@@ -45,7 +45,7 @@ SURVIVAL_AT_LEAST = 0.05
 """So that no weight grows by more than its inverse at once."""
 
 
-def component_of(order: int) -> str:
+def _component_of(order: int) -> str:
     """The component that paths of `order` bounces belong to."""
     return "direct" if order < 3 else "primary" if order == 3 else "secondary" if order == 4 else "higher"
 
@@ -67,8 +67,11 @@ class Splits:
     """Rows of the tally for each laser point and pixel: one for each part of the primary (or one for all of it), then
     one for each other component.
 
+    Attributes
+    ----------
     parts : names of the parts that the primary is split by; none for all of it in one row.
-    components : those computed. all_parts : how many parts the scene has.
+    components : those computed.
+    all_parts : how many parts the scene has.
     """
 
     parts: tuple[str, ...]
@@ -82,22 +85,24 @@ class Splits:
 
     @property
     def others(self) -> tuple[str, ...]:
+        """The components other than the primary, in order."""
         return tuple(name for name in self.components if name != "primary")
 
     @property
     def count(self) -> int:
+        """Rows for each laser point and pixel."""
         return self.primary + len(self.others)
 
     def of_part(self, order: int) -> NDArray[np.int64]:
         """(K,) the row of a contribution of `order` bounces that comes from a vertex on each part."""
-        name = component_of(order)
+        name = _component_of(order)
         if name == "primary":
             return np.arange(self.all_parts) if self.parts else np.zeros(self.all_parts, np.int64)
         return np.full(self.all_parts, self.primary + self.others.index(name))
 
 
 @dataclass(frozen=True)
-class Job:
+class WalkTask:
     """What is looked at, how finely, and the scene as the kernels want it.
 
     `capture`, `cones`, `patches` and `points` may be some laser points (and, confocally, their pixels) of a larger
@@ -135,58 +140,58 @@ class Job:
         return 2 * float(self.patches.radius[pixels].max()) / detail_m
 
 
-def part_of(job: Job, lasers: NDArray[np.int64]) -> Job:
-    """The same job for some of its laser points (confocally, and their pixels), or for several copies of them."""
-    points = LaserPoints(**{f.name: getattr(job.points, f.name)[lasers] for f in fields(job.points)})
-    sensor, cones, patches, sight = job.capture.sensor, job.cones, job.patches, job.sight
-    if job.capture.pairing == "confocal":
+def part_of(task: WalkTask, lasers: NDArray[np.int64]) -> WalkTask:
+    """The same task for some of its laser points (confocally, and their pixels), or for several copies of them."""
+    points = LaserPoints(**{f.name: getattr(task.points, f.name)[lasers] for f in fields(task.points)})
+    sensor, cones, patches, sight = task.capture.sensor, task.cones, task.patches, task.sight
+    if task.capture.pairing == "confocal":
         sensor = Sensor(sensor.position, sensor.pixels[lasers], sensor.aperture_radius_m, sensor.finite_aperture)
         cones, patches, sight = cones.take(lasers), patches.take(lasers), sight.take(lasers)
-    laser = Laser(job.capture.laser.position, job.capture.laser.targets[lasers])
-    capture = Capture(laser, sensor, job.capture.time, job.capture.pairing)
-    return replace(job, capture=capture, cones=cones, patches=patches, points=points, sight=sight)
+    laser = Laser(task.capture.laser.position, task.capture.laser.targets[lasers])
+    capture = Capture(laser, sensor, task.capture.time, task.capture.pairing)
+    return replace(task, capture=capture, cones=cones, patches=patches, points=points, sight=sight)
 
 
 def trace_chunk(
-    job: Job, chunk: NDArray[np.int64], pool: FovPool, count: int, streams: Streams
+    task: WalkTask, chunk: NDArray[np.int64], pool: FovPool, count: int, streams: Streams
 ) -> tuple[Tally, Work]:
     """The light from a run of consecutive laser points, and the work of finding it.
 
-    streams : the random numbers of each of the job's laser points. pool : as many sets of FoV points as the run has
-    scramblings, in the order of their first laser points; confocally one, with each laser point's own pixel.
+    streams : the random numbers of each of the task's laser points. pool : as many sets of FoV points as the run has
+    replicates, in the order of their first laser points; confocally one, with each laser point's own pixel.
     """
-    receiver = _receiver(job, chunk, pool, streams)
-    asked, last = job.splits.components, job.last_order
+    receiver = _receiver(task, chunk, pool, streams)
+    asked, last = task.splits.components, task.last_order
     rays, connections = 0, 0
-    per_vertex = job.accuracy.fov_samples * (1 if receiver.rows.confocal else receiver.rows.pixels)
+    per_vertex = task.accuracy.fov_samples * (1 if receiver.rows.confocal else receiver.rows.pixels)
     if "direct" in asked:
-        _add_direct(job, receiver, chunk, count, streams)
+        _add_direct(task, receiver, chunk, count, streams)
         rays += count * len(chunk)
         connections += count * len(chunk) * per_vertex
     if asked == ("direct",):
         return receiver.tally, Work(rays, connections, receiver.tally.histogram.size)
     vertices = draw_lookins(
-        job.caster, job.scene, job.materials, job.points, chunk, count, job.target, streams,
+        task.caster, task.scene, task.materials, task.points, chunk, count, task.target, streams,
         SOBOL_STEPS + 1 if last is None else last - 2,
     )  # fmt: skip
     rays += count * len(chunk)
-    axis = job.capture.time
+    axis = task.capture.time
     window_end_m = max(float(path_from_time(axis.start_s + axis.bins * axis.width_s)), 1e-9)
     order = 3
     while len(vertices):
         numbers = vertices.numbers(order - 3)
-        name = component_of(order)
+        name = _component_of(order)
         joined = np.arange(len(vertices)) if name in asked else np.empty(0, np.int64)
         if order == 4:
-            joined = joined[job.walked[vertices.part[joined]]]
+            joined = joined[task.walked[vertices.part[joined]]]
         if len(joined):
-            split_of_part = job.splits.of_part(order)
+            split_of_part = task.splits.of_part(order)
             receiver.connect(vertices.take(joined), numbers[joined, 0], split_of_part)
             connections += len(joined) * per_vertex
         if order == last:
             joined = joined[receiver.near(vertices.take(joined))]
             vertices, numbers, joined = vertices.take(joined), numbers[joined], np.arange(len(joined))
-        hits, directions, throughput = scattered_rays(job.caster, job.materials, vertices, numbers)
+        hits, directions, throughput = scattered_rays(task.caster, task.materials, vertices, numbers)
         rays += len(vertices)
         if len(joined):
             receiver.follow(
@@ -203,54 +208,54 @@ def trace_chunk(
             )
             survival = np.clip(throughput * stays, SURVIVAL_AT_LEAST, 1.0)
             throughput = np.where(numbers[:, 3] < survival, throughput / survival, 0.0)
-        vertices = continued(job.scene, vertices, hits, directions, throughput)
+        vertices = continued(task.scene, vertices, hits, directions, throughput)
         order += 1
     return receiver.tally, Work(rays, connections, receiver.tally.histogram.size, 1 + cost.ORDER_CALL * (order - 3))
 
 
-def _add_direct(job: Job, receiver: Receiver, chunk: NDArray[np.int64], count: int, streams: Streams) -> None:
+def _add_direct(task: WalkTask, receiver: Receiver, chunk: NDArray[np.int64], count: int, streams: Streams) -> None:
     """One bounce: the laser point seen by a pixel. Two: a surface in the FoV that the laser point lights."""
-    split_of_part = job.splits.of_part(2)
-    receiver.spots(job.points, chunk, int(split_of_part[0]))
-    spots = spot_vertices(job.points, chunk, count, streams, job.scene.attenuation_per_m)
-    numbers = spots.numbers(0)
-    receiver.connect(spots, numbers[:, 0], split_of_part)
-    near = receiver.near(spots)
-    spots, numbers = spots.take(near), numbers[near]
-    hits, directions, throughput = scattered_rays(job.caster, job.materials, spots, numbers)
-    receiver.follow(spots, hits, directions, throughput, split_of_part)
+    split_of_part = task.splits.of_part(2)
+    receiver.add_laser_points(task.points, chunk, int(split_of_part[0]))
+    vertices = laser_point_vertices(task.points, chunk, count, streams, task.scene.attenuation_per_m)
+    numbers = vertices.numbers(0)
+    receiver.connect(vertices, numbers[:, 0], split_of_part)
+    near = receiver.near(vertices)
+    vertices, numbers = vertices.take(near), numbers[near]
+    hits, directions, throughput = scattered_rays(task.caster, task.materials, vertices, numbers)
+    receiver.follow(vertices, hits, directions, throughput, split_of_part)
 
 
-def _receiver(job: Job, chunk: NDArray[np.int64], pool: FovPool, streams: Streams) -> Receiver:
-    _, pixels, bins = job.capture.shape
-    confocal = job.capture.pairing == "confocal"
-    axis = job.capture.time
+def _receiver(task: WalkTask, chunk: NDArray[np.int64], pool: FovPool, streams: Streams) -> Receiver:
+    _, pixels, bins = task.capture.shape
+    confocal = task.capture.pairing == "confocal"
+    axis = task.capture.time
     seen = chunk if confocal else np.arange(pixels)
-    device_leg = job.points.leg[chunk] if axis.origin == "source" else np.full(len(chunk), -1.0)
-    rows = len(chunk) * pixels * job.splits.count
-    pool_set = None if pool.sets == 1 else np.unique(streams.scrambling[chunk], return_inverse=True)[1]
+    device_leg = task.points.leg[chunk] if axis.origin == "source" else np.full(len(chunk), -1.0)
+    rows = len(chunk) * pixels * task.splits.count
+    pool_set = None if pool.sets == 1 else np.unique(streams.replicate[chunk], return_inverse=True)[1]
     return Receiver(
-        job.caster, job.scene, job.materials, job.capture.sensor, pool, job.cones.take(seen), job.patches.take(seen),
-        job.accuracy.fov_samples,
+        task.caster, task.scene, task.materials, task.capture.sensor, pool, task.cones.take(seen),
+        task.patches.take(seen), task.accuracy.fov_samples,
         Clock(1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s, device_leg),
-        Rows(int(chunk[0]), confocal, pixels, job.splits.count),
-        Tally(np.zeros((rows, bins)), np.zeros(rows)), job.sight, pool_set,
+        Rows(int(chunk[0]), confocal, pixels, task.splits.count),
+        Tally(np.zeros((rows, bins)), np.zeros(rows)), task.sight, pool_set,
     )  # fmt: skip
 
 
-def blocks_for(job: Job, pixels: NDArray[np.int64], count: int) -> int:
+def blocks_for(task: WalkTask, pixels: NDArray[np.int64], count: int) -> int:
     """Enough blocks of FoV points for what varies across the pixel, never more than lookins to use them or memory to
     hold them; a power of two, so that they cover the pixel evenly."""
-    samples = job.accuracy.fov_samples
-    across = job.patch_detail(pixels)
+    samples = task.accuracy.fov_samples
+    across = task.patch_detail(pixels)
     useful = 64 * (1 + across) ** 2 / samples
     affordable = FOV_POINTS_PER_POOL / (len(pixels) * samples)
     return 1 << max(0, int(min(count, affordable, useful)).bit_length() - 1)
 
 
-def pool_for(job: Job, pixels: NDArray[np.int64], blocks: int, streams: Streams) -> FovPool:
+def pool_for(task: WalkTask, pixels: NDArray[np.int64], blocks: int, streams: Streams) -> FovPool:
     """So many blocks of FoV points for each of `pixels`, which may repeat; `streams` has a row for each."""
     return fov_pool(
-        job.caster, job.scene, job.capture.sensor, job.cones, pixels, job.accuracy.fov_samples, blocks,
+        task.caster, task.scene, task.capture.sensor, task.cones, pixels, task.accuracy.fov_samples, blocks,
         streams.seeds(FOV_STREAM, np.arange(len(pixels))),
     )  # fmt: skip

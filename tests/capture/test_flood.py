@@ -58,7 +58,7 @@ def test_first_return_converges_at_second_order_to_its_integral(scene: Scene) ->
     errors = []
     for points in (4, 8, 16):
         capture = captured(points, scene)
-        found = dg.simulate(scene, capture, dg.Accuracy(lookins=1, scramblings=1, direct=True)).components["direct"]
+        found = dg.simulate(scene, capture, dg.Accuracy(lookins=1, replicates=1, direct=True)).components["direct"]
         truth = np.array([direct_of(zone, capture) for zone in capture.sensor.pixels])
         errors.append(np.abs(found.sum(axis=-1)[0] / truth - 1).max())
     assert errors[2] < 2e-4
@@ -68,7 +68,7 @@ def test_first_return_converges_at_second_order_to_its_integral(scene: Scene) ->
 
 def test_a_flood_is_the_mean_of_its_points(scene: Scene) -> None:
     capture = captured(4, scene)
-    accuracy = dg.Accuracy(lookins=32, fov_samples=2, direct=True, scramblings=4, max_bounces=4)
+    accuracy = dg.Accuracy(lookins=32, fov_samples=2, direct=True, replicates=4, max_bounces=4)
     once = dg.simulate(scene, capture, accuracy, seed=3)
     points = dg.simulate(scene, replace(capture, illumination="scan"), accuracy, seed=3)
     assert once.total.shape == capture.shape == (1, 16, 256)
@@ -122,7 +122,7 @@ def test_what_makes_no_flood_is_refused(scene: Scene) -> None:
 def test_built_verified_and_simulated_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("datagen.building.build.started", here)
     values = flood(4).model_dump(mode="json") | {"scenes": 1}
-    values["transport"] = {"lookins": 8, "scramblings": 2, "direct": True}
+    values["transport"] = {"lookins": 8, "replicates": 2, "direct": True}
     values["store"]["fields"] = ["histogram", "transient"]
     dg.build(config_from_mapping(values), tmp_path / "set", progress=False)
     assert verify(tmp_path / "set").problems == ()

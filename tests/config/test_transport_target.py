@@ -27,7 +27,7 @@ def configured(**transport: object) -> DatasetConfig:
     return config_from_mapping({**SMALL, "transport": transport})
 
 
-@pytest.mark.parametrize("name", ["lookins", "fov_samples", "scramblings", "observed"])
+@pytest.mark.parametrize("name", ["lookins", "fov_samples", "replicates", "observed"])
 def test_counts_beside_a_target_are_refused_even_at_their_defaults(name: str) -> None:
     with pytest.raises(InputError, match=name) as error:
         configured(target=0.1, **{name: 64})

@@ -39,7 +39,7 @@ def never(*arguments: object, **named: object) -> Any:
 def small(**sections: object) -> DatasetConfig:
     given: dict[str, Any] = {
         "capture": {"scan": {"kind": "grid", "rows": 3, "columns": 3}, "time": {"bins": 64, "bin_width_ps": 400}},
-        "transport": {"lookins": 256, "fov_samples": 1, "scramblings": 1, "max_bounces": 5, "direct": True},
+        "transport": {"lookins": 256, "fov_samples": 1, "replicates": 1, "max_bounces": 5, "direct": True},
         "detector": {"mode": "synchronous", "afterpulse_probability": 0.05, "photons_per_pulse": 1e6, "cycles": 1000},
         "store": {"fields": ["histogram", "transient"]},
     }
@@ -60,7 +60,7 @@ def world_of(config: DatasetConfig) -> tuple[Any, Any, Any]:
 
 def test_direct_return_off_is_not_called(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, capture, accuracy = world_of(small())
-    target = "datagen.transport.connections.Receiver.spots"
+    target = "datagen.transport.connections.Receiver.add_laser_points"
     for setting in ("off", "on"):
         settings = EVERYTHING.model_copy(update={"direct_return": setting})
         plan = plan_transport_effects(scene, capture, accuracy, settings)

@@ -44,7 +44,7 @@ def capture(pairing: str = "exhaustive", time: TimeAxis = AXIS) -> Capture:
 
 
 def accuracy(max_bounces: int | None = 3, direct: bool = False) -> Accuracy:
-    return Accuracy(lookins=131072, fov_samples=2, scramblings=2, max_bounces=max_bounces, direct=direct)
+    return Accuracy(lookins=131072, fov_samples=2, replicates=2, max_bounces=max_bounces, direct=direct)
 
 
 def painted(scene: Scene, **materials: Material) -> Scene:
@@ -160,7 +160,7 @@ def test_dark_scene_is_simulated_in_full() -> None:
 
 def test_small_transports_are_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("datagen.effects.transport_world.run_pilot", _never)
-    few = Accuracy(lookins=64, fov_samples=1, scramblings=1, max_bounces=4)
+    few = Accuracy(lookins=64, fov_samples=1, replicates=1, max_bounces=4)
     plan = planned(furnished_box(), capture(), few)
     assert plan["secondary_bounce"].simulated
     assert "cost" in plan["secondary_bounce"].reason
@@ -200,7 +200,7 @@ def test_both_runs_of_a_pilot_are_independent(how: str) -> None:
 
 
 def test_proofs_of_clear_sight_are_tried_where_each_stands_for_many_rays() -> None:
-    scene, wanted = furnished_box(), Accuracy(lookins=32768, fov_samples=2, scramblings=2, max_bounces=3)
+    scene, wanted = furnished_box(), Accuracy(lookins=32768, fov_samples=2, replicates=2, max_bounces=3)
     for pairing, tried in (("confocal", "on"), ("exhaustive", "auto")):
         looked = capture(pairing)
         _, applied = planned(scene, looked, wanted).apply_transport(scene, looked, wanted)

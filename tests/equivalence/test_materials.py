@@ -253,7 +253,7 @@ def test_reciprocity_of_the_transient() -> None:
     e = [r.total[0, 0] / s for r, s in zip((there, back), solid, strict=True)]
     sigma = np.hypot(there.stderr[0, 0] / solid[0], back.stderr[0, 0] / solid[1])
     filled = e[0] > 1e-3 * e[0].max()
-    # Two estimates of 16 scramblings each: about 30 degrees of freedom, Bonferroni over the bins at 10⁻³.
+    # Two estimates of 16 replicates each: about 30 degrees of freedom, Bonferroni over the bins at 10⁻³.
     assert (np.abs(e[0] - e[1])[filled] / sigma[filled]).max() < stats.t.isf(0.5e-3 / filled.sum(), 30)
 
 

@@ -6,17 +6,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+import secondary_by_walk
 import trimesh
 from numpy.typing import NDArray
+from physics.lobe_sphere import values_along
+from physics.sphere_chords import QUAD, SPOT, WIDTH_M, stored
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
+from secondary_by_walk import PLACES, RUNS, coarse, walked
 
-from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen import Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.bench.paper_case import demonstration_capture, demonstration_room
 from datagen.errors import InputError
 from datagen.records.materials import Phong
-from datagen.transport import convolution, secondary
-from datagen.transport.brdf import MaterialTable, evaluate
+from datagen.transport.brdf import MaterialTable
+from datagen.transport.factorised import convolution, secondary
 from datagen.transport.factorised.convolution import Histograms, Paths, Sums
 from datagen.transport.fov import PixelCones, PixelPatches, fov_pool
 from datagen.transport.raycast import Raycaster
@@ -28,7 +32,7 @@ DEVICE = (1.5, 0.1, 1.3)
 
 def secondary_of(scene: Scene, capture: Capture, **changes: Any) -> secondary.SecondaryEstimate:
     settings: dict[str, Any] = {
-        "lookins": 256, "observed": 64, "fov_samples": 32, "scramblings": 1, "strongest": None, "seed": 0,
+        "lookins": 256, "observed": 64, "fov_samples": 32, "replicates": 1, "strongest": None, "seed": 0,
     } | changes  # fmt: skip
     caster, cones = Raycaster(scene), PixelCones.of(capture.sensor)
     points = LaserPoints.of(caster, scene, capture.laser)
@@ -135,8 +139,7 @@ def in_a_ball(albedo: float) -> tuple[Scene, Capture, float]:
     mesh = trimesh.creation.icosphere(subdivisions=5)
     mesh.apply_scale(np.sqrt(4 * np.pi / mesh.area))
     scene = Scene.from_parts([Part("sphere", mesh, Lambertian(albedo), "structure")])
-    quad = np.array([[[0.1, -0.5, -1], [0.5, 0.3, -1], [0, 0.5, -1], [-0.4, -0.2, -1.0]]])
-    capture = Capture(Laser((0, 0, 0.0), [[1.0, 0.1, 0.2]]), Sensor((0, 0, 0.0), quad), bins_of_path(60, 0.1, 0.0))
+    capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(60, WIDTH_M, 0.0))
     omega = PixelCones.of(capture.sensor).solid_angle[0]
     return scene, capture, albedo**4 / np.pi * np.pi * 0.02**2 * omega / (4 * np.pi)
 
@@ -145,7 +148,7 @@ def in_a_ball(albedo: float) -> tuple[Scene, Capture, float]:
 def test_inside_of_a_sphere_energy(albedo: float) -> None:
     """L = ρ⁴/π · A Ω / (4π r²)."""
     scene, capture, expected = in_a_ball(albedo)
-    estimate = secondary_of(scene, capture, lookins=8192, observed=64, scramblings=2)
+    estimate = secondary_of(scene, capture, lookins=8192, observed=64, replicates=2)
     assert estimate.mean.sum() + estimate.overflow.sum() == pytest.approx(expected, rel=1e-3)
 
 
@@ -153,67 +156,42 @@ def test_inside_of_a_sphere_shape() -> None:
     """Three chords through uniform points, by bin: 16 runs, Student's t, family-wise level 10⁻³ over the bins."""
     scene, capture, expected = in_a_ball(0.8)
     runs = np.array([secondary_of(scene, capture, lookins=512, seed=s).mean[0, 0] for s in range(16)])
-    truth = shape_of_three_chords(np.random.default_rng(5), capture, 0.1) * expected
+    truth, truth_error = (expected * values[:60] for values in stored().of(4))
     mean, error = runs.mean(axis=0), runs.std(axis=0, ddof=1) / 4
     filled = truth > 1e-3 * truth.max()
-    error = np.hypot(error, np.sqrt(truth * expected / 1_000_000))
+    error = np.hypot(error, truth_error)
     t = np.abs(mean - truth)[filled] / error[filled]
     assert t.max() < stats.t.ppf(1 - 0.5e-3 / filled.sum(), 15)
 
 
-def shape_of_three_chords(rng: np.random.Generator, capture: Capture, width_m: float) -> NDArray[np.float64]:
-    """Share of energy per bin from a million chains of two uniform points between laser point and FoV."""
-    n = 1_000_000
-    a, b, c, d = capture.sensor.pixels[0]
-    u, v = rng.random((2, n, 1))
-    end = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
-    along_u, along_v = (1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b)
-    weight = np.abs(np.einsum("ij,ij->i", end, np.cross(along_u, along_v))) / np.linalg.norm(end, axis=1) ** 3
-    end /= np.linalg.norm(end, axis=1, keepdims=True)
-    spot = capture.laser.targets[0] / np.linalg.norm(capture.laser.targets[0])
-    one, two = rng.normal(size=(2, n, 3))
-    one /= np.linalg.norm(one, axis=1, keepdims=True)
-    two /= np.linalg.norm(two, axis=1, keepdims=True)
-    path = sum(np.linalg.norm(x - y, axis=1) for x, y in ((spot, one), (one, two), (two, end)))
-    position = path / width_m - 0.5
-    low = np.floor(position).astype(int)
-    shape = np.bincount(low + 1, weight * (1 - position + low), 80) + np.bincount(
-        low + 2, weight * (position - low), 80
-    )
-    return shape[1:61] / weight.sum()
-
-
-CORNERS = {
-    "open wall": one_point_capture(),
-    "1 mm from two walls": one_point_capture((0, -1.499, 0.001)),
-    "FoV in the same corner": one_point_capture((0, -1.499, 0.001), (0, -1.3, 0.2), 0.2),
-    "confocal at an object": one_point_capture((0, 1.45, 2.45), (0, 1.4, 2.4), 0.1),
-}
-
-
-@pytest.mark.parametrize("place", CORNERS)
+@pytest.mark.parametrize("place", PLACES)
 def test_agrees_with_the_walk(place: str) -> None:
     """8 runs of each: energy and every filled bin, Student's t with 7 degrees at least, family-wise level 10⁻³."""
-    scene, capture = furnished_box(), CORNERS[place]
-    ours = np.array([secondary_of(scene, capture, lookins=1024, seed=s).mean[0, 0] for s in range(8)])
-    walk = np.array(
-        [
-            simulate(scene, capture, Accuracy(1 << 14, 16, 4, 1), seed=s).components["secondary"][0, 0]
-            for s in range(8)
-        ]
-    )
-    # Bins of 0.5 m, so that each holds many paths of every run and its spread is near normal.
-    ours, walk = (np.column_stack([x.reshape(8, 40, 5).sum(axis=2), x.sum(axis=1)]) for x in (ours, walk))
-    error = np.sqrt((ours.var(axis=0, ddof=1) + walk.var(axis=0, ddof=1)) / 8)
+    runs = [secondary_of(furnished_box(), PLACES[place], lookins=1024, seed=s).mean[0, 0] for s in range(8)]
+    ours, walk = coarse(np.array(runs)), secondary_by_walk.stored(place)
+    worst, limit, error = compared(ours, walk)
+    assert worst < limit
+    assert error < 0.02 * walk.mean(axis=0)[-1]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("place", PLACES)
+def test_the_stored_walks_are_those_of_other_seeds(place: str) -> None:
+    worst, limit, _ = compared(walked(place, range(100, 100 + RUNS)), secondary_by_walk.stored(place))
+    assert worst < limit
+
+
+def compared(ours: NDArray[np.float64], walk: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Largest t over the filled bins and the sum, what it may be at 10⁻³ over all of them, and the sum's error."""
+    error = np.sqrt(ours.var(axis=0, ddof=1) / len(ours) + walk.var(axis=0, ddof=1) / len(walk))
     filled = walk.mean(axis=0) > 3e-3 * walk.mean(axis=0)[:-1].max()
     t = np.abs(ours.mean(axis=0) - walk.mean(axis=0))[filled] / error[filled]
-    assert t.max() < stats.t.ppf(1 - 0.5e-3 / filled.sum(), 7)
-    assert error[-1] < 0.02 * walk.mean(axis=0)[-1]
+    return float(t.max()), float(stats.t.ppf(1 - 0.5e-3 / filled.sum(), 7)), float(error[-1])
 
 
 def test_one_sample_is_unbiased_and_bounded() -> None:
     """1 lookin, 1 observed point, 1 FoV point, laser point 1 mm from a corner: no sample rules the mean."""
-    scene, capture = furnished_box(), CORNERS["1 mm from two walls"]
+    scene, capture = furnished_box(), PLACES["1 mm from two walls"]
     truth = energies([secondary_of(scene, capture, lookins=1 << 13, seed=9)])[0]
     ones = energies([secondary_of(scene, capture, lookins=1, observed=1, fov_samples=1, seed=s) for s in range(300)])
     assert abs(ones.mean() - truth) < stats.norm.ppf(1 - 0.5e-3) * ones.std(ddof=1) / np.sqrt(len(ones))
@@ -319,25 +297,15 @@ def walk_by_third_vertex(scene: Scene, capture: Capture, carriers: NDArray[np.bo
         span = pool.position[0, q] - b.position
         square = (span**2).sum(axis=1)
         cosines = np.einsum("nk,nk->n", span, b.normal) * -np.einsum("nk,nk->n", span, pool.normal[0, q])
-        f4 = np.array(
-            [
-                _evaluate(materials, int(part), normal, -d / np.linalg.norm(d), to_sensor)
-                for part, normal, d, to_sensor in zip(
-                    pool.part[0, q], pool.normal[0, q], span, pool.to_sensor[0, q], strict=True
-                )
-            ]
-        )
+        # The field of view is flat, of one material.
+        k, toward = pool.part[0, 0], -span / np.sqrt(square)[:, None]
+        f4 = values_along(materials.kind[k], materials.values[k], pool.normal[0, 0], toward, pool.to_sensor[0, q])[0]
         lifted = b.position + caster.offset_m * b.normal
         seen = ~caster.occluded(lifted, pool.position[0, q] + caster.offset_m * pool.normal[0, q])
         form = np.maximum(cosines, 0.0) / square**2 * seen
         f3 = materials.values[b.part, 0] / np.pi
         out.append((b.power * f3 * form * f4 * pool.weight[0, q]).sum())
     return np.array(out)
-
-
-def _evaluate(materials: MaterialTable, part: int, *vectors: NDArray[np.float64]) -> float:
-    n, w_in, w_out = (tuple(float(x) for x in vector) for vector in vectors)
-    return float(evaluate(materials.kind[part], materials.values[part], n, w_in, w_out))
 
 
 def test_attenuation_dims_each_bin_by_its_path() -> None:
@@ -353,7 +321,7 @@ def test_attenuation_dims_each_bin_by_its_path() -> None:
 
 def test_standard_error_is_that_of_repeated_runs() -> None:
     scene, capture = furnished_box(), one_point_capture()
-    estimates = [secondary_of(scene, capture, scramblings=8, seed=s) for s in range(12)]
+    estimates = [secondary_of(scene, capture, replicates=8, seed=s) for s in range(12)]
     means = np.array([e.mean[0, 0] for e in estimates])
     filled = means.mean(axis=0) > 0.05 * means.mean(axis=0).max()
     claimed = np.sqrt(np.mean([e.stderr[0, 0, filled] ** 2 for e in estimates], axis=0))

@@ -26,10 +26,10 @@ def assert_lawful(case: Case, result: Transient) -> None:
         assert values.shape == (shape[:2] if name == "overflow" else shape), name
         assert np.isfinite(values).all(), f"{name}: not finite"
         assert (values >= 0).all(), f"{name}: negative, {values.min():g}"
-    if min(accuracy.scramblings, accuracy.lookins) > 1:
+    if min(accuracy.replicates, accuracy.lookins) > 1:
         assert np.isfinite(result.stderr).all() and (result.stderr >= 0).all(), "standard error"
     else:
-        assert np.isnan(result.stderr).all(), "one scrambling knows no standard error"
+        assert np.isnan(result.stderr).all(), "one replicate knows no standard error"
     _adds_up(result.total, result.components.values(), "components")
     if result.parts:
         _adds_up(result.components["primary"], result.parts.values(), "parts")
@@ -62,7 +62,7 @@ def _bounded(case: Case, result: Transient) -> None:
     orders = range(1 if accuracy.direct else 3, (last or 200) + 1)
     share = sum(albedo ** (b - 1) for b in orders) * into_aperture
     found = energy(result)
-    if min(accuracy.scramblings, accuracy.lookins) >= 8 and accuracy.lookins >= 64:
+    if min(accuracy.replicates, accuracy.lookins) >= 8 and accuracy.lookins >= 64:
         # The errors of all bins added: more than the error of their sum.
         allowed = share * (1 + 1e-6) + 10 * result.stderr.sum(axis=2)
         # What lies beyond the window has no standard error.

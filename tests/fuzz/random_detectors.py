@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from hypothesis import strategies as st
+from fuzz_profile import st
 from numpy.typing import NDArray
 
 from datagen import Exposure, Spad, TimeAxis

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
-from hypothesis import strategies as st
+from fuzz_profile import st
 from rooms import rectangle
 
 from datagen import (
@@ -174,7 +174,7 @@ def accuracies(draw: st.DrawFn, *, counts: bool = False) -> Accuracy:
         lookins=draw(st.sampled_from([1, 2, 5, 64, 256])),
         fov_samples=draw(st.sampled_from([1, 2, 5])),
         max_bounces=draw(st.sampled_from([3, 4, 4, 5, 8, None])),
-        scramblings=draw(st.sampled_from([1, 2, 8])),
+        replicates=draw(st.sampled_from([1, 2, 8])),
         direct=draw(st.booleans()),
         observed=observed,
         secondary=draw(st.sampled_from(secondary)),

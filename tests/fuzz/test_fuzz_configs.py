@@ -6,9 +6,7 @@ import copy
 from pathlib import Path
 from typing import Any
 
-from fuzz_profile import cases_tried
-from hypothesis import given
-from hypothesis import strategies as st
+from fuzz_profile import fuzzed, st
 
 from datagen.config import config_from_mapping
 from datagen.config.yaml_text import parse_yaml
@@ -78,14 +76,12 @@ def refusal(call: Any, *arguments: Any) -> InputError | None:
     return None
 
 
-@cases_tried(300, 3000)
-@given(mutated())
+@fuzzed(300, 3000, mutated())
 def test_mistakes_are_told_in_one_line(values: dict[str, Any]) -> None:
     refusal(config_from_mapping, values, "config.yaml")
 
 
-@cases_tried(12, 150)
-@given(mutated())
+@fuzzed(12, 150, mutated())
 def test_what_is_read_can_be_checked_against_a_scene(values: dict[str, Any]) -> None:
     """`plan` and `build` begin with `check_inputs`: a trial room, its capture, its detector."""
     if refusal(config_from_mapping, values, "config.yaml") is None:

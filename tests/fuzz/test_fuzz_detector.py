@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fuzz_profile import NIGHTLY, cases_tried
-from hypothesis import assume, given
+from fuzz_profile import NIGHTLY, assume, fuzzed
 from random_detectors import Measurement, measurements
 from scipy import stats
 
@@ -35,8 +34,7 @@ def drawn(m: Measurement, seed: int = 0, **kwargs: float) -> np.ndarray:
     return detect(m.transient, m.time, m.spad, m.exposure, seed=m.seed + seed, **kwargs)  # type: ignore[arg-type]
 
 
-@cases_tried(30, 700)
-@given(measurements())
+@fuzzed(30, 700, measurements())
 def test_every_histogram_obeys_the_laws(m: Measurement) -> None:
     plan = planned(m)
     counts = drawn(m)
@@ -76,8 +74,7 @@ def plan_is_poisson(m: Measurement) -> bool:
     return "poisson" in plan_detector(m.transient, m.time, m.spad, m.exposure).histograms
 
 
-@cases_tried(MEAN_CASES, MEAN_CASES)
-@given(measurements())
+@fuzzed(MEAN_CASES, MEAN_CASES, measurements())
 def test_counts_have_the_expected_mean(m: Measurement) -> None:
     """Repeated draws against the exact mean: the total, and four groups of bins; Student's t at FAMILY_LEVEL.
 

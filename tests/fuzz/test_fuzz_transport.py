@@ -7,9 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fuzz_profile import NIGHTLY, cases_tried
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from fuzz_profile import NIGHTLY, assume, fuzzed, st
 from light_laws import ROUNDING, assert_lawful, energy, simulated
 from random_light import Case, cases, points, resized, rewindowed, scenes, seeds
 from scipy import stats
@@ -34,8 +32,7 @@ def simulated_or_refused(case: Case) -> Transient:
         raise
 
 
-@cases_tried(100, 900)
-@given(cases())
+@fuzzed(100, 900, cases())
 def test_every_transient_obeys_the_laws(case: Case) -> None:
     result = simulated_or_refused(case)
     assert_lawful(case, result)
@@ -45,8 +42,7 @@ def test_every_transient_obeys_the_laws(case: Case) -> None:
     assert result.overflow.tobytes() == again.overflow.tobytes()
 
 
-@cases_tried(20, 200)
-@given(cases(counts=True), st.integers(-8, 10))
+@fuzzed(20, 200, cases(counts=True), st.integers(-8, 10))
 def test_a_scene_twice_as_large_is_the_same_to_the_last_bit(case: Case, exponent: int) -> None:
     """Energy × 4⁻ᵏ, times × 2ᵏ; powers of two round alike, so nothing else may depend on the unit of length."""
     sensor = replace_aperture(case.capture.sensor)
@@ -62,8 +58,7 @@ def replace_aperture(sensor: Sensor) -> Sensor:
     return Sensor(sensor.position, sensor.pixels, sensor.aperture_radius_m)
 
 
-@cases_tried(20, 200)
-@given(cases(counts=True), st.sampled_from([1, 3, 50]), st.sampled_from([-2.0, 0.0, 0.5, 3.0, 20.0, 1e4]))
+@fuzzed(20, 200, cases(counts=True), st.sampled_from([1, 3, 50]), st.sampled_from([-2.0, 0.0, 0.5, 3.0, 20.0, 1e4]))
 def test_no_energy_is_lost_or_made_by_the_window(case: Case, bins: int, start_m: float) -> None:
     """What is in no bin is in the overflow: their sum is the same for every window."""
     result = simulated_or_refused(case)
@@ -72,8 +67,7 @@ def test_no_energy_is_lost_or_made_by_the_window(case: Case, bins: int, start_m:
     np.testing.assert_allclose(windowed, whole, rtol=ROUNDING, atol=ROUNDING * whole.max(initial=0.0))
 
 
-@cases_tried(40, 200)
-@given(cases(counts=True))
+@fuzzed(40, 200, cases(counts=True))
 def test_what_is_proven_clear_is_clear(case: Case) -> None:
     """With proofs in the place of shadow rays the transient is the same, but for the order of summation."""
     result = simulated_or_refused(replace(case, accuracy=replace(case.accuracy, occlusion="auto")))
@@ -83,14 +77,22 @@ def test_what_is_proven_clear_is_clear(case: Case) -> None:
         np.testing.assert_allclose(values, asked.components[name], rtol=ROUNDING, atol=level, err_msg=name)
 
 
-@cases_tried(RECIPROCITY_CASES, RECIPROCITY_CASES)
-@given(scenes(smooth=True), points, points, points, st.sampled_from([None, 16]), seeds)
+@fuzzed(
+    RECIPROCITY_CASES,
+    RECIPROCITY_CASES,
+    scenes(smooth=True),
+    points,
+    points,
+    points,
+    st.sampled_from([None, 16]),
+    seeds,
+)
 def test_laser_point_and_field_of_view_may_be_swapped(
     scene: object, eye: tuple, one: tuple, other: tuple, observed: int | None, seed: int
 ) -> None:
     """Per solid angle the energy between two points is the same both ways, whatever the materials.
 
-    Student's t of 16 scramblings each, at FAMILY_LEVEL over all cases; a case beyond it is decided by 32 times the
+    Student's t of 16 replicates each, at FAMILY_LEVEL over all cases; a case beyond it is decided by 32 times the
     samples, as rare bright paths make the first estimate's own error too small.
     """
     device, a, b = (np.array(p) + shift for p, shift in ((eye, 0.0371), (one, 0.0513), (other, -0.0419)))

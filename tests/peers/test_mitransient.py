@@ -58,7 +58,7 @@ def room_capture() -> Capture:
 def ours_in_room(bounces: int) -> NDArray[np.float64]:
     """(run, component, pixel, bin): the primary, then the secondary if asked for."""
     capture = room_capture()
-    accuracy = Accuracy(lookins=1 << 15, fov_samples=1, max_bounces=bounces, scramblings=1)
+    accuracy = Accuracy(lookins=1 << 15, fov_samples=1, max_bounces=bounces, replicates=1)
     names = ("primary", "secondary")[: bounces - 2]
     runs = [simulate(room(), capture, accuracy, seed=seed, split_parts=False) for seed in range(RUNS)]
     return np.array([[photons_to_radiance(run.components[name], capture)[0] for name in names] for run in runs])
@@ -126,7 +126,7 @@ def test_three_and_four_bounces_in_a_furnished_room() -> None:
     compare("4 bounces alone", ours[:, 1], both - three, energy_tolerance=1e-2, largest_noise=0.1)
     # The same light by the factorised sum: its convolution in time takes every arriving path with every leaving one.
     capture = room_capture()
-    accuracy = Accuracy(lookins=4096, fov_samples=1, max_bounces=4, scramblings=1, observed=256)
+    accuracy = Accuracy(lookins=4096, fov_samples=1, max_bounces=4, replicates=1, observed=256)
     whole = [simulate(room(), capture, accuracy, seed, split_parts=False) for seed in range(RUNS)]
     factorised = np.array([photons_to_radiance(run.components["secondary"], capture)[0] for run in whole])
     compare("4 bounces, factorised", factorised, both - three, energy_tolerance=1e-2, largest_noise=0.1)
@@ -148,7 +148,7 @@ def test_confocal_plate_three_ways() -> None:
     peer = MitransientPeer(scene, "wall", scan, device, None, 4, 4, axis, bounces=3, aim_at_hidden=True)
     theirs = np.array([peer.render(1 << 14, seed=run) for run in range(RUNS)])
     capture = point_capture(scan, points, device, points, axis, confocal=True)
-    accuracy = Accuracy(lookins=1 << 14, fov_samples=1, max_bounces=3, scramblings=1)
+    accuracy = Accuracy(lookins=1 << 14, fov_samples=1, max_bounces=3, replicates=1)
     ours = np.array(
         [
             photons_to_radiance(simulate(scene, capture, accuracy, s, split_parts=False).total, capture)[:, 0]

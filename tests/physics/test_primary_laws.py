@@ -169,10 +169,20 @@ def corner_quadrature(gap: float, half: float, radii: int, angles: int, ys: int,
     return total
 
 
+CORNER_GAP, CORNER_HALF = 1e-3, 0.05
+CORNER_QUADRATURE = 0.3089204724
+"""`corner_quadrature` of these, of 240 × 160 × 96 × 64 points."""
+
+
+@pytest.mark.parametrize("points", [(120, 80, 48, 32), pytest.param((240, 160, 96, 64), marks=pytest.mark.nightly)])
+def test_the_quadrature_of_the_corner_has_converged(points: tuple[int, ...]) -> None:
+    assert corner_quadrature(CORNER_GAP, CORNER_HALF, *points) == pytest.approx(CORNER_QUADRATURE, rel=5e-4)
+
+
 def test_surfaces_that_touch_converge_and_stay_bounded() -> None:
     """FoV and laser point a millimetre above the floor: 1/R² is unbounded there, the estimate is not."""
-    scene, gap, half = corner_scene(), 1e-3, 0.05
-    truth = 0.8 * 0.6 * 0.8 / np.pi**3 * np.pi * 0.02**2 * corner_quadrature(gap, half, 240, 160, 96, 64)
+    scene, gap, half = corner_scene(), CORNER_GAP, CORNER_HALF
+    truth = 0.8 * 0.6 * 0.8 / np.pi**3 * np.pi * 0.02**2 * CORNER_QUADRATURE
 
     def energy(lookins: int, points: int, seed: int) -> float:
         result = simulate(scene, corner_capture(gap, half), Accuracy(lookins, points, 3, 1), seed=seed)

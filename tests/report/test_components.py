@@ -21,7 +21,7 @@ from datagen.report.components import (
     draw_components,
 )
 
-FAST = {"lookins": 64, "fov_samples": 2, "scramblings": 2}
+FAST = {"lookins": 64, "fov_samples": 2, "replicates": 2}
 
 
 def configured(capture: dict[str, Any], detector: dict[str, Any] | None = None, **scene: Any) -> DatasetConfig:

@@ -34,7 +34,7 @@ def config() -> DatasetConfig:
             "seed": 4,
             "scenes": 10,
             "capture": {"scan": {"rows": 3, "columns": 4}, "time": {"bins": 64, "bin_width_ps": 800}},
-            "transport": {"lookins": 64, "scramblings": 2},
+            "transport": {"lookins": 64, "replicates": 2},
             "detector": {"photons_per_pulse": 1e6},
             "labels": {"rows": 16, "columns": 16},
             "store": {"fields": ["histogram", "transient", "depth"], "scenes_per_shard": 8},

@@ -36,7 +36,7 @@ def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         "seed": 2,
         "scenes": 1,
         "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 800}},
-        "transport": {"lookins": 64, "scramblings": 2},
+        "transport": {"lookins": 64, "replicates": 2},
         "detector": bright | DETECTORS[name],
         # Nothing left out: a detector without its dead time, say, may have an exact mean.
         "effects": {"tolerance": 0},

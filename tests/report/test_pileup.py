@@ -69,7 +69,7 @@ def _room(**time: float) -> tuple[np.ndarray, TimeAxis, float]:
         "seed": 5,
         "scenes": 1,
         "capture": {"scan": {"rows": 1, "columns": 1}, "time": {"bins": 256, "bin_width_ps": 200, **time}},
-        "transport": {"lookins": 256, "scramblings": 1},
+        "transport": {"lookins": 256, "replicates": 1},
     }
     return room_channel(config_from_mapping(config))
 

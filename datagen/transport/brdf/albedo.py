@@ -62,7 +62,7 @@ def _positive_part_over_azimuth(a: NDArray[np.float64], b: NDArray[np.float64]) 
     """∫ max(a + b cosφ, 0) dφ over a full turn, b ≥ 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         edge = np.arccos(np.clip(np.where(b > 0, -a / b, np.where(a > 0, -1.0, 1.0)), -1.0, 1.0))
-    return 2 * (a * edge + b * np.sin(edge))
+    return np.asarray(2 * (a * edge + b * np.sin(edge)))
 
 
 def _phong_lobe(exponent: float, cosine: NDArray[np.float64]) -> NDArray[np.float64]:

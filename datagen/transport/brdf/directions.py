@@ -13,6 +13,7 @@ Vector = tuple[float, float, float]
 
 @njit(cache=True, inline="always")
 def dot(a: Vector, b: Vector) -> float:
+    """The scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -43,9 +44,9 @@ def in_frame_of(n: Vector, x: float, y: float, z: float) -> Vector:
 
 
 @njit(cache=True)
-def around(axis: Vector, one_minus_cos: float, turn: float) -> Vector:
-    """The direction at the angle arccos(1 − `one_minus_cos`) from `axis`, at azimuth 2π · `turn` about it."""
-    cosine, azimuth = 1.0 - one_minus_cos, 2.0 * math.pi * turn
+def around(axis: Vector, one_minus_cos: float, revolutions: float) -> Vector:
+    """The direction at the angle arccos(1 − `one_minus_cos`) from `axis`, at azimuth 2π · `revolutions` about it."""
+    cosine, azimuth = 1.0 - one_minus_cos, 2.0 * math.pi * revolutions
     sine = math.sqrt(max(one_minus_cos * (1.0 + cosine), 0.0))
     return in_frame_of(axis, sine * math.cos(azimuth), sine * math.sin(azimuth), cosine)
 

@@ -31,18 +31,18 @@ MARGIN = 1e-4
 
 
 @njit(cache=True)
-def smith_root(alpha: float, cosine: float) -> float:
+def _smith_root(alpha: float, cosine: float) -> float:
     return math.sqrt(alpha * alpha + (1.0 - alpha * alpha) * cosine * cosine)
 
 
 @njit(cache=True)
-def schlick(f0: float, cosine: float) -> float:
+def _schlick(f0: float, cosine: float) -> float:
     away = 1.0 - min(max(cosine, 0.0), 1.0)
     return f0 + (1.0 - f0) * away * away * away * away * away
 
 
 @njit(cache=True)
-def visible_facet(alpha: float, w: Vector, u: float, v: float) -> Vector:
+def _visible_facet(alpha: float, w: Vector, u: float, v: float) -> Vector:
     """Facet normal drawn in proportion to its area seen from `w`; both in the surface's frame, w[2] ≥ 0."""
     stretched = (alpha * w[0], alpha * w[1], w[2])
     length = math.sqrt(dot(stretched, stretched))
@@ -62,7 +62,7 @@ def visible_facet(alpha: float, w: Vector, u: float, v: float) -> Vector:
 
 
 @njit(cache=True)
-def facet_and_density(
+def _facet_and_density(
     alpha: float, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
 ) -> tuple[float, float]:
     """Cosine between the light and the facet that mirrors it, and the distribution D of that facet."""
@@ -84,7 +84,7 @@ def place(alpha: float, cosine: float) -> float:
 
 
 @njit(cache=True)
-def cosine_at(alpha: float, place: float) -> float:
+def _cosine_at(alpha: float, place: float) -> float:
     square = (place / PANELS) * (place / PANELS)
     return min(alpha * square / (1.0 + alpha - square), 1.0)
 
@@ -96,11 +96,13 @@ def tabulated(values: NDArray[np.float64], cosine: float) -> float:
     panel = min(int(position), PANELS - 1)
     t, node = position - panel, FIRST_NODE + 2 * panel
     middle = 4.0 * t * (1.0 - t) * values[node + 1]
-    return min(values[node] * (1.0 - t) * (1.0 - 2.0 * t) + middle + values[node + 2] * t * (2.0 * t - 1.0), 1.0)
+    return float(
+        min(values[node] * (1.0 - t) * (1.0 - 2.0 * t) + middle + values[node + 2] * t * (2.0 * t - 1.0), 1.0)
+    )
 
 
 @njit(cache=True)
-def multiple_pdf(values: NDArray[np.float64], cos_out: float) -> float:
+def _multiple_pdf(values: NDArray[np.float64], cos_out: float) -> float:
     """Density of the directions drawn for multiple scattering: even in the table's coordinate within each panel."""
     alpha = values[1]
     position = place(alpha, cos_out)
@@ -108,17 +110,17 @@ def multiple_pdf(values: NDArray[np.float64], cos_out: float) -> float:
     below = values[FIRST_SHARE + panel - 1] if panel > 0 else 0.0
     # dc of the coordinate that `place` is: with x = place / PANELS, dx/dc = α (1 + α) / (2 x (c + α)²).
     slope = 0.5 * alpha * (1.0 + alpha) * PANELS * PANELS / (position * (cos_out + alpha) * (cos_out + alpha))
-    return (values[FIRST_SHARE + panel] - below) * slope / (2.0 * math.pi)
+    return float((values[FIRST_SHARE + panel] - below) * slope / (2.0 * math.pi))
 
 
 @njit(cache=True)
-def multiple_cosine(values: NDArray[np.float64], u: float) -> float:
+def _multiple_cosine(values: NDArray[np.float64], u: float) -> float:
     panel, below = 0, 0.0
     while panel < PANELS - 1 and u >= values[FIRST_SHARE + panel]:
         below = values[FIRST_SHARE + panel]
         panel += 1
     share = values[FIRST_SHARE + panel] - below
-    return cosine_at(values[1], panel + (min((u - below) / share, 1.0) if share > 0.0 else 0.5))
+    return _cosine_at(values[1], panel + (min((u - below) / share, 1.0) if share > 0.0 else 0.5))
 
 
 @njit(cache=True)
@@ -130,39 +132,42 @@ def multiple_share(f0: float, mean: float) -> float:
 
 @njit(cache=True)
 def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    """The BRDF, 1/sr, of directions above the surface."""
     alpha, f0, mean = values[1], values[2], values[3]
-    to_facet, facets = facet_and_density(alpha, w_in, w_out, cos_in, cos_out)
-    masking = 0.5 / (cos_out * smith_root(alpha, cos_in) + cos_in * smith_root(alpha, cos_out))
+    to_facet, facets = _facet_and_density(alpha, w_in, w_out, cos_in, cos_out)
+    masking = 0.5 / (cos_out * _smith_root(alpha, cos_in) + cos_in * _smith_root(alpha, cos_out))
     lost = (1.0 - tabulated(values, cos_in)) * (1.0 - tabulated(values, cos_out))
     multiple = multiple_share(f0, mean) * lost / (math.pi * (1.0 - mean)) if mean < 1.0 else 0.0
-    return values[0] * (schlick(f0, to_facet) * facets * masking + multiple)
+    return float(values[0] * (_schlick(f0, to_facet) * facets * masking + multiple))
 
 
 @njit(cache=True)
-def facet_share(values: NDArray[np.float64], cos_in: float) -> float:
+def _facet_share(values: NDArray[np.float64], cos_in: float) -> float:
     """How often `sample` draws a facet rather than a direction of multiple scattering."""
     f0, once = values[2], tabulated(values, cos_in)
-    single = max(schlick(f0, cos_in), (1.0 + 20.0 * f0) / 21.0) * once
-    return single / (single + multiple_share(f0, values[3]) * (1.0 - once))
+    single = max(_schlick(f0, cos_in), (1.0 + 20.0 * f0) / 21.0) * once
+    return float(single / (single + multiple_share(f0, values[3]) * (1.0 - once)))
 
 
 @njit(cache=True)
 def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
-    alpha, share = values[1], facet_share(values, cos_in)
-    _, facets = facet_and_density(alpha, w_in, w_out, cos_in, cos_out)
-    single = 0.5 * facets / (cos_in + smith_root(alpha, cos_in))
-    return share * single + (1.0 - share) * multiple_pdf(values, cos_out)
+    """Density per solid angle of what `sample` draws, 1/sr."""
+    alpha, share = values[1], _facet_share(values, cos_in)
+    _, facets = _facet_and_density(alpha, w_in, w_out, cos_in, cos_out)
+    single = 0.5 * facets / (cos_in + _smith_root(alpha, cos_in))
+    return share * single + (1.0 - share) * _multiple_pdf(values, cos_out)
 
 
 @njit(cache=True)
 def sample(values: NDArray[np.float64], n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
-    share = facet_share(values, cos_in)
+    """A direction drawn with density `pdf` from (u, v) in the unit square."""
+    share = _facet_share(values, cos_in)
     if u >= share and share < 1.0:
-        return around(n, 1.0 - multiple_cosine(values, (u - share) / (1.0 - share)), v)
+        return around(n, 1.0 - _multiple_cosine(values, (u - share) / (1.0 - share)), v)
     # The surface's own frame, by its axes: no model property depends on their azimuth.
     across, along = in_frame_of(n, 1.0, 0.0, 0.0), in_frame_of(n, 0.0, 1.0, 0.0)
     local = (dot(across, w_in), dot(along, w_in), cos_in)
-    h = visible_facet(values[1], local, u / share, v)
+    h = _visible_facet(values[1], local, u / share, v)
     twice = 2.0 * dot(local, h)
     return in_frame_of(n, twice * h[0] - local[0], twice * h[1] - local[1], twice * h[2] - local[2])
 
@@ -176,7 +181,7 @@ def single_albedo(alpha: float, f0: float, cos_in: float, gauss: NDArray[np.floa
     (π/2 + θ_in)/2. So both integrals run over smooth pieces. `gauss` (2, k): nodes in 0 … 1, weights that sum to 1.
     """
     theta_in = math.acos(min(cos_in, 1.0))
-    sin_in, root_in = math.sin(theta_in), smith_root(alpha, cos_in)
+    sin_in, root_in = math.sin(theta_in), _smith_root(alpha, cos_in)
     total, start = 0.0, 0.0
     for piece in range(2):
         end = math.atan(math.tan(0.5 * (0.5 * math.pi + (2 * piece - 1) * theta_in)) / alpha)
@@ -197,9 +202,9 @@ def single_albedo(alpha: float, f0: float, cos_in: float, gauss: NDArray[np.floa
                 to_facet = sin_in * sin_facet * math.cos(opening * gauss[0, k]) + cos_in * cos_facet
                 cos_out = max(2.0 * to_facet * cos_facet - cos_in, 0.0)
                 if cos_out > 0.0:
-                    masking = 2.0 * cos_out / (cos_out * root_in + cos_in * smith_root(alpha, cos_out))
+                    masking = 2.0 * cos_out / (cos_out * root_in + cos_in * _smith_root(alpha, cos_out))
                     share = weight * gauss[1, k] * opening / (math.pi * cos_facet)
-                    total += share * schlick(f0, to_facet) * to_facet * masking
+                    total += share * _schlick(f0, to_facet) * to_facet * masking
         start = end
     return total
 
@@ -215,7 +220,7 @@ def white_table(alpha: float) -> tuple[float, ...]:
     """Ē, E at the nodes, and the running shares of what E leaves: a row of the table from its fourth number on."""
     gauss = unit_gauss(32)
     places = np.linspace(0.0, PANELS, NODES)
-    table = [single_albedo(alpha, 1.0, cosine_at(alpha, p), gauss) + MARGIN for p in places]
+    table = [single_albedo(alpha, 1.0, _cosine_at(alpha, p), gauss) + MARGIN for p in places]
     row = np.array([1.0, alpha, 1.0, 0.0, *table])
     # Ē = ∫ 2c E dc of the interpolated E, so that what both terms return adds up; panel by panel in its coordinate.
     x, weight = unit_gauss(8)

@@ -28,7 +28,7 @@ def evaluate(kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, w_
     if cos_in <= 0.0 or cos_out <= 0.0:
         return 0.0
     if kind == LAMBERTIAN:
-        return values[0] / math.pi
+        return float(values[0] / math.pi)
     return _other_brdf(kind, values, n, w_in, w_out, cos_in, cos_out)
 
 
@@ -129,7 +129,9 @@ def _is_lambertian_type(kind: Any) -> bool:
 
 
 @overload(_other_brdf, strict=False)
-def _choose_brdf(kind: Any, values: Any, n: Any, w_in: Any, w_out: Any, cos_in: Any, cos_out: Any) -> Callable:
+def _choose_brdf(
+    kind: Any, values: Any, n: Any, w_in: Any, w_out: Any, cos_in: Any, cos_out: Any
+) -> Callable[..., Any]:
     if _is_lambertian_type(kind):
         return lambda kind, values, n, w_in, w_out, cos_in, cos_out: 0.0
     return lambda kind, values, n, w_in, w_out, cos_in, cos_out: _evaluate_other(
@@ -138,7 +140,9 @@ def _choose_brdf(kind: Any, values: Any, n: Any, w_in: Any, w_out: Any, cos_in: 
 
 
 @overload(_other_pdf, strict=False)
-def _choose_pdf(kind: Any, values: Any, n: Any, w_in: Any, w_out: Any, cos_in: Any, cos_out: Any) -> Callable:
+def _choose_pdf(
+    kind: Any, values: Any, n: Any, w_in: Any, w_out: Any, cos_in: Any, cos_out: Any
+) -> Callable[..., Any]:
     if _is_lambertian_type(kind):
         return lambda kind, values, n, w_in, w_out, cos_in, cos_out: 0.0
     return lambda kind, values, n, w_in, w_out, cos_in, cos_out: _pdf_other(
@@ -147,7 +151,7 @@ def _choose_pdf(kind: Any, values: Any, n: Any, w_in: Any, w_out: Any, cos_in: A
 
 
 @overload(_other_sample, strict=False)
-def _choose_sample(kind: Any, values: Any, n: Any, w_in: Any, cos_in: Any, u: Any, v: Any) -> Callable:
+def _choose_sample(kind: Any, values: Any, n: Any, w_in: Any, cos_in: Any, u: Any, v: Any) -> Callable[..., Any]:
     if _is_lambertian_type(kind):
         return lambda kind, values, n, w_in, cos_in, u, v: n
     return lambda kind, values, n, w_in, cos_in, u, v: _sample_other(kind, values, n, w_in, cos_in, u, v)

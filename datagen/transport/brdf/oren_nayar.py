@@ -41,29 +41,32 @@ def single_albedo(r: float, cosine: float) -> float:
 
 @njit(cache=True)
 def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    """The BRDF, 1/sr, of directions above the surface."""
     r = values[1]
     s = dot(w_in, w_out) - cos_in * cos_out
     single = (1.0 + r * (s / max(cos_in, cos_out) if s > 0.0 else s)) / (1.0 + LOSS * r)
     lost = 1.0 - (1.0 + MEAN_GAIN * r) / (1.0 + LOSS * r)
     multiple = (1.0 - single_albedo(r, cos_in)) * (1.0 - single_albedo(r, cos_out)) / lost if lost > 1e-12 else 0.0
-    return values[0] / math.pi * (single + multiple)
+    return float(values[0] / math.pi * (single + multiple))
 
 
 @njit(cache=True)
-def uniform_share(r: float, cos_in: float) -> float:
+def _uniform_share(r: float, cos_in: float) -> float:
     """How often `sample` draws evenly from the hemisphere: at grazing incidence most light leaves at grazing."""
     return 0.5 * r * (1.0 - cos_in)
 
 
 @njit(cache=True)
 def pdf(values: NDArray[np.float64], cos_in: float, cos_out: float) -> float:
-    share = uniform_share(values[1], cos_in)
+    """Density per solid angle of what `sample` draws, 1/sr."""
+    share = _uniform_share(values[1], cos_in)
     return share / (2.0 * math.pi) + (1.0 - share) * cos_out / math.pi
 
 
 @njit(cache=True)
 def sample(values: NDArray[np.float64], n: Vector, cos_in: float, u: float, v: float) -> Vector:
-    share = uniform_share(values[1], cos_in)
+    """A direction drawn with density `pdf` from (u, v) in the unit square."""
+    share = _uniform_share(values[1], cos_in)
     if u < share:
         return around(n, 1.0 - u / share, v)
     return sample_cosine(n, (u - share) / (1.0 - share), v)

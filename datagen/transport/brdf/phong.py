@@ -13,22 +13,25 @@ from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
 
 @njit(cache=True)
 def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    """The BRDF, 1/sr, of directions above the surface."""
     exponent, specular = values[1], values[2]
     from_mirror = 2.0 * cos_in * cos_out - dot(w_in, w_out)
     lobe = (exponent + 2.0) / (2.0 * math.pi) * from_mirror**exponent if from_mirror > 0.0 else 0.0
-    return values[0] * (specular * lobe + (1.0 - specular) / math.pi)
+    return float(values[0] * (specular * lobe + (1.0 - specular) / math.pi))
 
 
 @njit(cache=True)
 def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    """Density per solid angle of what `sample` draws, 1/sr."""
     exponent, specular = values[1], values[2]
     from_mirror = 2.0 * cos_in * cos_out - dot(w_in, w_out)
     lobe = (exponent + 1.0) / (2.0 * math.pi) * from_mirror**exponent if from_mirror > 0.0 else 0.0
-    return specular * lobe + (1.0 - specular) * cos_out / math.pi
+    return float(specular * lobe + (1.0 - specular) * cos_out / math.pi)
 
 
 @njit(cache=True)
 def sample(values: NDArray[np.float64], n: Vector, w_in: Vector, u: float, v: float) -> Vector:
+    """A direction drawn with density `pdf` from (u, v) in the unit square."""
     exponent, specular = values[1], values[2]
     if u >= specular and specular < 1.0:
         return sample_cosine(n, (u - specular) / (1.0 - specular), v)

@@ -27,19 +27,22 @@ def density(kappa: float, w_in: Vector, w_out: Vector) -> float:
 
 @njit(cache=True)
 def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    """The BRDF, 1/sr, of directions above the surface."""
     retro = values[2]
     lobe = density(values[1], w_in, w_out) / max(cos_in, cos_out)
-    return values[0] * (retro * lobe + (1.0 - retro) / math.pi)
+    return float(values[0] * (retro * lobe + (1.0 - retro) / math.pi))
 
 
 @njit(cache=True)
 def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_out: float) -> float:
+    """Density per solid angle of what `sample` draws, 1/sr."""
     retro = values[2]
-    return retro * density(values[1], w_in, w_out) + (1.0 - retro) * cos_out / math.pi
+    return float(retro * density(values[1], w_in, w_out) + (1.0 - retro) * cos_out / math.pi)
 
 
 @njit(cache=True)
 def sample(values: NDArray[np.float64], n: Vector, w_in: Vector, u: float, v: float) -> Vector:
+    """A direction drawn with density `pdf` from (u, v) in the unit square."""
     kappa, retro = values[1], values[2]
     if u >= retro and retro < 1.0:
         return sample_cosine(n, (u - retro) / (1.0 - retro), v)

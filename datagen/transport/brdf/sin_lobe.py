@@ -31,17 +31,20 @@ def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
 
 @njit(cache=True)
 def evaluate(values: NDArray[np.float64], n: Vector, w_in: Vector, w_out: Vector) -> float:
+    """The BRDF, 1/sr, of directions above the surface."""
     axis = (values[1], values[2], values[3])
-    return 0.5 * values[0] * azimuth_sine(axis, n, w_in) * azimuth_sine(axis, n, w_out)
+    return float(0.5 * values[0] * azimuth_sine(axis, n, w_in) * azimuth_sine(axis, n, w_out))
 
 
 @njit(cache=True)
 def pdf(values: NDArray[np.float64], n: Vector, cos_out: float, w_out: Vector) -> float:
+    """Density per solid angle of what `sample` draws, 1/sr."""
     return 0.5 * cos_out * azimuth_sine((values[1], values[2], values[3]), n, w_out)
 
 
 @njit(cache=True)
 def sample(values: NDArray[np.float64], n: Vector, u: float, v: float) -> Vector:
+    """A direction drawn with density `pdf` from (u, v) in the unit square."""
     axis = (values[1], values[2], values[3])
     along = dot(axis, n)
     t = (axis[0] - along * n[0], axis[1] - along * n[1], axis[2] - along * n[2])

@@ -68,6 +68,7 @@ class Sums(NamedTuple):
 
     @classmethod
     def zeros(cls, lasers: int, pixels: int, bins: int) -> Sums:
+        """Nothing yet."""
         return cls(np.zeros((lasers, pixels, bins)), *(np.zeros((lasers, pixels)) for _ in range(3)))
 
     def take(self, lasers: NDArray[np.int64]) -> Sums:

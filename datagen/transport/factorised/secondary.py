@@ -42,15 +42,15 @@ from datagen.transport.factorised.convolution import (
     recentre,
     take_rows,
 )
-from datagen.transport.factorised.secondary_kernels import FovPoints, Frame, Lookins, Pace, Spot, Surfaces
+from datagen.transport.factorised.secondary_kernels import FovPoints, Frame, LaserVicinity, Lookins, Pace, Surfaces
 from datagen.transport.factorised.secondary_samples import (
     OBSERVED_STREAM,
     WALK_STREAM,
-    Job,
     Placement,
+    SecondaryTask,
     density_from,
     fov_points,
-    laser_spots,
+    laser_vicinities,
     place_lookins,
 )
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches
@@ -83,7 +83,7 @@ EVERY_BIN = 1 << 60
 
 @dataclass(frozen=True)
 class SecondaryEstimate:
-    """mean, stderr : (L, P, T) photons at the aperture per emitted photon and bin (stderr NaN for one scrambling);
+    """mean, stderr : (L, P, T) photons at the aperture per emitted photon and bin (stderr NaN for one replicate);
     overflow : (L, P) energy outside the time window. work : what was done."""
 
     mean: NDArray[np.float64]
@@ -94,7 +94,7 @@ class SecondaryEstimate:
 
 def factorising(materials: MaterialTable) -> NDArray[np.bool_]:
     """(K,) the parts whose lookins factorise: where light goes does not depend on where it came from (Lambert)."""
-    return materials.kind == LAMBERTIAN
+    return np.asarray(materials.kind == LAMBERTIAN)
 
 
 def secondary_transient(
@@ -109,7 +109,7 @@ def secondary_transient(
     lookins: int,
     observed: int,
     fov_samples: int,
-    scramblings: int,
+    replicates: int,
     strongest: int | None,
     seed: int,
     placement: Placement = "fov",
@@ -123,7 +123,7 @@ def secondary_transient(
 
     Parameters
     ----------
-    lookins : over all scramblings. observed : for each lookin. fov_samples : for each lookin and pixel.
+    lookins : over all replicates. observed : for each lookin. fov_samples : for each lookin and pixel.
     strongest : None for all paths; k for only the k strongest arriving paths of each lookin (the paper's optimised
         scheme has k = 1), which leaves out energy: it is biased, and the fewer of its paths the more so.
     placement : `fov` draws lookins from FoV points, unbiased. `laser` draws them from the laser point as the paper
@@ -133,7 +133,7 @@ def secondary_transient(
         another part are left out, for another method to add. None: all parts, which then must all be Lambertian.
         The other vertices may have any BRDF.
     plain : form Eq. 8's double sum as it is written, O(Ñ²), over the very same points: what tests compare with.
-    sketch : gets each scrambling's transient too, for the correlations between bins.
+    sketch : gets each replicate's transient too, for the correlations between bins.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def secondary_transient(
             "only Lambertian lookins do: follow this part's light by the walk instead"
         )
     axis = capture.time
-    job = Job(
+    task = SecondaryTask(
         caster, scene, materials, capture, points, cones, patches, observed, fov_samples, strongest, seed, placement,
         plain, allowed & (materials.values[:, 0] > 0),
         Surfaces(caster.corners[:, 0].copy(), caster.face_normal, scene.face_part, materials.kind, materials.values),
@@ -165,138 +165,139 @@ def secondary_transient(
     total, squares = np.zeros(capture.shape), np.zeros(capture.shape)
     overflow = np.zeros(capture.shape[:2])
     sums = Sums.zeros(*capture.shape)
-    scramblings = min(scramblings, lookins)
-    for scrambling in range(scramblings):
-        count = lookins // scramblings + (scrambling < lookins % scramblings)
+    replicates = min(replicates, lookins)
+    for replicate in range(replicates):
+        count = lookins // replicates + (replicate < lookins % replicates)
         for array in sums:
             array.fill(0.0)
-        for lasers, pixels in job.groups():
-            _add_group(job, lasers, pixels, count, scrambling, sums.take(lasers))
+        for lasers, pixels in task.groups():
+            _add_group(task, lasers, pixels, count, replicate, sums.take(lasers))
         total += sums.transient
         overflow += sums.overflow
         if sketch is not None:
-            sketch.add(scrambling, sums.transient, 0)
+            sketch.add(replicate, sums.transient, 0)
         squares += np.square(sums.transient, out=sums.transient)
-    total /= scramblings
-    work = Work(0, 0, total.size * scramblings, 0)
-    for lasers, pixels in job.groups():
-        work += factorised_work(lookins, observed, len(lasers), len(pixels), fov_samples, axis.bins, scramblings)
-    return SecondaryEstimate(total, standard_error([total], squares, scramblings), overflow / scramblings, work)
+    total /= replicates
+    work = Work(0, 0, total.size * replicates, 0)
+    for lasers, pixels in task.groups():
+        work += factorised_work(lookins, observed, len(lasers), len(pixels), fov_samples, axis.bins, replicates)
+    return SecondaryEstimate(total, standard_error([total], squares, replicates), overflow / replicates, work)
 
 
 def _add_group(
-    job: Job, lasers: NDArray[np.int64], pixels: NDArray[np.int64], count: int, scrambling: int, sums: Sums
+    task: SecondaryTask, lasers: NDArray[np.int64], pixels: NDArray[np.int64], count: int, replicate: int, sums: Sums
 ) -> None:
     """Add `count` lookins' worth of paths from `lasers` to `pixels`; `sums` begins with the first of `lasers`."""
-    pool, fov, blocks = fov_points(job, pixels, count, scrambling)
+    pool, fov, blocks = fov_points(task, pixels, count, replicate)
     if not fov.share.any():
         return
     patch = None
-    if len(job.caster.corners) < 5 * fov.weight.size // blocks:
+    if len(task.caster.corners) < 5 * fov.weight.size // blocks:
         used = fov.weight > 0
-        patch = flat_patch(fov.position[used], fov.normal[used], job.caster.offset_m)
-    lookins = place_lookins(job, fov, blocks, lasers, pixels, count, scrambling)
-    spots = laser_spots(job, lasers, count, scrambling)
-    worth = count * job.observed > max(RAYS_WORTH_A_BUFFER, RAYS_WORTH_A_TRIANGLE * len(job.caster.corners))
+        patch = flat_patch(fov.position[used], fov.normal[used], task.caster.offset_m)
+    lookins = place_lookins(task, fov, blocks, lasers, pixels, count, replicate)
+    vicinities = laser_vicinities(task, lasers, count, replicate)
+    worth = count * task.observed > max(RAYS_WORTH_A_BUFFER, RAYS_WORTH_A_TRIANGLE * len(task.caster.corners))
     buffers = [
-        light_buffer(job.caster, job.face_plane, spot.position, spot.normal)
+        light_buffer(task.caster, task.face_plane, vicinity.position, vicinity.normal)
         if worth and len(lasers) <= BUFFERS_AT_MOST
         else no_light_buffer()
-        for spot in spots
+        for vicinity in vicinities
     ]
-    seeds = stream_seeds(job.seed, OBSERVED_STREAM, scrambling, int(lasers[0]))
-    base = scrambled_sobol(seeds, job.observed, 2)[0]
+    seeds = stream_seeds(task.seed, OBSERVED_STREAM, replicate, int(lasers[0]))
+    base = scrambled_sobol(seeds, task.observed, 2)[0]
     size = max(
-        1, RAYS_PER_CHUNK // max(job.observed + max(len(s.lit_part) for s in spots), fov.weight.size // blocks)
+        1, RAYS_PER_CHUNK // max(task.observed + max(len(s.lit_part) for s in vicinities), fov.weight.size // blocks)
     )
     for start in range(0, len(lookins.part), size):
         chunk = lookins.take(slice(start, start + size))
-        _add_lookins(job, fov, patch, chunk, base, count, lasers, spots, buffers, sums)
+        _add_lookins(task, fov, patch, chunk, base, count, lasers, vicinities, buffers, sums)
     recentre(sums)
-    if spots[0].near_square > 0:
-        _walk_near(job, lasers, pixels, pool, count, scrambling, sums)
+    if vicinities[0].near_square > 0:
+        _walk_near(task, lasers, pixels, pool, count, replicate, sums)
 
 
 def _walk_near(
-    job: Job,
+    task: SecondaryTask,
     lasers: NDArray[np.int64],
     pixels: NDArray[np.int64],
     pool: FovPool,
     count: int,
-    scrambling: int,
+    replicate: int,
     sums: Sums,
 ) -> None:
     """Add the paths whose lookin is near the laser point, by walks from it."""
     bins = sums.transient.shape[2]
-    nothing = AreaTarget(0.0, np.empty(0, np.int64), np.empty(0), 1.0, np.zeros(len(job.caster.corners), np.bool_))
-    seed = int(stream_seeds(job.seed, WALK_STREAM)[0])
-    streams = Streams.of(seed, np.array([scrambling]), np.arange(len(job.points.part)))
-    splits = np.zeros(len(job.materials.kind), np.int64)
-    axis, walks = job.capture.time, WALKS_PER_LOOKIN * count
+    nothing = AreaTarget(0.0, np.empty(0, np.int64), np.empty(0), 1.0, np.zeros(len(task.caster.corners), np.bool_))
+    seed = int(stream_seeds(task.seed, WALK_STREAM)[0])
+    streams = Streams.of(seed, np.array([replicate]), np.arange(len(task.points.part)))
+    splits = np.zeros(len(task.materials.kind), np.int64)
+    axis, walks = task.capture.time, WALKS_PER_LOOKIN * count
     at_once = max(1, min(RAYS_PER_CHUNK // walks, HISTOGRAM_VALUES_AT_ONCE // (len(pixels) * bins)))
     for run in runs_of(lasers, at_once):
-        lookins = draw_lookins(job.caster, job.scene, job.materials, job.points, run, walks, nothing, streams, 2)
-        rays = scattered_rays(job.caster, job.materials, lookins, lookins.numbers(0))
-        found = continued(job.scene, lookins, *rays)
-        apart = ((found.position - job.points.position[found.laser]) ** 2).sum(axis=1)
-        found = found.take(np.flatnonzero((apart < job.near_square) & job.carries[found.part]))
-        device_leg = job.points.leg[run] if axis.origin == "source" else np.full(len(run), -1.0)
+        lookins = draw_lookins(task.caster, task.scene, task.materials, task.points, run, walks, nothing, streams, 2)
+        rays = scattered_rays(task.caster, task.materials, lookins, lookins.numbers(0))
+        found = continued(task.scene, lookins, *rays)
+        apart = ((found.position - task.points.position[found.laser]) ** 2).sum(axis=1)
+        found = found.take(np.flatnonzero((apart < task.near_square) & task.carries[found.part]))
+        device_leg = task.points.leg[run] if axis.origin == "source" else np.full(len(run), -1.0)
         receiver = Receiver(
-            job.caster, job.scene, job.materials, job.capture.sensor, pool, job.cones.take(pixels),
-            job.patches.take(pixels), job.fov_samples, Clock(job.pace.per_metre, job.pace.start - 0.5, device_leg),
-            Rows(int(run[0]), job.capture.pairing == "confocal", len(pixels), 1),
+            task.caster, task.scene, task.materials, task.capture.sensor, pool, task.cones.take(pixels),
+            task.patches.take(pixels), task.fov_samples,
+            Clock(task.pace.per_metre, task.pace.start - 0.5, device_leg),
+            Rows(int(run[0]), task.capture.pairing == "confocal", len(pixels), 1),
             Tally(np.zeros((len(run) * len(pixels), bins)), np.zeros(len(run) * len(pixels))),
         )  # fmt: skip
         receiver.connect(found, found.numbers(1)[:, 0], splits)
         found = found.take(receiver.near(found))
-        receiver.follow(found, *scattered_rays(job.caster, job.materials, found, found.numbers(1)), splits)
+        receiver.follow(found, *scattered_rays(task.caster, task.materials, found, found.numbers(1)), splits)
         rows = slice(run[0] - lasers[0], run[-1] + 1 - lasers[0])
         sums.transient[rows] += receiver.tally.histogram.reshape(len(run), len(pixels), bins)
         sums.overflow[rows] += receiver.tally.overflow.reshape(len(run), len(pixels))
 
 
 def _add_lookins(
-    job: Job,
+    task: SecondaryTask,
     fov: FovPoints,
     patch: NDArray[np.float64] | None,
     lookins: Lookins,
     base: NDArray[np.float64],
     count: int,
     lasers: NDArray[np.int64],
-    spots: list[Spot],
+    vicinities: list[LaserVicinity],
     buffers: list[LightBuffer],
     sums: Sums,
 ) -> None:
-    leaving_paths, density = _leaving(job, fov, patch, lookins)
+    leaving_paths, density = _leaving(task, fov, patch, lookins)
     pixels = fov.weight.shape[0]
     displacement = np.repeat(1.0 - lookins.displacement, pixels)
     every = np.full(len(displacement), EVERY_BIN)
     leaving = histograms(leaving_paths, displacement, -every, every)
-    if job.placement == "laser":
-        density = density_from(spots[0], lookins)
+    if task.placement == "laser":
+        density = density_from(vicinities[0], lookins)
     alive = (leaving.total.reshape(-1, pixels).sum(axis=1) > 0) & (density > 0)
     if not alive.any():
         return
-    if not alive.all() and not job.plain:
+    if not alive.all() and not task.plain:
         lookins, density = lookins.take(alive), density[alive]
         leaving = take_rows(leaving, np.repeat(alive, pixels))
-    origin, direction = kernels.observing_rays(lookins, base, job.frame)
-    face = job.caster.closest_scaled(origin, direction)
+    origin, direction = kernels.observing_rays(lookins, base, task.frame)
+    face = task.caster.closest_scaled(origin, direction)
     low, high = reachable(leaving, len(lookins.part), pixels, sums.transient.shape[2])
     arriving: list[Histograms] = []
-    for k, (spot, buffer) in enumerate(zip(spots, buffers, strict=True)):
+    for k, (vicinity, buffer) in enumerate(zip(vicinities, buffers, strict=True)):
         paths, rays = kernels.arriving_paths(
-            lookins, density * count, face, direction, spot, buffer, job.surfaces, job.pace, job.frame
+            lookins, density * count, face, direction, vicinity, buffer, task.surfaces, task.pace, task.frame
         )
-        kernels.drop_hidden(rays, job.caster.occluded_scaled(rays.origin, rays.span), paths.energy)
-        if job.strongest is not None:
-            keep_strongest(paths, job.strongest)
-        if job.plain:
+        kernels.drop_hidden(rays, task.caster.occluded_scaled(rays.origin, rays.span), paths.energy)
+        if task.strongest is not None:
+            keep_strongest(paths, task.strongest)
+        if task.plain:
             double_sum(paths, leaving_paths, sums.of_laser(lasers[k] - lasers[0]))
             continue
         arriving.append(histograms(paths, lookins.displacement, low, high))
         # A laser ray that met nothing leaves a gap in the rows.
-        ends_run = k + 1 == len(spots) or lasers[k + 1] != lasers[k] + 1
+        ends_run = k + 1 == len(vicinities) or lasers[k + 1] != lasers[k] + 1
         if ends_run or len(arriving) == LASERS_AT_ONCE:
             rows = np.arange(lasers[k] + 1 - len(arriving), lasers[k] + 1) - lasers[0]
             convolve(arriving, leaving, sums.take(rows))
@@ -304,15 +305,17 @@ def _add_lookins(
 
 
 def _leaving(
-    job: Job, fov: FovPoints, patch: NDArray[np.float64] | None, lookins: Lookins
+    task: SecondaryTask, fov: FovPoints, patch: NDArray[np.float64] | None, lookins: Lookins
 ) -> tuple[Paths, NDArray[np.float64]]:
     """Paths out of the lookins, rows (lookin, pixel), and the density with which each lookin is drawn, per area."""
     clear = np.zeros(len(lookins.part), np.bool_)
     if patch is not None:
-        caster = job.caster
+        caster = task.caster
         clear = pyramids_clear(lookins.position, patch, caster.corners, caster.face_normal, caster.offset_m)
-    paths, each, rays = kernels.leaving_paths(lookins, clear, fov, job.fov_samples, job.surfaces, job.pace, job.frame)
-    hidden = job.caster.occluded_scaled(rays.origin, rays.span)
+    paths, each, rays = kernels.leaving_paths(
+        lookins, clear, fov, task.fov_samples, task.surfaces, task.pace, task.frame
+    )
+    hidden = task.caster.occluded_scaled(rays.origin, rays.span)
     kernels.drop_hidden(rays, hidden, paths.energy)
     kernels.drop_hidden(rays, hidden, each)
     return paths, kernels.sum_rows(paths.first, each, fov.weight.shape[0])

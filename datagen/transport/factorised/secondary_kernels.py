@@ -28,7 +28,15 @@ class Frame(NamedTuple):
 
 
 class Surfaces(NamedTuple):
-    """corner (F, 3): one corner of each triangle; normal (F, 3); part (F,); kind (K,), values (K, 4): materials."""
+    """Triangles and materials.
+
+    Attributes
+    ----------
+    corner : (F, 3) one corner of each triangle, m.
+    normal : (F, 3) unit normals.
+    part : (F,) part indices.
+    kind, values : (K,), (K, n) materials, as in `MaterialTable`.
+    """
 
     corner: NDArray[np.float64]
     normal: NDArray[np.float64]
@@ -38,8 +46,15 @@ class Surfaces(NamedTuple):
 
 
 class Pace(NamedTuple):
-    """Bins per metre; the length in bins at which the window starts (to the centre of its first bin); 1 where device
-    legs count for the time, 0 where not; attenuation per metre."""
+    """Path length → time bin and attenuation.
+
+    Attributes
+    ----------
+    per_metre : bins for each metre of path.
+    start : length in bins at which the window starts, to the centre of its first bin.
+    device_legs : 1 where device legs count for the time, else 0.
+    attenuation : 1/m.
+    """
 
     per_metre: float
     start: float
@@ -50,8 +65,13 @@ class Pace(NamedTuple):
 class Lookins(NamedTuple):
     """n lookins.
 
-    position, normal (n, 3); part (n,). block (n,): the block of FoV points each is joined to. displacement (n,): of
-    its time grid (see `convolution.py`). turn (n, 2): shifts its observed points, in turns and in cos²θ.
+    Attributes
+    ----------
+    position, normal : (n, 3) metres, unit normal.
+    part : (n,) part index.
+    block : (n,) the block of FoV points each is joined to.
+    displacement : (n,) of its time grid (see `convolution.py`).
+    shift : (n, 2) of its observed points, in revolutions and in cos²θ.
     """
 
     position: NDArray[np.float64]
@@ -59,12 +79,13 @@ class Lookins(NamedTuple):
     part: NDArray[np.int64]
     block: NDArray[np.int64]
     displacement: NDArray[np.float64]
-    turn: NDArray[np.float64]
+    shift: NDArray[np.float64]
 
     def take(self, rows: slice | NDArray[np.bool_]) -> Lookins:
+        """Some of them."""
         return Lookins(
             self.position[rows], self.normal[rows], self.part[rows], self.block[rows], self.displacement[rows],
-            self.turn[rows],
+            self.shift[rows],
         )  # fmt: skip
 
 
@@ -80,12 +101,18 @@ class FovPoints(NamedTuple):
     share: NDArray[np.float64]
 
 
-class Spot(NamedTuple):
+class LaserVicinity(NamedTuple):
     """A laser point and the points near it that its light meets.
 
-    position, normal, to_laser (3,); part; leg in metres. rays : how many rays were drawn. near_square : square of the
-    distance within which they count, and within which lookins do not, m². lit_position, lit_normal (m, 3), lit_part
-    (m,): where they landed within that distance.
+    Attributes
+    ----------
+    position, normal, to_laser : (3,) metres, unit normal, unit direction.
+    part : part index.
+    leg : from the laser, m.
+    rays : how many were drawn.
+    near_square : square of the distance within which they count, and within which lookins do not, m².
+    lit_position, lit_normal : (m, 3) where they landed within that distance.
+    lit_part : (m,) on which parts.
     """
 
     position: NDArray[np.float64]
@@ -189,6 +216,7 @@ def leaving_paths(
 
 @njit(cache=True)
 def drop_hidden(rays: Rays, hidden: NDArray[np.bool_], values: NDArray[np.float64]) -> None:
+    """Clear the values of paths whose ray is hidden."""
     for k in range(len(rays.path)):
         if hidden[k]:
             values[rays.path[k]] = 0.0
@@ -220,9 +248,9 @@ def observing_rays(
         normal = _vector(lookins.normal, n)
         lifted = _scaled(_vector(lookins.position, n), normal, frame.offset, scale)
         along, across = in_frame_of(normal, 1.0, 0.0, 0.0), in_frame_of(normal, 0.0, 1.0, 0.0)
-        c, s = math.cos(2 * math.pi * lookins.turn[n, 0]), math.sin(2 * math.pi * lookins.turn[n, 0])
+        c, s = math.cos(2 * math.pi * lookins.shift[n, 0]), math.sin(2 * math.pi * lookins.shift[n, 0])
         for k in range(size):
-            square = points[k, 1] + lookins.turn[n, 1]
+            square = points[k, 1] + lookins.shift[n, 1]
             if square >= 1.0:
                 square -= 1.0
             radius, height = math.sqrt(1.0 - square), math.sqrt(square)
@@ -279,7 +307,7 @@ def _weight(u, v, normal_1, normal_o, normal_b, samples, near_square):  # type: 
 @njit(cache=True)
 def arriving_paths(
     lookins: Lookins, density: NDArray[np.float64], face: NDArray[np.int32], direction: NDArray[np.float32],
-    spot: Spot, buffer: LightBuffer, surfaces: Surfaces, pace: Pace, frame: Frame,
+    vicinity: LaserVicinity, buffer: LightBuffer, surfaces: Surfaces, pace: Pace, frame: Frame,
 ) -> tuple[Paths, Rays]:  # fmt: skip
     """Paths from one laser point through its observed points, and through the lit points near it, into each lookin.
 
@@ -289,22 +317,22 @@ def arriving_paths(
     """
     count = len(lookins.part)
     observed = len(face) // count
-    lit = len(spot.lit_part)
+    lit = len(vicinity.lit_part)
     size = count * (observed + lit)
     first = np.zeros(count + 1, np.int64)
     position, energy = np.empty(size), np.empty(size)
     origin, span = np.empty((size, 3), np.float32), np.empty((size, 3), np.float32)
     path = np.empty(size, np.int64)
     # Numba counts references whenever a record of arrays is handed on: what the loop needs is taken out of them here.
-    x1 = (spot.position[0], spot.position[1], spot.position[2])
-    n1 = (spot.normal[0], spot.normal[1], spot.normal[2])
-    to_laser = (spot.to_laser[0], spot.to_laser[1], spot.to_laser[2])
-    part_1, rays, near_square = spot.part, spot.rays, spot.near_square
-    lit_position, lit_normal, lit_part = spot.lit_position, spot.lit_normal, spot.lit_part
+    x1 = (vicinity.position[0], vicinity.position[1], vicinity.position[2])
+    n1 = (vicinity.normal[0], vicinity.normal[1], vicinity.normal[2])
+    to_laser = (vicinity.to_laser[0], vicinity.to_laser[1], vicinity.to_laser[2])
+    part_1, rays, near_square = vicinity.part, vicinity.rays, vicinity.near_square
+    lit_position, lit_normal, lit_part = vicinity.lit_position, vicinity.lit_normal, vicinity.lit_part
     corner, face_normal, face_part = surfaces.corner, surfaces.normal, surfaces.part
     kind, values = surfaces.kind, surfaces.values
     cells, face_plane = buffer.cells, buffer.face_plane
-    attenuation, per_metre, leg = pace.attenuation, pace.per_metre, spot.leg
+    attenuation, per_metre, leg = pace.attenuation, pace.per_metre, vicinity.leg
     counted_leg = pace.device_legs * leg
     center, half_extent, offset = frame.center, frame.half_extent, frame.offset
     scale = (center[0], center[1], center[2], half_extent)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datagen.records import Capture, Scene
 from datagen.transport.brdf import MaterialTable, cosine_directions
-from datagen.transport.factorised.secondary_kernels import FovPoints, Frame, Lookins, Pace, Spot, Surfaces
+from datagen.transport.factorised.secondary_kernels import FovPoints, Frame, LaserVicinity, Lookins, Pace, Surfaces
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches, fov_pool
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
@@ -27,7 +27,7 @@ Placement = Literal["fov", "laser"]
 
 
 @dataclass(frozen=True)
-class Job:
+class SecondaryTask:
     """A secondary to compute: what is looked at, sample counts, and the scene as the kernels want it."""
 
     caster: Raycaster
@@ -66,85 +66,89 @@ class Job:
         return 0.0 if own else (NEAR * self.caster.half_extent_m) ** 2
 
 
-def fov_points(job: Job, pixels: NDArray[np.int64], count: int, scrambling: int) -> tuple[FovPool, FovPoints, int]:
+def fov_points(
+    task: SecondaryTask, pixels: NDArray[np.int64], count: int, replicate: int
+) -> tuple[FovPool, FovPoints, int]:
     """Blocks of FoV points (their number a power of two, so that they cover the pixel evenly) and how many."""
-    affordable = FOV_POINTS_PER_POOL // (len(pixels) * job.fov_samples)
+    affordable = FOV_POINTS_PER_POOL // (len(pixels) * task.fov_samples)
     blocks = 1 << max(0, min(count, affordable).bit_length() - 1)
     pool = fov_pool(
-        job.caster, job.scene, job.capture.sensor, job.cones, pixels, job.fov_samples, blocks,
-        stream_seeds(job.seed, FOV_STREAM, scrambling, pixels),
+        task.caster, task.scene, task.capture.sensor, task.cones, pixels, task.fov_samples, blocks,
+        stream_seeds(task.seed, FOV_STREAM, replicate, pixels),
     )  # fmt: skip
-    worth = np.where(pool.weight > 0, pool.weight * job.materials.values[pool.part, 0], 0.0)
+    worth = np.where(pool.weight > 0, pool.weight * task.materials.values[pool.part, 0], 0.0)
     of_block = worth.reshape(len(pixels), blocks, -1).sum(axis=(0, 2))
-    share = worth / np.where(of_block > 0, of_block, 1.0).repeat(job.fov_samples)
+    share = worth / np.where(of_block > 0, of_block, 1.0).repeat(task.fov_samples)
     arrays = pool.position, pool.normal, pool.to_sensor, pool.part, pool.weight, pool.last_leg
     return pool, FovPoints(*arrays, share), blocks
 
 
 def place_lookins(
-    job: Job,
+    task: SecondaryTask,
     fov: FovPoints,
     blocks: int,
     lasers: NDArray[np.int64],
     pixels: NDArray[np.int64],
     count: int,
-    scrambling: int,
+    replicate: int,
 ) -> Lookins:
     """Lookins by cosine rays from FoV points, or from the laser point; those that cannot carry light are left out."""
-    sobol = scrambled_sobol(stream_seeds(job.seed, LOOKIN_STREAM, scrambling, int(lasers[0])), count, 6)[0]
+    sobol = scrambled_sobol(stream_seeds(task.seed, LOOKIN_STREAM, replicate, int(lasers[0])), count, 6)[0]
     scaled = sobol[:, 0] * blocks
     block = np.minimum(scaled, blocks - 1).astype(np.int64)
-    if job.placement == "laser":
-        normal = np.repeat(job.points.normal[lasers], count, axis=0)
-        position = np.repeat(job.points.position[lasers], count, axis=0)
+    if task.placement == "laser":
+        normal = np.repeat(task.points.normal[lasers], count, axis=0)
+        position = np.repeat(task.points.position[lasers], count, axis=0)
         drawn = np.ones(count, np.bool_)
     else:
         share = fov.share.reshape(len(pixels), blocks, -1).transpose(1, 0, 2).reshape(blocks, -1)
         running = np.cumsum(share, axis=1)
         drawn = running[block, -1] > 0
         # One search serves all blocks: block k's running shares fill k … k + 1.
-        ladder = (running / np.where(running[:, -1:] > 0, running[:, -1:], 1.0) + np.arange(blocks)[:, None]).ravel()
-        pick = np.searchsorted(ladder, block + np.clip(scaled - block, 0.0, 1.0), side="left")
+        shares = (running / np.where(running[:, -1:] > 0, running[:, -1:], 1.0) + np.arange(blocks)[:, None]).ravel()
+        pick = np.searchsorted(shares, block + np.clip(scaled - block, 0.0, 1.0), side="left")
         pick = np.clip(pick - block * share.shape[1], 0, share.shape[1] - 1)
-        pixel, point = pick // job.fov_samples, block * job.fov_samples + pick % job.fov_samples
+        pixel, point = pick // task.fov_samples, block * task.fov_samples + pick % task.fov_samples
         position, normal = fov.position[pixel, point], fov.normal[pixel, point]
-    hits = job.caster.closest(position + job.caster.offset_m * normal, cosine_directions(normal, sobol[:, 1:3]))
-    part = np.where(hits.valid, job.scene.face_part[hits.face], 0).astype(np.int64)
-    kept = hits.valid & drawn & job.carries[part]
+    hits = task.caster.closest(position + task.caster.offset_m * normal, cosine_directions(normal, sobol[:, 1:3]))
+    part = np.where(hits.valid, task.scene.face_part[hits.face], 0).astype(np.int64)
+    kept = hits.valid & drawn & task.carries[part]
     return Lookins(hits.position[kept], hits.normal[kept], part[kept], block[kept], sobol[kept, 3], sobol[kept, 4:])
 
 
-def laser_spots(job: Job, lasers: NDArray[np.int64], count: int, scrambling: int) -> list[Spot]:
+def laser_vicinities(
+    task: SecondaryTask, lasers: NDArray[np.int64], count: int, replicate: int
+) -> list[LaserVicinity]:
     """The laser points, with where cosine rays from each land near it."""
-    rays = int(np.ceil(max(count, job.observed) * RAYS_FROM_LASER_POINT)) if job.near_square > 0 else 0
-    uv = scrambled_sobol(stream_seeds(job.seed, LIT_STREAM, scrambling, lasers), rays, 2).reshape(-1, 2)
+    rays = int(np.ceil(max(count, task.observed) * RAYS_FROM_LASER_POINT)) if task.near_square > 0 else 0
+    uv = scrambled_sobol(stream_seeds(task.seed, LIT_STREAM, replicate, lasers), rays, 2).reshape(-1, 2)
     owner = np.repeat(lasers, rays)
-    n1, x1 = job.points.normal[owner], job.points.position[owner]
-    hits = job.caster.closest(x1 + job.caster.offset_m * n1, cosine_directions(n1, uv))
-    part = np.where(hits.valid, job.scene.face_part[hits.face], 0).astype(np.int64)
-    is_lit = hits.valid & (((hits.position - x1) ** 2).sum(axis=1) < job.near_square)
-    spots = []
+    n1, x1 = task.points.normal[owner], task.points.position[owner]
+    hits = task.caster.closest(x1 + task.caster.offset_m * n1, cosine_directions(n1, uv))
+    part = np.where(hits.valid, task.scene.face_part[hits.face], 0).astype(np.int64)
+    is_lit = hits.valid & (((hits.position - x1) ** 2).sum(axis=1) < task.near_square)
+    vicinities = []
     for k, laser in enumerate(lasers):
         near = np.flatnonzero(is_lit[k * rays : (k + 1) * rays]) + k * rays
-        spots.append(
-            Spot(
-                job.points.position[laser],
-                job.points.normal[laser],
-                job.points.to_laser[laser],
-                int(job.points.part[laser]),
-                float(job.points.leg[laser]),
+        vicinities.append(
+            LaserVicinity(
+                task.points.position[laser],
+                task.points.normal[laser],
+                task.points.to_laser[laser],
+                int(task.points.part[laser]),
+                float(task.points.leg[laser]),
                 rays,
-                job.near_square,
+                task.near_square,
                 hits.position[near],
                 hits.normal[near],
                 part[near],
             )
         )
-    return spots
+    return vicinities
 
 
-def density_from(spot: Spot, lookins: Lookins) -> NDArray[np.float64]:
+def density_from(vicinity: LaserVicinity, lookins: Lookins) -> NDArray[np.float64]:
     """Density per area with which cosine rays from the laser point meet each lookin."""
-    u = lookins.position - spot.position
-    cosines = (u @ spot.normal) * -np.einsum("nk,nk->n", u, lookins.normal)
+    u = lookins.position - vicinity.position
+    cosines = (u @ vicinity.normal) * -np.einsum("nk,nk->n", u, lookins.normal)
     return np.asarray(np.maximum(cosines, 0.0) / (np.pi * (u**2).sum(axis=1) ** 2), np.float64)

@@ -1,4 +1,4 @@
-"""Meeting an accuracy target: a pilot, then rounds of samples where the variance is, until the error bound is met."""
+"""Meeting an accuracy target: rounds of samples where the variance is, until the error bound is met."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from datagen.records import Spend
 from datagen.transport.averages import Estimate, split_rows
-from datagen.transport.target.allocation import SCRAMBLINGS, Order, next_orders, one_more
+from datagen.transport.target.allocation import REPLICATES, Allotment, next_allotments, one_more
 from datagen.transport.target.confidence import Scatter, bound_factor, total_variance
 from datagen.transport.target.strata import Stratum, square_norm
-from datagen.transport.target.strategies import Seeds, piloted
-from datagen.transport.walk import Job
+from datagen.transport.target.strategies import Seeds, first_rounds
+from datagen.transport.walk import WalkTask
 
 ROUNDS_AT_LEAST, ROUNDS_AT_MOST = 2, 64
 MATTERS = 0.2
@@ -28,23 +28,23 @@ NOTHING_AFTER = 1 << 16
 SEARCH_GROWTH = 8
 
 
-def meet_target(job: Job) -> Estimate:
+def meet_target(task: WalkTask) -> Estimate:
     """Sample until an upper bound of the relative L2 error of the whole transient is within `Accuracy.target`.
 
-    Each component is a stratum with samples of its own, unless a walk that finds several together is cheaper. A pilot
-    gives variances and costs; each round goes where it lowers the variance most for its cost (`allocation.py`), is
-    sized by the observed order of convergence, and adds to the average with its number of lookins as its weight. It
-    stops when the bound (`confidence.py`) is within the target, after two rounds at least and with the last in
-    agreement with those before; or, unmet, before `Accuracy.max_lookins` are exceeded.
+    Each component is a stratum with samples of its own, unless a walk that finds several together is cheaper. A first
+    round gives variances and costs; each further one goes where it lowers the variance most for its cost
+    (`allocation.py`), is sized by the observed order of convergence, and adds to the average with its number of
+    lookins as its weight. It stops when the bound (`confidence.py`) is within the target, after two rounds at least
+    and with the last in agreement with those before; or, unmet, before `Accuracy.max_lookins` are exceeded.
     """
-    target = job.accuracy.target
+    target = task.accuracy.target
     assert target is not None
-    lasers = int((job.points.part >= 0).sum())
+    lasers = int((task.points.part >= 0).sum())
     if lasers == 0:
-        return _nothing(job)
-    seeds = Seeds(job.seed)
-    strata, tried = piloted(job, target, seeds)
-    budget = float(job.accuracy.max_lookins) * lasers
+        return _nothing(task)
+    seeds = Seeds(task.seed)
+    strata, tried = first_rounds(task, target, seeds)
+    budget = float(task.accuracy.max_lookins) * lasers
     bound, outcome, rounds = np.inf, "", 1
     while not outcome:
         variance, factor = _uncertainty(strata)
@@ -57,27 +57,27 @@ def meet_target(job: Job) -> Estimate:
         truth = max(seen - variance, (1 - NOISE_AT_MOST) * seen)
         bound = float(np.sqrt(variance * factor / truth))
         once = _seen_once(strata)
-        orders: list[Order] | None = None
+        allotments: list[Allotment] | None = None
         if bound <= target and once:
-            orders = one_more(strata, once)
+            allotments = one_more(strata, once)
         elif bound > target and rounds < ROUNDS_AT_MOST:
             spent = sum(float(s.weight.sum()) * s.rays_per_lookin for s in strata)
-            orders = next_orders(strata, MARGIN * target**2 * truth / _factor_to_come(strata), budget - spent)
-        if orders is None:
+            allotments = next_allotments(strata, MARGIN * target**2 * truth / _factor_to_come(strata), budget - spent)
+        if allotments is None:
             outcome = "target met" if bound <= target else f"target not met in {rounds} rounds within max_lookins"
             break
-        for stratum, order in zip(strata, orders, strict=True):
-            if order.lookins:
-                stratum.sample(order.points, order.scramblings, seeds.draw())
+        for stratum, allotment in zip(strata, allotments, strict=True):
+            if allotment.lookins:
+                stratum.sample(allotment.points, allotment.replicates, seeds.draw())
         rounds += 1
-    return _estimate(job, strata, tried, rounds, bound, outcome)
+    return _estimate(task, strata, tried, rounds, bound, outcome)
 
 
 def _uncertainty(strata: list[Stratum]) -> tuple[float, float]:
     """The variance of the whole transient, summed over all bins, and what bounds the squared error when multiplied
     with it."""
     scatters = [
-        Scatter(one.variance * stratum.excess, one.freedom, one.scramblings)
+        Scatter(one.variance * stratum.excess, one.freedom, one.replicates)
         for stratum in strata
         for one in stratum.scatters()
     ]
@@ -87,12 +87,12 @@ def _uncertainty(strata: list[Stratum]) -> tuple[float, float]:
 def _factor_to_come(strata: list[Stratum]) -> float:
     """The bound's factor after one more round, which makes the variance better known."""
     return bound_factor(
-        [replace(one, scramblings=2 * one.scramblings) for stratum in strata for one in stratum.scatters()]
+        [replace(one, replicates=2 * one.replicates) for stratum in strata for one in stratum.scatters()]
     )
 
 
 def _seen_once(strata: list[Stratum]) -> list[int]:
-    """Strata that matter and have had only their pilot, which nothing has confirmed yet."""
+    """Strata that matter and have had only their first round, which nothing has confirmed yet."""
     variances = [total_variance(stratum.scatters()) for stratum in strata]
     return [
         k
@@ -106,29 +106,31 @@ def _search(strata: list[Stratum], seeds: Seeds, budget: float) -> str:
     looked = [float(stratum.weight.sum()) for stratum in strata]
     more = [SEARCH_GROWTH * int(stratum.points.max()) for stratum in strata]
     rays = sum(
-        stratum.rays_per_lookin * (before + count * SCRAMBLINGS * len(stratum.weight))
+        stratum.rays_per_lookin * (before + count * REPLICATES * len(stratum.weight))
         for stratum, before, count in zip(strata, looked, more, strict=True)
     )
     if min(looked) >= NOTHING_AFTER or rays > budget:
         return f"nothing visible: no light in {sum(looked):.0f} lookins"
     for stratum, count in zip(strata, more, strict=True):
-        stratum.sample(np.full(len(stratum.weight), count), SCRAMBLINGS, seeds.draw())
+        stratum.sample(np.full(len(stratum.weight), count), REPLICATES, seeds.draw())
     return ""
 
 
-def _estimate(job: Job, strata: list[Stratum], tried: float, rounds: int, bound: float, outcome: str) -> Estimate:
+def _estimate(
+    task: WalkTask, strata: list[Stratum], tried: float, rounds: int, bound: float, outcome: str
+) -> Estimate:
     components: dict[str, NDArray[np.float64]] = {}
     parts: dict[str, NDArray[np.float64]] = {}
-    variance, overflow = np.zeros(job.capture.shape), np.zeros(job.capture.shape[:2])
+    variance, overflow = np.zeros(task.capture.shape), np.zeros(task.capture.shape[:2])
     lookins: dict[str, float] = {}
     costs: dict[str, float] = {}
     ways: dict[str, str] = {}
     points: dict[str, int] = {}
-    seen = job.points.part >= 0
+    seen = task.points.part >= 0
     for stratum in strata:
         variance += stratum.variance / np.maximum(stratum.weight, 1.0)[:, None, None] ** 2
         overflow += stratum.mean(stratum.overflow)
-        found, of_parts = split_rows([stratum.mean(row) for row in stratum.rows], stratum.job.splits)
+        found, of_parts = split_rows([stratum.mean(row) for row in stratum.rows], stratum.task.splits)
         parts |= of_parts
         for name, values in found.items():
             components[name] = components[name] + values if name in components else values
@@ -136,9 +138,9 @@ def _estimate(job: Job, strata: list[Stratum], tried: float, rounds: int, bound:
             costs[name] = costs.get(name, 0.0) + stratum.work.cost / len(found)
             way = "walk" if stratum.observed is None else "factorised"
             ways[name] = "walk + factorised" if ways.get(name, way) != way else way
-            points[name] = int(stratum.job.accuracy.fov_samples)
+            points[name] = int(stratum.task.accuracy.fov_samples)
     total = sum(costs.values())
-    asked = job.splits.components
+    asked = task.splits.components
     spend = Spend(
         lookins={name: lookins[name] for name in asked},
         share={name: costs[name] / total for name in asked},
@@ -148,19 +150,19 @@ def _estimate(job: Job, strata: list[Stratum], tried: float, rounds: int, bound:
         cost=total + tried,
         outcome=outcome,
     )
-    target = job.accuracy.target
+    target = task.accuracy.target
     ordered = {name: components[name] for name in asked}
     return Estimate(ordered, parts, np.sqrt(variance), overflow, spend, bound, target is not None and bound <= target)
 
 
-def _nothing(job: Job) -> Estimate:
+def _nothing(task: WalkTask) -> Estimate:
     """No laser ray meets the scene: the transient is zero, exactly."""
-    asked, shape = job.splits.components, job.capture.shape
+    asked, shape = task.splits.components, task.capture.shape
     spend = Spend(
         lookins=dict.fromkeys(asked, 0.0), share=dict.fromkeys(asked, 0.0), way=dict.fromkeys(asked, "walk"),
         fov_samples=dict.fromkeys(asked, 1), rounds=0, cost=0.0,
         outcome="nothing visible: no laser ray meets the scene",
     )  # fmt: skip
     zeros = {name: np.zeros(shape) for name in asked}
-    parts = {name: np.zeros(shape) for name in job.splits.parts}
+    parts = {name: np.zeros(shape) for name in task.splits.parts}
     return Estimate(zeros, parts, np.zeros(shape), np.zeros(shape[:2]), spend, 0.0, True)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from datagen.transport.target.confidence import total_variance
 from datagen.transport.target.strata import Stratum
 
-SCRAMBLINGS = 8
-"""Fewest scramblings of a round; up to twice as many, so that lookins for each can stay a power of two."""
+REPLICATES = 8
+"""Fewest replicates of a round; up to twice as many, so that lookins for each can stay a power of two."""
 LEVELS = 4.0
 """Most that a laser point's share may differ from the mean, both ways."""
 WORTH_LEVELS = 0.85
@@ -31,21 +31,22 @@ TOO_FEW = 0.05
 
 
 @dataclass(frozen=True)
-class Order:
-    """Lookins for each laser point (L,) in each of so many scramblings; nothing ordered where all are 0."""
+class Allotment:
+    """Lookins for each laser point (L,) in each of so many replicates; nothing where all are 0."""
 
     points: NDArray[np.int64]
-    scramblings: int
+    replicates: int
 
     @property
     def lookins(self) -> float:
-        return float(self.points.sum()) * self.scramblings
+        """Lookins over all laser points and replicates."""
+        return float(self.points.sum()) * self.replicates
 
 
 def levels(stratum: Stratum) -> NDArray[np.float64]:
     """(L,) share of lookins of each laser point, a power of two, relative to the mean; 1 where it is not worth it."""
     even = np.ones(len(stratum.weight))
-    seen = stratum.job.points.part >= 0
+    seen = stratum.task.points.part >= 0
     if not stratum.by_laser or seen.sum() < 2:
         return even
     g = np.sqrt(stratum.scale * stratum.points)[seen]
@@ -55,61 +56,65 @@ def levels(stratum: Stratum) -> NDArray[np.float64]:
     return even
 
 
-def per_lookin(stratum: Stratum) -> float:
+def _per_lookin(stratum: Stratum) -> float:
     """g, the root of the variance times lookins, on average over the laser points."""
-    seen = stratum.job.points.part >= 0
+    seen = stratum.task.points.part >= 0
     return float(np.sqrt(stratum.scale * stratum.points)[seen].mean())
 
 
-def order_at(stratum: Stratum, level: NDArray[np.float64], base: float) -> Order:
-    """The order that brings a stratum to about `base` lookins a laser point (of level 1) in all."""
+def _allotment_up_to(stratum: Stratum, level: NDArray[np.float64], base: float) -> Allotment:
+    """The allotment that brings a stratum to about `base` lookins a laser point (of level 1) in all."""
     new = base - float((stratum.weight / level).mean())
     if new <= TOO_FEW * float(stratum.weight.mean()) or new <= 0:
-        return Order(np.zeros(len(level), np.int64), SCRAMBLINGS)
-    count = 2 ** max(0, int(np.floor(np.log2(max(new / SCRAMBLINGS, 1.0)))))
+        return Allotment(np.zeros(len(level), np.int64), REPLICATES)
+    count = 2 ** max(0, int(np.floor(np.log2(max(new / REPLICATES, 1.0)))))
     points = np.maximum(count * level, 1).astype(np.int64)
-    return Order(points, min(2 * SCRAMBLINGS, max(SCRAMBLINGS, int(np.ceil(new / count)))))
+    return Allotment(points, min(2 * REPLICATES, max(REPLICATES, int(np.ceil(new / count)))))
 
 
-def predicted_variance(stratum: Stratum, order: Order) -> float:
-    """Variance of the stratum after an order, by the observed exponent of convergence."""
+def _predicted_variance(stratum: Stratum, allotment: Allotment) -> float:
+    """Variance of the stratum after an allotment, by the observed exponent of convergence."""
     weight = np.maximum(stratum.weight, 1.0)
     old = sum((one.weight**2 * one.variance for one in stratum.rounds), start=np.zeros(len(weight)))
-    new = order.points * float(order.scramblings)
+    new = allotment.points * float(allotment.replicates)
     with np.errstate(divide="ignore"):
-        fresh = stratum.scale * (stratum.points / np.maximum(order.points, 1)) ** stratum.exponent / order.scramblings
+        fresh = (
+            stratum.scale
+            * (stratum.points / np.maximum(allotment.points, 1)) ** stratum.exponent
+            / allotment.replicates
+        )
     return stratum.excess * float(((old + new**2 * fresh) / (weight + new) ** 2).sum())
 
 
-def cost_of(strata: Sequence[Stratum], orders: Sequence[Order]) -> float:
+def _cost_of(strata: Sequence[Stratum], allotments: Sequence[Allotment]) -> float:
     return sum(
-        stratum.growing * order.lookins + stratum.standing * order.scramblings * (order.lookins > 0)
-        for stratum, order in zip(strata, orders, strict=True)
+        stratum.growing * allotment.lookins + stratum.standing * allotment.replicates * (allotment.lookins > 0)
+        for stratum, allotment in zip(strata, allotments, strict=True)
     )
 
 
-def next_orders(strata: Sequence[Stratum], goal: float, lookins_left: float) -> list[Order] | None:
-    """The cheapest orders that are predicted to bring the variance down to `goal`, or as far towards it as one round
-    may go; None where the lookins that are left allow nothing.
+def next_allotments(strata: Sequence[Stratum], goal: float, lookins_left: float) -> list[Allotment] | None:
+    """The cheapest allotments predicted to bring the variance down to `goal`, or as far towards it as a round may go;
+    None where the lookins that are left allow nothing.
 
     lookins_left : rays from all laser points together.
     """
     level = [levels(stratum) for stratum in strata]
-    worth = [per_lookin(s) / np.sqrt(max(s.growing, 1e-9)) for s in strata]
+    worth = [_per_lookin(s) / np.sqrt(max(s.growing, 1e-9)) for s in strata]
     spent = sum(stratum.work.cost for stratum in strata)
 
-    def at(scale: float) -> list[Order]:
+    def at(scale: float) -> list[Allotment]:
         bases = [scale * w for w in worth]
         whole = sum(b * s.growing for b, s in zip(bases, strata, strict=True))
         bases = [max(b, WITHOUT_VARIANCE * whole / s.growing) for b, s in zip(bases, strata, strict=True)]
-        return [order_at(*of) for of in zip(strata, level, bases, strict=True)]
+        return [_allotment_up_to(*of) for of in zip(strata, level, bases, strict=True)]
 
-    def enough(orders: list[Order]) -> bool:
-        return sum(predicted_variance(*of) for of in zip(strata, orders, strict=True)) <= goal
+    def enough(allotments: list[Allotment]) -> bool:
+        return sum(_predicted_variance(*of) for of in zip(strata, allotments, strict=True)) <= goal
 
-    def too_much(orders: list[Order]) -> bool:
-        rays = sum(s.rays_per_lookin * o.lookins for s, o in zip(strata, orders, strict=True))
-        return cost_of(strata, orders) > GROWTH * spent or rays > lookins_left
+    def too_much(allotments: list[Allotment]) -> bool:
+        rays = sum(s.rays_per_lookin * o.lookins for s, o in zip(strata, allotments, strict=True))
+        return _cost_of(strata, allotments) > GROWTH * spent or rays > lookins_left
 
     if not any(worth):
         return None
@@ -119,19 +124,19 @@ def next_orders(strata: Sequence[Stratum], goal: float, lookins_left: float) -> 
         _threshold(low, high, lambda x: enough(at(x)))[1],
         _threshold(low, high, lambda x: too_much(at(x)))[0],
     )
-    orders = at(min(least, most))
-    if not any(order.lookins for order in orders):
-        orders = one_more(strata, [int(np.argmax([total_variance(stratum.scatters()) for stratum in strata]))])
-    return None if too_much(orders) else orders
+    allotments = at(min(least, most))
+    if not any(allotment.lookins for allotment in allotments):
+        allotments = one_more(strata, [int(np.argmax([total_variance(stratum.scatters()) for stratum in strata]))])
+    return None if too_much(allotments) else allotments
 
 
-def one_more(strata: Sequence[Stratum], chosen: Sequence[int]) -> list[Order]:
+def one_more(strata: Sequence[Stratum], chosen: Sequence[int]) -> list[Allotment]:
     """A little more for the strata with these indices: a quarter of what they have."""
-    orders = []
+    allotments = []
     for k, stratum in enumerate(strata):
-        base = 1.25 * float(stratum.weight.mean()) + SCRAMBLINGS if k in chosen else 0.0
-        orders.append(order_at(stratum, np.ones(len(stratum.weight)), base))
-    return orders
+        base = 1.25 * float(stratum.weight.mean()) + REPLICATES if k in chosen else 0.0
+        allotments.append(_allotment_up_to(stratum, np.ones(len(stratum.weight)), base))
+    return allotments
 
 
 def _threshold(low: float, high: float, holds: Callable[[float], bool]) -> tuple[float, float]:

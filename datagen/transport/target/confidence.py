@@ -1,4 +1,4 @@
-"""How large the error of an estimate may be: an upper confidence bound from the scatter of its scramblings."""
+"""How large the error of an estimate may be: an upper confidence bound from the scatter of its replicates."""
 
 from __future__ import annotations
 
@@ -21,22 +21,23 @@ class Scatter:
 
     variance : expected square of the L2 error that it adds, as estimated.
     freedom : ν, in how many independent ways that error can fall out (`spread.Sketch.freedom`).
-    scramblings : from how many repetitions the variance was estimated.
+    replicates : from how many repetitions the variance was estimated.
     """
 
     variance: float
     freedom: float
-    scramblings: int
+    replicates: int
 
 
 def total_variance(scatters: Iterable[Scatter]) -> float:
+    """Sum of the variances of independent scatters."""
     return sum(one.variance for one in scatters)
 
 
 def bound_factor(scatters: Iterable[Scatter], confidence: float = CONFIDENCE) -> float:
     """What the summed variance is to be multiplied by, to give an upper bound of the squared error.
 
-    The squared error of a mean over R scramblings is distributed like V χ²_ν / ν, and V itself is known only from
+    The squared error of a mean over R replicates is distributed like V χ²_ν / ν, and V itself is known only from
     ν (R − 1) degrees of freedom: their ratio follows Fisher's F. Sums of contributions have effective degrees of
     freedom after Satterthwaite (1946): ν = (Σ V)² / Σ (V²/ν).
     """
@@ -45,7 +46,7 @@ def bound_factor(scatters: Iterable[Scatter], confidence: float = CONFIDENCE) ->
         return 1.0
     total = total_variance(kept)
     ways = total**2 / sum(one.variance**2 / one.freedom for one in kept)
-    known = total**2 / sum(one.variance**2 / (one.freedom * (one.scramblings - 1)) for one in kept)
+    known = total**2 / sum(one.variance**2 / (one.freedom * (one.replicates - 1)) for one in kept)
     return float(stats.f.ppf(confidence, ways, known))
 
 

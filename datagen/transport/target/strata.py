@@ -13,7 +13,7 @@ from datagen.transport.factorised.secondary import secondary_transient
 from datagen.transport.fov import PixelPatches
 from datagen.transport.spread import Sketch
 from datagen.transport.target.confidence import Scatter, disagreement, total_variance
-from datagen.transport.walk import Job, part_of
+from datagen.transport.walk import WalkTask, part_of
 
 EXPONENTS = (0.9, 1.5)
 """Bounds of α in variance ∝ n^−α: 1 for independent samples, up to 3 for smooth integrands; bins make them rough."""
@@ -26,14 +26,17 @@ UNKNOWN_EXPONENT = 1.25
 class Round:
     """What one round gave each laser point.
 
-    weight : (L,) lookins, over all scramblings; 0 for a laser point it left out. variance : (L,) of the round's mean,
-    summed over pixels and bins. freedom, scramblings : as in `Scatter`.
+    Attributes
+    ----------
+    weight : (L,) lookins, over all replicates; 0 for a laser point it left out.
+    variance : (L,) of the round's mean, summed over pixels and bins.
+    freedom, replicates : as in `Scatter`.
     """
 
     weight: NDArray[np.float64]
     variance: NDArray[np.float64]
     freedom: float
-    scramblings: int
+    replicates: int
 
 
 @dataclass
@@ -43,16 +46,22 @@ class Stratum:
     Rounds are averaged with their lookins as weights, never with weights from their own scatter: that would favour
     rounds that happened to miss the bright rare paths.
 
-    job : the whole capture, with the components of this stratum and its FoV points for each vertex.
+    Attributes
+    ----------
+    task : the whole capture, with the components of this stratum and its FoV points for each vertex.
     observed : observed points for each lookin, where the factorised form finds the secondary; None for the walk.
     carriers : (K,) parts whose lookins the factorised form takes.
-    rows : sums over the rounds of weight × mean, one (L, P, T) array for each split; variance, overflow likewise
-        (with squared weights for the variance). weight : (L,). work : all that was done.
-    scale, points : (L,) variance of one scrambling in the last round, and its lookins there. exponent : the observed
-        α in variance ∝ n^−α. excess : by how much the last round disagreed with those before it, ≥ 1.
+    rows : sums over the rounds of weight × mean, one (L, P, T) array for each split.
+    variance, overflow : likewise, with squared weights for the variance.
+    weight : (L,) lookins.
+    scale : (L,) variance of one replicate in the last round.
+    points : (L,) its lookins there.
+    work : all that was done.
+    exponent : the observed α in variance ∝ n^−α.
+    excess : by how much the last round disagreed with those before it, ≥ 1.
     """
 
-    job: Job
+    task: WalkTask
     observed: int | None = None
     carriers: NDArray[np.bool_] | None = None
     rows: list[NDArray[np.float64]] = field(init=False)
@@ -63,19 +72,20 @@ class Stratum:
     points: NDArray[np.float64] = field(init=False)
     rounds: list[Round] = field(default_factory=list)
     work: Work = field(default_factory=lambda: Work(calls=0))
-    scramblings: int = 0
+    replicates: int = 0
     exponent: float = UNKNOWN_EXPONENT
     excess: float = 1.0
 
     def __post_init__(self) -> None:
-        shape = self.job.capture.shape
-        self.rows = [np.zeros(shape) for _ in range(self.job.splits.count)]
+        shape = self.task.capture.shape
+        self.rows = [np.zeros(shape) for _ in range(self.task.splits.count)]
         self.variance, self.overflow = np.zeros(shape), np.zeros(shape[:2])
         self.weight, self.scale, self.points = np.zeros(shape[0]), np.zeros(shape[0]), np.ones(shape[0])
 
     @property
     def components(self) -> tuple[str, ...]:
-        return self.job.splits.components
+        """Those that are found together."""
+        return self.task.splits.components
 
     @property
     def by_laser(self) -> bool:
@@ -94,8 +104,8 @@ class Stratum:
 
     @property
     def standing(self) -> float:
-        """Cost of one scrambling, whatever its lookins."""
-        return self.work.standing / max(self.scramblings, 1)
+        """Cost of one replicate, whatever its lookins."""
+        return self.work.standing / max(self.replicates, 1)
 
     def mean(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
         """A sum over rounds (L, …) as their weighted mean."""
@@ -105,19 +115,19 @@ class Stratum:
         """The rounds' parts in the error of the mean over them."""
         total = np.maximum(self.weight, 1.0)
         return [
-            Scatter(float(((one.weight / total) ** 2 * one.variance).sum()), one.freedom, one.scramblings)
+            Scatter(float(((one.weight / total) ** 2 * one.variance).sum()), one.freedom, one.replicates)
             for one in self.rounds
         ]
 
-    def sample(self, points: NDArray[np.int64], scramblings: int, seeds: list[int]) -> None:
-        """One more round: `points` (L,) lookins in each of `scramblings`, 0 for none; `seeds` one for each number."""
+    def sample(self, points: NDArray[np.int64], replicates: int, seeds: list[int]) -> None:
+        """One more round: `points` (L,) lookins in each of `replicates`, 0 for none; `seeds` one for each number."""
         square, expected, freedoms, before = 0.0, 0.0, [], self.scatters()
         weight, variance = np.zeros(len(points)), np.zeros(len(points))
         for seed, count in zip(seeds, [n for n in np.unique(points) if n > 0], strict=False):
             lasers = np.flatnonzero(points == count)
-            sketch = Sketch(scramblings)
-            part = self.job if len(lasers) == len(points) else part_of(self.job, lasers)
-            got = self._average(part, int(count), scramblings, seed, sketch)
+            sketch = Sketch(replicates)
+            part = self.task if len(lasers) == len(points) else part_of(self.task, lasers)
+            got = self._average(part, int(count), replicates, seed, sketch)
             self.work += got.work
             own = (got.stderr**2).sum(axis=(1, 2))
             if self.rounds:
@@ -126,29 +136,29 @@ class Stratum:
                 )
                 square += float(np.sum(np.square(change)))
                 expected += float((self.variance[lasers].sum(axis=(1, 2)) / self.weight[lasers] ** 2).sum())
-            weight[lasers], variance[lasers] = count * scramblings, own
-            freedoms.append(Scatter(float(own.sum()), sketch.freedom(), scramblings))
-            self._add(lasers, count * scramblings, got)
-        self.scramblings += scramblings
+            weight[lasers], variance[lasers] = count * replicates, own
+            freedoms.append(Scatter(float(own.sum()), sketch.freedom(), replicates))
+            self._add(lasers, count * replicates, got)
+        self.replicates += replicates
         seen = weight > 0
-        one = Round(weight, variance, _freedom(freedoms), scramblings)
+        one = Round(weight, variance, _freedom(freedoms), replicates)
         if self.rounds:
-            new = Scatter(float(variance.sum()), one.freedom, scramblings)
+            new = Scatter(float(variance.sum()), one.freedom, replicates)
             share = expected / total_variance(before) if total_variance(before) > 0 else 0.0
             self.excess = disagreement(square, new, [replace(b, variance=share * b.variance) for b in before])
-            self._learn_exponent(points, variance * scramblings)
+            self._learn_exponent(points, variance * replicates)
         self.weight += weight
-        self.scale[seen], self.points[seen] = variance[seen] * scramblings, points[seen]
+        self.scale[seen], self.points[seen] = variance[seen] * replicates, points[seen]
         self.rounds.append(one)
 
-    def _average(self, job: Job, count: int, scramblings: int, seed: int, sketch: Sketch) -> Average:
-        counts = replace(job.accuracy, target=None, lookins=count * scramblings, scramblings=scramblings)
-        job = replace(job, accuracy=counts, seed=seed)
+    def _average(self, task: WalkTask, count: int, replicates: int, seed: int, sketch: Sketch) -> Average:
+        counts = replace(task.accuracy, target=None, lookins=count * replicates, replicates=replicates)
+        task = replace(task, accuracy=counts, seed=seed)
         if self.observed is None:
-            return walk_average(job, sketch)
+            return walk_average(task, sketch)
         got = secondary_transient(
-            job.caster, job.scene, job.materials, job.capture, job.points, job.cones, job.patches,
-            lookins=counts.lookins, observed=self.observed, fov_samples=counts.fov_samples, scramblings=scramblings,
+            task.caster, task.scene, task.materials, task.capture, task.points, task.cones, task.patches,
+            lookins=counts.lookins, observed=self.observed, fov_samples=counts.fov_samples, replicates=replicates,
             strongest=counts.strongest, seed=seed, carriers=self.carriers, sketch=sketch,
         )  # fmt: skip
         return Average([got.mean], got.stderr, got.overflow, got.work)
@@ -169,11 +179,11 @@ class Stratum:
             self.exponent = float(np.clip(np.log(was / now) / growth, *EXPONENTS))
 
 
-def with_fov_samples(job: Job, fov_samples: int) -> Job:
-    """The same job with another number of FoV points for each vertex and pixel."""
-    accuracy = replace(job.accuracy, target=None, fov_samples=fov_samples)
-    patches = PixelPatches.of(job.caster, job.capture.sensor, job.cones, fov_samples)
-    return replace(job, accuracy=accuracy, patches=patches)
+def with_fov_samples(task: WalkTask, fov_samples: int) -> WalkTask:
+    """The same task with another number of FoV points for each vertex and pixel."""
+    accuracy = replace(task.accuracy, target=None, fov_samples=fov_samples)
+    patches = PixelPatches.of(task.caster, task.capture.sensor, task.cones, fov_samples)
+    return replace(task, accuracy=accuracy, patches=patches)
 
 
 def square_norm(strata: list[Stratum]) -> float:

@@ -1,4 +1,4 @@
-"""What a pilot decides: FoV points for each vertex, which components share a walk, and how the secondary is found."""
+"""What first rounds decide: FoV points for each vertex, what shares a walk, and how the secondary is found."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from datagen.transport.cost import RAY
 from datagen.transport.factorised.secondary import factorising
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.surroundings import CONTACT, surroundings
-from datagen.transport.target.allocation import SCRAMBLINGS
+from datagen.transport.target.allocation import REPLICATES
 from datagen.transport.target.confidence import total_variance
 from datagen.transport.target.strata import Stratum, square_norm, with_fov_samples
-from datagen.transport.walk import Job, part_of
+from datagen.transport.walk import WalkTask, part_of
 
 TARGET_STREAM = 48
 SEEDS_PER_ROUND = 8
-PILOT_LOOKINS = 4096
-"""Lookins of a component's pilot over all laser points, between the bounds of the next line for each of them."""
-PILOT_EACH = (4, 64)
-"""Fewest and most lookins of a pilot in each scrambling of each laser point; powers of two."""
+FIRST_LOOKINS = 4096
+"""Lookins of a first round over all laser points, between the bounds of the next line for each of them."""
+FIRST_EACH = (4, 64)
+"""Fewest and most lookins of a first round in each replicate of each laser point; powers of two."""
 FOV_CHOICES = (1, 4, 16, 64)
-"""FoV points for each vertex that the pilot tries."""
+"""FoV points for each vertex that are tried."""
 CONNECTIONS_AT_MOST = 128
 """Most connections of a vertex, over its pixels, that are tried: beyond, the ray that led to it costs nothing."""
 FINE_PATCH = 4.0
 """Patches smaller than so many bins (or hundredths of the scene) look the same all over: one FoV point does."""
-FOV_PILOT_LASERS = 8
+FOV_TRIAL_LASERS = 8
 OBSERVED = 64
 LASERS_AT_MOST = 16
 """Confocal laser points up to which the factorised form is tried: it shares nothing between them."""
 USUAL_FOV_SAMPLES, USUAL_CONNECTIONS = 4, 16
 WORTH_TRYING_FOV = 4.0
-"""Cost to go, in pilots, from which other numbers of FoV points than the usual are tried."""
+"""Cost to go, in first rounds, from which other numbers of FoV points than the usual are tried."""
 WORTH_CHANGING_FOV = 0.75
-"""Largest variance × cost, relative to the usual number of FoV points, for which another is taken: pilots are noisy,
-and the first one is lost."""
+"""Largest variance × cost, relative to the usual number of FoV points, for which another is taken: first rounds are
+noisy, and what the usual number gave is lost."""
 WORTH_LOOKING = 30.0
-"""Cost to go, in pilots, from which other ways than one walk for everything are tried."""
+"""Cost to go, in first rounds, from which other ways than one walk for everything are tried."""
 LOOKINS_WORTH_LOOKING = 1 << 17
 """Limits of the lookins under which looking around would take too many of them."""
 WORTH_SHARING = 0.8
@@ -53,67 +53,68 @@ class Seeds:
         self._seed, self._used = seed, 0
 
     def draw(self) -> list[int]:
+        """The seeds of one round, one for each number of lookins in it."""
         numbers = np.arange(self._used, self._used + SEEDS_PER_ROUND)
         self._used += SEEDS_PER_ROUND
         high, low = (stream_seeds(self._seed, TARGET_STREAM, half, numbers) for half in (0, 1))
         return [int(h) << 32 | int(w) for h, w in zip(high, low, strict=True)]
 
 
-def pilot_points(job: Job) -> NDArray[np.int64]:
-    """(L,) lookins for each scrambling of a pilot."""
-    lasers = len(job.points.part)
-    wanted = PILOT_LOOKINS // (SCRAMBLINGS * lasers)
-    count = int(np.clip(1 << max(wanted, 1).bit_length() - 1, *PILOT_EACH))
+def _first_points(task: WalkTask) -> NDArray[np.int64]:
+    """(L,) lookins for each replicate of a first round."""
+    lasers = len(task.points.part)
+    wanted = FIRST_LOOKINS // (REPLICATES * lasers)
+    count = int(np.clip(1 << max(wanted, 1).bit_length() - 1, *FIRST_EACH))
     return np.full(lasers, count)
 
 
-def piloted(job: Job, target: float, seeds: Seeds) -> tuple[list[Stratum], float]:
+def first_rounds(task: WalkTask, target: float, seeds: Seeds) -> tuple[list[Stratum], float]:
     """The strata to work with, each with a first round, and the cost of what was tried and left.
 
     One walk for everything is the first thing tried. Only where meeting the target will cost more than looking around
     are other numbers of FoV points tried; only where it costs far more, its orders apart, and the secondary in its
     factorised form.
     """
-    job, tried = with_fov_samples(job, _usual_fov_samples(job)), 0.0
-    asked, points = job.splits.components, pilot_points(job)
-    factor, ranked = factorising(job.materials), job.accuracy.strongest is not None
+    task, tried = with_fov_samples(task, _usual_fov_samples(task)), 0.0
+    asked, points = task.splits.components, _first_points(task)
+    factor, ranked = factorising(task.materials), task.accuracy.strongest is not None
     walked = ~factor if ranked else np.ones(len(factor), np.bool_)
     strata = []
     if "direct" in asked:
-        strata.append(_sampled(Stratum(_of_components(job, ("direct",), walked)), points, seeds))
+        strata.append(_sampled(Stratum(_of_components(task, ("direct",), walked)), points, seeds))
     orders = tuple(n for n in asked if n != "direct" and (n != "secondary" or walked.any()))
-    joint = _sampled(Stratum(_of_components(job, orders, walked)), points, seeds)
+    joint = _sampled(Stratum(_of_components(task, orders, walked)), points, seeds)
     if ranked and "secondary" in asked and factor.any():
-        ranking = _factorised(job, factor, job.accuracy.observed or OBSERVED)
+        ranking = _factorised(task, factor, task.accuracy.observed or OBSERVED)
         return [*strata, joint, _sampled(ranking, points, seeds)], tried
     to_go = _cost_to_go(joint, [*strata, joint], target)
     if to_go > WORTH_TRYING_FOV * joint.work.cost:
-        best, more = _with_best_fov_samples(job, seeds)
+        best, more = _with_best_fov_samples(task, seeds)
         tried += more
-        if best.accuracy.fov_samples != job.accuracy.fov_samples:
+        if best.accuracy.fov_samples != task.accuracy.fov_samples:
             other = _sampled(Stratum(_of_components(best, orders, walked)), points, seeds)
             if _price([other]) < _price([joint]):
-                job, joint, other = best, other, joint
+                task, joint, other = best, other, joint
             tried += other.work.cost
             to_go = _cost_to_go(joint, [*strata, joint], target)
-    short = job.accuracy.max_lookins < LOOKINS_WORTH_LOOKING
+    short = task.accuracy.max_lookins < LOOKINS_WORTH_LOOKING
     separable = bool(factor.any()) and "secondary" in orders and not short
-    contact = separable and surroundings(job, seeds.draw()[0]) > max(CONTACT, target)
+    contact = separable and surroundings(task, seeds.draw()[0]) > max(CONTACT, target)
     if not contact and (len(orders) == 1 or short or to_go < WORTH_LOOKING * joint.work.cost):
         return [*strata, joint], tried
-    apart = [_sampled(Stratum(_of_components(job, (name,), walked)), points, seeds) for name in orders]
-    if separable and (contact or _worth_trying(job)):
-        apart, more = _with_better_secondary(job, apart, factor, points, seeds, contact)
+    apart = [_sampled(Stratum(_of_components(task, (name,), walked)), points, seeds) for name in orders]
+    if separable and (contact or _worth_trying(task)):
+        apart, more = _with_better_secondary(task, apart, factor, points, seeds, contact)
         tried += more
     if contact:
         return [*strata, *apart], tried + joint.work.cost
-    found, more = _with_shared_walks(job, joint, apart, points, seeds)
+    found, more = _with_shared_walks(task, joint, apart, points, seeds)
     return [*strata, *found], tried + more
 
 
 def _sampled(stratum: Stratum, points: NDArray[np.int64], seeds: Seeds) -> Stratum:
-    """The stratum with its pilot."""
-    stratum.sample(points, SCRAMBLINGS, seeds.draw())
+    """The stratum with its first round."""
+    stratum.sample(points, REPLICATES, seeds.draw())
     return stratum
 
 
@@ -125,54 +126,54 @@ def _cost_to_go(joint: Stratum, strata: list[Stratum], target: float) -> float:
     return joint.work.growing * variance / wanted if wanted > 0 else 0.0
 
 
-def _of_components(job: Job, components: tuple[str, ...], walked: NDArray[np.bool_]) -> Job:
-    parts = job.splits.parts if "primary" in components else ()
-    return replace(job, splits=replace(job.splits, components=components, parts=parts), walked=walked)
+def _of_components(task: WalkTask, components: tuple[str, ...], walked: NDArray[np.bool_]) -> WalkTask:
+    parts = task.splits.parts if "primary" in components else ()
+    return replace(task, splits=replace(task.splits, components=components, parts=parts), walked=walked)
 
 
-def _factorised(job: Job, carriers: NDArray[np.bool_], observed: int) -> Stratum:
-    return Stratum(_of_components(job, ("secondary",), ~carriers), observed, carriers)
+def _factorised(task: WalkTask, carriers: NDArray[np.bool_], observed: int) -> Stratum:
+    return Stratum(_of_components(task, ("secondary",), ~carriers), observed, carriers)
 
 
-def _usual_fov_samples(job: Job) -> int:
+def _usual_fov_samples(task: WalkTask) -> int:
     """FoV points for each vertex to begin with: several for few pixels whose patches are large."""
-    if job.patch_detail(np.arange(len(job.patches.radius))) < FINE_PATCH:
+    if task.patch_detail(np.arange(len(task.patches.radius))) < FINE_PATCH:
         return 1
-    room = max(USUAL_CONNECTIONS // job.capture.shape[1], 1)
+    room = max(USUAL_CONNECTIONS // task.capture.shape[1], 1)
     return min(USUAL_FOV_SAMPLES, 1 << room.bit_length() - 1)
 
 
-def _with_best_fov_samples(job: Job, seeds: Seeds) -> tuple[Job, float]:
+def _with_best_fov_samples(task: WalkTask, seeds: Seeds) -> tuple[WalkTask, float]:
     """Try numbers of FoV points on the primary of some laser points, in rising order for as long as that pays: more
     of them lower the variance and save rays. It falls by more than 1/M where the pixel is smooth, so nothing is
     interpolated."""
-    pixels = job.capture.shape[1]
+    pixels = task.capture.shape[1]
     choices = [m for m in FOV_CHOICES if m * pixels <= CONNECTIONS_AT_MOST]
-    if len(choices) < 2 or job.accuracy.fov_samples == 1:
-        return job, 0.0
-    existing = np.flatnonzero(job.points.part >= 0)
-    few = existing[np.linspace(0, len(existing) - 1, min(len(existing), FOV_PILOT_LASERS)).astype(int)]
-    some = part_of(_of_components(job, ("primary",), job.walked), np.unique(few))
+    if len(choices) < 2 or task.accuracy.fov_samples == 1:
+        return task, 0.0
+    existing = np.flatnonzero(task.points.part >= 0)
+    few = existing[np.linspace(0, len(existing) - 1, min(len(existing), FOV_TRIAL_LASERS)).astype(int)]
+    some = part_of(_of_components(task, ("primary",), task.walked), np.unique(few))
     prices: dict[int, float] = {}
     spent = 0.0
     for samples in choices:
-        stratum = _sampled(Stratum(with_fov_samples(some, samples)), pilot_points(some), seeds)
+        stratum = _sampled(Stratum(with_fov_samples(some, samples)), _first_points(some), seeds)
         spent += stratum.work.cost
         prices[samples] = _price([stratum])
         if prices[samples] > min(prices.values()):
             break
     best = min(prices, key=lambda samples: prices[samples])
-    worth = prices[best] < WORTH_CHANGING_FOV * prices.get(job.accuracy.fov_samples, np.inf)
-    return (with_fov_samples(job, best) if worth else job), spent
+    worth = prices[best] < WORTH_CHANGING_FOV * prices.get(task.accuracy.fov_samples, np.inf)
+    return (with_fov_samples(task, best) if worth else task), spent
 
 
-def _worth_trying(job: Job) -> bool:
-    lasers = len(job.points.part)
-    return job.capture.pairing == "exhaustive" or lasers <= LASERS_AT_MOST
+def _worth_trying(task: WalkTask) -> bool:
+    lasers = len(task.points.part)
+    return task.capture.pairing == "exhaustive" or lasers <= LASERS_AT_MOST
 
 
 def _with_better_secondary(
-    job: Job,
+    task: WalkTask,
     strata: list[Stratum],
     factor: NDArray[np.bool_],
     points: NDArray[np.int64],
@@ -183,9 +184,9 @@ def _with_better_secondary(
     where the walk's own variance is not to be believed (`contact`)."""
     place = next(k for k, stratum in enumerate(strata) if stratum.components == ("secondary",))
     walk = strata[place]
-    replacements = [_factorised(job, factor, OBSERVED)]
+    replacements = [_factorised(task, factor, OBSERVED)]
     if not factor.all():
-        replacements.append(Stratum(_of_components(job, ("secondary",), ~factor)))
+        replacements.append(Stratum(_of_components(task, ("secondary",), ~factor)))
     for stratum in replacements:
         _sampled(stratum, points, seeds)
     if contact or _price(replacements) < _price([walk]):
@@ -199,7 +200,7 @@ def _price(strata: list[Stratum]) -> float:
 
 
 def _with_shared_walks(
-    job: Job, joint: Stratum, apart: list[Stratum], points: NDArray[np.int64], seeds: Seeds
+    task: WalkTask, joint: Stratum, apart: list[Stratum], points: NDArray[np.int64], seeds: Seeds
 ) -> tuple[list[Stratum], float]:
     """The walk for all orders, or walks apart, or some orders joined: walks apart repeat each other's rays."""
     of_joint, of_apart = _price([joint]), _price(apart)
@@ -217,7 +218,7 @@ def _with_shared_walks(
             kept.append(group[0])
             continue
         lost += sum(stratum.work.cost for stratum in group)
-        together = _of_components(job, sum((s.components for s in group), ()), group[0].job.walked)
+        together = _of_components(task, sum((s.components for s in group), ()), group[0].task.walked)
         kept.append(_sampled(Stratum(together), points, seeds))
     return kept, lost
 

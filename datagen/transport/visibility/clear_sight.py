@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from datagen.records import Sensor
 from datagen.transport.fov import FovPool
+from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.raycast import Raycaster
 from datagen.transport.visibility.clear_sight_kernels import (
     Bodies,
@@ -60,8 +61,11 @@ Occlusion = Literal["auto", "on", "off"]
 class _State:
     """What has been found out, shared by all views of one `ClearSight`.
 
-    asked, proven, assumed : connections by how their visibility was found. expected : connections there will be, or 0
-    where nobody knows. worth_from : connections from which proofs are tried, None for never (again).
+    Attributes
+    ----------
+    asked, proven, assumed : connections by how their visibility was found.
+    expected : connections there will be, or 0 where nobody knows.
+    worth_from : connections from which proofs are tried, None for never (again).
     """
 
     asked: int = 0
@@ -79,8 +83,10 @@ class ClearSight:
 
     It remembers what it found out about cells; what it answers depends on the scene, the sensor and the counts alone.
 
-    each : connections of every vertex, over all of its pixels. pixels : those looked at, in the sensor's numbers;
-        None for all.
+    Attributes
+    ----------
+    each : connections of every vertex, over all of its pixels.
+    pixels : those looked at, in the sensor's numbers; None for all.
     """
 
     occlusion: Occlusion
@@ -248,20 +254,14 @@ class _Proofs:
 def _tiles(caster: Raycaster, sensor: Sensor, most: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Boxes (T, 5, 3) about what groups of neighbouring pixels see, and the group (P,) of each pixel, −1 for none.
 
-    Lines of sight on a grid over each pixel, its corners included, find where its FoV points lie; a point that a
+    A grid of lines of sight over each pixel, its corners included, finds where its FoV points lie; a point that a
     later line finds outside is asked by a ray. Where most of a group's points lie in one plane the others are left
     out, so that clutter on a wall does not spoil the view of the rest.
     """
-    knots = np.linspace(1e-9, 1 - 1e-9, PROBES)
-    u, v = np.tile(knots, PROBES)[:, None], np.repeat(knots, PROBES)[:, None]
-    corner = sensor.pixels - sensor.position
-    a, b, c, d = (corner[:, None, k] for k in range(4))
-    w = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
-    hits = caster.closest(sensor.position, w.reshape(-1, 3))
-    valid = hits.valid.reshape(w.shape[:2])
-    normal = hits.normal.reshape(w.shape)
-    lifted = hits.position.reshape(w.shape) + caster.offset_m * normal
-    of_pixel = np.full(len(w), -1, np.int64)
+    lines = lines_of_sight(caster, sensor, PROBES)
+    valid, normal = lines.valid, lines.normal
+    lifted = lines.position + caster.offset_m * normal
+    of_pixel = np.full(len(valid), -1, np.int64)
     seeing = np.flatnonzero(valid.any(axis=1))
     if not len(seeing):
         return np.empty((0, 5, 3)), of_pixel

@@ -23,8 +23,11 @@ SHORTLIST = 8
 class Tiles(NamedTuple):
     """Boxes about the FoV points, lifted off the wall: T of them, then one about all.
 
-    corners : (T + 1, 8, 3), the first four the front face in order, the others behind them. axis : (T + 1, 3) unit
-        normal of the front. low, high : (T + 1, 3) bounds along the coordinate axes.
+    Attributes
+    ----------
+    corners : (T + 1, 8, 3), the first four the front face in order, the others behind them.
+    axis : (T + 1, 3) unit normal of the front.
+    low, high : (T + 1, 3) bounds along the coordinate axes.
     heights : (T + 1, N, 2) lowest and highest corner above the plane of each body that is a triangle.
     of_pixel : (P,) the tile of each pixel.
     """
@@ -40,9 +43,13 @@ class Tiles(NamedTuple):
 class Bodies(NamedTuple):
     """What may occlude, as in `occluders.py`: the shell's walls and N convex bodies.
 
+    Attributes
+    ----------
     shell : (H, 4) unit normal towards the scene and level of each wall: normal · x − level is a point's height.
-    size : (N,) corners a body has: 3, a triangle, or 8, a box. corners : (N, 8, 3) metres.
-    normal, level : (N, 3), (N,) a triangle's plane; 0 for a box. low, high : (N, 3) bounds along the axes.
+    size : (N,) corners a body has: 3, a triangle, or 8, a box.
+    corners : (N, 8, 3) metres.
+    normal, level : (N, 3), (N,) a triangle's plane; 0 for a box.
+    low, high : (N, 3) bounds along the axes.
     """
 
     shell: NDArray[np.float64]

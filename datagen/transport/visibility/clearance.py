@@ -57,6 +57,7 @@ def light_buffer(
 
 
 def no_light_buffer() -> LightBuffer:
+    """One that proves nothing."""
     return LightBuffer(np.empty((0, 0, 0), np.int32), np.empty(0, np.int32))
 
 

@@ -1,4 +1,4 @@
-"""Scramblings traced in one call are what they are one by one."""
+"""Replicates traced in one call are what they are one by one."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _capture(pairing: str) -> Capture:
 
 def _run(pairing: str, bounces: int | None, together: int, monkeypatch: pytest.MonkeyPatch) -> Transient:
     monkeypatch.setattr(averages, "LOOKINS_TOGETHER", together)
-    accuracy = Accuracy(lookins=90, fov_samples=3, scramblings=8, max_bounces=bounces, direct=True)
+    accuracy = Accuracy(lookins=90, fov_samples=3, replicates=8, max_bounces=bounces, direct=True)
     return simulate(_open_room(), _capture(pairing), accuracy, seed=5)
 
 
