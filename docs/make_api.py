@@ -25,14 +25,14 @@ input raises `datagen.errors.InputError` with one line that names key, value, al
 def page() -> str:
     """The whole page: public names by stage, classes first."""
     named = {name: getattr(datagen, name) for name in datagen.__all__ if not name.startswith("_")}
-    sections = [INTRODUCTION]
+    contents, sections = [INTRODUCTION], list[str]()
     for stage in STAGES:
         ours = sorted((not inspect.isclass(o), n) for n, o in named.items() if o.__module__.split(".")[1] == stage)
-        entries = [_entry(name, named.pop(name)) for _, name in ours]
-        sections += [f"## {stage.capitalize()}\n", *entries] if entries else []
+        contents.append(f"- `{stage}/`: " + " · ".join(f"[{name}](#{name.lower()})" for _, name in ours))
+        sections += [f"## `datagen/{stage}/`\n", *(_entry(name, named.pop(name)) for _, name in ours)]
     if named:
         raise SystemExit(f"docs/make_api.py: {', '.join(named)} belong to none of the stages {', '.join(STAGES)}")
-    return "\n".join(sections)
+    return "\n".join([*contents, "", *sections])
 
 
 def _entry(name: str, thing: Any) -> str:
