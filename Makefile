@@ -60,6 +60,11 @@ format: setup
 schema: setup
 	$(BIN)/datagen schema > configs/schema.json
 
+# The API reference, from the docstrings.
+.PHONY: docs
+docs: setup
+	$(BIN)/python docs/make_api.py
+
 # Thousands of random cases, new ones at each run: make fuzz SEED=7 repeats one.
 fuzz: SEED ?= $(shell date +%s)
 fuzz: setup

@@ -1,0 +1,116 @@
+"""What README and docs name exists: files, links, commands with options, make targets, names of datagen, tests."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import runpy
+from pathlib import Path
+
+import click
+import pytest
+import yaml
+
+import datagen
+from datagen.cli import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+TEXTS = {page: page.read_text(encoding="utf-8") for page in PAGES}
+FOLDERS = (ROOT, ROOT / "datagen", ROOT / "docs")
+"""Where a path on a page may start, beside the page's own folder."""
+FORBIDDEN = {"utils.py"}
+"""Named only to say that there is no such file."""
+
+
+def commands(text: str) -> list[str]:
+    """Commands on a page: indented or fenced lines, and inline code, that begin with one of ours."""
+    lines = re.findall(r"^ {4}(\S.*)$", text, re.MULTILINE)
+    spans = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    return [re.sub(r"\s+#.*", "", piece) for piece in lines + spans]
+
+
+def slug(heading: str) -> str:
+    """The anchor that GitHub gives a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_resolve(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", TEXTS[page]):
+        if target.startswith("http"):
+            continue
+        name, _, anchor = target.partition("#")
+        found = (page.parent / name).resolve() if name else page
+        assert found.exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.+)$", found.read_text(encoding="utf-8"), re.MULTILINE)
+            assert anchor in map(slug, headings), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_and_folders_named_exist(page: Path) -> None:
+    named = re.findall(
+        r"(?<![\w/.])((?:[\w.]+/)*[\w.-]+\.(?:py|md|cff|toml)|(?:[\w.]+/)+[\w-]+\.(?:yaml|json|txt))", TEXTS[page]
+    )
+    folders = re.findall(r"`((?:\w+/)+)`", TEXTS[page])
+    given = {name for name in named + folders if not name.startswith("out/")} - FORBIDDEN
+    assert not {name for name in given if not _exists(name, page)}
+
+
+def _exists(name: str, page: Path) -> bool:
+    if "/" not in name and any(any((ROOT / top).rglob(name)) for top in ("datagen", "scene_library", "tests")):
+        return True
+    return any((folder / name).exists() for folder in (*FOLDERS, page.parent))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_names_of_datagen_exist(page: Path) -> None:
+    for name in set(re.findall(r"\bdg\.(\w+)", TEXTS[page])):
+        assert hasattr(datagen, name), f"dg.{name}"
+    for dotted in set(re.findall(r"(?<![\w/.-])datagen((?:\.[a-zA-Z_]\w*)+)", TEXTS[page])):
+        thing, module = datagen, "datagen"
+        for part in dotted[1:].split("."):
+            module += f".{part}"
+            thing = getattr(thing, part, None) or importlib.import_module(module)
+    for name in set(re.findall(r"\btest_\w+(?![\w/.])", TEXTS[page])):
+        assert any(name in path.read_text(encoding="utf-8") for path in ROOT.glob("tests/**/test_*.py")), name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_and_options_exist(page: Path) -> None:
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    for command in commands(TEXTS[page]):
+        words = command.removeprefix("python -m ").split()
+        if words[0] == "make" and len(words) > 1:
+            assert words[1] in targets, command
+        if words[0] != "datagen" or len(words) == 1:
+            continue
+        found: click.Command | None = cli
+        while isinstance(found, click.Group) and (words := words[1:]):
+            found = found.get_command(click.Context(found), words[0])
+            assert found is not None, command
+        known = [option for parameter in getattr(found, "params", []) for option in parameter.opts]
+        assert {word for word in words if word.startswith("--")} <= {*known, "--help", "--version"}, command
+
+
+def test_api_page_is_current() -> None:
+    page = runpy.run_path(str(ROOT / "docs/make_api.py"))["page"]()
+    assert page == TEXTS[ROOT / "docs/api.md"], "docstrings have changed since docs/api.md was written: make docs"
+
+
+def test_physics_page_simulates(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    example = re.findall(r"^```python\n(.*?)^```", TEXTS[ROOT / "docs/physics.md"], re.DOTALL | re.MULTILINE)[0]
+    names: dict[str, object] = {}
+    exec(compile(example.replace("lookins=4096", "lookins=128"), "docs/physics.md", "exec"), names)
+    assert getattr(names["counts"], "shape", None) == (256, 1, 512)
+
+
+def test_versions_agree() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {"cff-version", "message", "title", "authors", "version", "date-released"} <= set(citation)
+    assert citation["version"] == datagen.__version__
+    assert citation["references"][0]["doi"] == "10.3390/s24206522"
+    heading = f"## [{datagen.__version__}] - {citation['date-released']}"
+    assert heading in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
