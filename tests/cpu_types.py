@@ -15,7 +15,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from numpy._core._multiarray_umath import __cpu_dispatch__ as numpy_dispatched
+from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -45,7 +45,8 @@ TYPES = {
 
 def environment(cpu: CpuType, caches: str) -> dict[str, str]:
     """The environment of a test run; `caches` is a folder for what numba compiles."""
-    absent = [name for name in numpy_dispatched if any(word in name for word in cpu.numpy)]
+    here = [name for name in __cpu_dispatch__ if __cpu_features__.get(name)]
+    absent = [name for name in here if any(word in name for word in cpu.numpy)]
     path = [str(ROOT), str(ROOT / "tests" / "emulated_cpu"), os.environ.get("PYTHONPATH", "")]
     return os.environ | {
         "NPY_DISABLE_CPU_FEATURES": " ".join(absent),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -50,10 +51,13 @@ class Sketch:
         """
         n = len(self.folded) - 1
         deviation = self.folded - self.folded.mean(axis=0)
+        peak = float(np.abs(deviation).max())
+        if n < 2 or peak == 0.0:
+            return 1.0
+        # By a power of two, which rounds nothing: of very little light the fourth power would be no number any more.
+        deviation = np.ldexp(deviation, -math.frexp(peak)[1])
         products = deviation @ deviation.T / n
         trace, square = float(np.trace(products)), float((products**2).sum())
-        if n < 2 or trace <= 0.0:
-            return 1.0
         unbiased = n * n / ((n - 1) * (n + 2)) * (square - trace * trace / n)
         return float(np.clip(trace * trace / max(unbiased, trace * trace / SKETCH_SIZE), 1.0, SKETCH_SIZE))
 

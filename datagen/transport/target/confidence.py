@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -38,16 +39,25 @@ def bound_factor(scatters: Iterable[Scatter], confidence: float = CONFIDENCE) ->
     """What the summed variance is to be multiplied by, to give an upper bound of the squared error.
 
     The squared error of a mean over R replicates is distributed like V χ²_ν / ν, and V itself is known only from
-    ν (R − 1) degrees of freedom: their ratio follows Fisher's F. Sums of contributions have effective degrees of
-    freedom after Satterthwaite (1946): ν = (Σ V)² / Σ (V²/ν).
+    ν (R − 1) degrees of freedom: their ratio follows Fisher's F.
     """
     kept = [one for one in scatters if one.variance > 0]
     if not kept:
         return 1.0
-    total = total_variance(kept)
-    ways = total**2 / sum(one.variance**2 / one.freedom for one in kept)
-    known = total**2 / sum(one.variance**2 / (one.freedom * (one.replicates - 1)) for one in kept)
+    ways = effective_freedom(kept)
+    known = effective_freedom([replace(one, freedom=one.freedom * (one.replicates - 1)) for one in kept])
     return float(stats.f.ppf(confidence, ways, known))
+
+
+def effective_freedom(scatters: Sequence[Scatter]) -> float:
+    """ν = (Σ V)² / Σ (V²/ν) of a sum of scatters (Satterthwaite 1946); 1 where there is no variance."""
+    total = total_variance(scatters)
+    if total <= 0:
+        return 1.0
+    # By a power of two, which rounds nothing: the squares of very small variances would be no numbers any more.
+    power = -math.frexp(total)[1]
+    squares = sum(math.ldexp(one.variance, power) ** 2 / one.freedom for one in scatters)
+    return math.ldexp(total, power) ** 2 / squares
 
 
 def disagreement(square: float, expected: Scatter, before: Iterable[Scatter]) -> float:

@@ -12,7 +12,7 @@ from datagen.transport.cost import Work
 from datagen.transport.factorised.secondary import secondary_transient
 from datagen.transport.fov import PixelPatches
 from datagen.transport.spread import Sketch
-from datagen.transport.target.confidence import Scatter, disagreement, total_variance
+from datagen.transport.target.confidence import Scatter, disagreement, effective_freedom, total_variance
 from datagen.transport.walk import WalkTask, part_of
 
 EXPONENTS = (0.9, 1.5)
@@ -141,7 +141,7 @@ class Stratum:
             self._add(lasers, count * replicates, got)
         self.replicates += replicates
         seen = weight > 0
-        one = Round(weight, variance, _freedom(freedoms), replicates)
+        one = Round(weight, variance, effective_freedom(freedoms), replicates)
         if self.rounds:
             new = Scatter(float(variance.sum()), one.freedom, replicates)
             share = expected / total_variance(before) if total_variance(before) > 0 else 0.0
@@ -193,8 +193,3 @@ def square_norm(strata: list[Stratum]) -> float:
         total = sum(row[laser] / max(stratum.weight[laser], 1.0) for stratum in strata for row in stratum.rows)
         norm += float(np.sum(total**2))
     return norm
-
-
-def _freedom(parts: list[Scatter]) -> float:
-    total = total_variance(parts)
-    return total**2 / sum(p.variance**2 / p.freedom for p in parts) if total > 0 else 1.0
