@@ -34,6 +34,12 @@ def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, in
     ------
     InputError : the scene names no relay wall or device; the scan or the field of view is larger than the wall that
         the device sees; from a configured position a laser point or pixel is hidden, or an object in plain sight.
+
+    >>> import datagen as dg
+    >>> config = dg.load_config("configs/quickstart.yaml")
+    >>> capture = dg.capture_for(config, dg.generate_scene(config.scene, seed=7, index=3))
+    >>> capture.shape, capture.laser.targets.shape
+    ((256, 1, 512), (256, 3))
     """
     settings = config.capture
     wall = scene.relay_wall

@@ -66,6 +66,11 @@ def load_config(path: str | Path) -> DatasetConfig:
     """Read a YAML file. Mesh files are named relative to it.
 
     Raises `InputError`, one line, for a missing file, broken YAML, an unknown key or a value that is not allowed.
+
+    >>> import datagen as dg
+    >>> config = dg.load_config("configs/quickstart.yaml")
+    >>> config.scene.layout.kind, config.capture.shape
+    ('l_corridor', (256, 1, 512))
     """
     path = Path(path)
     try:

@@ -29,7 +29,20 @@ def _points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArr
 
 @dataclass(frozen=True, init=False)
 class Laser:
-    """A pulsed laser: each laser point is the first surface from `position` (3,) towards `targets` (L, 3), metres."""
+    """A pulsed laser: each laser point is the first surface from `position` towards one of `targets`.
+
+    Attributes
+    ----------
+    position : (3,) metres.
+    targets : (L, 3) metres, none of them at `position`.
+
+    Examples
+    --------
+    >>> import datagen as dg
+    >>> laser = dg.Laser(position=(0, 0, 1), targets=[(3, -0.5, 1), (3, 0.5, 1)])
+    >>> laser.targets.shape
+    (2, 3)
+    """
 
     position: NDArray[np.float64]
     targets: NDArray[np.float64]
@@ -45,6 +58,8 @@ class Laser:
 class Sensor:
     """A camera of `P` pixels with a small round aperture.
 
+    Attributes
+    ----------
     position : (3,) aperture centre, metres.
     pixels : (P, 4, 3) corners, in order around, of each pixel's field of view on (or beyond) the wall as seen from
         `position`: they fix four directions, the wall itself is found by rays.
@@ -79,7 +94,18 @@ class Sensor:
         cols: int,
         aperture_radius_m: float = 0.02,
     ) -> Sensor:
-        """rows × cols pixels that tile the rectangle `center ± right ± up`; row 0 at the top, column 0 at −right."""
+        """rows × cols pixels that tile the rectangle `center ± right ± up`; row 0 at the top, column 0 at −right.
+
+        Raises `InputError` for fewer than one row or column.
+
+        >>> import datagen as dg
+        >>> wall_center, right, up = (3, 0, 1), (0, -0.4, 0), (0, 0, 0.3)
+        >>> sensor = dg.Sensor.grid((0, 0, 1), wall_center, right, up, rows=3, cols=4)
+        >>> sensor.pixels.shape
+        (12, 4, 3)
+        >>> print(sensor.pixels[0].mean(axis=0))  # the middle of the pixel at the top left
+        [3.  0.3 1.2]
+        """
         if rows < 1 or cols < 1:
             raise InputError(f"Sensor.grid: rows={rows}, cols={cols}; both must be ≥ 1")
         c, r, u = (np.asarray(v, np.float64) for v in (center, right, up))
@@ -99,8 +125,19 @@ class Sensor:
 class TimeAxis:
     """Bin `i` covers `[start + i·width, start + (i+1)·width)` seconds.
 
+    Attributes
+    ----------
+    bins : how many, ≥ 1.
+    width_s, start_s : width of a bin and start of the first, seconds.
     origin : `source` counts from laser emission to detection (both device legs); `wall` counts from the laser point
         to the FoV point only.
+
+    Examples
+    --------
+    >>> import datagen as dg
+    >>> time = dg.TimeAxis(bins=4, width_s=1e-10, origin="wall")
+    >>> print(time.centers_s * 1e12)
+    [ 50. 150. 250. 350.]
     """
 
     bins: int
@@ -138,9 +175,19 @@ class TimeAxis:
 class Capture:
     """Laser, sensor, time axis.
 
+    Attributes
+    ----------
     pairing : `exhaustive`: every pixel for every laser point; `confocal`: pixel i for laser point i.
     illumination : `scan`: one laser point after the other; `flood`: all at once, each with an equal share of the
         light, as one wide beam: one histogram a pixel.
+
+    Examples
+    --------
+    >>> import datagen as dg
+    >>> laser = dg.Laser((0, 0, 1), [(3, -0.5, 1), (3, 0.5, 1)])
+    >>> sensor = dg.Sensor.grid((0, 0, 1), (3, 0, 1), (0, -0.4, 0), (0, 0, 0.3), rows=3, cols=4)
+    >>> dg.Capture(laser, sensor, dg.TimeAxis(bins=512, width_s=1e-10)).shape  # laser, pixel, bin
+    (2, 12, 512)
     """
 
     laser: Laser

@@ -31,7 +31,15 @@ class Material:
 
 @dataclass(frozen=True)
 class Lambertian(Material):
-    """A perfectly diffuse surface: BRDF = albedo / π in every direction, on both sides."""
+    """A perfectly diffuse surface: BRDF = albedo / π in every direction, on both sides.
+
+    >>> import datagen as dg
+    >>> dg.Lambertian(0.8)
+    Lambertian(albedo=0.8)
+    >>> dg.Lambertian(1.2)
+    Traceback (most recent call last):
+    datagen.errors.InputError: Lambertian.albedo = 1.2: must lie in 0 … 1, or the surface would create light
+    """
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,10 @@ class Phong(Material):
     exponent : n, 0 … 10 000. The lobe's half width at half maximum is √(2 ln 2 / n): 15° at n = 20, 0.7° at the
         upper end, beyond which a surface is a mirror for paths that random samples would hardly meet.
     specular : share of the albedo in the lobe, 0 … 1.
+
+    >>> import datagen as dg
+    >>> dg.Phong(0.5, exponent=80, specular=0.3)  # varnish: 30 % near the mirror direction
+    Phong(albedo=0.5, exponent=80, specular=0.3)
     """
 
     exponent: float = 20.0

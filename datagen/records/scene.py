@@ -156,6 +156,15 @@ class Scene:
 
         Raises `InputError` for no parts, a repeated name, vertices that are not finite, indices out of range,
         or a part left with no area.
+
+        >>> import trimesh
+        >>> import datagen as dg
+        >>> wall = trimesh.creation.box((0.01, 3, 2.5))
+        >>> box = trimesh.creation.box((0.4, 0.3, 0.5)).apply_translation((-1.5, 1, 0))
+        >>> parts = [dg.Part("wall", wall, dg.Lambertian(0.8), "relay_wall"), dg.Part("box", box, dg.Phong(0.5))]
+        >>> scene = dg.Scene.from_parts(parts)
+        >>> scene.part_names, scene.triangles.shape, len(scene.faces_of("box"))
+        (('wall', 'box'), (24, 3), 12)
         """
         parts = list(parts)
         if not parts:

@@ -26,7 +26,7 @@ _PLACES_TRIED = 40
 
 @dataclass(frozen=True)
 class PlacedClutter:
-    """One thing before the relay wall. parameters : its numbers, by short name."""
+    """One thing before the relay wall: its kind, shape and place, and its numbers by short name."""
 
     kind: str
     surface: Surface
