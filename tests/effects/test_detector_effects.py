@@ -65,6 +65,8 @@ def random_detection(rng: np.random.Generator) -> Detection:
         spad = replace(spad, gate_start_s=None, gate_width_s=None)
     if rng.random() < 0.4:
         spad = replace(spad, counter_max=None)
+    if rng.random() < 0.6:
+        spad = replace(spad, afterpulse_probability=0.0, crosstalk_probability=0.0)
     return Detection(signal(rng), AXIS, spad, exposure, 1e-3)
 
 
@@ -77,18 +79,19 @@ def change(given: Detection, without: Detection) -> float:
 
 
 def test_bound_of_the_timing_response_holds_in_random_detectors() -> None:
-    """25 random detectors and more; it must be strong in some, nearly nothing in others, or nothing is tested."""
+    """60 random detectors and more; it must be strong in some, nearly nothing in others, or nothing is tested."""
     row, rng = ROWS["timing_response"], np.random.default_rng(11)
     assert not isinstance(row.change, str)
     strong = weak = tried = 0
-    while strong < 3 or weak < 8 or tried < 25:
+    while strong < 3 or weak < 20 or tried < 60:
         given = random_detection(rng)
         found = row.change(given)
         if found.value is None:
             continue
         actual = change(given, row.without(given))
-        # Where the mean itself is approximate, it is known to some 1e-6 only.
-        rounding = 1e-8 if has_exact_mean(given.spad, given.transient.shape[1]) else 2e-5
+        # Where the mean itself is approximate, afterpulses in the long bins beyond the window are known to some 1e-4
+        # only, and the response changes how these bins are cut.
+        rounding = 1e-8 if has_exact_mean(given.spad, given.transient.shape[1]) else 2e-4
         assert actual <= found.value * (1 + 1e-6) + rounding, (found, given.spad, given.exposure)
         strong, weak, tried = strong + (actual > 0.01), weak + (found.value <= 0.01), tried + 1
 
