@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,21 +14,14 @@ from numpy.typing import NDArray
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.config.transport import TransportConfig
-from datagen.detector import DetectorPlan, Exposure, Spad, detect, detector_for, plan_detector
-from datagen.effects import EffectPlan, plan_detector_effects, plan_transport_effects
+from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
+from datagen.effects import EffectDecisions, decide_detector_effects, decide_transport_effects
 from datagen.errors import InputError
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import simulate
-
-
-class _Allowed(TypedDict):
-    """What the detector's planner may do."""
-
-    tolerance: float
-    approximate: bool
 
 
 def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig | None = None) -> Sample:
@@ -55,10 +48,10 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
         effects += detector_effects(config, transient, spad, exposure)
     with _timed(seconds, "detector"):
         used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
-        seen = (transient.total, capture.time, used, conditions)
-        allowed = _Allowed(tolerance=tolerance, approximate=config.detector.approximate)
-        plan = plan_detector(*seen, **allowed)
-        counts = detect(*seen, seed=derived_seed(seed, index, Purpose.DETECTOR), **allowed)
+        counts, sampler = detect_and_choice(
+            transient.total, capture.time, used, conditions, seed=derived_seed(seed, index, Purpose.DETECTOR),
+            tolerance=tolerance, approximate=config.detector.approximate,
+        )  # fmt: skip
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
         labels = make_labels(config.labels, scene, wanted, _slots(config))
@@ -71,19 +64,19 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
         name: measured[name] for name in measured if name in config.store.fields
     }
     arrays |= labels | _geometry(scene, capture, transient)
-    return Sample(index, arrays, _parameters(scene, spad, exposure, effects, plan, transient, counts), seconds)
+    return Sample(index, arrays, _parameters(scene, spad, exposure, effects, sampler, transient, counts), seconds)
 
 
-def transport_effects(config: DatasetConfig, scene: Scene, capture: Capture, index: int) -> EffectPlan:
+def transport_effects(config: DatasetConfig, scene: Scene, capture: Capture, index: int) -> EffectDecisions:
     """What of scene `index` the transport is to simulate, and why."""
     seed = derived_seed(config.seed, index, Purpose.EFFECTS)
-    return plan_transport_effects(scene, capture, config.transport.accuracy(), config.effects, seed)
+    return decide_transport_effects(scene, capture, config.transport.accuracy(), config.effects, seed)
 
 
-def detector_effects(config: DatasetConfig, transient: Transient, spad: Spad, exposure: Exposure) -> EffectPlan:
+def detector_effects(config: DatasetConfig, transient: Transient, spad: Spad, exposure: Exposure) -> EffectDecisions:
     """What the detector is to simulate for a transient, and why."""
     seen = (transient.total, transient.time, spad, exposure)
-    return plan_detector_effects(*seen, config.effects, config.detector.tolerance)
+    return decide_detector_effects(*seen, config.effects, config.detector.tolerance)
 
 
 def _slots(config: DatasetConfig) -> ObjectSlots:
@@ -105,8 +98,8 @@ def check_inputs(config: DatasetConfig) -> None:
         _tried_capture(config, index)
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
     dark = np.zeros((1, *capture.shape[1:]))
-    allowed = _Allowed(tolerance=config.detector.tolerance, approximate=config.detector.approximate)
-    plan_detector(dark, capture.time, spad, exposure, **allowed)
+    given = config.detector
+    choose_sampler(dark, capture.time, spad, exposure, tolerance=given.tolerance, approximate=given.approximate)
 
 
 def _tried_capture(config: DatasetConfig, index: int) -> Capture:
@@ -149,8 +142,8 @@ def _parameters(
     scene: Scene,
     spad: Spad,
     exposure: Exposure,
-    effects: EffectPlan,
-    plan: DetectorPlan,
+    effects: EffectDecisions,
+    sampler: SamplerChoice,
     transient: Transient,
     counts: NDArray[np.integer],
 ) -> dict[str, Scalar]:
@@ -161,8 +154,7 @@ def _parameters(
         **_scalars("detector", asdict(spad)),
         **_scalars("exposure", asdict(exposure)),
         **effects.parameters(),
-        "decision.detector": plan.sampler,
-        **_scalars("detector_plan", plan.parameters()),
+        **_scalars("sampler", sampler.parameters()),
         "transient.energy": inside,
         "transient.overflow": outside / (inside + outside) if inside + outside > 0 else 0.0,
         "transient.relative_error": transient.relative_error,

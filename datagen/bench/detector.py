@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.detector import Exposure, Spad, detect, expected_histogram, plan_detector
+from datagen.detector import Exposure, Spad, choose_sampler, detect, expected_histogram
 from datagen.exit_status import guarded
 from datagen.records import TimeAxis
 from datagen.store.environment import cores, processor
@@ -75,7 +75,7 @@ def measure(fluxes: Sequence[float] = FLUXES, naive: bool = True) -> list[Row]:
     for case, (spad, ensemble) in CASES.items():
         for flux in fluxes:
             shape = demonstration_shape() * flux
-            plan = plan_detector(shape, axis, spad, exposure, tolerance=0.0, approximate=ensemble)
+            plan = choose_sampler(shape, axis, spad, exposure, tolerance=0.0, approximate=ensemble)
             if ensemble and not plan.approximate:
                 continue
             size = 1 if plan.sampler in EVENT_DRIVEN else BLOCK

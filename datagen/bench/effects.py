@@ -31,7 +31,7 @@ from datagen.bench.effects_cases import LOOKINS, nearly_everything_skipped, near
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, EffectsConfig
 from datagen.detector import Exposure, Spad, detect, detector_for, expected_histogram
-from datagen.effects import EFFECTS, EffectPlan, plan_detector_effects, plan_transport_effects
+from datagen.effects import EFFECTS, EffectDecisions, decide_detector_effects, decide_transport_effects
 from datagen.errors import CheckError, InputError
 from datagen.exit_status import guarded
 from datagen.records import TimeAxis, Transient
@@ -98,10 +98,10 @@ def run_case(config: DatasetConfig) -> Outcome:
     accuracy = config.transport.accuracy()
     seconds: dict[str, float] = {}
 
-    def plan_of(settings: EffectsConfig) -> EffectPlan:
-        return plan_transport_effects(scene, capture, accuracy, settings, seed=config.seed)
+    def plan_of(settings: EffectsConfig) -> EffectDecisions:
+        return decide_transport_effects(scene, capture, accuracy, settings, seed=config.seed)
 
-    def lit(plan: EffectPlan, seed: int) -> Transient:
+    def lit(plan: EffectDecisions, seed: int) -> Transient:
         reduced_scene, reduced = plan.apply_transport(scene, capture, accuracy)
         return simulate(reduced_scene, capture, reduced, seed=seed, split_parts=False)
 
@@ -116,7 +116,9 @@ def run_case(config: DatasetConfig) -> Outcome:
             max(pair) for pair in zip(*(difference(*pairs, part) for part in (whole, indirect)), strict=True)
         )
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
-    plan += plan_detector_effects(full.total, capture.time, spad, exposure, config.effects, config.detector.tolerance)
+    plan += decide_detector_effects(
+        full.total, capture.time, spad, exposure, config.effects, config.detector.tolerance
+    )
     histogram_error, refused = _detected(config, full, capture.time, spad, exposure, plan, seconds)
     states = {d.effect: "on" if d.simulated else "off" if d.left_out else "absent" for d in plan.decisions}
     change = {"transport": plan.change("transport"), "detector": plan.change("detector")}
@@ -129,7 +131,7 @@ def _detected(
     axis: TimeAxis,
     spad: Spad,
     exposure: Exposure,
-    plan: EffectPlan,
+    plan: EffectDecisions,
     seconds: dict[str, float],
 ) -> tuple[float, str]:
     """Relative difference of the expected histograms, and why counts could not be drawn with everything on."""
@@ -141,7 +143,7 @@ def _detected(
 
     def planned() -> NDArray[np.integer]:
         settings = (config.effects, tolerance)
-        again = plan_detector_effects(full.total, axis, spad, exposure, *settings)
+        again = decide_detector_effects(full.total, axis, spad, exposure, *settings)
         return counted(again.apply_detector(spad, exposure, tolerance))
 
     refused = ""

@@ -15,7 +15,7 @@ def _as_word(value: Any) -> Any:
 
 
 Switch = Annotated[Literal["auto", "on", "off"], BeforeValidator(_as_word)]
-"""`on`: always simulated; `off`: never; `auto`: unless leaving it out provably or measurably changes too little."""
+"""`on`: always simulated; `off`: never; `auto`: unless leaving it out saves time and changes too little."""
 
 
 class EffectsConfig(Settings):
@@ -27,8 +27,8 @@ class EffectsConfig(Settings):
 
     tolerance: Annotated[float, Field(ge=0, le=1)] = 0.01
     """How much all effects left out by `auto` may change the answer together: relative L2 of the transient (of its
-    light of three bounces and more), and of the expected histogram for the detector's effects. Effects of the dead
-    time are also held to `detector.tolerance`. With 0 only what changes nothing at all is left out."""
+    light of three bounces and more), and of the expected histogram for the detector's effects. With 0 only what
+    changes nothing at all is left out."""
     direct_return: Switch = "auto"
     """One and two bounces: the laser point, or a surface it lights, inside the field of view."""
     occlusion: Switch = "auto"
@@ -54,7 +54,8 @@ class EffectsConfig(Settings):
     dark_counts: Switch = "auto"
     """Avalanches without a photon."""
     pile_up: Switch = "auto"
-    """Events lost to the dead time of earlier ones in the same laser cycle."""
+    """Events lost to the dead time of earlier ones in the same laser cycle. `on` here, and for the next three, asks
+    for exact samplers; with `auto` the sampler may be as biased as `detector.tolerance`."""
     dead_time_across_cycles: Switch = "auto"
     """Events lost to the dead time of those in earlier cycles (mode `free_running`); left out, the detector is armed
     afresh by every laser pulse."""

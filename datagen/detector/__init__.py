@@ -16,24 +16,25 @@ from pathlib import Path
 
 from datagen.compiled import drop_stale_kernels
 from datagen.detector.classes import DETECTOR_CLASSES
-from datagen.detector.detect import detect, expected_histogram, plan_detector
+from datagen.detector.detect import choose_sampler, detect, detect_and_choice, expected_histogram
 from datagen.detector.draw import detector_for
 from datagen.detector.inverse import coates_correction, dead_time_correction
-from datagen.detector.plan import DetectorPlan, Sampler
+from datagen.detector.sampler_choice import Sampler, SamplerChoice
 from datagen.detector.spad import Exposure, Spad
 
 __all__ = [
     "DETECTOR_CLASSES",
-    "DetectorPlan",
     "Exposure",
     "Sampler",
+    "SamplerChoice",
     "Spad",
+    "choose_sampler",
     "coates_correction",
     "dead_time_correction",
     "detect",
+    "detect_and_choice",
     "detector_for",
     "expected_histogram",
-    "plan_detector",
 ]
 
 drop_stale_kernels(Path(__file__).parent)

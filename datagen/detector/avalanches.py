@@ -73,55 +73,50 @@ def _run(
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
     pixels, n = cumulative.shape[0], cumulative.shape[1] - 1
-    period = edges[n]
+    period, per_width = edges[n], 1.0 / width
     counts = np.zeros((pixels, n), np.int64)
     # The moment from which each pixel is armed, and its next avalanche.
     armed_cycle, armed_phase = np.full(pixels, -burn_in, np.int64), np.zeros(pixels)
-    next_cycle, next_phase = np.zeros(pixels, np.int64), np.zeros(pixels)
+    next_cycle, next_phase = np.full(pixels, -burn_in, np.int64), np.zeros(pixels)
     next_bin = np.zeros(pixels, np.int64)
     # Releases still expected of each trap from the moment its pixel is armed.
     level = np.zeros((pixels, len(loads)))
+    # Pixels whose next avalanche is to be drawn: at first all of them, later those that avalanche at one moment.
     stack = np.empty(4 * pixels + 8, np.int64)
-    for p in range(pixels):
-        next_cycle[p], next_phase[p], next_bin[p] = _next(
-            p, cumulative, edges, width, lattice, guide, gate, level, times, -burn_in, 0.0, cycles, rng
-        )
+    stack[:pixels] = np.arange(pixels)[::-1]
+    waiting, now, phase, j = pixels, -burn_in, 0.0, -1
     while True:
-        p = 0
-        for other in range(1, pixels):
-            if next_cycle[other] < next_cycle[p] or (
-                next_cycle[other] == next_cycle[p] and next_phase[other] < next_phase[p]
-            ):
-                p = other
-        now, phase = next_cycle[p], next_phase[p]
-        if now >= cycles:
-            return counts
-        j = next_bin[p]
-        stack[0] = p
-        waiting = 1
         while waiting > 0:
             waiting -= 1
-            p = stack[waiting]
-            is_armed = armed_cycle[p] < now or (armed_cycle[p] == now and armed_phase[p] <= phase)
-            if not is_armed and not paralyzable:
-                continue
-            if is_armed and now >= 0:
-                counts[p, j] += 1
-            new_cycle, new_phase = now, phase + dead_time
-            if synchronous and new_phase >= period:
-                new_cycle, new_phase = now + 1, 0.0
-            elif new_phase >= period:
-                laps = np.floor(new_phase / period)
-                new_cycle, new_phase = now + int(laps), max(new_phase - laps * period, 0.0)
-            since = (new_cycle - armed_cycle[p]) * period + (new_phase - armed_phase[p])
-            for t in range(len(loads)):
-                level[p, t] = level[p, t] * np.exp(-since / times[t]) + loads[t]
-            armed_cycle[p], armed_phase[p] = new_cycle, new_phase
-            # Under a paralyzable dead time the next photon matters even if it comes too early.
-            from_cycle, from_phase = (now, phase) if paralyzable else (new_cycle, new_phase)
-            next_cycle[p], next_phase[p], next_bin[p] = _next(
-                p, cumulative, edges, width, lattice, guide, gate, level, times, from_cycle, from_phase, cycles, rng
-            )
+            p = int(stack[waiting])
+            from_cycle, from_phase, is_armed = -burn_in, 0.0, False
+            if j >= 0:
+                is_armed = bool(armed_cycle[p] < now or (armed_cycle[p] == now and armed_phase[p] <= phase))
+                if not is_armed and not paralyzable:
+                    continue
+                if is_armed and now >= 0:
+                    counts[p, j] += 1
+                new_cycle, new_phase = _armed_again(now, phase + dead_time, period, synchronous)
+                since = (new_cycle - armed_cycle[p]) * period + (new_phase - armed_phase[p])
+                for t in range(len(loads)):
+                    level[p, t] = level[p, t] * np.exp(-since / times[t]) + loads[t]
+                armed_cycle[p], armed_phase[p] = new_cycle, new_phase
+                # Under a paralyzable dead time the next photon matters even if it comes too early.
+                from_cycle, from_phase = (now, phase) if paralyzable else (new_cycle, new_phase)
+            later, at, k, total = cycles, 0.0, 0, cumulative[p, n]
+            if total > 0.0:
+                e = rng.standard_exponential()
+                u = 0.0 if e <= MANY_LAPS * total else rng.random()
+                later, at, k = _next_photon(
+                    cumulative[p], edges, per_width, lattice, guide[p], from_cycle, from_phase, cycles, e, u
+                )
+            for t in range(len(times)):
+                e = rng.standard_exponential()
+                if e < level[p, t]:
+                    later, at, k = _release(
+                        later, at, k, from_cycle, from_phase, e, level[p, t], times[t], edges, gate, rng
+                    )
+            next_cycle[p], next_phase[p], next_bin[p] = later, at, k
             if is_armed and crosstalk > 0.0:
                 row, column = p // columns, p % columns
                 for way in range(4):
@@ -133,6 +128,17 @@ def _run(
                     if waiting < len(stack):
                         stack[waiting] = q
                         waiting += 1
+        p = 0
+        for other in range(1, pixels):
+            if next_cycle[other] < next_cycle[p] or (
+                next_cycle[other] == next_cycle[p] and next_phase[other] < next_phase[p]
+            ):
+                p = other
+        now, phase, j = int(next_cycle[p]), float(next_phase[p]), int(next_bin[p])
+        if now >= cycles:
+            return counts
+        stack[0] = p
+        waiting = 1
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -152,37 +158,16 @@ def _run_alone(
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
     """The same, in half the time, for one pixel without neighbours and a dead time that nothing prolongs."""
-    n = len(edges) - 1
-    period, total = edges[n], cumulative[n]
-    counts = np.zeros(n, np.int64)
+    counts = np.zeros(len(edges) - 1, np.int64)
+    level = np.zeros(len(loads))
+    period, total, per_width = edges[-1], cumulative[-1], 1.0 / width
     if not total > 0.0:
         return counts
-    per_total, per_width = n / total, 1.0 / width
-    level = np.zeros(len(loads))
     cycle, phase = -burn_in, 0.0
     while True:
-        j = int(phase * per_width)
-        if j >= lattice:
-            j = min(max(int(np.searchsorted(edges, phase, side="right")) - 1, 0), n - 1)
-        elif edges[j + 1] <= phase:
-            j += 1
-        share = min(max((phase - edges[j]) / (edges[j + 1] - edges[j]), 0.0), 1.0)
-        target = cumulative[j] + share * (cumulative[j + 1] - cumulative[j]) + rng.standard_exponential()
-        now = cycle
-        if target >= total:
-            laps = np.floor(target / total)
-            target = max(target - laps * total, 0.0)
-            if laps > MANY_LAPS:
-                target = rest_of_lap(total, rng.random())
-            if target >= total:
-                target, laps = 0.0, laps + 1.0
-            now = cycle + int(laps) if laps < cycles - cycle else cycles
-            j = 0
-        # An empty bin adds nothing to Λ, so it is stepped over and never hit.
-        j = max(j, int(guide[min(int(target * per_total), n - 1)]))
-        while cumulative[j + 1] <= target:
-            j += 1
-        at = edges[j] + (edges[j + 1] - edges[j]) * (target - cumulative[j]) / (cumulative[j + 1] - cumulative[j])
+        e = rng.standard_exponential()
+        u = 0.0 if e <= MANY_LAPS * total else rng.random()
+        now, at, j = _next_photon(cumulative, edges, per_width, lattice, guide, cycle, phase, cycles, e, u)
         for t in range(len(loads)):
             e = rng.standard_exponential()
             if e < level[t]:
@@ -191,17 +176,23 @@ def _run_alone(
             return counts
         if now >= 0:
             counts[j] += 1
-        armed_cycle, armed_phase = now, at + dead_time
-        if armed_phase >= period:
-            if synchronous:
-                armed_cycle, armed_phase = now + 1, 0.0
-            else:
-                laps = np.floor(armed_phase / period)
-                armed_cycle, armed_phase = now + int(laps), max(armed_phase - laps * period, 0.0)
+        armed_cycle, armed_phase = _armed_again(now, at + dead_time, period, synchronous)
         since = (armed_cycle - cycle) * period + (armed_phase - phase)
         for t in range(len(loads)):
             level[t] = level[t] * np.exp(-since / times[t]) + loads[t]
         cycle, phase = armed_cycle, armed_phase
+
+
+@numba.njit(inline="always")
+def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> tuple[int, float]:
+    """(cycle, phase) at which a dead time that would end at `phase` of `cycle`, or later, is over."""
+    if phase >= period:
+        if synchronous:
+            cycle, phase = cycle + 1, 0.0
+        else:
+            laps = np.floor(phase / period)
+            cycle, phase = cycle + int(laps), max(phase - laps * period, 0.0)
+    return cycle, phase
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -241,67 +232,42 @@ def _release(
     return now, at, j
 
 
-@numba.njit(inline="always")
-def _next(
-    pixel: int,
+@numba.njit(cache=True, error_model="numpy")
+def _next_photon(
     cumulative: Array,
     edges: Array,
-    width: float,
+    per_width: float,
     lattice: int,
     guide: NDArray[np.int64],
-    gate: Array,
-    level: Array,
-    times: Array,
     cycle: int,
     phase: float,
     cycles: int,
-    rng: np.random.Generator,
+    e: float,
+    u: float,
 ) -> tuple[int, float, int]:
-    """(cycle, phase, bin) of a pixel's first avalanche, armed from (cycle, phase) on; `cycles` or later: none.
+    """(cycle, phase, bin) of the first photon detected after (cycle, phase), where Λ has grown by `e`.
 
-    Inlined, as handing the generator on costs more than a draw.
+    `u` is a uniform number, used beyond `MANY_LAPS` periods. A cycle of `cycles` or later means that there is none.
     """
-    n = cumulative.shape[1] - 1
-    total = cumulative[pixel, n]
-    best_cycle, best_phase, best_bin = cycles, 0.0, 0
-    if total > 0.0:
-        j = _bin_at(phase, edges, width, lattice)
-        share = min((phase - edges[j]) / (edges[j + 1] - edges[j]), 1.0)
-        before = cumulative[pixel, j]
-        target = before + share * (cumulative[pixel, j + 1] - before) + rng.standard_exponential()
-        laps = 0.0
-        if target >= total:
-            laps = np.floor(target / total)
-            target = max(target - laps * total, 0.0)
-            if laps > MANY_LAPS:
-                target = rest_of_lap(total, rng.random())
-            if target >= total:
-                target, laps = 0.0, laps + 1.0
-        if laps < cycles - cycle:
-            # An empty bin adds nothing to Λ, so it is stepped over and never hit.
-            j = int(guide[pixel, min(int(target * n / total), n - 1)])
-            while cumulative[pixel, j + 1] <= target:
-                j += 1
-            before = cumulative[pixel, j]
-            best_cycle, best_bin = cycle + int(laps), j
-            best_phase = edges[j] + (edges[j + 1] - edges[j]) * (target - before) / (
-                cumulative[pixel, j + 1] - before
-            )
-    for t in range(len(times)):
-        e = rng.standard_exponential()
-        if e < level[pixel, t]:
-            best_cycle, best_phase, best_bin = _release(
-                best_cycle, best_phase, best_bin, cycle, phase, e, level[pixel, t], times[t], edges, gate, rng
-            )
-    return best_cycle, best_phase, best_bin
-
-
-@numba.njit(inline="always")
-def _bin_at(phase: float, edges: Array, width: float, lattice: int) -> int:
-    """The bin of the period that holds a phase."""
-    j = int(phase / width)
+    n = len(edges) - 1
+    total = cumulative[n]
+    j = int(phase * per_width)
     if j >= lattice:
-        j = min(max(int(np.searchsorted(edges, phase, side="right")) - 1, 0), len(edges) - 2)
+        j = min(max(int(np.searchsorted(edges, phase, side="right")) - 1, 0), n - 1)
     elif edges[j + 1] <= phase:
         j += 1
-    return j
+    share = min(max((phase - edges[j]) / (edges[j + 1] - edges[j]), 0.0), 1.0)
+    target = cumulative[j] + share * (cumulative[j + 1] - cumulative[j]) + e
+    if target >= total:
+        laps = np.floor(target / total)
+        target = max(target - laps * total, 0.0) if e <= MANY_LAPS * total else rest_of_lap(total, u)
+        if target >= total:
+            target, laps = 0.0, laps + 1.0
+        cycle = cycle + int(laps) if laps < cycles - cycle else cycles
+        j = 0
+    # An empty bin adds nothing to Λ, so it is stepped over and never hit.
+    j = max(j, int(guide[min(int(target * (n / total)), n - 1)]))
+    while cumulative[j + 1] <= target:
+        j += 1
+    at = edges[j] + (edges[j + 1] - edges[j]) * (target - cumulative[j]) / (cumulative[j + 1] - cumulative[j])
+    return cycle, at, j

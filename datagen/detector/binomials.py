@@ -115,6 +115,6 @@ def _below_density(n: int, p: float, spread: float, a: float, b: float, edge: fl
 def _stirling(k: float) -> float:
     """What Stirling's formula lacks of log k!."""
     if k < 10:
-        return _STIRLING[int(k)]
+        return float(_STIRLING[int(k)])
     s = (k + 1.0) * (k + 1.0)
     return (1.0 / 12 - (1.0 / 360 - 1.0 / 1260 / s) / s) / (k + 1.0)

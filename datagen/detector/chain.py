@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from datagen.detector.binomials import binomial
 from datagen.detector.equilibrium import Equilibrium
-from datagen.detector.renewal import Pieces, early_share, edge_at, return_weights
+from datagen.detector.renewal import Pieces, Table, early_share, return_table
 
 Flux = NDArray[np.float64]
 
@@ -151,60 +151,51 @@ def draw_cycle_ensemble(
     total fluctuate a little more than it should.
     """
     pieces = state.pieces
-    whole = int(pieces.dead_time // pieces.edges[-1])
+    period = float(pieces.edges[-1])
+    whole = int(pieces.dead_time // period)
+    table = return_table(pieces.flux, pieces.edges, pieces.dead_time - whole * period)
     length = min(together * (whole + 1), cycles)
     runs, rest = divmod(cycles, length)
-    pending = _pending(state.detections, pieces.flux, pieces.edges, pieces.dead_time)
-    counts = _ensemble(pieces.flux, pieces.edges, pieces.bin_of, pieces.dead_time, pending, bins, runs, length, rng)
+    pending = _pending(state.detections, table, whole)
+    counts = _ensemble(table, pieces.bin_of, whole, pending, bins, runs, length, rng)
     if rest:
-        counts += _ensemble(pieces.flux, pieces.edges, pieces.bin_of, pieces.dead_time, pending, bins, 1, rest, rng)
+        counts += _ensemble(table, pieces.bin_of, whole, pending, bins, 1, rest, rng)
     return counts
 
 
 @numba.njit(cache=True)
-def _pending(detections: Flux, flux: Flux, edges: Flux, dead_time: float) -> Flux:
-    """(whole periods + 1, m) probability, in equilibrium at phase 0, to be due back in a piece of a coming cycle."""
-    m = len(flux)
-    period = edges[m]
-    whole = int(np.floor(dead_time / period))
-    rest = dead_time - whole * period
+def _pending(detections: Flux, table: Table, whole: int) -> Flux:
+    """(whole + 2, m) probability, in equilibrium at phase 0, to be due back in a piece of a coming cycle."""
+    q, first, offset, weights = table
+    m = len(q)
     pending = np.zeros((whole + 2, m))
-    weights, scratch = np.empty(m + 3), np.empty((2, m + 3))
-    target = 0
     for i in range(m):
-        while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + rest:
-            target += 1
         if detections[i] <= 0.0:
             continue
-        count = return_weights(edges[i] + rest, edges[i + 1] + rest, target, edges, flux, weights, scratch)
-        for k in range(count):
-            where = target + k
+        for k in range(offset[i + 1] - offset[i]):
+            where = first[i] + k
             lap = where // m
             # Detections of every earlier cycle that is still due.
             for ahead in range(whole + lap):
-                pending[ahead, where - lap * m] += weights[k] * detections[i]
+                pending[ahead, where - lap * m] += weights[offset[i] + k] * detections[i]
     return pending
 
 
 @numba.njit(cache=True)
 def _ensemble(
-    flux: Flux,
-    edges: Flux,
+    table: Table,
     bin_of: NDArray[np.int64],
-    dead_time: float,
+    whole: int,
     pending: Flux,
     bins: int,
     runs: int,
     length: int,
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
-    m = len(flux)
-    period = edges[m]
-    whole = int(np.floor(dead_time / period))
-    rest_time = dead_time - whole * period
+    q, first, offset, weights = table
+    m = len(q)
     ring = whole + 3
     counts = np.zeros(bins, np.int64)
-    weights, scratch = np.empty(m + 3), np.empty((2, m + 3))
     returning = np.zeros((ring, m), np.int64)
     armed, free = runs, 1.0
     for lap in range(len(pending)):
@@ -215,30 +206,25 @@ def _ensemble(
                 free -= pending[lap, i]
     for cycle in range(length):
         slot = cycle % ring
-        target = 0
         for i in range(m):
             armed += returning[slot, i]
             returning[slot, i] = 0
-            if armed == 0 or flux[i] <= 0.0:
+            if armed == 0 or q[i] <= 0.0:
                 continue
-            fired = binomial(armed, -np.expm1(-flux[i]), rng)
+            fired = binomial(armed, q[i], rng)
             if fired == 0:
                 continue
             armed -= fired
             counts[bin_of[i]] += fired
-            while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + rest_time:
-                target += 1
-            count = return_weights(
-                edges[i] + rest_time, edges[i + 1] + rest_time, target, edges, flux, weights, scratch
-            )
-            left, rest = fired, 1.0
+            left, rest, count = fired, 1.0, offset[i + 1] - offset[i]
             for k in range(count):
                 if left == 0:
                     break
-                moved = left if k == count - 1 else binomial(left, min(weights[k] / rest, 1.0), rng)
-                where = target + k
+                weight = weights[offset[i] + k]
+                moved = left if k == count - 1 else binomial(left, min(weight / rest, 1.0), rng)
+                where = first[i] + k
                 lap = where // m
                 returning[(cycle + whole + lap) % ring, where - lap * m] += moved
                 left -= moved
-                rest -= weights[k]
+                rest -= weight
     return counts

@@ -1,4 +1,4 @@
-"""Transient → counts, their exact mean, and the plan by which they are drawn."""
+"""Transient → counts, their exact mean, and the samplers by which they are drawn."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from datagen.detector.equilibrium import FOR_A_START, equilibrium
 from datagen.detector.events import draw_free_running
 from datagen.detector.expected import has_exact_mean, mean_detections, saturated_mean
 from datagen.detector.flux import Cycle, checked_transient, cycle_of, flux_per_cycle
-from datagen.detector.plan import DEFAULT_TOLERANCE, Choice, DetectorPlan, Sampler, choose, summarise
 from datagen.detector.poisson import draw_poisson
 from datagen.detector.renewal import pieces_of
+from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choice, Sampler, SamplerChoice, choose, summarise
 from datagen.detector.spad import Exposure, Spad, check_integer, check_number
 from datagen.detector.streams import Streams
 from datagen.detector.tdc import Tdc
@@ -24,6 +24,7 @@ from datagen.errors import InputError
 from datagen.records import TimeAxis
 
 Array = NDArray[np.float64]
+Counts = NDArray[np.integer]
 
 _BLOCK_VALUES = 4_000_000
 """Flux values held at a time: laser points are worked through in blocks of about 32 MB."""
@@ -41,12 +42,12 @@ def detect(
     first_laser: int = 0,
     first_pixel: int = 0,
     dtype: DTypeLike = np.int64,
-) -> NDArray[np.integer]:
+) -> Counts:
     """Counts after an exposure, the shape of `transient`.
 
     Photons are displaced by pulse and carrier diffusion, thinned by gate and PDE, joined by background; what the dead
     time leaves of them is displaced by the TDC's jitter and counted. Every histogram is drawn by the cheapest sampler
-    that is exact, or biased by no more than `tolerance` and a tenth of a standard deviation (`plan_detector` tells).
+    that is exact, or biased by no more than `tolerance` and a tenth of a standard deviation (see `choose_sampler`).
 
     Parameters
     ----------
@@ -65,6 +66,27 @@ def detect(
         NaN, infinite or negative flux; a gate outside the laser period; more counts than `dtype` holds; more events
         than an exact sampler can draw.
     """
+    counts, _ = detect_and_choice(
+        transient, time, spad, exposure, seed, tolerance=tolerance, approximate=approximate, first_laser=first_laser,
+        first_pixel=first_pixel, dtype=dtype,
+    )  # fmt: skip
+    return counts
+
+
+def detect_and_choice(
+    transient: ArrayLike,
+    time: TimeAxis,
+    spad: Spad,
+    exposure: Exposure,
+    seed: int = 0,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    approximate: bool = False,
+    first_laser: int = 0,
+    first_pixel: int = 0,
+    dtype: DTypeLike = np.int64,
+) -> tuple[Counts, SamplerChoice]:
+    """`detect` and `choose_sampler` in one pass, for which the flux is worked out once."""
     check_number("detect", "tolerance", tolerance, 0.0, 1.0, "a relative bias, such as 1e-3")
     kind = np.dtype(dtype)
     if kind.kind not in "iu":
@@ -73,16 +95,18 @@ def detect(
     setup = _Setup.of(transient, time, spad, exposure, first_laser, first_pixel)
     counts = np.empty(setup.transient.shape, kind)
     limit = np.iinfo(kind).max
-    for laser, flux in setup.blocks():
-        drawn = _draw_laser(setup, flux, laser, streams, tolerance, approximate)
-        if kind != np.int64 and drawn.max() > limit:
-            pixel, bin_ = (int(i) for i in np.unravel_index(int(drawn.argmax()), drawn.shape))
-            raise InputError(
-                f"{setup.where(laser, pixel)}, bin {bin_}: {drawn.max()} counts do not fit {kind} (at most {limit}); "
-                "lower cycles or photons_per_pulse, set counter_max, or use a wider dtype"
-            )
-        counts[laser] = drawn
-    return counts.reshape(np.shape(transient))
+    choices: list[Choice] = []
+    for flux in setup.fluxes():
+        for laser, chosen, drawn in _drawn(setup, flux, streams, tolerance, approximate):
+            choices += chosen
+            if kind != np.int64 and drawn.max() > limit:
+                pixel, bin_ = (int(i) for i in np.unravel_index(int(drawn.argmax()), drawn.shape))
+                raise InputError(
+                    f"{setup.where(laser, pixel)}, bin {bin_}: {drawn.max()} counts do not fit {kind} (at most "
+                    f"{limit}); lower cycles or photons_per_pulse, set counter_max, or use a wider dtype"
+                )
+            counts[laser] = drawn
+    return counts.reshape(np.shape(transient)), summarise(choices, tolerance)
 
 
 def expected_histogram(
@@ -107,13 +131,14 @@ def expected_histogram(
             "form; pass approximate=True for one of second-order error, or average detect over seeds"
         )
     out = np.empty(setup.transient.shape)
-    for laser, flux in setup.blocks():
-        mean = setup.tdc.mean(exposure.cycles * mean_detections(flux, setup.cycle, spad))
-        out[laser] = _saturate_mean(mean, spad, exposure, approximate)
+    for flux in setup.fluxes():
+        for laser, values in enumerate(flux.values, flux.first):
+            mean = setup.tdc.mean(exposure.cycles * mean_detections(values, setup.cycle, spad))
+            out[laser] = _saturate_mean(mean, spad, exposure, approximate)
     return out.reshape(np.shape(transient))
 
 
-def plan_detector(
+def choose_sampler(
     transient: ArrayLike,
     time: TimeAxis,
     spad: Spad,
@@ -122,13 +147,32 @@ def plan_detector(
     tolerance: float = DEFAULT_TOLERANCE,
     approximate: bool = False,
     first_pixel: int = 0,
-) -> DetectorPlan:
+) -> SamplerChoice:
     """How `detect` would draw the counts, and why; raises `InputError` where it would refuse."""
     setup = _Setup.of(transient, time, spad, exposure, 0, first_pixel)
     choices = [
-        choice for laser, flux in setup.blocks() for choice in _choices(setup, flux, laser, tolerance, approximate)
+        choice
+        for flux in setup.fluxes()
+        for laser in range(len(flux.values))
+        for choice in _choices(setup, flux, laser, tolerance, approximate)
     ]
     return summarise(choices, tolerance)
+
+
+@dataclass(frozen=True)
+class _Flux:
+    """The flux per cycle of some laser points, for the choice of samplers, the draw and the mean alike.
+
+    Attributes
+    ----------
+    first : number of the first of them.
+    values : (laser, pixel, n) expected events per cycle and bin of the period.
+    totals : (laser, pixel) their sums, Λ.
+    """
+
+    first: int
+    values: Array
+    totals: Array
 
 
 @dataclass(frozen=True)
@@ -168,57 +212,58 @@ class _Setup:
     def where(self, laser: int, pixel: int) -> str:
         return f"laser {self.first_laser + laser}, pixel {self.first_pixel + pixel}"
 
-    def blocks(self) -> Iterator[tuple[int, Array]]:
-        """Laser point after laser point: its number and the (pixel, n) flux per cycle."""
+    def fluxes(self) -> Iterator[_Flux]:
+        """Flux of one block of laser points after the other."""
         lasers, pixels, _ = self.transient.shape
         step = max(_BLOCK_VALUES // (pixels * len(self.cycle.gate)), 1)
         for start in range(0, lasers, step):
             block = self.transient[start : start + step]
-            flux = flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel)
-            yield from ((start + i, np.ascontiguousarray(f)) for i, f in enumerate(flux))
+            flux = np.ascontiguousarray(flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel))
+            yield _Flux(start, flux, flux.sum(axis=2))
 
 
-def _choices(setup: _Setup, flux: Array, laser: int, tolerance: float, approximate: bool) -> list[Choice]:
-    """One choice for each pixel; all the same where crosstalk couples them."""
+def _choices(setup: _Setup, flux: _Flux, laser: int, tolerance: float, approximate: bool) -> list[Choice]:
+    """One choice for each pixel of laser point `laser` of the block; all the same where crosstalk couples them."""
     cycle, spad, exposure = setup.cycle, setup.spad, setup.exposure
+    values, totals, number = flux.values[laser], flux.totals[laser], flux.first + laser
     if setup.coupled:
-        where = f"laser {setup.first_laser + laser}"
-        return [choose(flux.sum(axis=0), cycle, spad, exposure, tolerance, approximate, where)] * len(flux)
-    alone = spad if spad.crosstalk_probability == 0 else _without_crosstalk(spad)
+        where = f"laser {setup.first_laser + number}"
+        together = values.sum(axis=0)
+        total = float(together.sum())
+        return [choose(together, total, cycle, spad, exposure, tolerance, approximate, where)] * len(values)
+    # A single pixel has no neighbours.
+    alone = spad if spad.crosstalk_probability == 0 else replace(spad, crosstalk_probability=0.0)
     return [
-        choose(f, cycle, alone, exposure, tolerance, approximate, setup.where(laser, pixel))
-        for pixel, f in enumerate(flux)
+        choose(f, float(total), cycle, alone, exposure, tolerance, approximate, setup.where(number, pixel))
+        for pixel, (f, total) in enumerate(zip(values, totals, strict=True))
     ]
 
 
-def _without_crosstalk(spad: Spad) -> Spad:
-    """A single pixel has no neighbours."""
-    return replace(spad, crosstalk_probability=0.0)
-
-
-def _draw_laser(
-    setup: _Setup, flux: Array, laser: int, streams: Streams, tolerance: float, approximate: bool
-) -> NDArray[np.int64]:
-    """(pixel, bin) counts of one laser point."""
+def _drawn(
+    setup: _Setup, flux: _Flux, streams: Streams, tolerance: float, approximate: bool
+) -> Iterator[tuple[int, list[Choice], NDArray[np.int64]]]:
+    """Number, choices and (pixel, bin) counts of each laser point of a block."""
     cycle, spad, cycles = setup.cycle, setup.spad, setup.exposure.cycles
-    choices = _choices(setup, flux, laser, tolerance, approximate)
-    out = np.empty((len(flux), cycle.bins), np.int64)
-    together: NDArray[np.int64] | None = None
-    for pixel, (choice, f) in enumerate(zip(choices, flux, strict=True)):
-        rng = streams.at(setup.first_laser + laser, setup.first_pixel + pixel)
-        sampler = choice.sampler
-        if sampler is Sampler.POISSON:
-            # Poisson events displaced independently are Poisson: the mean is displaced instead of every event.
-            drawn = draw_poisson(setup.tdc.mean(cycles * f), rng, setup.where(laser, pixel))
-        elif sampler is Sampler.AVALANCHES and setup.coupled:
-            if together is None:
-                together = draw_avalanches(flux, cycle, spad, cycles, rng)
-                # The joint draw used pixel 0's stream; its jitter goes on from there.
-            drawn = setup.tdc.draw(together[pixel], rng)
-        else:
-            drawn = setup.tdc.draw(_draw_one(setup, f, sampler, rng), rng)
-        out[pixel] = drawn if spad.counter_max is None else np.minimum(drawn, spad.counter_max)
-    return out
+    chosen = [_choices(setup, flux, laser, tolerance, approximate) for laser in range(len(flux.values))]
+    # Poisson events displaced independently are Poisson: the mean is displaced instead of every event.
+    poisson = any(choice.sampler is Sampler.POISSON for choices in chosen for choice in choices)
+    means = setup.tdc.mean(cycles * flux.values) if poisson else None
+    for laser, choices in enumerate(chosen):
+        number, values = flux.first + laser, flux.values[laser]
+        out = np.empty((len(values), cycle.bins), np.int64)
+        together: NDArray[np.int64] | None = None
+        for pixel, choice in enumerate(choices):
+            rng = streams.at(setup.first_laser + number, setup.first_pixel + pixel)
+            if choice.sampler is Sampler.POISSON and means is not None:
+                out[pixel] = draw_poisson(means[laser, pixel], rng, setup.where(number, pixel))
+            elif choice.sampler is Sampler.AVALANCHES and setup.coupled:
+                if together is None:
+                    together = draw_avalanches(values, cycle, spad, cycles, rng)
+                    # The joint draw used pixel 0's stream; its jitter goes on from there.
+                out[pixel] = setup.tdc.draw(together[pixel], rng)
+            else:
+                out[pixel] = setup.tdc.draw(_draw_one(setup, values[pixel], choice.sampler, rng), rng)
+        yield number, choices, out if spad.counter_max is None else np.minimum(out, spad.counter_max)
 
 
 def _draw_one(setup: _Setup, flux: Array, sampler: Sampler, rng: np.random.Generator) -> NDArray[np.int64]:
@@ -231,7 +276,8 @@ def _draw_one(setup: _Setup, flux: Array, sampler: Sampler, rng: np.random.Gener
         pieces = pieces_of(flux, edges, width, dead_time, shorter_than_dead_time=True)
         return draw_return_chain(pieces, bins, cycles, rng)
     if sampler is Sampler.AVALANCHES:
-        return draw_avalanches(flux[None, :], cycle, spad, cycles, rng)[0]
+        (counts,) = draw_avalanches(flux[None, :], cycle, spad, cycles, rng)
+        return np.asarray(counts, np.int64)
     if sampler is Sampler.CYCLE_ENSEMBLE:
         return draw_cycle_ensemble(
             equilibrium(flux, edges, width, dead_time, shorter_than_dead_time=True), bins, cycles, rng

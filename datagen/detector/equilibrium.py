@@ -114,7 +114,7 @@ def _solve(table: Table) -> Array:
     matrix = scipy.sparse.csc_matrix((values, (rows, columns)), shape=(m, m))
     right = np.zeros(m)
     right[-1] = 1.0
-    armed = scipy.sparse.linalg.splu(matrix).solve(right)
+    armed: Array = scipy.sparse.linalg.splu(matrix).solve(right)
     return gain * np.maximum(armed, 0.0)
 
 

@@ -104,7 +104,7 @@ def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: 
 
     def flux_before(t: Array) -> Array:
         laps = np.floor(t / period)
-        value = np.interp(t - laps * period, edges, cumulative) + laps * total
+        value: Array = np.interp(t - laps * period, edges, cumulative) + laps * total
         return np.maximum(value, 0.0) if synchronous else value
 
     knots = np.unique(np.concatenate([edges, (edges + dead_time) % period]))
@@ -186,5 +186,7 @@ def saturated_mean(mean: Array, cycles: int, counter_max: int, binomial: bool) -
     if binomial:
         p = np.clip(mean / cycles, 0.0, 1.0)
         below = scipy.stats.binom.cdf(c - 2, cycles - 1, p)
-        return mean * below + c * scipy.stats.binom.sf(c - 1, cycles, p)
-    return mean * scipy.stats.poisson.cdf(c - 2, mean) + c * scipy.stats.poisson.sf(c - 1, mean)
+        reached = scipy.stats.binom.sf(c - 1, cycles, p)
+    else:
+        below, reached = scipy.stats.poisson.cdf(c - 2, mean), scipy.stats.poisson.sf(c - 1, mean)
+    return np.asarray(mean * below + c * reached, np.float64)

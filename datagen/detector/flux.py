@@ -9,6 +9,7 @@ background happens, far from the window, they are merged into long ones.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,8 +53,9 @@ class Cycle:
         return np.diff(self.edges_s)
 
 
+@lru_cache(maxsize=1)
 def cycle_of(time: TimeAxis, spad: Spad, exposure: Exposure) -> Cycle:
-    """Lay out the laser period for a time axis.
+    """Lay out the laser period for a time axis; the last one is kept, since scenes often share a detector.
 
     A time axis longer than the period is folded: light that comes later than a period is recorded, like any real TDC
     would, in the bins after the next pulse, and the bins beyond the period stay empty. In mode `ideal` such pulses
@@ -92,6 +94,8 @@ def cycle_of(time: TimeAxis, spad: Spad, exposure: Exposure) -> Cycle:
             "handled; check repetition_rate_hz, the bin width and the jitter"
         )
     gate = _gate(edges, time, spad, period)
+    for kept in (edges, gate):
+        kept.flags.writeable = False
     return Cycle(period, width, edges, gate, front, back, min(bins, len(edges) - 1), bins, pulse, jitter)
 
 
@@ -145,6 +149,10 @@ def _gate(edges_s: NDArray[np.float64], time: TimeAxis, spad: Spad, period_s: fl
 class Fold:
     """Where bins of the lattice lie in the period: most coincide with one of its bins, a few are shared out.
 
+    Attributes
+    ----------
+    first : number of the first bin of the lattice.
+    bins : bins of the period.
     aligned : numbers of the lattice bins that are copied whole, bin k of the lattice to bin k of the period.
     rows, columns, shares : (e,) for the others: position on the lattice, bin of the period, share; ordered by row.
     """

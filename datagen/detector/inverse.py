@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datagen.detector.equilibrium import Array
 from datagen.errors import InputError
 from datagen.records import TimeAxis
+
+Array = NDArray[np.float64]
 
 
 def coates_correction(histogram: ArrayLike, cycles: int) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.ndimage
@@ -61,9 +62,11 @@ def response_cdf(
     ratio = sigma_s / tail_s
     z = t / sigma_s
     log_delayed = 0.5 * ratio**2 - t / tail_s + scipy.special.log_ndtr(z - ratio)
-    return scipy.special.ndtr(z) - tail_fraction * np.exp(np.minimum(log_delayed, 0.0))
+    cdf: NDArray[np.float64] = scipy.special.ndtr(z) - tail_fraction * np.exp(np.minimum(log_delayed, 0.0))
+    return cdf
 
 
+@lru_cache(maxsize=4)
 def response_kernel(width_s: float, fwhm_s: float, tail_s: float = 0.0, tail_fraction: float = 1.0) -> Kernel:
     """Bin-integrated response for light at a bin's centre: w_j = F((j + ½)Δ) − F((j − ½)Δ), renormalised to 1.
 
@@ -83,7 +86,10 @@ def response_kernel(width_s: float, fwhm_s: float, tail_s: float = 0.0, tail_fra
         )
     edges = (np.arange(-before, after + 2, dtype=np.float64) - 0.5) * width_s
     weights = np.maximum(np.diff(response_cdf(edges, sigma, tail, tail_fraction)), 0.0)
-    return Kernel(weights / weights.sum(), before)
+    weights /= weights.sum()
+    # Kept for later calls.
+    weights.flags.writeable = False
+    return Kernel(weights, before)
 
 
 def spread(values: NDArray[np.float64], kernel: Kernel) -> NDArray[np.float64]:
@@ -99,8 +105,11 @@ def spread(values: NDArray[np.float64], kernel: Kernel) -> NDArray[np.float64]:
         padded = np.pad(values, [*pad, (kernel.before, kernel.after)])
         # convolve1d centres a kernel of k taps at k // 2; origin moves it so that tap `before` means no displacement.
         origin = kernel.before - len(kernel.weights) // 2
-        return scipy.ndimage.convolve1d(padded, kernel.weights, axis=-1, mode="constant", origin=origin)
+        out: NDArray[np.float64] = scipy.ndimage.convolve1d(
+            padded, kernel.weights, axis=-1, mode="constant", origin=origin
+        )
+        return out
     shape = (1,) * (values.ndim - 1) + (-1,)
     full = np.maximum(scipy.signal.oaconvolve(values, kernel.weights.reshape(shape), axes=-1), 0.0)
     total, wanted = full.sum(-1, keepdims=True), values.sum(-1, keepdims=True)
-    return full * np.divide(wanted, total, out=np.zeros_like(total), where=total > 0)
+    return np.asarray(full * np.divide(wanted, total, out=np.zeros_like(total), where=total > 0), np.float64)

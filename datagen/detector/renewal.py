@@ -121,32 +121,6 @@ def synchronous_mean(
 
 
 @numba.njit(cache=True)
-def return_shares(
-    start: float, stop: float, first: int, edges: Array, flux: Array, shares: Array, early: Array
-) -> int:
-    """Where returns, uniform in `start … stop`, end up: in pieces `first`, `first + 1`, …; how many pieces.
-
-    `shares[k]` of them return in piece `first + k`, and of these `early[k]` fire in it. Piece numbers run on past the
-    end of the period into the next one.
-    """
-    m = len(flux)
-    period = edges[m]
-    k = 0
-    while True:
-        index, lap = first + k, 0.0
-        if index >= m:
-            index, lap = index - m, period
-        low, high = edges[index] + lap, edges[index + 1] + lap
-        shares[k] = max((min(stop, high) - max(start, low)) / (stop - start), 0.0)
-        x = flux[index]
-        rho_low, rho_high = (high - min(stop, high)) / (high - low), (high - max(start, low)) / (high - low)
-        early[k] = early_share(x, rho_low, rho_high) if x > 0.0 and shares[k] > 0.0 else 0.0
-        k += 1
-        if stop <= high or k >= m:
-            return k
-
-
-@numba.njit(cache=True)
 def early_share(x: float, low: float, high: float) -> float:
     """Chance to fire in the piece of flux x of one's return, of which a uniform share ρ of `low … high` is left.
 
@@ -163,24 +137,32 @@ def early_share(x: float, low: float, high: float) -> float:
 
 
 @numba.njit(cache=True)
-def return_weights(
-    start: float, stop: float, first: int, edges: Array, flux: Array, weights: Array, scratch: Array
-) -> int:
-    """The same in the mean, as weights of pieces `first`, `first + 1`, … from whose start they count as armed.
+def _return_weights(start: float, stop: float, first: int, edges: Array, flux: Array, weights: Array) -> int:
+    """Where returns, uniform in `start … stop`, count as armed: how many pieces from `first` on, and their weights.
 
     A return that fires in its piece with probability e is as good as one armed from the piece's start with
-    probability e / (1 − e^{−x}), and else from the next piece's start. `scratch` is (2, m + 3).
+    probability e / (1 − e^{−x}), and else from the next piece's start. Piece numbers run on past the end of the
+    period into the next one.
     """
     m = len(flux)
-    shares, early = scratch[0], scratch[1]
-    count = return_shares(start, stop, first, edges, flux, shares, early)
+    period = edges[m]
     weights[0] = 0.0
-    for k in range(count):
-        index = first + k if first + k < m else first + k - m
-        ahead = early[k] / -np.expm1(-flux[index]) if early[k] > 0.0 else 0.0
-        weights[k] += shares[k] * ahead
-        weights[k + 1] = shares[k] * (1.0 - ahead)
-    return count + 1
+    k = 0
+    while True:
+        index, lap = first + k, 0.0
+        if index >= m:
+            index, lap = index - m, period
+        low, high, x = edges[index] + lap, edges[index + 1] + lap, flux[index]
+        share = max((min(stop, high) - max(start, low)) / (stop - start), 0.0)
+        ahead = 0.0
+        if x > 0.0 and share > 0.0:
+            early = early_share(x, (high - min(stop, high)) / (high - low), (high - max(start, low)) / (high - low))
+            ahead = early / -np.expm1(-x) if early > 0.0 else 0.0
+        weights[k] += share * ahead
+        weights[k + 1] = share * (1.0 - ahead)
+        k += 1
+        if stop <= high or k >= m:
+            return k + 1
 
 
 Table = tuple[Array, NDArray[np.int64], NDArray[np.int64], Array]
@@ -198,15 +180,15 @@ def return_table(flux: Array, edges: Array, dead_time: float) -> Table:
     q, first, offset = np.zeros(m), np.zeros(m, np.int64), np.zeros(m + 1, np.int64)
     # Shifted pieces cross m edges between them, and each may end within a piece and wait for the next one.
     weights = np.empty(5 * m + 64)
-    here, scratch = np.empty(m + 3), np.empty((2, m + 3))
+    here = np.empty(m + 3)
     target = 0
     for i in range(m):
         offset[i + 1] = offset[i]
         if flux[i] <= 0.0:
             continue
-        while target < 2 * m and edge_at(edges, target + 1, m, period) <= edges[i] + dead_time:
+        while target < 2 * m and _edge_at(edges, target + 1, m, period) <= edges[i] + dead_time:
             target += 1
-        count = return_weights(edges[i] + dead_time, edges[i + 1] + dead_time, target, edges, flux, here, scratch)
+        count = _return_weights(edges[i] + dead_time, edges[i + 1] + dead_time, target, edges, flux, here)
         q[i], first[i] = -np.expm1(-flux[i]), target
         for k in range(count):
             weights[offset[i] + k] = here[k]
@@ -243,6 +225,6 @@ def run_cycle(table: Table, armed: float, returning: Array, following: Array) ->
 
 
 @numba.njit(cache=True)
-def edge_at(edges: Array, index: int, m: int, period: float) -> float:
+def _edge_at(edges: Array, index: int, m: int, period: float) -> float:
     """Edge number `index`, counted on past the end of the period."""
-    return edges[index] if index <= m else edges[index - m] + period
+    return float(edges[index] if index <= m else edges[index - m] + period)

@@ -1,23 +1,23 @@
 """The switchboard: only the effects a scene calls for are simulated (DESIGN, sec. 6)."""
 
-from datagen.effects.decision import Decision, Effect, Estimate
-from datagen.effects.plan import (
+from datagen.effects.decide import (
     EFFECTS,
-    EffectPlan,
+    EffectDecisions,
+    decide_detector_effects,
+    decide_transport_effects,
     decision_lines,
-    plan_detector_effects,
     plan_effects,
-    plan_transport_effects,
 )
+from datagen.effects.rule import Change, Decision, Effect
 
 __all__ = [
     "EFFECTS",
+    "Change",
     "Decision",
     "Effect",
-    "EffectPlan",
-    "Estimate",
+    "EffectDecisions",
+    "decide_detector_effects",
+    "decide_transport_effects",
     "decision_lines",
-    "plan_detector_effects",
     "plan_effects",
-    "plan_transport_effects",
 ]

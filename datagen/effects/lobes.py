@@ -1,4 +1,4 @@
-"""How far a BRDF is from Lambert's law, and the Lambertian surface that stands for it when its lobe is left out."""
+"""The Lambertian surface that stands for another when its lobe is left out."""
 
 from __future__ import annotations
 
@@ -49,28 +49,3 @@ def _phong_share(exponent: float) -> float:
 def lambertian_of(material: Material) -> Material:
     """The Lambertian surface of the same mean albedo; a Lambertian one as it is."""
     return material if isinstance(material, Lambertian) else Lambertian(min(mean_albedo(material), 1.0))
-
-
-def is_smooth(material: Material) -> bool:
-    """Whether few samples tell how bright the surface is: it has no lobe that they could miss."""
-    return isinstance(material, OrenNayar)
-
-
-def largest_deviation(material: Material) -> float:
-    """Bound on |f / f_L − 1| over all pairs of directions, f_L the Lambertian surface of the same mean albedo.
-
-    Extremes of each model's formula (`records.materials`, `transport/brdf`); infinite for the models that have no
-    bound at grazing incidence, Oren–Nayar's among them.
-    """
-    if is_lambertian(material):
-        return 0.0
-    match material:
-        case Phong():
-            lobe = material.specular * (material.exponent + 2) / 2
-            low, high = 1 - material.specular, lobe + 1 - material.specular
-        case SinLobe():
-            low, high = 0.0, math.pi / 2
-        case _:
-            return math.inf
-    relative = mean_albedo(material) / material.albedo
-    return max(high / relative - 1, 1 - low / relative)

@@ -121,8 +121,8 @@ def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
 def _decisions(config: DatasetConfig) -> list[str]:
     """The effects decided for scene 0 and why, and the detector's sampler."""
     from datagen.capture import capture_for
-    from datagen.detector import detector_for, plan_detector
-    from datagen.effects import EFFECTS, EffectPlan, decision_lines
+    from datagen.detector import choose_sampler, detector_for
+    from datagen.effects import EFFECTS, EffectDecisions, decision_lines
     from datagen.pipeline import detector_effects, transport_effects
     from datagen.records import Accuracy
     from datagen.scene import generate_scene
@@ -142,7 +142,7 @@ def _decisions(config: DatasetConfig) -> list[str]:
     effects += detector_effects(config, transient, spad, exposure)
     used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
     seen = (transient.total, capture.time, used, conditions)
-    decided = plan_detector(*seen, tolerance=tolerance, approximate=config.detector.approximate)
+    decided = choose_sampler(*seen, tolerance=tolerance, approximate=config.detector.approximate)
     there = tuple(decision for decision in effects.decisions if decision.kind != "absent")
     titles = {effect.name: effect.title for effect in EFFECTS}
     absent = [titles[decision.effect] for decision in effects.decisions if decision.kind == "absent"]
@@ -151,7 +151,7 @@ def _decisions(config: DatasetConfig) -> list[str]:
         f"decisions for scene 0 (each scene gets its own; all that is left out may change a result by "
         f"{_percent(effects.tolerance)})",
         f"  {'effect':30}{'is':5}{'from':8}{'change':>9}  why",
-        *(f"  {line}" for line in decision_lines(EffectPlan(there, effects.tolerance))),
+        *(f"  {line}" for line in decision_lines(EffectDecisions(there, effects.tolerance))),
         f"  not there: {', '.join(absent)}",
         f"  sampler {decided.sampler}: {decided.reason}",
         f"  PDE {spad.pde:.3g}, {exposure.cycles} cycles at {exposure.repetition_rate_hz / 1e6:.3g} MHz; in the "

@@ -47,10 +47,10 @@ class NoiseSource:
         """The detector of a scene with the effects that its transient calls for, decided once."""
         if scene not in self._decided:
             from datagen.detector import detector_for
-            from datagen.effects import plan_detector_effects
+            from datagen.effects import decide_detector_effects
 
             given = detector_for(self._detector, self._seed, scene, self._time)
             seen = transient.astype(np.float64)
-            plan = plan_detector_effects(seen, self._time, *given, self._effects, self._detector.tolerance)
+            plan = decide_detector_effects(seen, self._time, *given, self._effects, self._detector.tolerance)
             self._decided[scene] = plan.apply_detector(*given, self._detector.tolerance)
         return self._decided[scene]

@@ -6,7 +6,7 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from datagen.effects import EFFECTS
-from datagen.effects.decision import Decision
+from datagen.effects.rule import Decision
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.style import caption, caption_height, new_figure
 
@@ -28,8 +28,8 @@ def effects_page(stored: StoredScene, again: Replay) -> Figure | None:
         "What of this scene was simulated. An effect is left out if that changes the light of three bounces and more "
         "(or, for the detector, the expected histogram) by less than its share of the tolerance, relative L2 over "
         f"the whole scan: together at most {again.effects.tolerance:g}. “changes ≤” is how much leaving it out could "
-        "change; a bound is proven, a pilot measures with few samples; effects that were switched on or off are not "
-        "estimated."
+        "change: a bound is proven, a trial run measures with few samples. Effects that were switched on or off, and "
+        "those that cost no time, are not estimated."
     )
     rows = [(decision, textwrap.wrap(_reason(decision), _REASON_WIDTH) or [""]) for decision in decisions]
     lines = sum(len(reason) for _, reason in rows) + 1.5

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
-from datagen.detector import Exposure, Spad, detect, detector_for, expected_histogram, plan_detector
-from datagen.effects import EffectPlan
+from datagen.detector import Exposure, Spad, choose_sampler, detect, detector_for, expected_histogram
+from datagen.effects import EffectDecisions
 from datagen.errors import InputError
 from datagen.pipeline import detector_effects, transport_effects
 from datagen.records import Capture, Scene, TimeAxis, Transient
@@ -65,7 +65,7 @@ class Replay:
     moved_m: float = 0.0
     mean_is_exact: bool = True
     is_poisson: bool = True
-    effects: EffectPlan = field(default_factory=lambda: EffectPlan((), 0.0))
+    effects: EffectDecisions = field(default_factory=lambda: EffectDecisions((), 0.0))
 
     @property
     def reproduced(self) -> bool:
@@ -111,7 +111,7 @@ def replay(stored: StoredScene) -> Replay:
     spad, exposure, tolerance = effects.apply_detector(*given, config.detector.tolerance)
     approximate = config.detector.approximate
     expected, mean_is_exact = _mean(transient.total, capture.time, spad, exposure)
-    plan = plan_detector(transient.total, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
+    plan = choose_sampler(transient.total, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
     is_poisson = set(plan.histograms) == {"poisson"} and spad.counter_max is None
     counts = stored.arrays.get("histogram")
     if counts is None:

@@ -12,12 +12,12 @@ from datagen.detector import (
     DETECTOR_CLASSES,
     Exposure,
     Spad,
+    choose_sampler,
     coates_correction,
     dead_time_correction,
     detect,
     detector_for,
     expected_histogram,
-    plan_detector,
 )
 from datagen.detector.flux import hot_pixels
 from datagen.errors import InputError
@@ -217,20 +217,20 @@ def test_hot_pixels_belong_to_the_array():
 )
 def test_planner_takes_the_cheapest_sampler_within_its_bound(spad, flux, cycles, sampler):
     transient = np.full(64, flux / 64)
-    plan = plan_detector(transient, TIME, spad, Exposure(1e7, cycles, 1.0))
+    plan = choose_sampler(transient, TIME, spad, Exposure(1e7, cycles, 1.0))
     assert plan.sampler == sampler, plan
     assert plan.histograms == {sampler: 1}
     assert plan.flux_per_cycle == pytest.approx(flux)
     assert plan.reason and not plan.approximate
-    exact = plan_detector(transient, TIME, spad, Exposure(1e7, cycles, 1.0), tolerance=0.0)
+    exact = choose_sampler(transient, TIME, spad, Exposure(1e7, cycles, 1.0), tolerance=0.0)
     assert exact.poisson_bias == 0 or exact.sampler != "poisson"
 
 
 def test_planner_approximates_only_when_told_to():
     transient, exposure = np.full(64, 1.0 / 64), Exposure(1e7, 10**8, 1.0)
     with pytest.raises(InputError, match="approximate=True"):
-        plan_detector(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure)
-    plan = plan_detector(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure, approximate=True)
+        choose_sampler(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure)
+    plan = choose_sampler(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure, approximate=True)
     assert plan.sampler == "cycle_ensemble" and plan.approximate
     counts = detect(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure, approximate=True)
     mean = expected_histogram(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure)
@@ -242,7 +242,7 @@ def test_planner_approximates_only_when_told_to():
 def test_bright_and_dark_histograms_are_planned_one_by_one():
     transient = np.zeros((2, 1, 64))
     transient[0], transient[1] = 1e-9, 0.01
-    plan = plan_detector(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), Exposure(1e7, 10**6, 1.0))
+    plan = choose_sampler(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), Exposure(1e7, 10**6, 1.0))
     assert plan.histograms == {"free_running_events": 1, "poisson": 1}
     assert plan.sampler == "free_running_events"
 
@@ -303,7 +303,7 @@ def test_the_plan_refuses_what_cannot_be_counted() -> None:
     time = TimeAxis(8, 1e-10)
     exposure = Exposure(photons_per_pulse=1e30, cycles=10**15)
     messages = []
-    for call in (plan_detector, detect):
+    for call in (choose_sampler, detect):
         with pytest.raises(InputError, match="expected counts") as caught:
             call(np.full((1, 1, 8), 1e-3), time, Spad(mode="ideal"), exposure)
         messages.append(str(caught.value))

@@ -10,11 +10,11 @@ from statistics_kit import accept, mean_is, poisson_like_chi2
 from datagen.detector import (
     Exposure,
     Spad,
+    choose_sampler,
     coates_correction,
     dead_time_correction,
     detect,
     expected_histogram,
-    plan_detector,
 )
 from datagen.detector.equilibrium import equilibrium
 from datagen.detector.renewal import synchronous_mean
@@ -145,7 +145,7 @@ def test_afterpulse_probability_is_what_it_says():
 def test_no_dead_time_is_poisson(mode):
     lam = signal(3.0)
     spad = Spad(pde=1.0, mode=mode)
-    assert plan_detector(lam, TIME, spad, EXPOSURE, tolerance=0.0).sampler == "poisson"
+    assert choose_sampler(lam, TIME, spad, EXPOSURE, tolerance=0.0).sampler == "poisson"
     np.testing.assert_allclose(expected_histogram(lam, TIME, spad, EXPOSURE), EXPOSURE.cycles * lam, rtol=1e-12)
     counts = detect(np.tile(lam, (500, 1, 1)), TIME, spad, EXPOSURE, seed=6)[:, 0]
     dispersion = ((counts - EXPOSURE.cycles * lam) ** 2 / (EXPOSURE.cycles * lam)).sum()

@@ -17,8 +17,8 @@ from datagen.detector.events import draw_free_running
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.flux import cycle_of
 from datagen.detector.irf import response_cdf, response_kernel, spread
-from datagen.detector.plan import poisson_bias
 from datagen.detector.renewal import synchronous_mean
+from datagen.detector.sampler_choice import poisson_bias
 from datagen.detector.tdc import Tdc
 from datagen.records import TimeAxis
 

@@ -22,7 +22,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = config_from_mapping(
         {
             "name": "shown",
-            "scenes": 2,
+            "scenes": 1,
             "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 32, "bin_width_ps": 1600}},
             "transport": {"lookins": 64, "fov_samples": 1, "max_bounces": 4, "direct": True},
             "detector": {"photons_per_pulse": 1e4},
@@ -37,15 +37,15 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_info_counts_scenes_by_decision(dataset: Path) -> None:
     lines = {line.split()[0]: line.split()[1:] for line in info(dataset).splitlines() if line.strip()}
-    assert lines["secondary_bounce"] == ["0", "2"]
-    assert lines["direct_return"] == ["2", "0"]
-    assert lines["timing_response"][:2] == ["0", "2"] and float(lines["timing_response"][2]) <= 0.01
+    assert lines["secondary_bounce"] == ["0", "1"]
+    assert lines["direct_return"] == ["1", "0"]
+    assert lines["timing_response"][:2] == ["0", "1"] and float(lines["timing_response"][2]) <= 0.01
     assert "higher_bounces" not in lines
     assert "effects" in lines
 
 
 def test_replay_simulates_what_was_simulated(dataset: Path) -> None:
-    again = replay(read_scene(dataset, 1))
+    again = replay(read_scene(dataset, 0))
     assert again.reproduced
     assert set(again.transient.components) == {"direct", "primary"}
     assert not again.effects["secondary_bounce"].simulated
@@ -72,8 +72,8 @@ def test_loader_redraws_with_the_decided_detector(dataset: Path, monkeypatch: py
 
     seen: list[Any] = []
     monkeypatch.setattr(
-        "datagen.effects.plan.EffectPlan.apply_detector",
-        lambda plan, spad, exposure, tolerance: seen.append(plan) or (spad, exposure, tolerance),
+        "datagen.effects.decide.EffectDecisions.apply_detector",
+        lambda decided, spad, exposure, tolerance: seen.append(decided) or (spad, exposure, tolerance),
     )
     data = TransientDataset(dataset, fields=("histogram",), redraw_noise=True)
     first, again = np.asarray(data[0]["histogram"]), np.asarray(data[0]["histogram"])

@@ -11,7 +11,7 @@ from random_detectors import Measurement, measurements
 from scipy import stats
 
 from datagen import detect, expected_histogram
-from datagen.detector import DetectorPlan, plan_detector
+from datagen.detector import SamplerChoice, choose_sampler
 from datagen.errors import InputError
 
 FAMILY_LEVEL = 1e-3
@@ -20,10 +20,10 @@ MEAN_CASES = 200 if NIGHTLY else 20
 REPEATS = 30
 
 
-def planned(m: Measurement) -> DetectorPlan:
+def planned(m: Measurement) -> SamplerChoice:
     """The plan; a measurement that no exact sampler can draw, or no counter hold, is refused in one line."""
     try:
-        return plan_detector(m.transient, m.time, m.spad, m.exposure)
+        return choose_sampler(m.transient, m.time, m.spad, m.exposure)
     except InputError as error:
         assert "\n" not in str(error)
         assume(False)
@@ -71,7 +71,7 @@ def most_detections(m: Measurement) -> float:
 
 def plan_is_poisson(m: Measurement) -> bool:
     """Whether counts are drawn as Poisson, within tolerance, in any histogram: such counts know no most."""
-    return "poisson" in plan_detector(m.transient, m.time, m.spad, m.exposure).histograms
+    return "poisson" in choose_sampler(m.transient, m.time, m.spad, m.exposure).histograms
 
 
 @fuzzed(MEAN_CASES, MEAN_CASES, measurements())

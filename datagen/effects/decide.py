@@ -1,4 +1,4 @@
-"""The switchboard: one table of effects, and for a scene the plan of what is simulated of them."""
+"""The switchboard: one table of effects, and for a scene the decisions which of them are simulated."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from datagen.config.effects import EffectsConfig
 from datagen.detector import Exposure, Spad
-from datagen.detector.plan import DEFAULT_TOLERANCE
-from datagen.effects.decision import Decision, Effect, Stage, decide
-from datagen.effects.detector_effects import DETECTOR_EFFECTS
-from datagen.effects.detector_world import DetectorWorld
+from datagen.detector.sampler_choice import DEFAULT_TOLERANCE
+from datagen.effects.detector_effects import DETECTOR_EFFECTS, Detection
+from datagen.effects.rule import Decision, Effect, Stage, decide
+from datagen.effects.scene_figures import SceneFigures
 from datagen.effects.transport_effects import TRANSPORT_EFFECTS
-from datagen.effects.transport_world import TransportWorld
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scalar, Scene, TimeAxis, Transient
 from datagen.transport import simulate
@@ -29,9 +28,12 @@ FORESEEN_LOOKINS = 256
 
 
 @dataclass(frozen=True)
-class EffectPlan:
-    """What is simulated of a scene, and why: one decision for each effect of the stages planned.
+class EffectDecisions:
+    """What is simulated of a scene, and why.
 
+    Attributes
+    ----------
+    decisions : one for each effect of the stages decided for.
     tolerance : relative L2 change of a stage's answer that all effects left out by `auto` may cause together.
     """
 
@@ -44,12 +46,12 @@ class EffectPlan:
             if decision.effect == effect:
                 return decision
         raise InputError(
-            f"effect {effect!r}: this plan holds {', '.join(d.effect for d in self.decisions) or 'no decision'}"
+            f"effect {effect!r}: decided are {', '.join(d.effect for d in self.decisions) or 'no decision'}"
         )
 
-    def __add__(self, other: EffectPlan) -> EffectPlan:
-        """Both stages' decisions in one plan."""
-        return EffectPlan(self.decisions + other.decisions, max(self.tolerance, other.tolerance))
+    def __add__(self, other: EffectDecisions) -> EffectDecisions:
+        """Both stages' decisions together."""
+        return EffectDecisions(self.decisions + other.decisions, max(self.tolerance, other.tolerance))
 
     def change(self, stage: Stage) -> float:
         """Bound on the relative change of a stage's answer by all that `auto` left out."""
@@ -61,8 +63,8 @@ class EffectPlan:
 
     def apply_transport(self, scene: Scene, capture: Capture, accuracy: Accuracy) -> tuple[Scene, Accuracy]:
         """The scene and accuracy to simulate: what is left out is no part of them."""
-        world = _applied(TRANSPORT_EFFECTS, self.decisions, TransportWorld(scene, capture, accuracy))
-        return world.scene, world.accuracy
+        reduced = _applied(TRANSPORT_EFFECTS, self.decisions, SceneFigures(scene, capture, accuracy))
+        return reduced.scene, reduced.accuracy
 
     def apply_detector(
         self, spad: Spad, exposure: Exposure, tolerance: float = DEFAULT_TOLERANCE
@@ -70,10 +72,9 @@ class EffectPlan:
         """The detector, its exposure and the tolerance for `detect`, which is 0 where the dead time's effects, or
         those of avalanches, are switched on."""
         nothing = np.zeros((1, 1, 1))
-        world = _applied(
-            DETECTOR_EFFECTS, self.decisions, DetectorWorld(nothing, TimeAxis(1, 1e-9), spad, exposure, tolerance)
-        )
-        return world.spad, world.exposure, world.tolerance
+        given = Detection(nothing, TimeAxis(1, 1e-9), spad, exposure, tolerance)
+        reduced = _applied(DETECTOR_EFFECTS, self.decisions, given)
+        return reduced.spad, reduced.exposure, reduced.tolerance
 
     def parameters(self) -> dict[str, Scalar]:
         """The decisions as scalars, to be stored with a sample: `effect.NAME.on`, `.kind`, `.estimate`."""
@@ -86,27 +87,41 @@ class EffectPlan:
         return flat
 
 
-def plan_transport_effects(
+def decide_transport_effects(
     scene: Scene, capture: Capture, accuracy: Accuracy, settings: EffectsConfig | None = None, seed: int = 0
-) -> EffectPlan:
-    """Decide for the effects of the transport; the same arguments give the same plan. seed : of the pilot."""
+) -> EffectDecisions:
+    """Decide for the effects of the transport; the same arguments give the same decisions.
+
+    Parameters
+    ----------
+    accuracy : what the transport is to simulate.
+    settings : tolerance, and `on`, `off` or `auto` for each effect; left out, all are `auto`.
+    seed : of the trial run.
+    """
     settings = settings or EffectsConfig()
-    world = TransportWorld(scene, capture, accuracy, seed)
-    return EffectPlan(decide(TRANSPORT_EFFECTS, world, settings.of, settings.tolerance), settings.tolerance)
+    given = SceneFigures(scene, capture, accuracy, seed)
+    return EffectDecisions(decide(TRANSPORT_EFFECTS, given, settings.of, settings.tolerance), settings.tolerance)
 
 
-def plan_detector_effects(
+def decide_detector_effects(
     transient: NDArray[np.float64],
     time: TimeAxis,
     spad: Spad,
     exposure: Exposure,
     settings: EffectsConfig | None = None,
     tolerance: float = DEFAULT_TOLERANCE,
-) -> EffectPlan:
-    """Decide for the effects of the detector on a transient (laser, pixel, bin). tolerance : `detector.tolerance`."""
+) -> EffectDecisions:
+    """Decide for the effects of the detector.
+
+    Parameters
+    ----------
+    transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
+    settings : tolerance, and `on`, `off` or `auto` for each effect; left out, all are `auto`.
+    tolerance : `detector.tolerance`, the relative bias that a cheaper sampler may cause.
+    """
     settings = settings or EffectsConfig()
-    world = DetectorWorld(transient, time, spad, exposure, tolerance, settings.tolerance)
-    return EffectPlan(decide(DETECTOR_EFFECTS, world, settings.of, settings.tolerance), settings.tolerance)
+    given = Detection(transient, time, spad, exposure, tolerance)
+    return EffectDecisions(decide(DETECTOR_EFFECTS, given, settings.of, settings.tolerance), settings.tolerance)
 
 
 def plan_effects(
@@ -120,32 +135,32 @@ def plan_effects(
     transient: Transient | None = None,
     tolerance: float = DEFAULT_TOLERANCE,
     seed: int = 0,
-) -> EffectPlan:
+) -> EffectDecisions:
     """Which effects a scene calls for (DESIGN, sec. 6): what changes the answer too little to matter is left out.
 
-    Each effect has a bound, or a pilot measures it (two runs of the transport at about a hundredth of its cost each).
-    Nothing is worked out or measured that would cost more than it can save.
-    Those whose estimates together stay within `settings.tolerance` are left out, the costliest first.
+    What an effect changes is bounded, or measured by a trial run (twice the transport at about a hundredth of its
+    cost). Those whose changes together stay within `settings.tolerance` are left out, the costliest first. Effects
+    that cost no time of their own are simulated.
 
     Parameters
     ----------
     accuracy : what the transport is to simulate, default `Accuracy()`.
-    spad, exposure : the detector; left out, only the transport is planned.
+    spad, exposure : the detector; left out, only the transport is decided for.
     settings : tolerance, and `on`, `off` or `auto` for each effect; left out, all are `auto`.
     transient : what the detector is to see; left out, it is estimated with `FORESEEN_LOOKINS` lookins.
     tolerance : of `detect`: largest relative bias of a cheaper sampler.
-    seed : of the pilot; the same arguments give the same plan on any machine.
+    seed : of the trial run; the same arguments give the same decisions on any machine.
 
     Returns
     -------
-    EffectPlan; its `apply_transport` and `apply_detector` give what to hand to `simulate` and `detect`.
+    EffectDecisions; its `apply_transport` and `apply_detector` give what to hand to `simulate` and `detect`.
     """
     accuracy = accuracy or Accuracy()
-    plan = plan_transport_effects(scene, capture, accuracy, settings, seed)
+    decided = decide_transport_effects(scene, capture, accuracy, settings, seed)
     if spad is None:
-        return plan
+        return decided
     if transient is None:
-        reduced_scene, reduced = plan.apply_transport(scene, capture, accuracy)
+        reduced_scene, reduced = decided.apply_transport(scene, capture, accuracy)
         few = Accuracy(
             lookins=FORESEEN_LOOKINS, fov_samples=1, replicates=1, max_bounces=reduced.max_bounces,
             direct=reduced.direct, secondary="none" if reduced.secondary == "none" else "all",
@@ -153,14 +168,14 @@ def plan_effects(
         )  # fmt: skip
         transient = simulate(reduced_scene, capture, few, seed=seed, split_parts=False)
     seen = (transient.total, capture.time, spad, exposure or Exposure())
-    return plan + plan_detector_effects(*seen, settings, tolerance)
+    return decided + decide_detector_effects(*seen, settings, tolerance)
 
 
-def decision_lines(plan: EffectPlan) -> list[str]:
+def decision_lines(decided: EffectDecisions) -> list[str]:
     """A line for each decision, for people: effect, what was decided, by how much it counts, why."""
     titles = {row.name: row.title for row in EFFECTS}
     lines = []
-    for decision in plan.decisions:
+    for decision in decided.decisions:
         state = "on" if decision.simulated else "off" if decision.left_out else "–"
         value = None if decision.kind == "absent" else decision.estimate
         number = "" if value is None else "> 1" if value > 1 else f"{value:.2g}"
@@ -168,17 +183,17 @@ def decision_lines(plan: EffectPlan) -> list[str]:
     return lines
 
 
-def _applied(rows: Sequence[Effect[Any]], decisions: Sequence[Decision], world: Any) -> Any:
-    """The world with what was decided. Backwards through the table: a dead time across cycles before pile-up."""
+def _applied(rows: Sequence[Effect[Any]], decisions: Sequence[Decision], given: Any) -> Any:
+    """What is given, with what was decided. Backwards through the table: dead time across cycles before pile-up."""
     made = {decision.effect: decision for decision in decisions}
     for row in reversed(rows):
         decision = made.get(row.name)
         if decision is None or decision.kind == "absent":
             continue
         if not decision.simulated:
-            world = row.without(world)
+            given = row.without(given)
         elif decision.setting != "auto":
-            world = row.always(world, decision.setting)
+            given = row.always(given, decision.setting)
         else:
-            world = row.cheapest(world)
-    return world
+            given = row.cheapest(given)
+    return given

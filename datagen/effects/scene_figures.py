@@ -1,4 +1,4 @@
-"""What the transport's effects are judged by: scene, capture, accuracy, and what a few rays tell of them."""
+"""What the transport's effects are judged by: scene, capture, accuracy, and what a few rays show of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.effects.lobes import is_lambertian, lambertian_of
-from datagen.effects.pilot import LARGEST_SHARE, Pilot, affordable, run_pilot
+from datagen.effects.trial import Trial, affordable, run_trial
 from datagen.records import Accuracy, Capture, Lambertian, Material, Scene
 from datagen.transport.fov import PixelCones
 from datagen.transport.lines_of_sight import lines_of_sight
@@ -18,14 +18,16 @@ from datagen.transport.vertices import LaserPoints
 from datagen.units import path_from_time
 
 PAIRS_CHECKED = 1 << 22
-"""Pairs up to which each is asked: of laser points and pixels, of triangles and vertices."""
+"""Pairs of laser points and pixels up to which each is asked."""
 
 
 @dataclass(frozen=True)
-class TransportWorld:
-    """What there is to simulate in one transport.
+class SceneFigures:
+    """A transport to be simulated, and figures of it; all follow from these four.
 
-    seed : of the pilot; scene, capture, accuracy and seed decide everything that is asked here.
+    Attributes
+    ----------
+    seed : of the trial run.
     """
 
     scene: Scene
@@ -33,13 +35,16 @@ class TransportWorld:
     accuracy: Accuracy
     seed: int = 0
 
-    def with_accuracy(self, **changes: object) -> TransportWorld:
+    def with_accuracy(self, **changes: object) -> SceneFigures:
+        """The same with other values of some fields of `Accuracy`."""
         return replace(self, accuracy=replace(self.accuracy, **changes))  # type: ignore[arg-type]
 
-    def with_materials(self, materials: tuple[Material, ...]) -> TransportWorld:
+    def with_materials(self, materials: tuple[Material, ...]) -> SceneFigures:
+        """The same with other materials, one for each part."""
         return replace(self, scene=replace(self.scene, materials=materials))
 
-    def with_attenuation(self, attenuation_per_m: float) -> TransportWorld:
+    def with_attenuation(self, attenuation_per_m: float) -> SceneFigures:
+        """The same in other air."""
         return replace(self, scene=replace(self.scene, attenuation_per_m=attenuation_per_m))
 
     @property
@@ -47,24 +52,20 @@ class TransportWorld:
         """Bounces of the longest paths followed; infinite where there is no limit."""
         return np.inf if self.accuracy.max_bounces is None else self.accuracy.max_bounces
 
-    def can_afford_pilot(self, share: float = LARGEST_SHARE) -> bool:
-        """Whether a pilot costs no more than a share of the transport."""
-        return affordable(self.scene, self.capture, self.accuracy, share)
-
     @cached_property
-    def pilot(self) -> Pilot | None:
-        """The pilot; None where the transport is so small that it would not pay."""
-        if not self.can_afford_pilot():
+    def trial(self) -> Trial | None:
+        """The trial run; None where the transport is so small that it would not pay."""
+        if not affordable(self.capture, self.accuracy):
             return None
-        return run_pilot(self.scene, self.capture, self.accuracy, self.seed)
+        return run_trial(self.scene, self.capture, self.accuracy, self.seed)
 
     @property
-    def all_lambertian(self) -> TransportWorld:
+    def all_lambertian(self) -> SceneFigures:
         """The same with Lambertian surfaces of the same mean albedo in place of all others."""
         return self.with_materials(tuple(m if is_lambertian(m) else lambertian_of(m) for m in self.scene.materials))
 
     @property
-    def without_structure(self) -> TransportWorld:
+    def without_structure(self) -> SceneFigures:
         """The same with walls, floor and ceiling black."""
         dark = set(self.hidden_structure)
         return self.with_materials(
@@ -72,62 +73,41 @@ class TransportWorld:
         )
 
     @cached_property
-    def spots(self) -> LaserPoints:
+    def laser_points(self) -> LaserPoints:
         """The laser points."""
         return LaserPoints.of(self._caster, self.scene, self.capture.laser)
 
     @cached_property
     def hidden_structure(self) -> tuple[int, ...]:
         """Parts of role `structure` that return light and hold neither a laser point nor any of the field of view."""
-        seen = {*self.spots.part.tolist(), *self._view[1].reshape(-1).tolist()}
+        seen = {*self.laser_points.part.tolist(), *self._view[1].reshape(-1).tolist()}
         return tuple(
             k
             for k, (role, material) in enumerate(zip(self.scene.roles, self.scene.materials, strict=True))
             if role == "structure" and material.albedo > 0 and k not in seen
         )
 
-    @property
-    def spot_parts(self) -> list[int]:
-        """Parts that laser points lie on."""
-        return sorted({*self.spots.part.tolist()} - {-1})
-
-    @property
-    def view_parts(self) -> list[int]:
-        """Parts that the pixels see."""
-        return sorted({*self._view[1].reshape(-1).tolist()} - {-1})
-
-    @cached_property
-    def in_the_way(self) -> int:
-        """Triangles that may stand between surfaces: all but those whose plane has the whole scene on one side."""
-        caster = self._caster
-        corners, normal, points = caster.corners, caster.face_normal, self.scene.vertices
-        if len(corners) * len(points) > PAIRS_CHECKED:
-            return len(corners)
-        above = points @ normal.T - np.einsum("fk,fk->f", corners[:, 0], normal)
-        slack = 1e-3 * caster.offset_m
-        return int(np.count_nonzero((above.min(axis=0) < -slack) & (above.max(axis=0) > slack)))
-
     @cached_property
     def view_is_flush(self) -> bool:
         """Whether laser points and field of view lie in one plane, so that no light goes from one to the other."""
         position, part = self._view
-        exists = self.spots.part >= 0
+        exists = self.laser_points.part >= 0
         if not exists.any():
             return True
-        spots, normals = self.spots.position[exists], self.spots.normal[exists]
-        points = np.concatenate([spots, position[part >= 0]])
-        height = (points - spots[0]) @ normals[0]
+        points, normals = self.laser_points.position[exists], self.laser_points.normal[exists]
+        both = np.concatenate([points, position[part >= 0]])
+        height = (both - points[0]) @ normals[0]
         return bool(np.abs(height).max() <= self._caster.offset_m and (normals @ normals[0]).min() > 1 - 1e-9)
 
     @cached_property
-    def spot_in_view(self) -> bool:
+    def laser_point_in_view(self) -> bool:
         """Whether a laser point may lie in a pixel that looks at it, its light coming back within the time window."""
         lasers, pixels, _ = self.capture.shape
         sensor, axis = self.capture.sensor, self.capture.time
-        span = self.spots.position - sensor.position
-        path = self.spots.leg + np.linalg.norm(span, axis=1) if axis.origin == "source" else np.zeros(lasers)
+        span = self.laser_points.position - sensor.position
+        path = self.laser_points.leg + np.linalg.norm(span, axis=1) if axis.origin == "source" else np.zeros(lasers)
         place = path / float(path_from_time(axis.width_s)) - axis.start_s / axis.width_s
-        timely = np.flatnonzero((self.spots.part >= 0) & (place > -1) & (place < axis.bins + 1))
+        timely = np.flatnonzero((self.laser_points.part >= 0) & (place > -1) & (place < axis.bins + 1))
         if not len(timely) or len(timely) * pixels > PAIRS_CHECKED:
             return bool(len(timely))
         planes = PixelCones.of(sensor).planes

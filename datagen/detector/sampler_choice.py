@@ -14,7 +14,7 @@ from datagen.detector.avalanches import burn_in_cycles
 from datagen.detector.equilibrium import most_in_window
 from datagen.detector.expected import active_span
 from datagen.detector.flux import Cycle
-from datagen.detector.poisson import check_countable
+from datagen.detector.poisson import LARGEST_MEAN, check_countable
 from datagen.detector.renewal import PIECE_FLUX
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
@@ -54,8 +54,8 @@ class Sampler(IntEnum):
 
 
 @dataclass(frozen=True)
-class DetectorPlan:
-    """The decision for a transient, with its numbers; those of the brightest histogram unless said otherwise.
+class SamplerChoice:
+    """By which samplers a transient's histograms are drawn; numbers are of the brightest unless said otherwise.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class DetectorPlan:
     def parameters(self) -> dict[str, float | str | bool]:
         """The decision as scalars, to be stored with a sample."""
         return {
-            "sampler": self.sampler,
+            "name": self.sampler,
             "reason": self.reason,
             "flux_per_cycle": self.flux_per_cycle,
             "poisson_bias": self.poisson_bias,
@@ -106,13 +106,19 @@ class Choice:
 
 
 def choose(
-    flux: Array, cycle: Cycle, spad: Spad, exposure: Exposure, tolerance: float, approximate: bool, where: str
+    flux: Array,
+    total: float,
+    cycle: Cycle,
+    spad: Spad,
+    exposure: Exposure,
+    tolerance: float,
+    approximate: bool,
+    where: str,
 ) -> Choice:
-    """Decide for one histogram's (n,) flux; for pixels coupled by crosstalk give the sum of theirs.
+    """Decide for one histogram's (n,) flux and its sum; for pixels coupled by crosstalk give the sum of theirs.
 
     Raises `InputError`, naming the histogram `where`, for what can only be done approximately unless `approximate`.
     """
-    total = float(flux.sum())
     events = total * exposure.cycles
     bias = poisson_bias(flux, cycle, spad)
     deviation = float(bias * np.sqrt(events))
@@ -136,7 +142,7 @@ def choose(
     else:
         sampler, why = _beyond_poisson(flux, cycle, spad, exposure.cycles, events, detections, approximate, where)
         reason = f"Poisson would be biased by up to {bias:.2g} ({deviation:.2g} standard deviations); {why}"
-    if sampler is Sampler.POISSON:
+    if sampler is Sampler.POISSON and not events < LARGEST_MEAN:
         check_countable(flux * exposure.cycles, where)
     return Choice(sampler, reason, total, bias, deviation, detections)
 
@@ -217,11 +223,11 @@ def poisson_bias(flux: Array, cycle: Cycle, spad: Spad) -> float:
     return float(bias + load / (1.0 - load) + shared / (1.0 - shared))
 
 
-def summarise(choices: list[Choice], tolerance: float) -> DetectorPlan:
-    """One plan for all histograms; the brightest speaks for them."""
+def summarise(choices: list[Choice], tolerance: float) -> SamplerChoice:
+    """One record for all histograms; the numbers are those of the brightest."""
     brightest = max(choices, key=lambda c: c.flux)
     names = Counter(c.sampler.name.lower() for c in choices)
-    return DetectorPlan(
+    return SamplerChoice(
         sampler=brightest.sampler.name.lower(),
         reason=brightest.reason,
         histograms=dict(sorted(names.items())),

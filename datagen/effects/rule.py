@@ -7,44 +7,42 @@ from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 
 Stage = Literal["transport", "detector"]
-Kind = Literal["bound", "pilot", "forced", "absent"]
-World = TypeVar("World")
+Kind = Literal["bound", "trial", "always", "forced", "absent"]
+Given = TypeVar("Given")
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Change:
     """How much leaving an effect out can change the answer.
 
     Attributes
     ----------
     value : relative change (L2) of the stage's answer; None where nothing bounds it.
-    kind : `bound`: proven; `pilot`: measured with few samples, their error included.
+    kind : `bound`: proven; `trial`: measured with few samples, their error included.
     reason : one short sentence.
-    allowed : False where another condition than the tolerance forbids to leave it out; `reason` names it.
     """
 
     value: float | None
-    kind: Literal["bound", "pilot"]
+    kind: Literal["bound", "trial"]
     reason: str
-    allowed: bool = True
 
 
 @dataclass(frozen=True)
-class Effect(Generic[World]):
-    """One row of the table.
+class Effect(Generic[Given]):
+    """One row of the table. `Given` is what its stage works with: scene or detector, and the settings of both.
 
     Attributes
     ----------
     name : its key in the configuration's section `effects`.
     title : its name for people.
     needs : what must be there for it to act, in words; `present` asks whether it is.
-    reference : where its physics and its estimate are from.
-    saves : about the largest share of its stage's time that leaving it out can save: what decides who is asked first.
+    reference : where its physics is from, and how its change is known.
+    saves : about the largest share of its stage's time that leaving it out can save; 0 where it saves none.
     present : whether there is anything to simulate.
-    estimate : (world, names of the effects left out already) → how much leaving it out can change.
-    without : the world with the effect not simulated.
-    always : the world with the effect simulated even where that can change nothing; given the setting.
-    cheapest : the world with the effect simulated as is cheapest there, the answer being the same.
+    change : how much leaving it out can change the answer; or a sentence that says why it is never worth asking.
+    without : what is given, with the effect not simulated.
+    always : with the effect simulated even where that can change nothing; also given the setting.
+    cheapest : with the effect simulated as is cheapest there, the answer being the same.
     """
 
     name: str
@@ -53,11 +51,11 @@ class Effect(Generic[World]):
     needs: str
     reference: str
     saves: float
-    present: Callable[[World], bool]
-    estimate: Callable[[World, frozenset[str]], Estimate]
-    without: Callable[[World], World]
-    always: Callable[[World, str | int], World] = lambda world, setting: world
-    cheapest: Callable[[World], World] = lambda world: world
+    present: Callable[[Given], bool]
+    change: Callable[[Given], Change] | str
+    without: Callable[[Given], Given]
+    always: Callable[[Given, str | int], Given] = lambda given, setting: given
+    cheapest: Callable[[Given], Given] = lambda given: given
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,8 @@ class Decision:
     setting : what the configuration says: auto, on, off (or a number of strongest paths).
     simulated : whether it is; an effect that is absent is not.
     estimate : how much leaving it out can change, relative L2; None where nobody asked, or nothing bounds it.
-    kind : `bound` or `pilot`: where the estimate is from; `forced` by the setting; `absent`: nothing to simulate.
+    kind : `bound` or `trial`: where the estimate is from; `always`: leaving it out saves nothing; `forced` by the
+        setting; `absent`: nothing to simulate.
     allowance : what was left of the tolerance when it was this effect's turn.
     """
 
@@ -89,7 +88,7 @@ class Decision:
 
 
 def decide(
-    rows: Iterable[Effect[World]], world: World, setting_of: Callable[[str], str | int], tolerance: float
+    rows: Iterable[Effect[Given]], given: Given, setting_of: Callable[[str], str | int], tolerance: float
 ) -> tuple[Decision, ...]:
     """Decide for the effects of one stage, in the order of the table.
 
@@ -100,30 +99,28 @@ def decide(
     made: dict[str, Decision] = {}
     spent = 0.0
     for row in sorted(rows, key=lambda r: -r.saves):
-        setting = setting_of(row.name)
-        gone = frozenset(name for name, decision in made.items() if not decision.simulated)
         allowance = max((1.0 + tolerance) / (1.0 + spent) - 1.0, 0.0)
-        decision = _decided(row, world, setting, gone, allowance)
+        decision = _decided(row, given, setting_of(row.name), allowance)
         if decision.left_out and decision.estimate is not None:
             spent = (1.0 + spent) * (1.0 + decision.estimate) - 1.0
         made[row.name] = decision
     return tuple(made[row.name] for row in rows)
 
 
-def _decided(
-    row: Effect[World], world: World, setting: str | int, gone: frozenset[str], allowance: float
-) -> Decision:
+def _decided(row: Effect[Given], given: Given, setting: str | int, allowance: float) -> Decision:
     simulated = True
     value: float | None = None
     kind: Kind = "forced"
-    if not row.present(world):
+    if not row.present(given):
         simulated, value, kind, reason = False, 0.0, "absent", f"there is none: it needs {row.needs}"
     elif setting == "off":
         simulated, reason = False, "switched off"
     elif setting != "auto":
         reason = "switched on" if setting == "on" else f"switched on: {setting}"
+    elif isinstance(row.change, str):
+        kind, reason = "always", row.change
     else:
-        found = row.estimate(world, gone)
-        simulated = not (found.allowed and found.value is not None and found.value <= allowance)
+        found = row.change(given)
+        simulated = not (found.value is not None and found.value <= allowance)
         value, kind, reason = found.value, found.kind, found.reason
     return Decision(row.name, row.stage, setting, simulated, value, kind, allowance, reason)

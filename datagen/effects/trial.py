@@ -1,4 +1,4 @@
-"""The pilot: the same transport at a fiftieth of its cost, to see how much of the light takes each way.
+"""The trial run: the same transport at a fiftieth of its cost, to see how much of the light has how many bounces.
 
 Two independent runs a and b of a few laser points and pixels, by one call where it tells them apart: small runs cost
 little beside their preparation. A component x is compared with T, all light of three bounces and more, by
@@ -24,15 +24,17 @@ from datagen.transport import simulate
 from datagen.transport.cost import BIN, CALL, RAY
 
 SHARE = 0.02
-"""Share of the transport's cost that a pilot may take."""
+"""Share of the transport's cost that a trial run may take."""
 LARGEST_SHARE = 0.1
-"""Share above which the smallest pilot is not worth its cost: then nothing is measured."""
+"""Share above which the smallest trial run is not worth its cost: then nothing is measured."""
 OVERHEAD = 60_000.0
 """What a call costs whatever its size, in shadow rays: the scene is prepared, each order is traced for few walks."""
 FEWEST_WALKS, MOST_WALKS = 512, 4096
 """Walks of one of the two runs, all channels together."""
 LASERS, PIXELS = 32, 8
 """Most laser points, and most pixels of each (exhaustive pairing)."""
+COMPONENTS = 4
+"""Direct, primary, secondary and higher light."""
 MOST_ORDERS = 8
 """Bounces that count for the cost: of longer paths few are left."""
 BINS = 512
@@ -42,23 +44,27 @@ VALUES = 1 << 22
 
 
 @dataclass(frozen=True)
-class Pilot:
-    """Two runs. components, parts : name → (2, channel, bin) photons per emitted photon."""
+class Trial:
+    """Two runs.
+
+    Attributes
+    ----------
+    components : name → (2, channel, bin) photons per emitted photon.
+    """
 
     components: Mapping[str, NDArray[np.float64]]
-    parts: Mapping[str, NDArray[np.float64]]
 
     @property
     def dark(self) -> bool:
         """Whether neither run found any light."""
         return not any(component.any() for component in self.components.values())
 
-    def share(self, *found: NDArray[np.float64]) -> float | None:
-        """Upper estimate of ‖x‖ / ‖T‖ for x the sum of what is `found`, at most 1; None where T is lost in noise."""
-        x = sum(found, start=np.zeros_like(next(iter(self.components.values()))))
-        if not x.any():
+    def share(self, name: str) -> float | None:
+        """Upper estimate of ‖x‖ / ‖T‖ for a component x, at most 1; None where T is lost in noise."""
+        x = self.components.get(name)
+        if x is None or not x.any():
             return 0.0
-        indirect = [component for name, component in self.components.items() if name != "direct"]
+        indirect = [component for key, component in self.components.items() if key != "direct"]
         total = sum(indirect, start=np.zeros_like(x))
         wide = -(-total.shape[2] // BINS)
         padded = np.pad(total, ((0, 0), (0, 0), (0, -total.shape[2] % wide)))
@@ -84,16 +90,16 @@ def _jackknife(above: NDArray[np.float64], below: NDArray[np.float64], ratio: fl
     return float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
 
 
-def affordable(scene: Scene, capture: Capture, accuracy: Accuracy, share: float = LARGEST_SHARE) -> bool:
-    """Whether even the smallest pilot costs no more than a `share` of the transport; with a target, always."""
+def affordable(capture: Capture, accuracy: Accuracy) -> bool:
+    """Whether the smallest trial run costs no more than `LARGEST_SHARE` of the transport; with a target, always."""
     if accuracy.target is not None:
         return True
-    return _Size.of(scene, capture, FEWEST_WALKS).cost(capture, accuracy) <= share * _cost(capture, accuracy)
+    return _Size.of(capture, FEWEST_WALKS).cost(capture, accuracy) <= LARGEST_SHARE * _cost(capture, accuracy)
 
 
 @dataclass(frozen=True)
 class _Size:
-    """How large a pilot is: laser points and pixels of each run, histogram entries of each of them, and walks.
+    """How large a trial run is: laser points and pixels of each run, histogram entries of each of them, and walks.
 
     at_once : whether both runs are made by one call, in which the capture is there twice over.
     """
@@ -105,9 +111,9 @@ class _Size:
     at_once: bool
 
     @classmethod
-    def of(cls, scene: Scene, capture: Capture, walks: int) -> _Size:
+    def of(cls, capture: Capture, walks: int) -> _Size:
         lasers, (_, pixels, bins) = len(capture.laser.targets), capture.shape
-        entries = bins * (len(scene.part_names) + 3)
+        entries = bins * COMPONENTS
         channels = int(np.clip(VALUES // entries, 1, LASERS * PIXELS))
         seen = min(pixels, PIXELS, channels)
         lit = min(lasers, LASERS, max(channels // seen, 1))
@@ -124,12 +130,12 @@ class _Size:
         return calls / orders + 2 * self.walks * (RAY + copies * self.pixels)
 
 
-def run_pilot(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> Pilot:
-    """Simulate a few channels of the capture twice, all orders and parts."""
+def run_trial(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> Trial:
+    """Simulate a few channels of the capture twice, all bounce orders."""
     budget = MOST_WALKS
     if accuracy.target is None:
         budget = int(SHARE * _cost(capture, accuracy) / (2 * (RAY + min(capture.shape[1], PIXELS))))
-    size = _Size.of(scene, capture, int(np.clip(budget, FEWEST_WALKS, MOST_WALKS)))
+    size = _Size.of(capture, int(np.clip(budget, FEWEST_WALKS, MOST_WALKS)))
     few = Accuracy(
         lookins=max(size.walks // size.lasers, 1),
         fov_samples=1,
@@ -141,12 +147,14 @@ def run_pilot(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> 
     )
     lasers, pixels = _spread(len(capture.laser.targets), size.lasers), _spread(capture.shape[1], size.pixels)
     copies = 2 if size.at_once else 1
-    made = [simulate(scene, _excerpt(capture, np.tile(lasers, copies), np.tile(pixels, copies)), few, seed=seed)]
+    twice = _excerpt(capture, np.tile(lasers, copies), np.tile(pixels, copies))
+    made = [simulate(scene, twice, few, seed=seed, split_parts=False)]
     # The factorised form shares its points between laser points, whose noise is then no longer their own.
     if not size.at_once or (made[0].spend is not None and "factorised" in "".join(made[0].spend.way.values())):
-        made.append(simulate(scene, _excerpt(capture, lasers, pixels), few, seed=(seed + 1) % 2**64))
+        once = _excerpt(capture, lasers, pixels)
+        made.append(simulate(scene, once, few, seed=(seed + 1) % 2**64, split_parts=False))
     shape = _excerpt(capture, lasers, pixels).shape[:2]
-    return Pilot(_paired([run.components for run in made], shape), _paired([run.parts for run in made], shape))
+    return Trial(_paired([run.components for run in made], shape))
 
 
 def _paired(runs: list[Mapping[str, NDArray[np.float64]]], shape: tuple[int, int]) -> dict[str, NDArray[np.float64]]:

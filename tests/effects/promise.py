@@ -1,0 +1,156 @@
+"""The switchboard's promise: a scene as decided differs from it with every effect on by no more than the tolerance.
+
+The difference is relative L2. Transients are compared by two independent pairs of runs, a and b, of P as decided and
+of F everything on:
+
+    error² = (P_a − F_a)·(P_b − F_b) / (F_a · F_b),
+
+in which the noise of the runs cancels on average; the standard error is found by leaving out channels one at a time.
+That is asked of the whole transient, and again of its light of three bounces and more, which the direct return would
+dwarf; the larger one counts. Histograms are compared by their means, of the same transient.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.capture import capture_for
+from datagen.config import DatasetConfig, EffectsConfig
+from datagen.detector import Exposure, Spad, detect, detector_for, expected_histogram
+from datagen.effects import EFFECTS, EffectDecisions, decide_detector_effects, decide_transport_effects
+from datagen.errors import InputError
+from datagen.records import Transient
+from datagen.scene import generate_scene
+from datagen.transport import simulate
+
+T = TypeVar("T")
+
+EVERYTHING = EffectsConfig.model_validate({"tolerance": 0.0} | {row.name: "on" for row in EFFECTS})
+"""Every effect switched on."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one scene.
+
+    Attributes
+    ----------
+    states : effect → `on`, `off` (left out) or `absent`.
+    transient_error, transient_least : relative L2 difference of the transient, and the same less two standard errors.
+    histogram_error : of the expected histogram.
+    seconds : stage → processor seconds as decided, deciding included, and with everything on; empty if not measured.
+    """
+
+    name: str
+    states: dict[str, str]
+    transient_error: float
+    transient_least: float
+    histogram_error: float
+    seconds: dict[str, tuple[float, float]]
+
+    def broken(self, tolerance: float) -> list[str]:
+        """Promises not kept: differences beyond the tolerance, and beyond what noise could be."""
+        found = []
+        if self.transient_least > tolerance:
+            found.append(f"{self.name}: the transient differs by {self.transient_error:.3g}")
+        if self.histogram_error > tolerance:
+            found.append(f"{self.name}: the expected histogram differs by {self.histogram_error:.3g}")
+        return found
+
+
+def run_case(config: DatasetConfig, times: int = 0) -> Outcome:
+    """Simulate one scene as decided and with everything on, and compare; with `times`, measure each so often too."""
+    scene = generate_scene(config.scene, config.seed, 0)
+    capture = capture_for(config, scene, config.seed, 0)
+    accuracy, tolerance = config.transport.accuracy(), config.detector.tolerance
+
+    def decided(settings: EffectsConfig) -> EffectDecisions:
+        return decide_transport_effects(scene, capture, accuracy, settings, seed=config.seed)
+
+    def lit(decisions: EffectDecisions, seed: int) -> Transient:
+        reduced_scene, reduced = decisions.apply_transport(scene, capture, accuracy)
+        return simulate(reduced_scene, capture, reduced, seed=seed, split_parts=False)
+
+    decisions, everything = decided(config.effects), decided(EVERYTHING)
+    full = lit(everything, 1)
+    error = least = 0.0
+    if any(decision.left_out for decision in decisions.decisions):
+        pairs = (lit(decisions, 1), lit(decisions, 2)), (full, lit(everything, 2))
+        error, least = (
+            max(pair) for pair in zip(*(difference(*pairs, part) for part in (whole, indirect)), strict=True)
+        )
+    given = detector_for(config.detector, config.seed, 0, capture.time)
+    seen = (full.total, capture.time)
+
+    def detector_decided() -> EffectDecisions:
+        return decide_detector_effects(*seen, *given, config.effects, tolerance)
+
+    def counted(spad: Spad, exposure: Exposure, allowed: float) -> NDArray[np.integer]:
+        return detect(*seen, spad, exposure, tolerance=allowed, approximate=True)
+
+    seconds: dict[str, tuple[float, float]] = {}
+    if times:
+        seconds["transport"] = in_turn(times, lambda: lit(decided(config.effects), 1), lambda: lit(everything, 1))
+        # With everything on there may be more events than can be drawn.
+        with suppress(InputError):
+            seconds["detector"] = in_turn(
+                10 * times,
+                lambda: counted(*detector_decided().apply_detector(*given, tolerance)),
+                lambda: counted(*given, 0.0),
+            )
+    decisions += detector_decided()
+    used = decisions.apply_detector(*given, tolerance)[:2]
+    mean, reference = (expected_histogram(*seen, *pair, approximate=True) for pair in (used, given))
+    norm = float(np.linalg.norm(reference))
+    histogram_error = float(np.linalg.norm(mean - reference)) / (norm if norm > 0 else 1.0)
+    states = {d.effect: "on" if d.simulated else "off" if d.left_out else "absent" for d in decisions.decisions}
+    return Outcome(config.name, states, error, least, histogram_error, seconds)
+
+
+def whole(transient: Transient) -> NDArray[np.float64]:
+    """(channel, bin) all light."""
+    return transient.total.reshape(-1, transient.time.bins)
+
+
+def indirect(transient: Transient) -> NDArray[np.float64]:
+    """(channel, bin) light of three bounces and more."""
+    return (transient.total - transient.components.get("direct", 0.0)).reshape(-1, transient.time.bins)
+
+
+def difference(
+    decided: tuple[Transient, Transient],
+    full: tuple[Transient, Transient],
+    part: Callable[[Transient], NDArray[np.float64]],
+) -> tuple[float, float]:
+    """Relative L2 difference of two pairs of independent transients, and the same less two standard errors."""
+    reference = [part(f) for f in full]
+    apart = [part(p) - f for p, f in zip(decided, reference, strict=True)]
+    above, below = (apart[0] * apart[1]).sum(axis=1), (reference[0] * reference[1]).sum(axis=1)
+    if not any(a.any() for a in apart):
+        return 0.0, 0.0
+    if below.sum() <= 0:
+        return np.inf, np.inf
+    square = float(above.sum() / below.sum())
+    n = len(above)
+    without = (above.sum() - above) / np.maximum(below.sum() - below, 1e-300)
+    spread = float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
+    return float(np.sqrt(max(square, 0.0))), float(np.sqrt(max(square - 2 * spread, 0.0)))
+
+
+def in_turn(times: int, first: Callable[[], object], second: Callable[[], object]) -> tuple[float, float]:
+    """Least processor seconds of either call, run in turn: on a machine that others use single ones say little."""
+    least = [np.inf, np.inf]
+    for k in range(times):
+        # Who goes first finds less of its data in the cache.
+        for which in (0, 1) if k % 2 else (1, 0):
+            before = time.process_time()
+            (first, second)[which]()
+            least[which] = min(least[which], time.process_time() - before)
+    return least[0], least[1]
