@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from everything_on import EVERYTHING, run_case
+from random_scenes import nearly_everything_skipped, nearly_nothing_skipped, random_case
 
-from datagen.bench.effects import EVERYTHING, run_case
-from datagen.bench.effects_cases import nearly_everything_skipped, nearly_nothing_skipped, random_case
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, EffectsConfig, config_from_mapping, load_config
 from datagen.detector import Exposure, Spad, detect
@@ -230,7 +230,7 @@ def test_strongest_paths_are_asked_for_by_number() -> None:
 
 @pytest.mark.parametrize("index", range(8))
 def test_random_scenes_keep_the_promise(index: int) -> None:
-    """A tenth of `datagen bench effects`, with other scenes."""
+    """A tenth of `python tests/effects/everything_on.py`, with other scenes."""
     outcome = run_case(random_case(index, seed=77, lookins=2048))
     assert outcome.broken(0.01) == []
 

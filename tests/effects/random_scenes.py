@@ -1,4 +1,4 @@
-"""Random scenes, captures and detectors, from dim to bright, for the promise that `effects.py` tests."""
+"""Random scenes, captures and detectors, from dim to bright, for the promise that `everything_on.py` tests."""
 
 from __future__ import annotations
 
