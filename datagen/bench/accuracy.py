@@ -133,7 +133,7 @@ def run(
                 left_out += [f"{later.quantity} {later.value}: too slow" for later in sweep[k + 1 :]]
                 break
     used, there = len(problem.capture.laser.targets), len(whole.laser.targets)
-    points = f"{used} of its {there} laser points" if used < there else f"{there} laser points"
+    points = f"{used} of its {there} laser points" if used < there else f"laser points: {there}"
     return Outcome(f"{config.name}, scene {scene}, {points}", base, truths, with_front(rows), left_out)
 
 

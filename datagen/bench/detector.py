@@ -104,7 +104,7 @@ def demonstration_shape() -> NDArray[np.float64]:
     hidden[:200] = 0.01
     shape = 0.5 * hidden / hidden.sum()
     shape[120] += 0.5
-    return shape
+    return np.asarray(shape)
 
 
 def naive_seconds(flux: NDArray[np.float64], spad: Spad) -> tuple[float, float]:

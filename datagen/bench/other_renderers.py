@@ -107,7 +107,7 @@ def photons_to_radiance(photons: NDArray[np.float64], capture: Capture) -> NDArr
     away = capture.sensor.position - centre
     solid_angle = np.abs(np.einsum("pk,pk->p", np.cross(b - a, d - a), away)) / np.linalg.norm(away, axis=1) ** 3
     per_pixel = solid_angle * capture.sensor.aperture_area_m2
-    return photons / (per_pixel[:, None, None] if capture.pairing == "confocal" else per_pixel[:, None])
+    return np.asarray(photons / (per_pixel[:, None, None] if capture.pairing == "confocal" else per_pixel[:, None]))
 
 
 def merge_bins(fine: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
@@ -118,7 +118,7 @@ def merge_bins(fine: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
     per_bin = fine.shape[-1] // bins
     position = (np.arange(fine.shape[-1]) + 0.5) / per_bin - 0.5
     share = np.clip(1.0 - np.abs(position[:, None] - np.arange(bins)), 0.0, None)
-    return fine @ share
+    return np.asarray(fine @ share)
 
 
 class MitransientPeer:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import trimesh
 
@@ -29,7 +27,7 @@ def furnished_room(subdivisions: int = 0) -> Scene:
     box = trimesh.creation.box((0.6, 0.5, 0.8))
     box.apply_translation((2.2, -0.7, 0.4))
     pillar = trimesh.creation.box((0.4, 0.4, 2.5))
-    pillar.apply_transform(trimesh.transformations.rotation_matrix(math.pi / 4, (0, 0, 1), (0, 0, 0)))
+    pillar.vertices = pillar.vertices @ np.array([[1, 1, 0], [-1, 1, 0], [0, 0, 2**0.5]]) / 2**0.5
     pillar.apply_translation((2.6, 0.7, 1.25))
     parts = [
         rectangle("relay_wall", WALL, 0.8, "relay_wall"),
