@@ -59,11 +59,11 @@ def printed_by(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def test_accuracy(config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--seconds", "1", "--repeats", "2", "--laser-points", "4", "--scene", "1"]
+    options = ["--seconds", "1", "--repeats", "2", "--laser-points", "2", "--scene", "1"]
     printed = printed_by(["accuracy", config, str(tmp_path / "out"), *options], capsys)
     lookins = [row for row in rows_of(printed, "swept") if row[0] == "lookins"]
     assert float(lookins[-1][3].split()[0]) < float(lookins[0][3].split()[0])
-    assert "What to choose" in printed and "4 of its 9 laser points" in printed
+    assert "What to choose" in printed and "2 of its 9 laser points" in printed
     assert (tmp_path / "out/accuracy.png").read_bytes()[:4] == b"\x89PNG"
 
 
