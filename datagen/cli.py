@@ -156,15 +156,12 @@ class _Benches(click.Group):
 
     MODULES: ClassVar[dict[str, str]] = {
         "accuracy": "What accuracy costs in time: error against seconds for everything that can be chosen.",
-        "target": "Whether accuracy targets are met on random scenes, and at what cost beside hindsight.",
-        "speed": "Error against seconds, beside other ways of computing the same.",
-        "paper_case": "All secondary paths of the paper's case, beside its published times.",
+        "target": "Whether accuracy targets are met on random scenes, and at what cost beside fixed counts.",
+        "peers": "Error against processor seconds, beside mitransient and plain quadrature.",
+        "stages": "Where a build's time goes, and scenes per second on 1 and 2 workers.",
         "scaling": "Cost and memory against every size.",
-        "occlusion": "What proofs that nothing stands in the way save in shadow rays.",
         "detector": "Milliseconds per histogram of every sampler, beside a photon-by-photon simulation.",
         "plan": "Predicted beside actual: seconds, error and bytes of small builds.",
-        "effects": "What is planned beside everything on: differences, and what was saved.",
-        "stages": "Where a build's time goes, and scenes per second on 1 and 2 workers.",
     }
 
     def list_commands(self, ctx: click.Context) -> list[str]:

@@ -1,12 +1,10 @@
-"""What a histogram costs: `python -m datagen.bench.detector`.
+"""What a histogram costs: every sampler at several fluxes, 1024 bins and 10⁶ cycles.
 
-Every sampler at several fluxes, T = 1024 bins and 10⁶ cycles, beside the naive simulation in the same run: every
-photon drawn, sorted, and put to the detector's rule one by one. Prints a Markdown table.
+Beside the naive simulation in the same run: every photon drawn, sorted, and put to the detector's rule one by one.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,10 +15,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.bench.measuring import machine, markdown, processor_seconds
 from datagen.detector import Exposure, Spad, choose_sampler, detect, expected_histogram
-from datagen.exit_status import guarded
 from datagen.records import TimeAxis
-from datagen.store.environment import cores, processor
 
 BINS, BIN_WIDTH_S, CYCLES = 1024, 100e-12, 10**6
 BLOCK = 16
@@ -49,9 +46,11 @@ CASES: dict[str, tuple[Spad, bool]] = {
 class Row:
     """One case at one flux; milliseconds of processor time per histogram, medians of several runs.
 
+    Attributes
+    ----------
+    detections : in a histogram.
     ms, mean_ms : of `detect` and `expected_histogram`, on `BLOCK` histograms at once where each takes little.
-
-    plain_ms, compiled_ms : the naive simulation with its rule as a plain Python loop, and compiled. NaN: not run.
+    plain_ms, compiled_ms : of the naive simulation with its rule as a plain Python loop, and compiled. NaN: not run.
     """
 
     case: str
@@ -63,9 +62,17 @@ class Row:
     plain_ms: float
     compiled_ms: float
 
-    @property
-    def ns_per_detection(self) -> float:
-        return self.ms * 1e6 / max(self.detections, 1.0)
+    def cells(self) -> list[str]:
+        """Of the table."""
+        return [
+            self.case, f"{self.flux:g}", self.sampler, f"{self.ms:.3g}", f"{self.mean_ms:.3g}",
+            f"{self.ms * 1e6 / max(self.detections, 1.0):.3g}", f"{self.plain_ms:.4g}",
+            f"{self.plain_ms / self.ms:.0f}×", f"{self.compiled_ms:.4g}", f"{self.compiled_ms / self.ms:.3g}×",
+        ]  # fmt: skip
+
+
+HEAD = ("case", "flux / cycle", "sampler", "ms", "exact mean (ms)", "ns / detection",
+        "naive, plain (ms)", "ratio", "naive, compiled (ms)", "ratio")  # fmt: skip
 
 
 def measure(fluxes: Sequence[float] = FLUXES, naive: bool = True) -> list[Row]:
@@ -97,28 +104,30 @@ def demonstration_shape() -> NDArray[np.float64]:
     hidden[:200] = 0.01
     shape = 0.5 * hidden / hidden.sum()
     shape[120] += 0.5
-    return shape
+    return np.asarray(shape)
 
 
 def naive_seconds(flux: NDArray[np.float64], spad: Spad) -> tuple[float, float]:
     """Seconds of one naive simulation, its rule as a plain loop and compiled. Afterpulses are left out of it."""
     rng = np.random.default_rng(0)
     synchronous, dead_time = spad.mode == "synchronous", spad.dead_time_s if spad.mode != "ideal" else 0.0
-    _rule_compiled(np.zeros(1), PERIOD_S, dead_time, synchronous)
-    seconds: tuple[list[float], list[float]] = ([], [])
-    for _ in range(3):
-        rules: tuple[Callable[..., Any], ...] = (_rule, _rule_compiled)
-        for which, rule in enumerate(rules):
-            start = time.process_time()
-            count = rng.poisson(flux.sum() * CYCLES)
-            bins = np.searchsorted(np.cumsum(flux), rng.random(count) * flux.sum(), side="right")
-            photons = rng.integers(CYCLES, size=count) * PERIOD_S + (bins + rng.random(count)) * BIN_WIDTH_S
-            photons.sort()
-            arrivals: Any = photons if which else photons.tolist()
-            kept = rule(arrivals, PERIOD_S, dead_time, synchronous)
-            np.histogram(np.asarray(kept) % PERIOD_S, BINS, (0, PERIOD_S))
-            seconds[which].append(time.process_time() - start)
-    return float(np.median(seconds[0])), float(np.median(seconds[1]))
+
+    def histogram(compiled: bool) -> None:
+        count = rng.poisson(flux.sum() * CYCLES)
+        bins = np.searchsorted(np.cumsum(flux), rng.random(count) * flux.sum(), side="right")
+        photons = rng.integers(CYCLES, size=count) * PERIOD_S + (bins + rng.random(count)) * BIN_WIDTH_S
+        photons.sort()
+        if compiled:
+            kept = _rule_compiled(photons, PERIOD_S, dead_time, synchronous)
+        else:
+            kept = _rule(photons.tolist(), PERIOD_S, dead_time, synchronous)
+        np.histogram(np.asarray(kept) % PERIOD_S, BINS, (0, PERIOD_S))
+
+    histogram(True)
+    plain, compiled = (
+        float(np.median([processor_seconds(partial(histogram, kind))[1] for _ in range(3)])) for kind in (False, True)
+    )
+    return plain, compiled
 
 
 def _rule(photons: Any, period: float, dead_time: float, synchronous: bool) -> list[float]:
@@ -139,17 +148,11 @@ _rule_compiled: Callable[..., Any] = numba.njit(_rule)
 
 def _typical(call: Callable[[], object]) -> float:
     """Seconds of one call: the median of a few runs, each long enough to be timed."""
-    start = time.process_time()
-    call()
-    once = time.process_time() - start
+    _, once = processor_seconds(call)
     inner = max(1, min(200, int(_SECONDS / _REPEATS / max(once, 1e-6))))
-    seconds = []
-    for _ in range(_REPEATS if once < 1.0 else 1):
-        start = time.process_time()
-        for _ in range(inner):
-            call()
-        seconds.append((time.process_time() - start) / inner)
-    return float(np.median(seconds))
+    repeats = _REPEATS if once < 1.0 else 1
+    runs = [processor_seconds(lambda: [call() for _ in range(inner)])[1] for _ in range(repeats)]
+    return float(np.median(runs)) / inner
 
 
 def scan_milliseconds() -> float:
@@ -160,30 +163,12 @@ def scan_milliseconds() -> float:
     return 1e3 * _typical(lambda: detect(block, axis, spad, exposure)) / 256
 
 
-def table(rows: Sequence[Row]) -> str:
-    """Markdown, a line for each row."""
-    head = ["case", "flux / cycle", "sampler", "ms", "exact mean (ms)", "ns / detection",
-            "naive, plain (ms)", "ratio", "naive, compiled (ms)", "ratio"]  # fmt: skip
-    lines = [f"| {' | '.join(head)} |", "|---|---:|---|" + "---:|" * 7]
-    for row in rows:
-        cells = [
-            row.case, f"{row.flux:g}", row.sampler, f"{row.ms:.3g}", f"{row.mean_ms:.3g}",
-            f"{row.ns_per_detection:.3g}", f"{row.plain_ms:.4g}", f"{row.plain_ms / row.ms:.0f}×",
-            f"{row.compiled_ms:.4g}", f"{row.compiled_ms / row.ms:.3g}×",
-        ]  # fmt: skip
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
 @click.command()
 @click.option("--naive/--no-naive", default=True, show_default=True, help="Also time the naive simulation.")
-def main(naive: bool) -> None:
+@click.option("--flux", "fluxes", multiple=True, type=float, help=f"Events per cycle; left out: {FLUXES}.")
+def main(naive: bool, fluxes: tuple[float, ...]) -> None:
     """Print milliseconds per histogram for every sampler and flux."""
-    rows = measure(naive=naive)
-    click.echo(f"{BINS} bins, {CYCLES:.0e} cycles, tolerance 0; processor time on {processor()} ({cores()} cores)\n")
-    click.echo(table(rows))
+    rows = measure(fluxes or FLUXES, naive)
+    click.echo(f"{BINS} bins, {CYCLES:.0e} cycles, tolerance 0; processor time, {machine()}\n")
+    click.echo(markdown(HEAD, [row.cells() for row in rows]))
     click.echo(f"\nA scan of 256 histograms at once, ideal: {scan_milliseconds():.3g} ms each.")
-
-
-if __name__ == "__main__":
-    raise SystemExit(guarded(main))

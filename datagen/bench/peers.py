@@ -1,308 +1,189 @@
-"""The peers that ours is held against: mitransient, a path tracer, and a plain quadrature of an unoccluded plate.
+"""Error against processor seconds, ours beside what a user would otherwise pick.
 
-mitransient (Royo et al., "Non-line-of-sight transient rendering", Computers & Graphics 107 (2022); PyPI) is an
-optional extra: `pip install '.[peers]'` and an LLVM of version 16 or later (Debian: libllvm19).
+- *Bare plate*: 0.5 m, nothing in the way, 16 × 16 confocal points, 300 bins of 3 mm, three bounces; relative L1 error
+  against quadrature. Ours, mitransient at its best there (hidden-geometry sampling), and plain quadrature, which
+  knows that there is nothing else in the scene.
+- *Furnished room*: closed, with a box and a pillar, three and four bounces; relative L2 error per 0.1 m bin against
+  a long run of ours (its own error is printed). Ours and mitransient, seen from one point and from a 4 × 4 grid.
 
-Both answer with the radiance that leaves points of the relay wall towards the sensor, per emitted photon: what
-`photons_to_radiance` makes of our transient for pixels as small as points. mitransient's answer is brought to that:
-
-- its laser is a lamp of unit intensity, so its answer carries the irradiance cosθ/d² of the laser point;
-- it puts a path into the one bin that it falls in, ours shares it between two. Given bins `FINE` times finer,
-  `merge_bins` shares them out as ours does.
+Ours is timed as a user calls it, `simulate` with all its preparation; the others after theirs (mitransient's scene
+and kernels are built before the clock starts). mitransient runs when it is installed (`other_renderers.py`).
 """
 
 from __future__ import annotations
 
-import functools
-import glob
-import importlib.util
+import itertools
 import math
-import os
-import re
-from typing import Any
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
+import click
 import numpy as np
-from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from datagen.errors import InputError
-from datagen.records import Capture, Lambertian, Laser, Rectangle, Scene, Sensor, TimeAxis
-from datagen.transport.binning import splat
-from datagen.units import path_from_time
+from datagen.bench.measuring import machine, markdown, percent, processor_seconds
+from datagen.bench.other_renderers import (
+    MitransientPeer,
+    grid_points,
+    missing_for_mitransient,
+    photons_to_radiance,
+    plate_quadrature,
+    point_capture,
+)
+from datagen.bench.problems import DEVICE, WALL, furnished_room, rectangle
+from datagen.records import Accuracy, Capture, Rectangle, Scene, TimeAxis
+from datagen.transport import simulate
+from datagen.units import time_from_path
 
-FINE = 16
-"""Peer's bins to each of ours; even, so that the kinks of our sharing fall on its bin edges."""
-OLDEST_LLVM = 16
-VARIANT = "llvm_ad_mono"
-POINT_HALF_SIDE_M = 1e-4
-"""Half side of the pixels that stand for points."""
-
-
-def missing_for_mitransient() -> str | None:
-    """Why mitransient cannot run here, in one line, or None when it can."""
-    for module in ("mitsuba", "mitransient"):
-        if importlib.util.find_spec(module) is None:
-            return f"{module} is not installed (pip install '.[peers]')"
-    if not os.environ.get("DRJIT_LIBLLVM_PATH") and _newest_llvm() is None:
-        return f"no LLVM of version {OLDEST_LLVM} or later found (Debian: apt-get install libllvm19)"
-    return None
+Array = NDArray[np.float64]
 
 
-def _newest_llvm() -> str | None:
-    """The newest LLVM library of the system that drjit can use."""
-    found: list[tuple[int, str]] = []
-    for folder in ("/usr/lib/*", "/usr/lib", "/usr/local/lib", "/usr/lib/llvm-*/lib", "/opt/homebrew/opt/llvm/lib"):
-        for path in glob.glob(f"{folder}/libLLVM*"):
-            version = re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path)
-            if version and int(version[1]) >= OLDEST_LLVM:
-                found.append((int(version[1]), path))
-    return max(found)[1] if found else None
+@dataclass(frozen=True)
+class Contender:
+    """One way to compute a case: `run(samples, seed)` → (pixel, bin), held against `truth`, binned as it bins."""
+
+    name: str
+    unit: str
+    run: Callable[[int, int], Array]
+    samples: tuple[int, ...]
+    truth: Array
 
 
-@functools.cache
-def _mitsuba() -> Any:
-    """Mitsuba in its LLVM variant, with mitransient's plugins registered."""
-    reason = missing_for_mitransient()
-    if reason:
-        raise InputError(f"peer mitransient: {reason}")
-    newest = _newest_llvm()
-    if newest:
-        os.environ.setdefault("DRJIT_LIBLLVM_PATH", newest)
-    import mitsuba
+@dataclass(frozen=True)
+class Case:
+    """title : what is computed. norm : 1 or 2, of the relative error. target : the error to compare at."""
 
-    mitsuba.set_variant(VARIANT)
-    mitsuba.set_log_level(mitsuba.LogLevel.Error)
-    import mitransient  # noqa: F401  (importing registers its plugins)
-
-    return mitsuba
+    title: str
+    norm: int
+    target: float
+    contenders: tuple[Contender, ...]
 
 
-def grid_points(wall: Rectangle, columns: int, rows: int) -> NDArray[np.float64]:
-    """(rows · columns, 3) centres of a grid of cells on the wall, row by row from −up, each row from −right."""
-    u = (np.arange(columns) + 0.5) / columns * 2 - 1
-    v = (np.arange(rows) + 0.5) / rows * 2 - 1
-    grid = wall.center + u[None, :, None] * wall.right + v[:, None, None] * wall.up
-    return grid.reshape(-1, 3)
+def measured(case: Case, contender: Contender, repeats: int) -> list[tuple[float, float]]:
+    """Processor seconds (all threads) and relative error at each number of samples, medians over other seeds."""
+    found, scale = [], np.linalg.norm(contender.truth.ravel(), case.norm)
+    for samples in contender.samples:
+        # Shapes that depend on the number of samples compile anew in mitransient: once before the clock starts.
+        contender.run(samples, 0)
+        runs = [processor_seconds(lambda k=seed, n=samples: contender.run(n, k)) for seed in range(1, repeats + 1)]  # type: ignore[misc]
+        errors = [float(np.linalg.norm((result - contender.truth).ravel(), case.norm) / scale) for result, _ in runs]
+        found.append((statistics.median(seconds for _, seconds in runs), statistics.median(errors)))
+    return found
 
 
-def point_capture(
-    wall: Rectangle,
-    points: NDArray[np.float64],
-    device: ArrayLike,
-    laser_points: NDArray[np.float64],
-    axis: TimeAxis,
-    confocal: bool = False,
-) -> Capture:
-    """Our capture of pixels as small as points, for `photons_to_radiance` to read."""
-    right, up = (v * (POINT_HALF_SIDE_M / np.linalg.norm(v)) for v in (wall.right, wall.up))
-    corners = points[:, None] + np.stack([-right - up, right - up, right + up, -right + up])
-    pairing = "confocal" if confocal else "exhaustive"
-    return Capture(Laser(device, laser_points), Sensor(device, corners), axis, pairing)  # type: ignore[arg-type]
+def seconds_at(rows: Sequence[tuple[float, float]], target: float) -> tuple[float, bool]:
+    """Processor seconds to reach an error, and whether that was measured (else it lies beyond the last row).
 
-
-def photons_to_radiance(photons: NDArray[np.float64], capture: Capture) -> NDArray[np.float64]:
-    """Photons L (laser, pixel, bin) of a transient → L / (A Ω), 1/(m² sr), for pixels small enough to be points."""
-    a, b, d = (capture.sensor.pixels[:, k] for k in (0, 1, 3))
-    centre = capture.sensor.pixels.mean(axis=1)
-    away = capture.sensor.position - centre
-    solid_angle = np.abs(np.einsum("pk,pk->p", np.cross(b - a, d - a), away)) / np.linalg.norm(away, axis=1) ** 3
-    per_pixel = solid_angle * capture.sensor.aperture_area_m2
-    return photons / (per_pixel[:, None, None] if capture.pairing == "confocal" else per_pixel[:, None])
-
-
-def merge_bins(fine: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
-    """(…, FINE · bins) → (…, bins): each fine bin's energy shared between the two nearest coarse centres.
-
-    Exact for energy spread evenly within a fine bin, because the shares are linear within it.
+    rows : (seconds, error). Between two of them along the straight line of their logarithms; beyond the last with
+    error ∝ 1/√seconds, which is how independent paths converge, so a floor that stays is not seen.
     """
-    per_bin = fine.shape[-1] // bins
-    position = (np.arange(fine.shape[-1]) + 0.5) / per_bin - 0.5
-    share = np.clip(1.0 - np.abs(position[:, None] - np.arange(bins)), 0.0, None)
-    return fine @ share
+    if rows[0][1] <= target:
+        return rows[0][0], True
+    for (less_s, worse), (more_s, better) in itertools.pairwise(rows):
+        if better <= target:
+            return less_s * (more_s / less_s) ** (math.log(worse / target) / math.log(worse / better)), True
+    return rows[-1][0] * (rows[-1][1] / target) ** 2, False
 
 
-class MitransientPeer:
-    """A scene rendered by mitransient, ready to be sampled again and again.
-
-    Parameters
-    ----------
-    scene : Lambertian throughout (shaded on both sides, as ours is).
-    wall_name, wall : the part that is the relay wall, and the rectangle that stands for it.
-    device : (3,) laser and sensor. laser_point : (3,) on the wall; None for a confocal scan.
-    columns, rows : the grid of points on the wall, powers of two (its grid lookup rounds in single precision).
-    axis : of origin `wall`. bounces : highest order followed, ≥ 3; the lowest is 3 as long as the wall is flat.
-    fine : its bins to each of `axis`.
-    aim_at_hidden : its hidden-geometry sampling. Only for scenes where nothing stands in front of anything: it
-        divides by the density of the one point it aimed at, so a surface before that point is counted twice. It
-        aims at front faces only, whatever the material.
-
-    Raises `InputError` when mitransient cannot run, or for what it cannot render the way ours does.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        wall_name: str,
-        wall: Rectangle,
-        device: ArrayLike,
-        laser_point: ArrayLike | None,
-        columns: int,
-        rows: int,
-        axis: TimeAxis,
-        bounces: int,
-        fine: int = FINE,
-        aim_at_hidden: bool = False,
-    ) -> None:
-        if columns & (columns - 1) or rows & (rows - 1):
-            raise InputError(f"peer mitransient: {columns} × {rows} points; its grids need powers of two")
-        if axis.origin != "wall":
-            raise InputError("peer mitransient: time axis of origin 'source'; use origin='wall'")
-        self._mi = _mitsuba()
-        self.axis, self.fine = axis, fine
-        self.points = grid_points(wall, columns, rows)
-        device = np.asarray(device, np.float64)
-        lit = self.points if laser_point is None else np.asarray(laser_point, np.float64)[None]
-        away = device - lit
-        self._irradiance = np.abs(away @ wall.normal) / np.linalg.norm(away, axis=1) ** 3
-        target = wall.center if laser_point is None else lit[0]
-        width = float(path_from_time(axis.width_s))
-        bsdfs = [self._bsdf(scene, k) for k in range(len(scene.part_names))]
-        contents: dict[str, Any] = {
-            "type": "scene",
-            "integrator": {
-                "type": "transient_nlos_path",
-                "capture_type": "confocal" if laser_point is None else "single",
-                "nlos_laser_sampling": True,
-                "nlos_hidden_geometry_sampling": aim_at_hidden,
-                "account_first_and_last_bounces": False,
-                "temporal_filter": "box",
-                # Its depth counts the sensor's ray too but not the laser's: depth n holds up to n bounces. Its
-                # filter_bounces counts the laser point twice, so the order is chosen by depth alone.
-                "max_depth": bounces,
-                "rr_depth": bounces + 1,
-            },
-            "relay_wall": {
-                "type": "rectangle",
-                "to_world": self._mi.ScalarTransform4f(_frame(wall)),
-                "bsdf": bsdfs[scene.part_names.index(wall_name)],
-                "sensor": {
-                    "type": "nlos_capture_meter",
-                    "sensor_origin": device.tolist(),
-                    "sampler": {"type": "independent"},
-                    "film": {
-                        "type": "transient_hdr_film",
-                        "width": columns,
-                        "height": rows,
-                        "temporal_bins": axis.bins * fine,
-                        "bin_width_opl": width / fine,
-                        "start_opl": width * (axis.start_s / axis.width_s),
-                        "rfilter": {"type": "box"},
-                    },
-                },
-            },
-            "laser": {
-                "type": "spot",
-                "intensity": 1.0,
-                "cutoff_angle": 1.0,
-                "to_world": self._mi.ScalarTransform4f().look_at(
-                    origin=device.tolist(), target=target.tolist(), up=(wall.up / np.linalg.norm(wall.up)).tolist()
-                ),
-            },
-        }
-        for name, bsdf in zip(scene.part_names, bsdfs, strict=True):
-            if name != wall_name:
-                contents[f"part_{name}"] = self._mesh(scene, name, bsdf)
-        self._scene = self._mi.load_dict(contents)
-
-    def _bsdf(self, scene: Scene, part: int) -> Any:
-        material = scene.materials[part]
-        if not isinstance(material, Lambertian):
-            raise InputError(f"peer mitransient: part {scene.part_names[part]!r} is no Lambertian surface")
-        reflectance = {"type": "spectrum", "value": material.albedo}
-        return self._mi.load_dict({"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}})
-
-    def _mesh(self, scene: Scene, name: str, bsdf: Any) -> Any:
-        used, faces = np.unique(scene.triangles[scene.faces_of(name)], return_inverse=True)
-        properties = self._mi.Properties()
-        properties["bsdf"], properties["face_normals"] = bsdf, True
-        mesh = self._mi.Mesh(name, len(used), faces.size // 3, props=properties)
-        values = self._mi.traverse(mesh)
-        values["vertex_positions"] = scene.vertices[used].astype(np.float32).ravel()
-        values["faces"] = faces.astype(np.uint32).ravel()
-        values.update()
-        return mesh
-
-    def render(self, samples: int, seed: int) -> NDArray[np.float64]:
-        """(pixel, bin) radiance of the points, 1/(m² sr), from `samples` paths a point; our bins, shared as ours."""
-        _, image = self._scene.integrator().render(self._scene, seed=seed, spp=samples)
-        film = np.array(image, np.float64)[..., 0].reshape(len(self.points), -1) / self._irradiance[:, None]
-        return merge_bins(film, self.axis.bins) if self.fine > 1 else film
+def report(case: Case, repeats: int) -> str:
+    """Markdown: error and seconds of every contender, then the seconds to the target error beside ours."""
+    cells, ends, ours = list[list[str]](), list[str](), None
+    for contender in case.contenders:
+        rows = measured(case, contender, repeats)
+        cells += [
+            [contender.name, f"{n} {contender.unit}", f"{seconds:.3f}", percent(error)]
+            for n, (seconds, error) in zip(contender.samples, rows, strict=True)
+        ]
+        seconds, reached = seconds_at(rows, case.target)
+        ours = ours or seconds
+        how = "" if reached else ", extrapolated as 1/√seconds"
+        ratio = f"{seconds / ours:.3g} × ours"
+        ends.append(f"- {contender.name}: {percent(case.target)} in {seconds:.3g} processor s{how} ({ratio})")
+    head = ["", "samples", "processor s", f"relative L{case.norm} error"]
+    return "\n".join([f"### {case.title}", "", markdown(head, cells), "", *ends, ""])
 
 
-def _frame(wall: Rectangle) -> NDArray[np.float64]:
-    """The 4 × 4 matrix that takes the square ±1 in x and y, facing z, to the wall."""
-    matrix = np.eye(4)
-    matrix[:3] = np.stack([wall.right, wall.up, wall.normal, wall.center], axis=1)
-    return matrix
+def _ours(scene: Scene, capture: Capture, bounces: int) -> Callable[[int, int], Array]:
+    def run(lookins: int, seed: int) -> Array:
+        accuracy = Accuracy(lookins=lookins, fov_samples=1, max_bounces=bounces, replicates=1)
+        photons = simulate(scene, capture, accuracy, seed, split_parts=False).total
+        return photons_to_radiance(photons, capture).reshape(-1, capture.time.bins)
+
+    return run
 
 
-def plate_quadrature(
-    points: NDArray[np.float64],
-    wall_normal: NDArray[np.float64],
-    plate: Rectangle,
-    albedos: tuple[float, float],
-    axis: TimeAxis,
-    knots: int,
-    shared: bool = True,
-) -> NDArray[np.float64]:
-    """Three-bounce radiance of confocal points (P, 3) from an unoccluded plate, by the midpoint rule.
+def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
+    """A plate of 0.5 m, 1 m from a scan of 0.7 m."""
+    scan = Rectangle.of((0, 0, 0), (0, 0.35, 0), (0, 0, 0.35))
+    plate = Rectangle.of((1.0, 0, 0), (0, -0.25, 0), (0, 0, 0.25))
+    albedos, device = (0.8, 0.6), np.array([0.5, 0.0, 0.0])
+    axis = _axis(300, 0.003, 1.95)
+    points = grid_points(scan, points_a_side, points_a_side)
+    scene = Scene.from_parts([rectangle("wall", scan, albedos[0]), rectangle("plate", plate, albedos[1], "object")])
 
-        L = ρ₁²ρ₂/π³ ∫ (cosθ₁ cosθ₂)²/R⁴ dA₂   (wall albedo ρ₁, plate albedo ρ₂)
+    def quadrature(knots: int, _: int) -> Array:
+        return plate_quadrature(points, scan.normal, plate, albedos, axis, knots)
 
-    knots² midpoints a point; `shared` splits each between two bins as ours does, else it falls into one.
-    Returns (P, bins), 1/(m² sr).
-    """
-    out = np.zeros((len(points), axis.bins))
-    scale = albedos[0] ** 2 * albedos[1] / math.pi**3 * plate.area_m2 / knots**2
-    per_metre = 1.0 / float(path_from_time(axis.width_s))
-    _quadrature(
-        points, wall_normal, plate.center, plate.right, plate.up, plate.normal, knots, scale, per_metre,
-        axis.start_s / axis.width_s, shared, out,
-    )  # fmt: skip
-    return out
+    ours = _ours(scene, point_capture(scan, points, device, points, axis, confocal=True), 3)
+    truth = quadrature(reference_knots, 0)
+    contenders = [
+        Contender("ours", "lookins a point", ours, (1 << 11, 1 << 13, 1 << 15), truth),
+        Contender("plain quadrature (numba)", "knots a side", quadrature, (32, 64, 128, 192), truth),
+    ]
+    if missing_for_mitransient() is None:
+        sides = (points_a_side, points_a_side)
+        peer = MitransientPeer(scene, "wall", scan, device, None, *sides, axis, bounces=3, fine=1, aim_at_hidden=True)
+        own = plate_quadrature(points, scan.normal, plate, albedos, axis, reference_knots, shared=False)
+        contenders.append(Contender("mitransient", "paths a point", peer.render, (1 << 8, 1 << 10, 1 << 12), own))
+    title = f"Bare plate, {points_a_side} × {points_a_side} confocal points, 300 bins, 3 bounces"
+    return Case(title, 1, 0.01, tuple(contenders))
 
 
-@njit(cache=True)
-def _quadrature(
-    points: NDArray[np.float64],
-    wall_normal: NDArray[np.float64],
-    center: NDArray[np.float64],
-    right: NDArray[np.float64],
-    up: NDArray[np.float64],
-    normal: NDArray[np.float64],
-    knots: int,
-    scale: float,
-    per_metre: float,
-    start: float,
-    shared: bool,
-    out: NDArray[np.float64],
-) -> None:
-    bins = out.shape[1]
-    for p in range(len(points)):
-        for i in range(knots):
-            u = (2 * i + 1) / knots - 1.0
-            for j in range(knots):
-                v = (2 * j + 1) / knots - 1.0
-                x = center[0] + u * right[0] + v * up[0] - points[p, 0]
-                y = center[1] + u * right[1] + v * up[1] - points[p, 1]
-                z = center[2] + u * right[2] + v * up[2] - points[p, 2]
-                square = x * x + y * y + z * z
-                cosines = (x * wall_normal[0] + y * wall_normal[1] + z * wall_normal[2]) * (
-                    x * normal[0] + y * normal[1] + z * normal[2]
-                )
-                energy = scale * (cosines / (square * square)) ** 2
-                position = 2.0 * math.sqrt(square) * per_metre - start
-                if shared:
-                    splat(out[p], position, energy)
-                elif 0.0 <= position < bins:
-                    out[p, int(position)] += energy
+def room(points_a_side: int, reference_walks: int = 1 << 20) -> Case:
+    """A closed 4 × 3 × 2.5 m room, one laser point, points on the relay wall, three and four bounces."""
+    scene, laser_point = furnished_room(), np.array([0, -0.8, 1.4])
+    axis = _axis(170, 0.1, 0.0)
+    points = grid_points(WALL, points_a_side, points_a_side)
+    ours = _ours(scene, point_capture(WALL, points, DEVICE, laser_point[None], axis), 4)
+    halves = [ours(reference_walks // 2, 1000 + k) for k in range(2)]
+    truth = (halves[0] + halves[1]) / 2
+    uncertain = float(np.linalg.norm(halves[0] - halves[1]) / 2 / np.linalg.norm(truth))
+    contenders = [Contender("ours", "walks", ours, (1 << 12, 1 << 14, 1 << 16), truth)]
+    if missing_for_mitransient() is None:
+        sides = (points_a_side, points_a_side)
+        peer = MitransientPeer(scene, "relay_wall", WALL, DEVICE, laser_point, *sides, axis, bounces=4)
+        most = (1 << 20) // points_a_side**2
+        contenders.append(
+            Contender("mitransient", "paths a point", peer.render, (most // 16, most // 4, most), truth)
+        )
+    title = (
+        f"Furnished room, {points_a_side}² points, 170 bins, 3 + 4 bounces (reference: {reference_walks} walks of "
+        f"ours, uncertain by {percent(uncertain)})"
+    )
+    return Case(title, 2, 0.02, tuple(contenders))
+
+
+def _axis(bins: int, width_m: float, start_m: float) -> TimeAxis:
+    return TimeAxis(bins, time_from_path(width_m), time_from_path(start_m), "wall")
+
+
+CASES: dict[str, Callable[[], Case]] = {
+    "plate": bare_plate,
+    "room, 1 point": lambda: room(1),
+    "room, 4 × 4 points": lambda: room(4),
+}
+
+
+@click.command()
+@click.option("--repeats", default=5, show_default=True, type=click.IntRange(1), help="Runs behind each median.")
+@click.option("--only", default="", help=f"Only the cases whose name contains this; they are {'; '.join(CASES)}.")
+def main(repeats: int, only: str) -> None:
+    """Print error against processor seconds for a bare plate and a furnished room, ours beside others."""
+    click.echo(f"Medians of {repeats}; processor seconds, {machine()}\n")
+    missing = missing_for_mitransient()
+    if missing:
+        click.echo(f"Without mitransient: {missing}\n")
+    for name, case in CASES.items():
+        if only in name:
+            click.echo(report(case(), repeats))

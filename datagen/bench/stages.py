@@ -1,9 +1,7 @@
-"""Where a dataset's time goes: `python -m datagen.bench.stages CONFIG`.
+"""Where a build's time goes: seconds per scene by stage, and scenes per second, from the records of small builds.
 
-Builds a few scenes into a temporary folder with one worker and with two, and prints a Markdown table from the commit
-records: seconds per scene by stage (median over scenes), and scenes per second. A worker's first scenes pay for
-loading and compiling the kernels; a first build, not counted, leaves the compiled kernels on disk, and each worker's
-first shard is left out of the rates.
+A worker's first scenes pay for loading and compiling the kernels: a first build, not counted, leaves the compiled
+kernels on disk, and each worker's first shard is left out of the rates.
 """
 
 from __future__ import annotations
@@ -11,67 +9,41 @@ from __future__ import annotations
 import statistics
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
+from datagen.bench.measuring import machine, markdown
 from datagen.building.build import build
 from datagen.config import DatasetConfig, load_config
-from datagen.exit_status import guarded
+from datagen.errors import InputError
 from datagen.store import ShardRecord, committed, read_manifest
-from datagen.store.environment import cores, processor
 from datagen.store.info import STAGES
 
 SCENES_PER_SHARD = 2
 
 
-@dataclass(frozen=True)
-class Timing:
-    """seconds : stage → median seconds per scene. scenes_per_s : of the whole build, workers started and warm."""
-
-    workers: int
-    scenes: int
-    seconds: dict[str, float]
-    scenes_per_s: float
-
-
-def measure(config: DatasetConfig, workers: int, scenes: int) -> Timing:
-    """Build `scenes` scenes with `workers` workers, and read the times from the commit records."""
-    small = config.with_scenes(scenes)
-    store = small.store.model_copy(update={"scenes_per_shard": SCENES_PER_SHARD})
+def records_of_build(config: DatasetConfig, workers: int, scenes: int) -> list[ShardRecord]:
+    """Build `scenes` scenes with `workers` workers; the records in the order in which they were finished."""
+    store = config.store.model_copy(update={"scenes_per_shard": SCENES_PER_SHARD})
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "set"
-        build(small.model_copy(update={"store": store}), root, workers, progress=False)
-        records = sorted(committed(root, read_manifest(root)), key=lambda record: record.finished)
-    return Timing(workers, scenes, _stages(records), _rate(records, workers))
+        build(config.with_scenes(scenes).model_copy(update={"store": store}), root, workers, progress=False)
+        return sorted(committed(root, read_manifest(root)), key=lambda record: record.finished)
 
 
-def _stages(records: Sequence[ShardRecord]) -> dict[str, float]:
+def seconds_by_stage(records: Sequence[ShardRecord]) -> dict[str, float]:
+    """Stage → median seconds per scene."""
     scenes = [scene for record in records for scene in record.scenes]
-    seconds = {
-        stage: statistics.median(scene.seconds[stage] for scene in scenes) for stage in STAGES if stage != "store"
-    }
-    seconds["store"] = statistics.median(record.seconds["store"] / len(record.scenes) for record in records)
-    return seconds
+    own = {stage: statistics.median(scene.seconds[stage] for scene in scenes) for stage in STAGES if stage != "store"}
+    return {**own, "store": statistics.median(record.seconds["store"] / len(record.scenes) for record in records)}
 
 
-def _rate(records: Sequence[ShardRecord], workers: int) -> float:
-    """Scenes per second from the end of the last worker's first shard to the end of all."""
+def scenes_per_second(records: Sequence[ShardRecord], workers: int) -> float:
+    """From the end of the last worker's first shard to the end of all."""
     warm = records[workers - 1].finished
     after = [record for record in records if record.finished > warm]
     return sum(len(record.scenes) for record in after) / (after[-1].finished - warm)
-
-
-def table(timings: Sequence[Timing]) -> str:
-    """Markdown: a row for each number of workers."""
-    head = ["workers", *(f"{stage} (s)" for stage in STAGES), "sum (s)", "scenes/s"]
-    lines = [f"| {' | '.join(head)} |", "|" + "---:|" * len(head)]
-    for timing in timings:
-        cells = [timing.seconds[stage] for stage in STAGES]
-        numbers = " | ".join(f"{cell:.4f}" for cell in [*cells, sum(cells)])
-        lines.append(f"| {timing.workers} | {numbers} | {timing.scenes_per_s:.2f} |")
-    return "\n".join(lines)
 
 
 @click.command()
@@ -81,12 +53,15 @@ def table(timings: Sequence[Timing]) -> str:
 def main(config: str, scenes: int, workers: str) -> None:
     """Print seconds per scene by stage, and scenes per second, for CONFIG."""
     loaded = load_config(config)
+    if not all(count.isdigit() and 0 < int(count) < scenes // SCENES_PER_SHARD for count in workers.split(",")):
+        raise InputError(f"--workers {workers}: must be numbers such as 1,2, less than half of --scenes {scenes}")
     counts = [int(count) for count in workers.split(",")]
-    measure(loaded, max(counts), SCENES_PER_SHARD * (max(counts) + 1))
-    timings = [measure(loaded, count, scenes) for count in counts]
-    click.echo(f"{loaded.name}, medians over {scenes} scenes; {processor()}, {cores()} cores\n")
-    click.echo(table(timings))
-
-
-if __name__ == "__main__":
-    raise SystemExit(guarded(main))
+    records_of_build(loaded, max(counts), SCENES_PER_SHARD * (max(counts) + 1))
+    rows = []
+    for count in counts:
+        records = records_of_build(loaded, count, scenes)
+        taken = [seconds_by_stage(records)[stage] for stage in STAGES]
+        rate = scenes_per_second(records, count)
+        rows.append([str(count), *(f"{cell:.4f}" for cell in [*taken, sum(taken)]), f"{rate:.2f}"])
+    click.echo(f"{loaded.name}, medians over {scenes} scenes; {machine()}\n")
+    click.echo(markdown(["workers", *(f"{stage} (s)" for stage in STAGES), "sum (s)", "scenes/s"], rows))

@@ -1,12 +1,10 @@
-"""Whether `Accuracy(target=…)` keeps its promise: `datagen bench target OUT`.
+"""Whether `Accuracy(target=…)` keeps its promise, and at what cost, on random scenes and captures.
 
-For random scenes and captures: the true relative L2 error, against a long run of another seed, of runs with targets
-of 0.10, 0.05, 0.02 and 0.01; how often it is within the target; and what it cost beside hindsight.
-
-*Truth*: a run of another seed with `TRUTH` of the smallest target, whose own expected squared error is subtracted.
-*Hindsight*: the cheapest fixed sample counts that keep the same promise, an error within the target in 95 % of runs;
-and, cheaper, those that meet it on average only (`hindsight.py`).
-*Cost*: in connections with their shadow rays (`transport/cost.py`), the same units for both.
+*Error*: relative L2 of a run with a target, against a long run of another seed (the truth) with `TRUTH` of the
+smallest target, whose own expected squared error is subtracted.
+*Cost*: in connections with their shadow rays (`transport/cost.py`), beside that of the cheapest fixed counts
+`Accuracy(lookins=N, fov_samples=M)` whose error is the target on average (root mean square), which half of their runs
+miss: what somebody would pay who knew N and M beforehand.
 
 A scene is taken to the smaller targets for as long as its cost allows, so that the bench ends; how many scenes each
 target had is part of the table.
@@ -16,9 +14,9 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import click
@@ -26,10 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from datagen.bench.hindsight import hindsight
+from datagen.bench.measuring import machine, markdown, processor_seconds
 from datagen.bench.target_cases import random_case, room_of
 from datagen.errors import InputError
-from datagen.exit_status import guarded
 from datagen.records import Accuracy, Capture, Scene, Transient
 from datagen.transport import simulate
 
@@ -38,15 +35,26 @@ TRUTH, TRUTH_IF_DEAR = 0.5, 0.8
 """Error of the truth, in units of the smallest target that a scene was taken to; the second where a run cost more
 than `COST_AT_MOST`. Its expected square is known and subtracted, so it need not be much smaller."""
 FAIR = 4.0
-"""Largest cost, in units of hindsight, that is promised."""
+"""Largest cost, in units of the fixed counts', that should occur."""
 COST_AT_MOST = 2e6
 """Largest cost of a run, in connections, that the next smaller target may be expected to have."""
+REPLICATES, USUAL_REPLICATES = 16, 8
+"""Of the runs with fixed counts by which their error is measured; and the default, for which it is stated."""
+FOV_SAMPLES = (1, 4, 16, 64)
+CONNECTIONS_AT_MOST = 256
+"""Connections of a vertex beyond which more FoV points are not tried."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One scene and target. error : true relative L2 error; bound : what was claimed; promised, on_average : the
-    cost of hindsight with the same promise, and without."""
+    """One scene and target.
+
+    Attributes
+    ----------
+    error : true relative L2 error. truth_error : the truth's own. bound : the error that was claimed.
+    cost, fixed_cost : of the run, and of the cheapest fixed counts, in connections; NaN where there is no light.
+    seconds : processor seconds of the run.
+    """
 
     case: int
     capture: str
@@ -57,10 +65,8 @@ class Outcome:
     truth_error: float
     bound: float
     met: bool
-    rounds: int
     cost: float
-    promised: float
-    on_average: float
+    fixed_cost: float
     seconds: float
 
     @property
@@ -93,27 +99,52 @@ def outcomes_of(
             assert before.spend is not None
             if before.spend.cost * (last / target) ** 2 > cost:
                 break
-        began = time.process_time()
-        run = _run(scene, capture, replace(base, target=target), 1000 * case + len(runs))
-        runs.append((target, run, time.process_time() - began))
+        asked, seed = replace(base, target=target), 1000 * case + len(runs)
+        runs.append((target, *processor_seconds(partial(_run, scene, capture, asked, seed))))
     smallest, dearest, _ = runs[-1]
     assert dearest.spend is not None
     truth_target = (TRUTH if dearest.spend.cost <= cost else TRUTH_IF_DEAR) * smallest
     truth = _run(scene, capture, replace(base, target=max(truth_target, 1e-4)), 1000 * case + 999)
     norm = float(np.linalg.norm(truth.total))
     noise = float(np.linalg.norm(truth.stderr)) / norm if norm > 0 else 0.0
-    known = hindsight(scene, capture, base, [target for target, _, _ in runs], 1000 * case + 500, norm)
+    fixed = fixed_counts_costs(scene, capture, base, [target for target, _, _ in runs], norm, 1000 * case + 500)
     found = []
-    for (target, run, seconds), fixed in zip(runs, known, strict=True):
+    for (target, run, seconds), fixed_cost in zip(runs, fixed, strict=True):
         assert run.spend is not None and run.error_bound is not None and run.met_target is not None
         found.append(
             Outcome(
                 case, f"{capture.pairing} {capture.shape[0]}x{capture.shape[1]}", base.max_bounces, capture.time.bins,
                 target, _error(run.total, truth.total, norm, noise), noise, run.error_bound, run.met_target,
-                run.spend.rounds, run.spend.cost, fixed.promised, fixed.on_average, seconds,
+                run.spend.cost, fixed_cost, seconds,
             )
         )  # fmt: skip
     return found
+
+
+def fixed_counts_costs(
+    scene: Scene, capture: Capture, base: Accuracy, targets: Sequence[float], norm: float, seed: int
+) -> list[float]:
+    """For each target the cost of the cheapest fixed counts with that root mean square error; norm : ‖truth‖.
+
+    For each number of FoV points lookins are quadrupled until the smallest target is met, or others met it for less;
+    between two of them cost is read off the straight line of the logarithms.
+    """
+    cheapest = np.full(len(targets), np.inf)
+    for samples in FOV_SAMPLES if norm > 0 else ():
+        if samples > 1 and samples * capture.shape[1] > CONNECTIONS_AT_MOST:
+            break
+        lookins, errors, costs = REPLICATES * 4, list[float](), list[float]()
+        while not errors or (errors[-1] > min(targets) and costs[-1] < cheapest[-1]):
+            counts = replace(base, lookins=lookins, fov_samples=samples, replicates=REPLICATES)
+            run = _run(scene, capture, counts, seed)
+            assert run.spend is not None
+            errors.append(math.sqrt(REPLICATES / USUAL_REPLICATES) * float(np.linalg.norm(run.stderr)) / norm)
+            costs.append(run.spend.cost * USUAL_REPLICATES / REPLICATES)
+            lookins *= 4
+        if all(errors):
+            found = np.interp(np.log(targets), np.log(errors[::-1]), np.log(costs[::-1]), left=np.inf)
+            cheapest = np.minimum(cheapest, np.exp(found))
+    return [float(cost) if np.isfinite(cost) else math.nan for cost in cheapest]
 
 
 def _run(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> Transient:
@@ -128,28 +159,23 @@ def _error(run: NDArray[np.float64], truth: NDArray[np.float64], norm: float, no
 
 
 def table(found: Sequence[Outcome]) -> str:
-    """Markdown, a line for each target; in brackets hindsight that is within the target on average only."""
-    lines = [
-        "| target | scenes | within | exact 95 % interval | true / target: median | 95th | worst "
-        "| cost / hindsight: median | 95th | over 4 | CPU s: median |",
-        "|---:|---:|---:|---|---:|---:|---:|---:|---:|---:|---:|",
-    ]
+    """Markdown, a line for each target."""
+    head = ["target", "scenes", "within", "exact 95 % interval", "true / target: median", "95th", "worst",
+            "cost / fixed counts: median", "95th", f"over {FAIR:g}", "CPU s: median"]  # fmt: skip
+    rows = []
     for target in sorted({one.target for one in found}, reverse=True):
         some = [one for one in found if one.target == target]
         good = sum(one.within for one in some)
         interval = stats.binomtest(good, len(some)).proportion_ci(0.95, "exact")
         share = np.array([one.error for one in some]) / target
-        ratio = np.array([one.cost / one.promised for one in some if one.promised > 0])
-        lenient = np.array([one.cost / one.on_average for one in some if one.on_average > 0])
-        lines.append(
-            f"| {target:g} | {len(some)} | {good / len(some):.1%} | {interval.low:.1%} … {interval.high:.1%} "
-            f"| {np.median(share):.2f} | {np.quantile(share, 0.95):.2f} | {share.max():.2f} "
-            f"| {np.median(ratio):.2f} ({np.median(lenient):.2f}) "
-            f"| {np.quantile(ratio, 0.95):.2f} ({np.quantile(lenient, 0.95):.2f}) "
-            f"| {(ratio > FAIR).mean():.1%} ({(lenient > FAIR).mean():.1%}) "
-            f"| {np.median([one.seconds for one in some]):.2f} |"
-        )
-    return "\n".join(lines)
+        ratio = np.array([one.cost / one.fixed_cost for one in some if one.fixed_cost > 0] or [math.nan])
+        rows.append(
+            [f"{target:g}", str(len(some)), f"{good / len(some):.1%}", f"{interval.low:.1%} … {interval.high:.1%}",
+             *(f"{x:.2f}" for x in (np.median(share), np.quantile(share, 0.95), share.max())),
+             f"{np.median(ratio):.2f}", f"{np.quantile(ratio, 0.95):.2f}", f"{(ratio > FAIR).mean():.1%}",
+             f"{np.median([one.seconds for one in some]):.2f}"]
+        )  # fmt: skip
+    return markdown(head, rows, words=0)
 
 
 @click.command()
@@ -173,16 +199,13 @@ def main(out: str, scenes: int, first: int, cost: float) -> None:
         if case not in done:
             found += outcomes([case], cost=cost)
             kept.write_text(json.dumps([asdict(one) for one in found], indent=1))
-    text = table(found)
-    (folder / "target.md").write_text(text + "\n")
+    if not found:
+        raise InputError(f"--first {first} --scenes {scenes}: none of these scenes can be made; try others")
+    text = f"{len(done | {one.case for one in found})} scenes; {machine()}\n\n{table(found)}\n"
+    (folder / "target.md").write_text(text, encoding="utf-8")
     click.echo(text)
-    missed = [one for one in found if not one.within]
-    for one in missed:
+    for one in (one for one in found if not one.within):
         click.echo(
             f"beyond its target: case {one.case} ({one.capture}, {one.bins} bins, bounces {one.bounces}) "
             f"target {one.target:g}, true {one.error:.4f}, claimed {one.bound:.4f}"
         )
-
-
-if __name__ == "__main__":
-    raise SystemExit(guarded(main))

@@ -1,1 +1,1 @@
-"""What a build would take, before it is begun."""
+"""What a build would take, before it is begun: pilot scenes, times scenes."""

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from datagen.config import DatasetConfig
 from datagen.errors import InputError
-from datagen.forecast.forecast import Forecast, Outcome, against, check_same, forecast
-from datagen.forecast.pilots import run_pilots
-from datagen.forecast.probe import probe_workers
+from datagen.forecast.forecast import Forecast, Outcome, forecast, outcomes, records_of
+from datagen.forecast.pilots import run_pilots, startup_seconds
 from datagen.store import Schema, schema_of
 from datagen.store.card import readable
 from datagen.store.environment import cores, environment, hardware
 from datagen.store.files import json_bytes, write_atomically
 
-PILOT_LOOKINS = 256
-"""Lookins of the pilot transient from which the detector's flux is estimated."""
+FEW_LOOKINS = 256
+"""Lookins of the transient from which the detector's flux is estimated."""
 BUDGET_S = 15.0
 BUSY = 0.8
 """Pilots that got a smaller share of a core than this were held up by other processes, which the plan then says."""
@@ -28,8 +27,8 @@ BUSY = 0.8
 def make_forecast(config: DatasetConfig, workers: int = 1, budget_s: float = BUDGET_S) -> Forecast:
     """Seconds, error and bytes of a build with `workers` processes on this machine.
 
-    Pilot scenes take about `budget_s` seconds; compiling kernels for the first time, encoding, and starting worker
-    processes to see how long that takes, come on top.
+    Pilot scenes are simulated until `budget_s` seconds are spent, one at least; loading (at first: compiling) kernels
+    and the start of a worker process come on top.
 
     Raises
     ------
@@ -42,10 +41,9 @@ def make_forecast(config: DatasetConfig, workers: int = 1, budget_s: float = BUD
     if not 0 < budget_s < math.inf:
         raise InputError(f"--seconds {budget_s:g}: must be > 0, such as {BUDGET_S:g}")
     check_inputs(config)
-    schema = schema_of(config)
     pilots = run_pilots(config, budget_s)
-    running = probe_workers(config, pilots, min(workers, schema.shards, cores()))
-    return forecast(config, schema, pilots, running, workers, cores())
+    startup_s = startup_seconds(config, pilots.scenes[0].index)
+    return forecast(schema_of(config), pilots, startup_s, workers, cores())
 
 
 def plan(
@@ -57,23 +55,30 @@ def plan(
 ) -> str:
     """The plan as text; also written to `json_path` for machines, and held against a `dataset` built before.
 
-    Raises `InputError` as `make_forecast` and `forecast.against` do, before any pilot where that is possible.
+    Raises `InputError` as `make_forecast` and `records_of` do, before any pilot where that is possible.
     """
     if json_path is not None:
         _check_file(Path(json_path))
-    if dataset is not None:
-        check_same(config, dataset)
+    records = None if dataset is None else records_of(config, dataset)
     expected = make_forecast(config, workers, budget_s)
-    outcomes = [] if dataset is None else against(expected, config, dataset)
+    held = [] if records is None or dataset is None else outcomes(expected, records, dataset)
     if json_path is not None:
-        write_atomically(Path(json_path), json_bytes(_as_json(config, expected, outcomes)))
-    return plan_text(config, expected, outcomes)
+        values = {
+            "name": config.name,
+            "fingerprint": config.fingerprint(),
+            "forecast": expected.as_json(),
+            "against": [row.as_json() for row in held],
+            "machine": hardware(),
+            "versions": environment(),
+        }
+        write_atomically(Path(json_path), json_bytes(values))
+    return plan_text(config, expected, held)
 
 
-def plan_text(config: DatasetConfig, expected: Forecast, outcomes: Sequence[Outcome] = ()) -> str:
+def plan_text(config: DatasetConfig, expected: Forecast, held: Sequence[Outcome] = ()) -> str:
     """The plan for people: what is made, what is decided and why, what one scene and the whole build take.
 
-    outcomes : what a build of it came to (`forecast.against`), shown beside what was expected.
+    held : what a build of it came to (`forecast.outcomes`), shown beside what was expected.
     """
     schema = schema_of(config)
     lines = [
@@ -83,16 +88,14 @@ def plan_text(config: DatasetConfig, expected: Forecast, outcomes: Sequence[Outc
         "",
         *_decisions(config),
         "",
-        f"one scene ({_measured(expected)})",
-        *_one_scene(config, schema, expected),
+        *_one_scene(schema, expected),
         "",
         f"whole build ({_count(expected.workers, 'worker')}; this machine has {_count(cores(), 'core')})",
         *_whole_build(expected),
         "",
         *_fields(config, schema, expected),
+        *_outcomes(held),
     ]
-    if outcomes:
-        lines += ["", *_outcomes(outcomes)]
     return "\n".join(lines)
 
 
@@ -134,7 +137,7 @@ def _decisions(config: DatasetConfig) -> list[str]:
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
     secondary: Literal["all", "none"] = "none" if accuracy.secondary == "none" else "all"
     few = Accuracy(
-        lookins=PILOT_LOOKINS, fov_samples=1, max_bounces=accuracy.max_bounces, replicates=1,
+        lookins=FEW_LOOKINS, fov_samples=1, max_bounces=accuracy.max_bounces, replicates=1,
         direct=accuracy.direct, secondary=secondary, occlusion=accuracy.occlusion,
     )  # fmt: skip
     transient = simulate(lit, capture, few, seed=0, split_parts=False)
@@ -159,20 +162,13 @@ def _decisions(config: DatasetConfig) -> list[str]:
     ]
 
 
-def _measured(expected: Forecast) -> str:
-    scenes = _count(expected.pilots, "pilot scene")
-    if expected.effort == 1.0:
-        return f"measured on {scenes}"
-    few = f"from {scenes} with {_percent(expected.effort)} of the paths"
-    if expected.reached == 1.0:
-        return f"{few}, scaled by one with all of them"
-    return f"{few}, extrapolated; --seconds lets one have more"
-
-
-def _one_scene(config: DatasetConfig, schema: Schema, expected: Forecast) -> Iterator[str]:
-    total = sum(expected.seconds.values())
-    stages = ", ".join(f"{stage} {_digits(taken)}" for stage, taken in _largest_first(expected.seconds))
-    yield f"  time       {_digits(total)} s of one core: {stages}"
+def _one_scene(schema: Schema, expected: Forecast) -> Iterator[str]:
+    yield f"one scene ({_measured(expected)})"
+    for scene, reason in expected.failed.items():
+        yield f"  scene {scene} cannot be made: {reason}"
+    stages = sorted(expected.seconds.items(), key=lambda item: -item[1])
+    listed = ", ".join(f"{stage} {_digits(taken)}" for stage, taken in stages)
+    yield f"  time       {_digits(sum(expected.seconds.values()))} s of one core: {listed}"
     least, _, most = expected.scene_s
     if most > 1.2 * least:
         yield f"             {_digits(least)} … {_digits(most)} s from scene to scene"
@@ -181,6 +177,13 @@ def _one_scene(config: DatasetConfig, schema: Schema, expected: Forecast) -> Ite
         f"  disk       {readable(_two(expected.bytes_per_scene))} compressed, "
         f"{readable(schema.bytes_per_scene)} decoded"
     )
+
+
+def _measured(expected: Forecast) -> str:
+    if expected.effort == 1.0:
+        return f"measured on {_count(expected.pilots, 'pilot scene')}"
+    share = _percent(expected.effort)
+    return f"from one scene with {share} of the paths, scaled in proportion; more --seconds let it have all"
 
 
 def _error(expected: Forecast) -> str:
@@ -215,26 +218,17 @@ def _fields(config: DatasetConfig, schema: Schema, expected: Forecast) -> Iterat
         yield f"{field.name:20}{shape:22}{field.dtype:9}{readable(decoded):>10}{readable(_two(stored)):>10}"
     decoded = config.scenes * schema.bytes_per_scene
     records = config.scenes * expected.stored["records"]
-    yield f"{'commit records':51}{'':>10}{readable(_two(records)):>10}"
+    yield f"{'commit records and table':51}{'':>10}{readable(_two(records)):>10}"
     yield f"{'all scenes':51}{readable(decoded):>10}{readable(_two(expected.build_bytes)):>10}"
 
 
-def _outcomes(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    yield f"{'against the dataset':22}{'predicted':>12}{'actual':>12}{'ratio':>8}"
-    for row in outcomes:
-        predicted, actual = (_quantity(value, row.unit) for value in (row.predicted, row.actual))
+def _outcomes(held: Sequence[Outcome]) -> Iterator[str]:
+    if held:
+        yield ""
+        yield f"{'against the dataset':22}{'predicted':>12}{'actual':>12}{'ratio':>8}"
+    for row in held:
+        predicted, actual = (quantity(value, row.unit) for value in (row.predicted, row.actual))
         yield f"{row.name:22}{predicted:>12}{actual:>12}{row.ratio:8.2f}"
-
-
-def _as_json(config: DatasetConfig, expected: Forecast, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    return {
-        "name": config.name,
-        "fingerprint": config.fingerprint(),
-        "forecast": expected.as_json(),
-        "against": [row.as_json() for row in outcomes],
-        "machine": hardware(),
-        "versions": environment(),
-    }
 
 
 def _check_file(path: Path) -> None:
@@ -266,16 +260,13 @@ def _two(size: float) -> float:
     return float(f"{size:.2g}")
 
 
-def _quantity(value: float, unit: str) -> str:
+def quantity(value: float, unit: str) -> str:
+    """A number of an `Outcome` for people."""
     if math.isnan(value):
         return "unknown"
     if unit == "bytes":
         return readable(_two(value))
-    return f"{_digits(value)} s" if unit == "s" else f"{value:.3g}"
-
-
-def _largest_first(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
-    return sorted(seconds.items(), key=lambda item: -item[1])
+    return f"{_digits(value)} s" if unit == "s" else _percent(value)
 
 
 def _percent(share: float) -> str:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rooms import furnished_box
+from rooms import demonstration_room, furnished_box
 
 from datagen import Scene
-from datagen.bench.paper_case import demonstration_room
 from datagen.transport.raycast import Raycaster
 from datagen.transport.visibility.clearance import (
     flat_patch,
@@ -23,7 +22,7 @@ from datagen.transport.visibility.clearance import (
     ("scene", "on_wall", "normal"),
     [
         (furnished_box(), np.array([0, 0.2, 1.4]), np.array([1.0, 0, 0])),
-        (demonstration_room(), np.array([6.0, 0.2, 1.4]), np.array([-1.0, 0, 0])),
+        (demonstration_room()[0], np.array([6.0, 0.2, 1.4]), np.array([-1.0, 0, 0])),
     ],
     ids=["box", "demonstration"],
 )

@@ -11,12 +11,11 @@ import trimesh
 from numpy.typing import NDArray
 from physics.lobe_sphere import values_along
 from physics.sphere_chords import QUAD, SPOT, WIDTH_M, stored
-from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
+from rooms import bins_of_path, demonstration_room, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
 from secondary_by_walk import PLACES, RUNS, coarse, walked
 
 from datagen import Capture, Lambertian, Laser, Part, Scene, Sensor
-from datagen.bench.paper_case import demonstration_capture, demonstration_room
 from datagen.errors import InputError
 from datagen.records.materials import Phong
 from datagen.transport.brdf import MaterialTable
@@ -348,6 +347,6 @@ def test_nothing_to_see_is_zero() -> None:
 
 
 def test_the_paper_s_capture_is_fully_inside_its_window() -> None:
-    estimate = secondary_of(demonstration_room(), demonstration_capture(), lookins=128, observed=256)
+    estimate = secondary_of(*demonstration_room(), lookins=128, observed=256)
     assert estimate.overflow.sum() < 0.01 * estimate.mean.sum()
     assert estimate.mean.sum() > 0

@@ -20,11 +20,9 @@ from numpy.typing import NDArray
 from rooms import bins_of_path, furnished_box, rectangle
 from scipy import stats
 
-from datagen.bench.peers import (
-    FINE,
+from datagen.bench.other_renderers import (
     MitransientPeer,
     grid_points,
-    merge_bins,
     missing_for_mitransient,
     photons_to_radiance,
     plate_quadrature,
@@ -160,15 +158,3 @@ def test_confocal_plate_three_ways() -> None:
         assert runs.mean(axis=0).sum() == pytest.approx(truth.sum(), rel=5e-4)
         noise = np.linalg.norm(runs.std(axis=0, ddof=1)) / np.sqrt(RUNS)
         assert np.linalg.norm(runs.mean(axis=0) - truth) < 2 * noise
-
-
-def test_merged_bins_are_those_of_a_shared_path() -> None:
-    """Energy even within a fine bin, merged, equals the same energy split path by path between the coarse bins."""
-    fine = np.random.default_rng(3).random(8 * FINE)
-    paths = (np.arange(8 * FINE * 64) + 0.5) / (64 * FINE) - 0.5
-    lower = np.floor(paths).astype(int)
-    energy = np.repeat(fine, 64) / 64
-    expected = np.zeros(10)
-    np.add.at(expected, lower + 1, energy * (1 - paths + lower))
-    np.add.at(expected, lower + 2, energy * (paths - lower))
-    np.testing.assert_allclose(merge_bins(fine, 8), expected[1:9], rtol=1e-12)

@@ -1,4 +1,4 @@
-"""`datagen bench` and `datagen sheet` as a user types them."""
+"""`datagen sheet` as a user types it."""
 
 from __future__ import annotations
 
@@ -9,22 +9,6 @@ import pytest
 from datagen.cli import run
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def test_benches_are_listed_and_each_has_a_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["bench", "--help"]) == 0
-    listed = capsys.readouterr().out
-    for name in ("accuracy", "target", "speed", "paper_case", "scaling", "detector", "occlusion", "plan", "stages"):
-        assert name in listed
-        assert run(["bench", name, "--help"]) == 0
-        assert "Usage" in capsys.readouterr().out
-
-
-def test_an_unknown_bench_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["bench", "spede"]) == 2
-    error = capsys.readouterr().err
-    assert "spede" in error
-    assert error.count("\n") == 1
 
 
 def test_sheet_names_the_key_of_a_bad_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

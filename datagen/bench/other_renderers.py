@@ -1,0 +1,298 @@
+"""What ours is held against: mitransient, a path tracer, and a plain quadrature of an unoccluded plate.
+
+mitransient (Royo et al., "Non-line-of-sight transient rendering", Computers & Graphics 107 (2022); PyPI) is an
+optional extra: `pip install '.[peers]'` and an LLVM of version 16 or later (Debian: libllvm19).
+
+Both answer with the radiance that leaves points of the relay wall towards the sensor, per emitted photon: what
+`photons_to_radiance` makes of our transient for pixels as small as points. mitransient's answer is brought to that:
+
+- its laser is a lamp of unit intensity, so its answer carries the irradiance cosθ/d² of the laser point;
+- it puts a path into the one bin that it falls in, ours shares it between two. Given bins `FINE` times finer,
+  `merge_bins` shares them out as ours does.
+"""
+
+from __future__ import annotations
+
+import functools
+import glob
+import importlib.util
+import math
+import os
+import re
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from datagen.errors import InputError
+from datagen.records import Capture, Lambertian, Laser, Rectangle, Scene, Sensor, TimeAxis
+from datagen.transport.binning import splat
+from datagen.units import path_from_time
+
+FINE = 16
+"""Peer's bins to each of ours; even, so that the kinks of our sharing fall on its bin edges."""
+OLDEST_LLVM = 16
+VARIANT = "llvm_ad_mono"
+POINT_HALF_SIDE_M = 1e-4
+"""Half side of the pixels that stand for points."""
+
+
+def missing_for_mitransient() -> str | None:
+    """Why mitransient cannot run here, in one line, or None when it can."""
+    for module in ("mitsuba", "mitransient"):
+        if importlib.util.find_spec(module) is None:
+            return f"{module} is not installed (pip install '.[peers]')"
+    if not os.environ.get("DRJIT_LIBLLVM_PATH") and _newest_llvm() is None:
+        return f"no LLVM of version {OLDEST_LLVM} or later found (Debian: apt-get install libllvm19)"
+    return None
+
+
+def _newest_llvm() -> str | None:
+    """The newest LLVM library of the system that drjit can use."""
+    found: list[tuple[int, str]] = []
+    for folder in ("/usr/lib/*", "/usr/lib", "/usr/local/lib", "/usr/lib/llvm-*/lib", "/opt/homebrew/opt/llvm/lib"):
+        for path in glob.glob(f"{folder}/libLLVM*"):
+            version = re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path)
+            if version and int(version[1]) >= OLDEST_LLVM:
+                found.append((int(version[1]), path))
+    return max(found)[1] if found else None
+
+
+@functools.cache
+def _mitsuba() -> Any:
+    """Mitsuba in its LLVM variant, with mitransient's plugins registered."""
+    reason = missing_for_mitransient()
+    if reason:
+        raise InputError(f"peer mitransient: {reason}")
+    newest = _newest_llvm()
+    if newest:
+        os.environ.setdefault("DRJIT_LIBLLVM_PATH", newest)
+    import mitsuba
+
+    mitsuba.set_variant(VARIANT)
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    import mitransient  # noqa: F401  (importing registers its plugins)
+
+    return mitsuba
+
+
+def grid_points(wall: Rectangle, columns: int, rows: int) -> NDArray[np.float64]:
+    """(rows · columns, 3) centres of a grid of cells on the wall, row by row from −up, each row from −right."""
+    u = (np.arange(columns) + 0.5) / columns * 2 - 1
+    v = (np.arange(rows) + 0.5) / rows * 2 - 1
+    grid = wall.center + u[None, :, None] * wall.right + v[:, None, None] * wall.up
+    return grid.reshape(-1, 3)
+
+
+def point_capture(
+    wall: Rectangle,
+    points: NDArray[np.float64],
+    device: ArrayLike,
+    laser_points: NDArray[np.float64],
+    axis: TimeAxis,
+    confocal: bool = False,
+) -> Capture:
+    """Our capture of pixels as small as points, for `photons_to_radiance` to read."""
+    right, up = (v * (POINT_HALF_SIDE_M / np.linalg.norm(v)) for v in (wall.right, wall.up))
+    corners = points[:, None] + np.stack([-right - up, right - up, right + up, -right + up])
+    pairing = "confocal" if confocal else "exhaustive"
+    return Capture(Laser(device, laser_points), Sensor(device, corners), axis, pairing)  # type: ignore[arg-type]
+
+
+def photons_to_radiance(photons: NDArray[np.float64], capture: Capture) -> NDArray[np.float64]:
+    """Photons L (laser, pixel, bin) of a transient → L / (A Ω), 1/(m² sr), for pixels small enough to be points."""
+    a, b, d = (capture.sensor.pixels[:, k] for k in (0, 1, 3))
+    centre = capture.sensor.pixels.mean(axis=1)
+    away = capture.sensor.position - centre
+    solid_angle = np.abs(np.einsum("pk,pk->p", np.cross(b - a, d - a), away)) / np.linalg.norm(away, axis=1) ** 3
+    per_pixel = solid_angle * capture.sensor.aperture_area_m2
+    return np.asarray(photons / (per_pixel[:, None, None] if capture.pairing == "confocal" else per_pixel[:, None]))
+
+
+def merge_bins(fine: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
+    """(…, FINE · bins) → (…, bins): each fine bin's energy shared between the two nearest coarse centres.
+
+    Exact for energy spread evenly within a fine bin, because the shares are linear within it.
+    """
+    per_bin = fine.shape[-1] // bins
+    position = (np.arange(fine.shape[-1]) + 0.5) / per_bin - 0.5
+    share = np.clip(1.0 - np.abs(position[:, None] - np.arange(bins)), 0.0, None)
+    return np.asarray(fine @ share)
+
+
+class MitransientPeer:
+    """A scene rendered by mitransient, ready to be sampled again and again.
+
+    Parameters
+    ----------
+    scene : Lambertian throughout (shaded on both sides, as ours is).
+    wall_name, wall : the part that is the relay wall, and the rectangle that stands for it.
+    device : (3,) laser and sensor. laser_point : (3,) on the wall; None for a confocal scan.
+    columns, rows : the grid of points on the wall, powers of two (its grid lookup rounds in single precision).
+    axis : of origin `wall`. bounces : highest order followed, ≥ 3; the lowest is 3 as long as the wall is flat.
+    fine : its bins to each of `axis`.
+    aim_at_hidden : its hidden-geometry sampling. Only for scenes where nothing stands in front of anything: it
+        divides by the density of the one point it aimed at, so a surface before that point is counted twice. It
+        aims at front faces only, whatever the material.
+
+    Raises `InputError` when mitransient cannot run, or for what it cannot render the way ours does.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        wall_name: str,
+        wall: Rectangle,
+        device: ArrayLike,
+        laser_point: ArrayLike | None,
+        columns: int,
+        rows: int,
+        axis: TimeAxis,
+        bounces: int,
+        fine: int = FINE,
+        aim_at_hidden: bool = False,
+    ) -> None:
+        if columns & (columns - 1) or rows & (rows - 1):
+            raise InputError(f"peer mitransient: {columns} × {rows} points; its grids need powers of two")
+        if axis.origin != "wall":
+            raise InputError("peer mitransient: time axis of origin 'source'; use origin='wall'")
+        self._mi = _mitsuba()
+        self.axis, self.fine = axis, fine
+        self.points = grid_points(wall, columns, rows)
+        device = np.asarray(device, np.float64)
+        lit = self.points if laser_point is None else np.asarray(laser_point, np.float64)[None]
+        away = device - lit
+        self._irradiance = np.abs(away @ wall.normal) / np.linalg.norm(away, axis=1) ** 3
+        target = wall.center if laser_point is None else lit[0]
+        width = float(path_from_time(axis.width_s))
+        bsdfs = [self._bsdf(scene, k) for k in range(len(scene.part_names))]
+        contents: dict[str, Any] = {
+            "type": "scene",
+            "integrator": {
+                "type": "transient_nlos_path",
+                "capture_type": "confocal" if laser_point is None else "single",
+                "nlos_laser_sampling": True,
+                "nlos_hidden_geometry_sampling": aim_at_hidden,
+                "account_first_and_last_bounces": False,
+                "temporal_filter": "box",
+                # Its depth counts the sensor's ray too but not the laser's: depth n holds up to n bounces. Its
+                # filter_bounces counts the laser point twice, so the order is chosen by depth alone.
+                "max_depth": bounces,
+                "rr_depth": bounces + 1,
+            },
+            "relay_wall": {
+                "type": "rectangle",
+                "to_world": self._mi.ScalarTransform4f(_frame(wall)),
+                "bsdf": bsdfs[scene.part_names.index(wall_name)],
+                "sensor": {
+                    "type": "nlos_capture_meter",
+                    "sensor_origin": device.tolist(),
+                    "sampler": {"type": "independent"},
+                    "film": {
+                        "type": "transient_hdr_film",
+                        "width": columns,
+                        "height": rows,
+                        "temporal_bins": axis.bins * fine,
+                        "bin_width_opl": width / fine,
+                        "start_opl": width * (axis.start_s / axis.width_s),
+                        "rfilter": {"type": "box"},
+                    },
+                },
+            },
+            "laser": {
+                "type": "spot",
+                "intensity": 1.0,
+                "cutoff_angle": 1.0,
+                "to_world": self._mi.ScalarTransform4f().look_at(
+                    origin=device.tolist(), target=target.tolist(), up=(wall.up / np.linalg.norm(wall.up)).tolist()
+                ),
+            },
+        }
+        for name, bsdf in zip(scene.part_names, bsdfs, strict=True):
+            if name != wall_name:
+                contents[f"part_{name}"] = self._mesh(scene, name, bsdf)
+        self._scene = self._mi.load_dict(contents)
+
+    def _bsdf(self, scene: Scene, part: int) -> Any:
+        material = scene.materials[part]
+        if not isinstance(material, Lambertian):
+            raise InputError(f"peer mitransient: part {scene.part_names[part]!r} is no Lambertian surface")
+        reflectance = {"type": "spectrum", "value": material.albedo}
+        return self._mi.load_dict({"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}})
+
+    def _mesh(self, scene: Scene, name: str, bsdf: Any) -> Any:
+        used, faces = np.unique(scene.triangles[scene.faces_of(name)], return_inverse=True)
+        properties = self._mi.Properties()
+        properties["bsdf"], properties["face_normals"] = bsdf, True
+        mesh = self._mi.Mesh(name, len(used), faces.size // 3, props=properties)
+        values = self._mi.traverse(mesh)
+        values["vertex_positions"] = scene.vertices[used].astype(np.float32).ravel()
+        values["faces"] = faces.astype(np.uint32).ravel()
+        values.update()
+        return mesh
+
+    def render(self, samples: int, seed: int) -> NDArray[np.float64]:
+        """(pixel, bin) radiance of the points, 1/(m² sr), from `samples` paths a point; our bins, shared as ours."""
+        _, image = self._scene.integrator().render(self._scene, seed=seed, spp=samples)
+        film = np.array(image, np.float64)[..., 0].reshape(len(self.points), -1) / self._irradiance[:, None]
+        return merge_bins(film, self.axis.bins) if self.fine > 1 else film
+
+
+def _frame(wall: Rectangle) -> NDArray[np.float64]:
+    """The 4 × 4 matrix that takes the square ±1 in x and y, facing z, to the wall."""
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([wall.right, wall.up, wall.normal, wall.center], axis=1)
+    return matrix
+
+
+def plate_quadrature(
+    points: NDArray[np.float64],
+    wall_normal: NDArray[np.float64],
+    plate: Rectangle,
+    albedos: tuple[float, float],
+    axis: TimeAxis,
+    knots: int,
+    shared: bool = True,
+) -> NDArray[np.float64]:
+    """Three-bounce radiance of confocal points (P, 3) from an unoccluded plate, by the midpoint rule.
+
+        L = ρ₁²ρ₂/π³ ∫ (cosθ₁ cosθ₂)²/R⁴ dA₂   (wall albedo ρ₁, plate albedo ρ₂)
+
+    knots² midpoints a point; `shared` splits each between two bins as ours does, else it falls into one.
+    Returns (P, bins), 1/(m² sr).
+    """
+    out = np.zeros((len(points), axis.bins))
+    scale = albedos[0] ** 2 * albedos[1] / math.pi**3 * plate.area_m2 / knots**2
+    per_metre = 1.0 / float(path_from_time(axis.width_s))
+    _quadrature(
+        points, wall_normal, plate.center, plate.right, plate.up, plate.normal, knots, scale, per_metre,
+        axis.start_s / axis.width_s, shared, out,
+    )  # fmt: skip
+    return out
+
+
+@njit(cache=True)
+def _quadrature(
+    points: Any, wall_normal: Any, center: Any, right: Any, up: Any, normal: Any, knots: int, scale: float,
+    per_metre: float, start: float, shared: bool, out: Any,
+) -> None:  # fmt: skip
+    bins = out.shape[1]
+    for p in range(len(points)):
+        for i in range(knots):
+            u = (2 * i + 1) / knots - 1.0
+            for j in range(knots):
+                v = (2 * j + 1) / knots - 1.0
+                square = to_wall = to_plate = 0.0
+                for k in range(3):
+                    x = center[k] + u * right[k] + v * up[k] - points[p, k]
+                    square += x * x
+                    to_wall += x * wall_normal[k]
+                    to_plate += x * normal[k]
+                cosines = to_wall * to_plate
+                energy = scale * (cosines / (square * square)) ** 2
+                position = 2.0 * math.sqrt(square) * per_metre - start
+                if shared:
+                    splat(out[p], position, energy)
+                elif 0.0 <= position < bins:
+                    out[p, int(position)] += energy

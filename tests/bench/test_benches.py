@@ -1,0 +1,236 @@
+"""Every bench runs at a tiny size and prints its table; what the tables rest on is held against known answers."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from datasets import write_dataset
+from rooms import furnished_box, one_point_capture
+
+from datagen import Accuracy, simulate
+from datagen.bench import detector, scaling, stages
+from datagen.bench.accuracy import Truth, noise_and_bias, with_front
+from datagen.bench.accuracy_report import advice, table
+from datagen.bench.accuracy_settings import Row, fewer_laser_points
+from datagen.bench.other_renderers import FINE, merge_bins
+from datagen.bench.peers import seconds_at
+from datagen.bench.plan import furthest_off
+from datagen.bench.scaling import exponent
+from datagen.bench.target import fixed_counts_costs
+from datagen.capture import capture_for
+from datagen.cli import run
+from datagen.config import load_config
+from datagen.forecast.forecast import Outcome
+from datagen.scene import generate_scene
+
+CONFIG = """
+name: tiny
+scenes: 8
+capture: {pairing: confocal, scan: {rows: 3, columns: 3}, time: {bins: 108, bin_width_ps: 800}}
+transport: {lookins: 256, fov_samples: 1}
+detector: {photons_per_pulse: 1000.0}
+labels: {rows: 8, columns: 8}
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> str:
+    (tmp_path / "tiny.yaml").write_text(CONFIG)
+    return str(tmp_path / "tiny.yaml")
+
+
+def rows_of(printed: str, head: str) -> list[list[str]]:
+    """The cells of the table whose first heading is `head`."""
+    lines = printed.split(f"| {head} |")[1].splitlines()[2:]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[: (*lines, "").index("")]]
+    assert rows and all(any(character.isdigit() for character in "".join(row)) for row in rows)
+    return rows
+
+
+def printed_by(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    assert run(["bench", *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert " cores" in printed
+    return printed
+
+
+def test_accuracy(config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--seconds", "1", "--repeats", "2", "--laser-points", "2", "--scene", "1"]
+    printed = printed_by(["accuracy", config, str(tmp_path / "out"), *options], capsys)
+    lookins = [row for row in rows_of(printed, "swept") if row[0] == "lookins"]
+    assert float(lookins[-1][3].split()[0]) < float(lookins[0][3].split()[0])
+    assert "What to choose" in printed and "2 of its 9 laser points" in printed
+    assert (tmp_path / "out/accuracy.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["target", str(tmp_path), "--first", "4", "--scenes", "1", "--cost", "1e5"]
+    rows = rows_of(printed_by(arguments, capsys), "target")
+    assert rows == rows_of(printed_by(arguments, capsys), "target"), "kept, not measured again"
+
+
+def test_scaling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    tiny = {"lookins": [(n, scaling.Problem(lookins=n, bins=16, lasers_a_side=1)) for n in (16, 32, 64)]}
+    monkeypatch.setattr(scaling, "sweeps", lambda: tiny)
+    rows = rows_of(printed_by(["scaling", str(tmp_path), "--repeats", "1", "--only", "look"], capsys), "size")
+    assert rows[0][0] == "lookins" and (tmp_path / "scaling.png").exists()
+    assert exponent([1, 10, 100, 1000], [5.0, 5.0, 7.0, 70.0]) == pytest.approx(1.0)
+
+
+def test_detector(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, small in (("CYCLES", 2000), ("_SECONDS", 1e-3), ("BLOCK", 2)):
+        monkeypatch.setattr(detector, name, small)
+    rows = rows_of(printed_by(["detector", "--flux", "0.5", "--no-naive"], capsys), "case")
+    assert {row[0][0] for row in rows} == set("abcde")
+    assert detector.demonstration_shape().sum() == pytest.approx(1)
+
+
+def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its builds in this process, which workers of their own would take most of the time."""
+    monkeypatch.setattr(stages, "build", lambda config, root, workers, progress: write_dataset(config, root))
+    monkeypatch.setattr(stages, "scenes_per_second", lambda records, workers: len(records) / workers)
+    rows = rows_of(printed_by(["stages", config, "--scenes", "8", "--workers", "1"], capsys), "workers")
+    assert [row[0] for row in rows] == ["1"] and rows[0][-1] == "4.00"
+
+
+def test_plan(config: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.bench.plan.WITHIN", math.inf)
+    rows = rows_of(printed_by(["plan", config, "--scenes", "2", "--seconds", "5"], capsys), "configuration")
+    assert rows[0][:2] == ["tiny", "2"] and all("→" in cell for cell in rows[0][3:])
+    held = [Outcome("one", "s", 1.6, 1.0), Outcome("two", "bytes", float("nan"), 4000.0)]
+    assert furthest_off(held) == pytest.approx(1.6)
+
+
+def test_peers(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from datagen.bench import peers
+
+    monkeypatch.setattr(peers, "CASES", {"plate": lambda: peers.bare_plate(2, 200)})
+    monkeypatch.setattr(peers, "missing_for_mitransient", lambda: "not asked for")
+    errors = [float(row[3].split()[0]) for row in rows_of(printed_by(["peers", "--repeats", "1"], capsys), "")]
+    assert errors[0] > errors[2] and errors[3] > errors[6]
+
+
+def test_seconds_to_an_error_follow_the_measured_line() -> None:
+    rows = [(1.0, 0.08), (4.0, 0.04), (16.0, 0.02)]
+    assert seconds_at(rows, 0.1) == (1.0, True)
+    assert seconds_at(rows, 0.04 / math.sqrt(2)) == (pytest.approx(8.0), True)
+    assert seconds_at(rows, 0.01) == (pytest.approx(64.0), False)
+
+
+def test_the_naive_detector_keeps_the_photons_that_a_dead_time_leaves() -> None:
+    photons = [1.0, 2.0, 3.5, 9.0, 10.5, 12.0, 31.0]
+    for rule, arrivals in ((detector._rule, photons), (detector._rule_compiled, np.array(photons))):
+        assert list(rule(arrivals, 10.0, 2.5, False)) == [1.0, 3.5, 9.0, 12.0, 31.0]
+        assert list(rule(arrivals, 10.0, 2.5, True)) == [1.0, 3.5, 9.0, 10.5, 31.0]
+        assert list(rule(arrivals, 10.0, 0.0, True)) == photons
+
+
+def test_the_truth_s_own_error_is_subtracted_and_noise_told_from_bias() -> None:
+    """Halves with 20 % noise each, a run with 30 %: the error is 30 %. Runs with 5 % noise that lack 30 % of all."""
+    rng = np.random.default_rng(2)
+    exact = np.exp(-np.linspace(0, 3, 4000))
+
+    def noisy(noise: float) -> np.ndarray:
+        return exact + noise * np.linalg.norm(exact) / math.sqrt(exact.size) * rng.standard_normal(exact.shape)
+
+    truth = Truth.of(noisy(0.2), noisy(0.2))
+    assert truth.relative_error == pytest.approx(0.2 / math.sqrt(2), rel=0.05)
+    assert truth.error_of(noisy(0.3)) == pytest.approx(0.3, rel=0.05)
+    close = Truth.of(noisy(0.01), noisy(0.01))
+    for level, lacking in ((0.7, 0.3), (1.0, 0.0)):
+        noise, bias = noise_and_bias(level * np.array([noisy(0.05) for _ in range(3)]), close)
+        assert noise == pytest.approx(0.05, rel=0.05) and bias == pytest.approx(lacking, rel=0.02)
+
+
+def test_the_front_and_the_advice_follow_from_the_rows() -> None:
+    def row(quantity: str, value: str, seconds: float, error: float, configured: str, bias: float = 0.0) -> Row:
+        return Row(quantity, value, configured, 3, seconds, error, 0.01, bias, quantity == "bounce orders")
+
+    rows = with_front(
+        [
+            row("lookins", "100", 0.1, 0.2, "lookins: 100, max_bounces: 4"),
+            row("lookins", "400", 0.4, 0.09, "lookins: 400, max_bounces: 4"),
+            row("lookins", "1600", 1.6, 0.045, "lookins: 1600, max_bounces: 4"),
+            row("FoV points", "16", 0.5, 0.1, "fov_samples: 16, max_bounces: 4"),
+            row("target", "0.05", 1.0, 0.04, "target: 0.05, max_bounces: 4"),
+            row("bounce orders", "≤ 3", 0.05, 0.31, "max_bounces: 3", bias=0.3),
+            row("bounce orders", "all", 0.3, 0.1, "max_bounces: null"),
+        ]
+    )
+    assert [row.value for row in rows if row.front] == ["100", "400", "0.05", "≤ 3", "all"]
+    assert table(rows).count("●") == 5
+    text = "\n".join(advice(rows))
+    assert "10 %: `lookins: 400, max_bounces: 4`" in text and "5 %: `lookins: 1600, max_bounces: 4`" in text
+    assert "`target: 0.05, max_bounces: 4`, 1 s" in text and "≤ 3 bounces 30 %" in text
+    # Halving the error took four times the lookins, so 2 % takes (4.5/2)² times as many.
+    assert "2 %: no fixed setting of these; by the trend about 8.1e+03 lookins, 8.1 s" in text
+
+
+def test_fixed_counts_of_half_the_error_cost_two_to_eight_times_as_much() -> None:
+    """Four times for independent samples, less for quasi-random ones; costs are read off between runs."""
+    truth = float(np.linalg.norm(simulate(furnished_box(0.7), one_point_capture(), Accuracy(1 << 15, 4, 3, 8)).total))
+    targets = [0.2, 0.1, 0.05]
+    costs = fixed_counts_costs(furnished_box(0.7), one_point_capture(), Accuracy(max_bounces=3), targets, truth, 1)
+    assert all(2 < dear / cheap < 8 for cheap, dear in itertools.pairwise(costs))
+    assert all(map(math.isnan, fixed_counts_costs(furnished_box(), one_point_capture(), Accuracy(), targets, 0.0, 1)))
+
+
+def test_fewer_laser_points_keep_their_pixels() -> None:
+    loaded = load_config(Path(__file__).parents[2] / "configs/quickstart.yaml")
+    whole = capture_for(loaded, generate_scene(loaded.scene, loaded.seed, 0))
+    few = fewer_laser_points(whole, 10)
+    assert few.shape == (10, 1, 512) and fewer_laser_points(whole, 1000) is whole
+    assert np.allclose(few.sensor.pixels.mean(axis=1), few.laser.targets)
+
+
+def test_merged_bins_are_those_of_a_shared_path() -> None:
+    """Energy even within a fine bin, merged, equals the same energy split path by path between the coarse bins."""
+    fine = np.random.default_rng(3).random(8 * FINE)
+    paths = (np.arange(8 * FINE * 64) + 0.5) / (64 * FINE) - 0.5
+    lower, energy = np.floor(paths).astype(int), np.repeat(fine, 64) / 64
+    expected = np.zeros(10)
+    np.add.at(expected, lower + 1, energy * (1 - paths + lower))
+    np.add.at(expected, lower + 2, energy * (paths - lower))
+    np.testing.assert_allclose(merge_bins(fine, 8), expected[1:9], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["accuracy", "CONFIG", "OUT", "--scene", "8"], "--scene 8"),
+        (["accuracy", "CONFIG", "OUT", "--seconds", "0"], "--seconds 0"),
+        (["accuracy", "CONFIG", "OUT", "--repeats", "1"], "repeats"),
+        (["accuracy", "CONFIG", "OUT", "--laser-points", "0"], "laser-points"),
+        (["accuracy", "CONFIG", "CONFIG"], "tiny.yaml"),
+        (["accuracy", "none.yaml", "OUT"], "none.yaml"),
+        (["plan", "CONFIG", "--seconds", "0"], "--seconds 0"),
+        (["stages", "CONFIG", "--workers", "two"], "--workers two"),
+        (["target", "OUT", "--scenes", "0"], "--scenes 0"),
+        (["scaling", "OUT", "--only", "nothing"], "--only nothing"),
+        (["paeers"], "paeers"),
+    ],
+)
+def test_bad_input_is_one_line(
+    options: list[str], word: str, config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named = {"CONFIG": config, "OUT": str(tmp_path / "out")}
+    assert run(["bench", *(named.get(option, option) for option in options)]) == 2
+    err = capsys.readouterr().err
+    assert word in err and err.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+def test_a_dark_scene_is_refused(config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path(config).write_text(CONFIG.replace("bins: 108, bin_width_ps: 800", "bins: 4, bin_width_ps: 1"))
+    assert run(["bench", "accuracy", config, str(tmp_path / "out"), "--seconds", "1"]) == 2
+    assert "no light into the window" in capsys.readouterr().err
+
+
+def test_benches_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["bench", "--help"]) == 0
+    listed = capsys.readouterr().out
+    for name in ("accuracy", "target", "peers", "stages", "scaling", "detector", "plan"):
+        assert name in listed and run(["bench", name, "--help"]) == 0
