@@ -32,8 +32,9 @@ def info(path: str | Path) -> str:
         f"shards       {len(records)} of {schema.shards}, {schema.scenes_per_shard} scenes each",
         f"seed         {manifest.seed}",
         f"fingerprint  {manifest.fingerprint[:12]}",
-        f"made by      datagen {manifest.versions['datagen']}, commit {(manifest.commit or 'unknown')[:12]}, "
-        f"on {manifest.hardware['processor']}, {manifest.hardware['cores']} cores",
+        f"made by      datagen {manifest.versions['datagen']}, schema {manifest.schema_version}, commit "
+        f"{(manifest.commit or 'unknown')[:12]}, on {manifest.hardware['processor']}, "
+        f"{manifest.hardware['cores']} cores",
         "",
         f"{'field':20}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
     ]
