@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import multiprocessing
 import os
@@ -147,15 +148,15 @@ class DaskCluster:
     """The workers of a Dask cluster that see the same file system; `scheduler` None starts one on this machine."""
 
     def __init__(self, workers: int, scheduler: str | None) -> None:
-        from distributed import Client, KilledWorker, LocalCluster
-
-        self.deaths: tuple[type[BaseException], ...] = (KilledWorker, BrokenExecutor)
+        # Without annotations of its own, whether it is installed or not.
+        dask: Any = importlib.import_module("distributed")
+        self.deaths: tuple[type[BaseException], ...] = (dask.KilledWorker, BrokenExecutor)
         self._cluster = None
         if scheduler is None:
             with _environment(ONE_THREAD):
-                self._cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+                self._cluster = dask.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
         try:
-            self._client = Client(self._cluster or scheduler, timeout=20)
+            self._client = dask.Client(self._cluster or scheduler, timeout=20)
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from None
         # One job in reserve for each worker, so that none waits for this process.
@@ -163,7 +164,8 @@ class DaskCluster:
         self._executor = self._client.get_executor(pure=False, retries=0)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        return self._executor.submit(function, *arguments)
+        future: Future[Any] = self._executor.submit(function, *arguments)
+        return future
 
     def close(self, kill: bool) -> None:
         self._executor.shutdown(wait=not kill)

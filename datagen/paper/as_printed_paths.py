@@ -104,15 +104,8 @@ class Leaving:
 def place_lookins(room: PrintedRoom, laser: int, directions: Array) -> Lookins:
     """Where rays along `directions` from one laser point first meet the scene (sec. 3.1), with A₁ of Eq. 6."""
     row, points = slice(laser, laser + 1), room.points
-    seen = look(
-        room.caster,
-        room.scene,
-        room.materials,
-        points.position[row],
-        points.normal[row],
-        points.part[row],
-        directions,
-    )
+    own = points.position[row], points.normal[row], points.part[row]
+    seen = look(room.caster, room.scene, room.materials, *own, directions)
     hit = seen.part[0] >= 0
     distance = seen.distance[0, hit]
     gamma = room.materials.reflectivity[points.part[laser]]

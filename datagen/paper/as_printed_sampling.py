@@ -60,7 +60,7 @@ def half_cube(pixels: int) -> Array:
         edge = np.full(len(along), side)
         faces += [np.stack([edge, along, depth], axis=1), np.stack([along, edge, depth], axis=1)]
     directions = np.concatenate(faces)
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True), np.float64)
 
 
 def upright_frames(normal: Array) -> Array:

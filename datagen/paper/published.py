@@ -16,10 +16,3 @@ SECONDS = {
     (45, "strongest"): "2 min 00 s (notebook)",
 }
 """Rays a side and secondary scheme → computation time, on the authors' GPU server."""
-
-ROOM = "#1F5FB4"
-BOX = "#7B3FA0"
-PILLAR = "#E8820C"
-SECONDARY = "#D62728"
-TOTAL = "#000000"
-"""Colours of Fig. 7 and 9: blue walls, roof and floor, purple box, orange pillar, red secondary, black total."""

@@ -131,7 +131,8 @@ class Runs:
     @property
     def laser_point(self) -> NDArray[np.float64]:
         """(3,) where the laser meets the relay wall."""
-        return LaserPoints.of(Raycaster(self.scene), self.scene, self.capture.laser).position[0]
+        points = LaserPoints.of(Raycaster(self.scene), self.scene, self.capture.laser)
+        return np.asarray(points.position[0], np.float64)
 
     @property
     def time_ns(self) -> NDArray[np.float64]:

@@ -10,15 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from datagen.paper.lookin_balance import LookinBalance
-from datagen.paper.measures import (
-    Curve,
-    best_copy,
-    mean_ns,
-    peak_ns,
-    roughness,
-    shape_difference,
-    width_ns,
-)
+from datagen.paper.measures import Curve, best_copy, mean_ns, peak_ns, roughness, shape_difference, width_ns
 from datagen.paper.published import PEAK_TOLERANCE_NS, PEAKS_NS
 from datagen.paper.runs import Case, Estimator, Runs
 

@@ -124,7 +124,7 @@ def flat_groups(scene: Scene, faces: NDArray[np.int64]) -> tuple[NDArray[np.int6
 
 
 def _numbered(rows: NDArray[np.generic]) -> NDArray[np.int64]:
-    return np.unique(rows, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+    return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1].ravel(), np.int64)
 
 
 def to_pixels(

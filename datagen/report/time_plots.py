@@ -1,22 +1,22 @@
-"""The transient split by part, and the scan as an image of time against place."""
+"""Curves over time: the transient split by part; counts over their expectation, and what is left of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.records import Capture, Scene, TimeAxis, Transient
-from datagen.report.style import INK, empty_note, part_colors
+from datagen.records import Scene, TimeAxis, Transient
+from datagen.report.style import EXPECTED, INK, empty_note, part_colors
 from datagen.units import path_from_time
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _DECADES = 5.0
+_COUNTS = "#9A9A9A"
 
 
 def time_label(axis: TimeAxis) -> str:
@@ -56,7 +56,10 @@ def draw_stack(axes: Axes, scene: Scene, parts: Sequence[tuple[str, NDArray[np.f
     """Stack (part name, (bin,) curve) pairs, objects lowest, on a logarithmic axis."""
     colors = part_colors(scene)
     total = np.sum([curve for _, curve in parts], axis=0) if parts else np.zeros(time.bins)
-    axes.set(xlabel=time_label(time), ylabel=f"photons at the aperture per emitted\nphoton and bin of {_width(time)}")
+    axes.set(
+        xlabel=time_label(time),
+        ylabel=f"photons at the aperture per emitted\nphoton and bin of {time.width_s * 1e12:g} ps",
+    )
     if not total.any():
         empty_note(axes, "no light arrives within the time window")
         return
@@ -94,59 +97,57 @@ def add_path_axis(axes: Axes) -> None:
     axes.secondary_xaxis("top", functions=(to_path, to_time)).set_xlabel("path length (m)")
 
 
-def _width(time: TimeAxis) -> str:
-    return f"{time.width_s * 1e12:g} ps"
+def draw_counts(
+    axes: Axes, counts: NDArray[Any], expected: NDArray[np.float64], time: TimeAxis, *, mean: str = "exact mean"
+) -> None:
+    """(bin,) counts as bars, (bin,) expectation as a line; logarithmic when the peak is 30 times the median bin.
 
-
-@dataclass(frozen=True)
-class Raster:
-    """Channels that lie on a grid on the wall.
-
-    channels : (row, column, 2) laser and pixel number of each. x_m, z_m : (column,) and (row,) metres right and up
-    from the grid's middle. what : "laser points" or "pixels".
+    `mean` says in the legend what kind of expectation it is.
     """
+    edges = time.edges_s * 1e9
+    axes.stairs(counts, edges, fill=True, color=_COUNTS, linewidth=0, label="counts")
+    axes.stairs(expected, edges, color=EXPECTED, linewidth=1.2, label=f"expectation ({mean})")
+    axes.set(xlabel=time_label(time), ylabel=f"counts per bin of {time.width_s * 1e12:g} ps")
+    highest = max(float(counts.max()), float(expected.max()))
+    if highest <= 0:
+        axes.set_ylim(0, 1)
+        empty_note(axes, "no counts, and none expected")
+    elif highest > 30 * max(float(np.median(expected)), 1.0):
+        axes.set_yscale("log")
+        lowest = float(expected[expected > 0].min(initial=highest))
+        axes.set_ylim(max(0.3, 0.5 * lowest, highest * 1e-6), 3 * highest)
+    else:
+        axes.set_ylim(0, 1.25 * highest)
+    axes.legend(loc="upper right")
 
-    channels: NDArray[np.int64]
-    x_m: NDArray[np.float64]
-    z_m: NDArray[np.float64]
-    what: str
+
+def residuals(counts: NDArray[Any], expected: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(counts − expectation) / √expectation; NaN where nothing is expected and nothing was counted."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where((expected > 0) | (counts > 0), (counts - expected) / np.sqrt(expected), np.nan)
 
 
-def raster_of(capture: Capture, channel: tuple[int, int]) -> Raster | None:
-    """The grid that the scan's laser points make; else that of the pixels, for the laser point of `channel`.
+def draw_residuals(
+    axes: Axes, counts: NDArray[Any], expected: NDArray[np.float64], time: TimeAxis, *, is_poisson: bool = True
+) -> None:
+    """Residuals in units of the Poisson spread; for Poisson counts the band that holds 95 % of them where many."""
+    values = residuals(counts, expected)
+    if is_poisson:
+        axes.axhspan(-2, 2, color=EXPECTED, alpha=0.12, linewidth=0)
+    axes.axhline(0, color=EXPECTED, linewidth=0.8)
+    axes.plot(time.centers_s * 1e9, values, linestyle="", marker=".", markersize=2.5, color=INK)
+    finite = values[np.isfinite(values)]
+    reach = max(4.0, 1.1 * float(abs(finite).max())) if len(finite) else 4.0
+    axes.set(xlabel=time_label(time), ylabel="(counts − expectation)\n/ √expectation", ylim=(-reach, reach))
 
-    A grid is recognised by its places: rows of equally many points at equal steps. None when there is none with at
-    least two points in a row.
+
+def mean_square_residual(counts: NDArray[Any], expected: NDArray[np.float64]) -> tuple[float, float, int] | None:
+    """Mean of (n − μ)²/μ over all bins with μ > 0, its standard error for Poisson counts, and how many bins.
+
+    For Poisson counts (n − μ)²/μ has mean 1 and variance 2 + 1/μ. None when nothing is expected.
     """
-    lasers, pixels, _ = capture.shape
-    for count, places, what in (
-        (lasers, capture.laser.targets, "laser points"),
-        (pixels, capture.sensor.pixels.mean(axis=1), "pixels"),
-    ):
-        columns = _columns(places) if count > 1 else None
-        if columns is None:
-            continue
-        number = np.arange(count).reshape(-1, columns)
-        fixed = np.full_like(number, channel[1] if what == "laser points" else channel[0])
-        pair = (number, fixed) if what == "laser points" else (fixed, number)
-        grid = places.reshape(-1, columns, 3)
-        x = np.linalg.norm(grid[0] - grid[0, 0], axis=-1)
-        z = np.linalg.norm(grid[:, 0] - grid[0, 0], axis=-1)
-        return Raster(np.stack(pair, axis=-1), x - x.mean(), z.mean() - z, what)
-    return None
-
-
-def _columns(places: NDArray[np.float64]) -> int | None:
-    """Length of the rows of a regular grid listed row by row, or None."""
-    steps = np.diff(places, axis=0)
-    if (np.linalg.norm(steps, axis=1) == 0).any():
+    mean = expected[expected > 0]
+    if len(mean) == 0:
         return None
-    tolerance = 1e-6 * float(np.ptp(places, axis=0).max()) + 1e-12
-    along = np.linalg.norm(steps - steps[0], axis=1) <= tolerance
-    columns = len(places) if along.all() else int(np.argmin(along)) + 1
-    if columns < 2 or len(places) % columns:
-        return None
-    grid = places.reshape(-1, columns, 3)
-    regular = abs(grid - grid[:, :1] - (grid[0] - grid[0, 0])).max() <= tolerance
-    down = np.diff(grid[:, 0], axis=0)
-    return columns if regular and (len(down) < 2 or abs(down - down[0]).max() <= tolerance) else None
+    square = (counts[expected > 0] - mean) ** 2 / mean
+    return float(square.mean()), float(np.sqrt((2 + 1 / mean).sum())) / len(mean), len(mean)
