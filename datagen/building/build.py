@@ -46,7 +46,12 @@ HOPELESS = 8
 
 @dataclass(frozen=True)
 class BuildResult:
-    """What a build did. scenes : in the dataset. built, kept : shards made now, and found committed.
+    """What a build did.
+
+    Attributes
+    ----------
+    scenes : in the dataset.
+    built, kept : shards made now, and found committed.
     complete : whether every shard is there.
     """
 

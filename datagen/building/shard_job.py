@@ -21,7 +21,13 @@ LOCK_PATIENCE_S = 10.0
 
 @dataclass(frozen=True)
 class ShardJob:
-    """Everything a worker needs. skip : scenes not to be tried, and why. handed_out : Unix time."""
+    """Everything a worker needs.
+
+    Attributes
+    ----------
+    skip : scenes not to be tried, and why.
+    handed_out : Unix time.
+    """
 
     root: Path
     config: DatasetConfig

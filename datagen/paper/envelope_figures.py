@@ -10,7 +10,7 @@ from datagen.detector import detector_for
 from datagen.detector.irf import FWHM_PER_SIGMA
 from datagen.paper.measures import Curve
 from datagen.paper.published import PEAKS_NS
-from datagen.paper.runs import Case, Estimator, Runs, Scheme
+from datagen.paper.runs import Estimator, Runs, Scheme, Simulation
 from datagen.report.components import SECONDARY, TIME_LABEL, colors_of, curve_window
 from datagen.report.style import captioned, house_style
 
@@ -77,7 +77,7 @@ def other_room_figure(runs: Runs) -> Figure:
 
 
 def _panel(
-    axes: Axes, title: str, case: Case, limits: tuple[float, float], window: tuple[float, float], label: str
+    axes: Axes, title: str, case: Simulation, limits: tuple[float, float], window: tuple[float, float], label: str
 ) -> None:
     _draw(axes, case)
     colors = colors_of(case.curves)
@@ -93,11 +93,11 @@ def sigma_ps(runs: Runs) -> float:
     return float(np.hypot(exposure.pulse_fwhm_s, spad.jitter_fwhm_s) / FWHM_PER_SIGMA * 1e12)
 
 
-def _curves(case: Case) -> dict[str, Curve]:
+def _curves(case: Simulation) -> dict[str, Curve]:
     return {"total": case.primary + case.secondary, **case.curves.parts, "secondary bounce": case.secondary}
 
 
-def _draw(axes: Axes, case: Case, thin: bool = False) -> None:
+def _draw(axes: Axes, case: Simulation, thin: bool = False) -> None:
     colors = {"total": "black", "secondary bounce": SECONDARY} | colors_of(case.curves)
     for place, (name, curve) in enumerate(_curves(case).items()):
         if not curve.any():

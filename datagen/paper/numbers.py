@@ -11,7 +11,7 @@ import numpy as np
 
 from datagen.paper.measures import mean_ns, peak_ns
 from datagen.paper.published import PEAKS_NS, SECONDS
-from datagen.paper.runs import Case, Runs
+from datagen.paper.runs import Runs, Simulation
 from datagen.paper.statements import Statement
 from datagen.store.environment import processor
 
@@ -47,7 +47,7 @@ def numbers(runs: Runs, statements: Sequence[Statement], command: str) -> dict[s
     return plain
 
 
-def _case(case: Case) -> dict[str, Any]:
+def _case(case: Simulation) -> dict[str, Any]:
     curves = {**case.curves.parts, "secondary": case.secondary}
     time = case.curves.time_ns
     return {

@@ -11,7 +11,7 @@ from datagen.paper.envelope_figures import sigma_ps
 from datagen.paper.measures import peak_ns
 from datagen.paper.published import PEAKS_NS, SECONDS, SIGMA_PS
 from datagen.paper.room_samples import FromLookin, Lit
-from datagen.paper.runs import CONSERVED, GRIDS, SCHEMES, Case, Estimator, Runs
+from datagen.paper.runs import CONSERVED, GRIDS, SCHEMES, Estimator, Runs, Simulation
 from datagen.paper.statements import Statement, Verdict, ratio
 from datagen.report.html import head, table
 from datagen.store.environment import processor
@@ -227,5 +227,5 @@ def _layouts(runs: Runs, images: Mapping[str, str]) -> Iterator[str]:
     yield f'<p><img alt="Fig. 7 in the second room" src="{images["7, second room"]}"></p>'
 
 
-def _level(case: Case) -> tuple[str, str, str]:
+def _level(case: Simulation) -> tuple[str, str, str]:
     return f"{case.level['primary']:.3e}", f"{case.level['secondary']:.3e}", f"{case.ratio:.3g}"

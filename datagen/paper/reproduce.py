@@ -38,7 +38,7 @@ def reproduce(
     out : folder to make; an earlier reproduction in it is replaced, anything else refused.
     config : a configuration with one laser point and one pixel; default the paper's demonstration room.
     quick : few rays and pixels, seconds instead of minutes: to see how it works.
-    progress : told the name of each stage as it begins.
+    progress : called with the name of each stage as it begins.
 
     Returns
     -------

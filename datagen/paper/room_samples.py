@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.paper.as_printed_paths import Lookins, PrintedRoom, leaving, lighting, observe, place_lookins
+from datagen.paper.as_printed_paths import PrintedLookins, PrintedRoom, leaving, lighting, observe, place_lookins
 from datagen.paper.as_printed_sampling import half_cube, ray_grid
 from datagen.paper.runs import Runs
 from datagen.records import Scene, SinLobe
@@ -121,7 +121,7 @@ def _example(
     return None
 
 
-def _from_lookin(room: PrintedRoom, lookin: Lookins, camera: Array, where: str) -> FromLookin:
+def _from_lookin(room: PrintedRoom, lookin: PrintedLookins, camera: Array, where: str) -> FromLookin:
     seen = observe(room, lookin, camera)
     out = leaving(room, lookin, seen, np.array([0]))
     met = np.flatnonzero(seen.face[0] >= 0)

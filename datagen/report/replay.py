@@ -40,6 +40,7 @@ class StoredScene:
 
     @property
     def title(self) -> str:
+        """Dataset and scene, as pictures are headed."""
         return f"{self.config.name}, scene {self.index}"
 
 

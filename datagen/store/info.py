@@ -129,8 +129,8 @@ def _effects(records: Sequence[ShardRecord]) -> Iterator[str]:
             continue
         on = sum(bool(of[f"effect.{name}.on"]) for of in there)
         estimates = [float(of[f"effect.{name}.estimate"]) for of in there if f"effect.{name}.estimate" in of]
-        told = f"{min(estimates):9.2g} … {max(estimates):.2g}" if estimates else ""
-        lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}  {told}".rstrip())
+        span = f"{min(estimates):9.2g} … {max(estimates):.2g}" if estimates else ""
+        lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}  {span}".rstrip())
     if lines:
         yield f"  {'effects (scenes)':25}{'simulated':>9}{'left out':>10}    leaving out changes the answer by ≤"
         yield from lines

@@ -49,6 +49,7 @@ class Manifest:
 
     @property
     def seed(self) -> int:
+        """The dataset seed."""
         return int(self.config["seed"])
 
     def parsed_config(self) -> DatasetConfig:
@@ -64,6 +65,7 @@ class Manifest:
         return config_from_mapping(config, source=MANIFEST, base_directory=self.mesh_folder or ".")
 
     def to_bytes(self) -> bytes:
+        """The file `dataset.json`."""
         schema = self.schema
         return json_bytes(
             {

@@ -58,6 +58,7 @@ class Field:
 
     @property
     def bytes_per_scene(self) -> int:
+        """Raw bytes of one scene's value."""
         return math.prod(self.shape) * np.dtype(self.dtype).itemsize
 
     @property
@@ -86,6 +87,7 @@ class Schema:
 
     @property
     def shards(self) -> int:
+        """How many shards there are."""
         return math.ceil(self.scenes / self.scenes_per_shard)
 
     def scenes_of(self, shard: int) -> range:
@@ -95,10 +97,12 @@ class Schema:
 
     @cached_property
     def by_name(self) -> dict[str, Field]:
+        """Name → field."""
         return {field.name: field for field in self.fields}
 
     @property
     def bytes_per_scene(self) -> int:
+        """Raw bytes of one scene over all fields."""
         return sum(field.bytes_per_scene for field in self.fields)
 
 

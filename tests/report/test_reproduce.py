@@ -27,7 +27,7 @@ from datagen.paper.measures import (
 )
 from datagen.paper.page import times
 from datagen.paper.published import PEAKS_NS
-from datagen.paper.runs import QUICK, Case, Runs, room_laid_out_as_printed, run_all
+from datagen.paper.runs import QUICK, Runs, Simulation, room_laid_out_as_printed, run_all
 from datagen.paper.statements import Statement, arrival_statements, scheme_statements
 from datagen.report.components import component_curves
 
@@ -183,7 +183,7 @@ def test_verdicts_follow_the_numbers(runs: Runs) -> None:
     assert statements(replace(runs, in_metres=metres))["ratio unit"].printed.holds
 
 
-def _with_secondary(case: Case, factor: float) -> Case:
+def _with_secondary(case: Simulation, factor: float) -> Simulation:
     orders = {**case.curves.orders, "secondary": factor * case.curves.orders["secondary"]}
     level = {**case.level, "secondary": factor * case.level["secondary"]}
     return replace(case, curves=replace(case.curves, orders=orders), level=level)
