@@ -8,8 +8,7 @@ import numpy as np
 
 from datagen.detector import detector_for
 from datagen.detector.irf import FWHM_PER_SIGMA
-from datagen.paper.measures import Curve
-from datagen.paper.published import PEAKS_NS
+from datagen.paper.measures import PEAKS_NS, Curve
 from datagen.paper.runs import Estimator, Runs, Scheme, Simulation
 from datagen.report.components import SECONDARY, TIME_LABEL, colors_of, curve_window
 from datagen.report.style import captioned, house_style

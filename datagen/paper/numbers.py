@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from datagen.paper.measures import mean_ns, peak_ns
-from datagen.paper.published import PEAKS_NS, SECONDS
+from datagen.paper.measures import PEAKS_NS, SECONDS, mean_ns, peak_ns
 from datagen.paper.runs import Runs, Simulation
 from datagen.paper.statements import Statement
 from datagen.store.environment import processor

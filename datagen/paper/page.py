@@ -8,8 +8,7 @@ from html import escape
 
 from datagen.paper.as_printed import AsPrinted
 from datagen.paper.envelope_figures import sigma_ps
-from datagen.paper.measures import peak_ns
-from datagen.paper.published import PEAKS_NS, SECONDS, SIGMA_PS
+from datagen.paper.measures import PEAKS_NS, SECONDS, SIGMA_PS, peak_ns
 from datagen.paper.room_samples import FromLookin, Lit
 from datagen.paper.runs import CONSERVED, GRIDS, SCHEMES, Estimator, Runs, Simulation
 from datagen.paper.statements import Statement, Verdict, ratio

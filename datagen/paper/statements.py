@@ -10,8 +10,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from datagen.paper.lookin_balance import LookinBalance
-from datagen.paper.measures import Curve, best_copy, mean_ns, peak_ns, roughness, shape_difference, width_ns
-from datagen.paper.published import PEAK_TOLERANCE_NS, PEAKS_NS
+from datagen.paper.measures import (
+    PEAK_TOLERANCE_NS,
+    PEAKS_NS,
+    Curve,
+    best_copy,
+    mean_ns,
+    peak_ns,
+    roughness,
+    shape_difference,
+    width_ns,
+)
 from datagen.paper.runs import Estimator, Runs, Simulation
 
 WALLS, BOX, PILLAR = PEAKS_NS

@@ -17,6 +17,7 @@ from datagen.paper import reproduce as command
 from datagen.paper.level_statements import level_statements
 from datagen.paper.lookin_balance import lookin_balance
 from datagen.paper.measures import (
+    PEAKS_NS,
     best_copy,
     exceeds_from_ns,
     mean_ns,
@@ -26,7 +27,6 @@ from datagen.paper.measures import (
     width_ns,
 )
 from datagen.paper.page import times
-from datagen.paper.published import PEAKS_NS
 from datagen.paper.runs import QUICK, Runs, Simulation, room_laid_out_as_printed, run_all
 from datagen.paper.statements import Statement, arrival_statements, scheme_statements
 from datagen.report.components import component_curves
