@@ -70,7 +70,7 @@ class Replay:
 
     @property
     def reproduced(self) -> bool:
-        """Whether this is the stored scene, as far as can be told."""
+        """Whether this is the stored scene, as far as what is stored shows."""
         return self.moved_m <= SAME_PLACE_M and (self.difference is None or self.difference <= REPRODUCED)
 
 

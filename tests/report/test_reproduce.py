@@ -123,8 +123,8 @@ def test_a_failure_leaves_nothing(
 
     monkeypatch.setattr(command, "run_all", stop)
     assert run(["reproduce", str(tmp_path / place), "--quiet"]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "Traceback" not in told
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and "Traceback" not in message
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
