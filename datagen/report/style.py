@@ -102,7 +102,10 @@ def captioned(
     columns: int = 1,
     widths: Sequence[float] | None = None,
 ) -> tuple[Figure, GridSpec]:
-    """A figure with a caption below it, and the grid of its rows and columns (the caption has the last row)."""
+    """A figure with a caption below it, and the grid of its rows and columns.
+
+    The caption has the last row, and is the first of the figure's axes.
+    """
     height = caption_height(width_in, text)
     figure = new_figure(width_in, sum(heights_in) + height)
     rows = [*heights_in, height]
