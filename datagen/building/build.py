@@ -46,7 +46,12 @@ HOPELESS = 8
 
 @dataclass(frozen=True)
 class BuildResult:
-    """What a build did. scenes : in the dataset. built, kept : shards made now, and found committed.
+    """What a build did.
+
+    Attributes
+    ----------
+    scenes : in the dataset.
+    built, kept : shards made now, and found committed.
     complete : whether every shard is there.
     """
 
@@ -99,6 +104,19 @@ def build(
     CheckError : scenes failed (all others are there), workers keep dying, or the disk refused.
 
     A script that calls it with local workers needs `if __name__ == "__main__":`, as with all of Python's pools.
+
+    Examples
+    --------
+    >>> import datagen as dg, tempfile
+    >>> from datagen.config import config_from_mapping
+    >>> config = config_from_mapping({
+    ...     "scenes": 2, "transport": {"lookins": 64, "fov_samples": 1},
+    ...     "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 800}}})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     result = dg.build(config, f"{folder}/small.zarr", workers=1, progress=False)
+    ...     data = dg.TransientDataset(f"{folder}/small.zarr", fields=("histogram",))
+    ...     result.complete, len(data), tuple(data[0]["histogram"].shape)
+    (True, 2, (4, 1, 64))
     """
     began = time.monotonic()
     if scenes is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import multiprocessing
 import os
@@ -19,7 +20,7 @@ from datagen.errors import InputError
 SHARDS_PER_PROCESS = 16
 """A worker process is replaced after so many shards, so that no leak in a library lasts."""
 PATIENCE_S = 3.0
-"""How long a worker that is told to end may take to do so in order."""
+"""How long a worker may take to end in order after SIGTERM."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """Workers are the parallelism, and a sum split over threads could round differently."""
 
@@ -34,7 +35,9 @@ class Engine(Protocol):
     capacity: int
     deaths: tuple[type[BaseException], ...]
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]: ...
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Start a job."""
+        ...
 
     def close(self, kill: bool) -> None:
         """Free the workers; with `kill` those that are busy die at once."""
@@ -66,6 +69,7 @@ class LocalProcesses:
         return future
 
     def close(self, kill: bool) -> None:
+        """Free the workers; with `kill` those that are busy die at once."""
         for process in [*self._idle, *self._busy.values()]:
             process.stop(kill)
 
@@ -94,7 +98,7 @@ class _Process:
 
 
 def _start_worker() -> None:
-    """Leave Ctrl-C to the parent, end in order when told to, and die with the parent: an orphan must not go on
+    """Leave Ctrl-C to the parent, end in order on SIGTERM, and die with the parent: an orphan must not go on
     writing into a dataset.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -147,15 +151,15 @@ class DaskCluster:
     """The workers of a Dask cluster that see the same file system; `scheduler` None starts one on this machine."""
 
     def __init__(self, workers: int, scheduler: str | None) -> None:
-        from distributed import Client, KilledWorker, LocalCluster
-
-        self.deaths: tuple[type[BaseException], ...] = (KilledWorker, BrokenExecutor)
+        # Without annotations of its own, whether it is installed or not.
+        dask: Any = importlib.import_module("distributed")
+        self.deaths: tuple[type[BaseException], ...] = (dask.KilledWorker, BrokenExecutor)
         self._cluster = None
         if scheduler is None:
             with _environment(ONE_THREAD):
-                self._cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+                self._cluster = dask.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
         try:
-            self._client = Client(self._cluster or scheduler, timeout=20)
+            self._client = dask.Client(self._cluster or scheduler, timeout=20)
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from None
         # One job in reserve for each worker, so that none waits for this process.
@@ -163,9 +167,12 @@ class DaskCluster:
         self._executor = self._client.get_executor(pure=False, retries=0)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        return self._executor.submit(function, *arguments)
+        """Start a job."""
+        future: Future[Any] = self._executor.submit(function, *arguments)
+        return future
 
     def close(self, kill: bool) -> None:
+        """Leave the cluster, and end one that was started here."""
         self._executor.shutdown(wait=not kill)
         self._client.close()
         if self._cluster is not None:

@@ -33,6 +33,7 @@ class Progress:
             self._bar.refresh()
 
     def shard_done(self, shard: int, scenes: int, failures: int) -> None:
+        """Count a shard, of whose scenes so many failed."""
         self._done += scenes
         self._failures += failures
         if self._bar is not None:
@@ -47,11 +48,13 @@ class Progress:
         )
 
     def say(self, line: str) -> None:
+        """A line of text, above the bar where there is one."""
         if self._bar is not None:
             self._bar.write(line, file=sys.stderr)
         elif self._shown:
             print(line, file=sys.stderr, flush=True)
 
     def close(self) -> None:
+        """End the bar."""
         if self._bar is not None:
             self._bar.close()

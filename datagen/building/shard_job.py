@@ -13,15 +13,7 @@ from pathlib import Path
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
-from datagen.store import (
-    Schema,
-    ShardRecord,
-    committed,
-    discard_shard,
-    read_manifest,
-    running_path,
-    write_shard,
-)
+from datagen.store import Schema, ShardRecord, committed, discard_shard, read_manifest, running_path, write_shard
 
 LOCK_PATIENCE_S = 10.0
 """How long to wait for another writer of the same shard, such as an orphan of a killed build about to notice."""
@@ -29,7 +21,13 @@ LOCK_PATIENCE_S = 10.0
 
 @dataclass(frozen=True)
 class ShardJob:
-    """Everything a worker needs. skip : scenes not to be tried, and why. handed_out : Unix time."""
+    """Everything a worker needs.
+
+    Attributes
+    ----------
+    skip : scenes not to be tried, and why.
+    handed_out : Unix time.
+    """
 
     root: Path
     config: DatasetConfig

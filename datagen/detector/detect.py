@@ -65,6 +65,15 @@ def detect(
     InputError
         NaN, infinite or negative flux; a gate outside the laser period; more counts than `dtype` holds; more events
         than an exact sampler can draw.
+
+    Examples
+    --------
+    >>> import datagen as dg
+    >>> exposure = dg.Exposure(repetition_rate_hz=10e6, cycles=10**6, photons_per_pulse=1e9)
+    >>> time = dg.TimeAxis(bins=4, width_s=1e-9)
+    >>> counts = dg.detect([0, 1e-12, 2e-12, 0], time, dg.Spad(pde=0.5), exposure, seed=0)
+    >>> counts.shape, counts.dtype.name, bool(900 < counts.sum() < 2100)
+    ((4,), 'int64', True)
     """
     counts, _ = detect_and_choice(
         transient, time, spad, exposure, seed, tolerance=tolerance, approximate=approximate, first_laser=first_laser,
@@ -123,6 +132,18 @@ def expected_histogram(
     There is none in closed form for afterpulsing or crosstalk together with a dead time, nor for counters that
     saturate under a dead time: these raise `InputError` unless `approximate`, which gives a self-consistent mean
     whose error is of second order in the probabilities.
+
+    Examples
+    --------
+    10⁶ cycles of 10⁹ photons, of which half are detected; after a detection the diode is blind for its dead time.
+
+    >>> import datagen as dg
+    >>> exposure, time = dg.Exposure(cycles=10**6, photons_per_pulse=1e9), dg.TimeAxis(bins=4, width_s=1e-9)
+    >>> transient = [0, 1e-10, 2e-10, 0]
+    >>> for spad in (dg.Spad(pde=0.5, mode="ideal"), dg.Spad(pde=0.5, mode="synchronous", dead_time_s=50e-9)):
+    ...     print(dg.expected_histogram(transient, time, spad, exposure).round().tolist())
+    [0.0, 50000.0, 100000.0, 0.0]
+    [0.0, 48771.0, 90521.0, 0.0]
     """
     setup = _Setup.of(transient, time, spad, exposure, 0, first_pixel)
     if not approximate and not has_exact_mean(spad, setup.transient.shape[1]):

@@ -47,6 +47,17 @@ class Spad:
     mode : see `Mode`; `ideal` counts every event, so dead time, afterpulsing and crosstalk play no part in it.
 
     Not modelled: recovery of the PDE after the dead time, twilight pulses, gate memory, TDC nonlinearity.
+
+    Examples
+    --------
+    >>> import datagen as dg
+    >>> spad = dg.Spad(pde=0.4, dark_count_rate_hz=100, dead_time_s=50e-9, jitter_fwhm_s=60e-12)
+    >>> spad.mode
+    'free_running'
+    >>> dg.Spad(pde=1.4)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    datagen.errors.InputError: Spad.pde = 1.4: ...
     """
 
     pde: float = 0.3
@@ -153,6 +164,14 @@ class Exposure:
     photons_per_pulse : photons that leave the laser in one pulse; signal per cycle = transient × photons_per_pulse.
     ambient_rate_hz : background photons per second at one pixel's aperture, before the PDE.
     pulse_fwhm_s : width of the Gaussian laser pulse; it displaces photons before the avalanche.
+
+    Examples
+    --------
+    One second of a 10 MHz laser.
+
+    >>> import datagen as dg
+    >>> dg.Exposure(repetition_rate_hz=10e6, cycles=10**7, photons_per_pulse=1e9).period_s
+    1e-07
     """
 
     repetition_rate_hz: float = 10e6

@@ -9,8 +9,7 @@ for epoch in range(10):
         batch["histogram"]          # (16, laser, pixel, bin) float32
 """
 
-from datagen.loader.batches import collate
-from datagen.loader.dataset import TransientDataset
+from datagen.loader.dataset import TransientDataset, collate
 from datagen.loader.sampler import EpochSampler
 
 __all__ = ["EpochSampler", "TransientDataset", "collate"]

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.utils.data import Dataset
+from torch.utils.data import Dataset, default_collate
 
 from datagen.errors import InputError
-from datagen.loader.batches import Batch
 from datagen.loader.redrawn_noise import NoiseSource
 from datagen.store import Manifest, committed, read_manifest
 from datagen.store.arrays import open_array
@@ -48,6 +47,20 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     ------
     InputError : the folder is no dataset, shards are not committed, or an unknown field.
     CheckError : while reading, for a chunk that is missing or damaged.
+
+    Examples
+    --------
+    A batch of a dataset that `build` made (there is an example):
+
+    >>> import datagen as dg, torch
+    >>> def batches(path):
+    ...     data = dg.TransientDataset(path, fields=("histogram", "depth"), redraw_noise=True)
+    ...     order = dg.EpochSampler(data, seed=0)
+    ...     yield from torch.utils.data.DataLoader(data, 16, sampler=order, collate_fn=dg.collate)
+    >>> next(batches("nowhere.zarr"))
+    Traceback (most recent call last):
+        ...
+    datagen.errors.InputError: nowhere.zarr: no such dataset; name a folder that `datagen build` made
     """
 
     def __init__(
@@ -82,7 +95,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         self.scenes = self._scenes_there(manifest)
         self.seed = seed
         # Shared memory, so that workers that outlive an epoch see the next one begin.
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
+        epoch: Any = torch.zeros((), dtype=torch.int64)
+        self._epoch: torch.Tensor = epoch.share_memory_()
         self._pid = -1
         self._readers: dict[str, ShardReader] = {}
         self._memory: dict[str, NDArray[np.generic]] = {}
@@ -98,7 +112,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         scenes = [int(self.scenes[self._checked(int(item))]) for item in items]
         self._open()
         batch = {name: torch.from_numpy(self._values(name, scenes)) for name in self.selected}
-        return Batch(batch | {"scene": torch.tensor(scenes)})
+        return _Batch(batch | {"scene": torch.tensor(scenes)})
 
     def __getstate__(self) -> dict[str, Any]:
         """Open files stay with the process that opened them."""
@@ -199,3 +213,17 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         assert self._noise is not None
         transients, epoch = self._stored("transient", scenes), int(self._epoch)
         return np.stack([self._noise.draw(t, s, self.seed, epoch) for t, s in zip(transients, scenes, strict=True)])
+
+
+class _Batch(list[dict[str, torch.Tensor]]):
+    """Items whose tensors are rows of `whole`, so that collating them needs no copy."""
+
+    def __init__(self, whole: dict[str, torch.Tensor]) -> None:
+        self.whole = whole
+        super().__init__({name: values[row] for name, values in whole.items()} for row in range(len(whole["scene"])))
+
+
+def collate(items: list[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
+    """A `collate_fn` equal to torch's own that hands a batch read as a whole on as it is."""
+    whole: dict[str, torch.Tensor] = items.whole if isinstance(items, _Batch) else default_collate(items)
+    return whole

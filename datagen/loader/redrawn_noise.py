@@ -28,6 +28,7 @@ class NoiseSource:
         self._decided: dict[int, tuple[Spad, Exposure, float]] = {}
 
     def draw(self, transient: NDArray[np.generic], scene: int, seed: int, epoch: int) -> NDArray[np.integer[Any]]:
+        """Counts of a scene, (laser, pixel, bin): a function of (seed, epoch, scene)."""
         from datagen.detector import detect
 
         spad, exposure, tolerance = self._detector_of(scene, transient)

@@ -15,15 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.paper.as_printed_paths import (
-    Lighting,
-    PrintedRoom,
-    arriving,
-    leaving,
-    lighting,
-    observe,
-    place_lookins,
-)
+from datagen.paper.as_printed_paths import Lighting, PrintedRoom, arriving, leaving, lighting, observe, place_lookins
 from datagen.paper.as_printed_sampling import Grid, half_cube, ray_grid
 from datagen.records import Capture, Scene, Transient
 from datagen.transport.binning import splat

@@ -53,12 +53,16 @@ class PrintedRoom:
 
 
 @dataclass(frozen=True)
-class Lookins:
+class PrintedLookins:
     """The lookins of one laser point.
 
-    position, normal : (n, 3) metres; unit normal on the lit side. face, part : (n,) triangle and part index.
+    Attributes
+    ----------
+    position, normal : (n, 3) metres; unit normal on the lit side.
+    face, part : (n,) triangle and part index.
     distance : (n,) R_j, metres.
-    amplitude : (n,) A₁ of Eq. 6. alpha : α₁ of Eq. 6.
+    amplitude : (n,) A₁ of Eq. 6.
+    alpha : α₁ of Eq. 6.
     """
 
     position: Array
@@ -72,8 +76,9 @@ class Lookins:
     def __len__(self) -> int:
         return len(self.part)
 
-    def take(self, rows: slice | NDArray[np.int64]) -> Lookins:
-        return Lookins(
+    def take(self, rows: slice | NDArray[np.int64]) -> PrintedLookins:
+        """Some of them; the normalisation α stays that of all."""
+        return PrintedLookins(
             self.position[rows], self.normal[rows], self.face[rows], self.part[rows], self.distance[rows],
             self.amplitude[rows], self.alpha,
         )  # fmt: skip
@@ -81,8 +86,14 @@ class Lookins:
 
 @dataclass(frozen=True)
 class Lighting:
-    """How the laser point lights observed points, (n, m) each: lit : not in shadow; brdf : B₁ towards them, 0 in
-    shadow; distance : R_k, metres."""
+    """How the laser point lights observed points, (n, m) each.
+
+    Attributes
+    ----------
+    lit : not in shadow.
+    brdf : B₁ towards them, 0 in shadow.
+    distance : R_k, metres.
+    """
 
     lit: NDArray[np.bool_]
     brdf: Array
@@ -93,42 +104,37 @@ class Lighting:
 class Leaving:
     """Paths from lookins to FoV points and on to the sensor.
 
-    paths : rows (lookin, pixel), energy A₂A₃ without the aperture, position in bins. point : (q,) the observed point
-    of each path as an index into (lookin, observed point).
+    Attributes
+    ----------
+    paths : rows (lookin, pixel), energy A₂A₃ without the aperture, position in bins.
+    point : (q,) the observed point of each path as an index into (lookin, observed point).
     """
 
     paths: Paths
     point: NDArray[np.int64]
 
 
-def place_lookins(room: PrintedRoom, laser: int, directions: Array) -> Lookins:
+def place_lookins(room: PrintedRoom, laser: int, directions: Array) -> PrintedLookins:
     """Where rays along `directions` from one laser point first meet the scene (sec. 3.1), with A₁ of Eq. 6."""
     row, points = slice(laser, laser + 1), room.points
-    seen = look(
-        room.caster,
-        room.scene,
-        room.materials,
-        points.position[row],
-        points.normal[row],
-        points.part[row],
-        directions,
-    )
+    own = points.position[row], points.normal[row], points.part[row]
+    seen = look(room.caster, room.scene, room.materials, *own, directions)
     hit = seen.part[0] >= 0
     distance = seen.distance[0, hit]
     gamma = room.materials.reflectivity[points.part[laser]]
     amplitude = gamma * seen.share[0, hit] * room.loss(distance)
-    return Lookins(
+    return PrintedLookins(
         seen.position[0, hit], seen.normal[0, hit], seen.face[0, hit], seen.part[0, hit], distance, amplitude,
         float(seen.alpha[0]),
     )  # fmt: skip
 
 
-def observe(room: PrintedRoom, lookins: Lookins, camera: Array) -> Seen:
+def observe(room: PrintedRoom, lookins: PrintedLookins, camera: Array) -> Seen:
     """What the cameras at the lookins see (sec. 3.1): (lookin, pixel of the half cube)."""
     return look(room.caster, room.scene, room.materials, lookins.position, lookins.normal, lookins.part, camera)
 
 
-def leaving(room: PrintedRoom, lookins: Lookins, seen: Seen, pixels: NDArray[np.int64]) -> Leaving:
+def leaving(room: PrintedRoom, lookins: PrintedLookins, seen: Seen, pixels: NDArray[np.int64]) -> Leaving:
     """A₂A₃ of Eq. 6 for all observed points within the field of view of `pixels` (sec. 3.2).
 
     Within the field of view is what the sensor sees: inside the pixel's cone, facing it, nothing between.
@@ -181,7 +187,7 @@ def lighting(room: PrintedRoom, laser: int, seen: Seen) -> Lighting:
     return Lighting(lit.reshape(shape), brdf.reshape(shape), distance.reshape(shape))
 
 
-def arriving(room: PrintedRoom, laser: int, lookins: Lookins, seen: Seen, light: Lighting) -> Paths:
+def arriving(room: PrintedRoom, laser: int, lookins: PrintedLookins, seen: Seen, light: Lighting) -> Paths:
     """Â₁Â₂ of Eq. 8 with α₁ = 1: laser point → lit observed point → lookin (sec. 4); rows are lookins."""
     lookin, _ = chosen = np.nonzero(light.brdf > 0)
     position, normal, part = seen.position[chosen], seen.normal[chosen], seen.part[chosen]

@@ -60,7 +60,7 @@ def half_cube(pixels: int) -> Array:
         edge = np.full(len(along), side)
         faces += [np.stack([edge, along, depth], axis=1), np.stack([along, edge, depth], axis=1)]
     directions = np.concatenate(faces)
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True), np.float64)
 
 
 def upright_frames(normal: Array) -> Array:
@@ -80,8 +80,12 @@ def upright_frames(normal: Array) -> Array:
 class PrintedMaterials:
     """What the paper's equations know of each of K parts.
 
-    reflectivity : (K,) Γ. sine : (K,) whether B = |sinθ| and not cosφ. axis : (K, 3) from whose projection on the
-    surface θ counts. beta : (K,) β, see `simulate_as_printed`.
+    Attributes
+    ----------
+    reflectivity : (K,) Γ.
+    sine : (K,) whether B = |sinθ| and not cosφ.
+    axis : (K, 3) from whose projection on the surface θ counts.
+    beta : (K,) β, see `simulate_as_printed`.
     """
 
     reflectivity: Array
@@ -132,8 +136,11 @@ def _brdf(sine: NDArray[np.bool_], axis: Array, normal: Array, direction: Array)
 class Seen:
     """What a bundle of equally counted directions sees from each of n points: m samples each.
 
+    Attributes
+    ----------
     position, normal : (n, m, 3) first surface along the direction, metres, and its unit normal towards the point.
-    face, part : (n, m) triangle and part index, −1 where there is nothing. distance : (n, m) metres, ∞ there.
+    face, part : (n, m) triangle and part index, −1 where there is nothing.
+    distance : (n, m) metres, ∞ where there is nothing.
     share : (n, m) α B of each direction, 1 in all over each bundle, seen surfaces or not.
     alpha : (n,) α = 1 / Σ B, 0 where B is 0 in all directions.
     """

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from datagen.paper.lookin_balance import LookinBalance
 from datagen.paper.measures import exceeds_from_ns, mean_ns, shape_difference
-from datagen.paper.runs import Case, Runs
+from datagen.paper.runs import Runs, Simulation
 from datagen.paper.statements import BOX, PILLAR, SAME_PROFILE, Statement, Verdict, decided, ratio
 
 MINOR_SHARE = 0.1
@@ -107,7 +107,7 @@ def level_statements(runs: Runs, balance: LookinBalance) -> list[Statement]:
     ]  # fmt: skip
 
 
-def _dominated(case: Case) -> Verdict:
+def _dominated(case: Simulation) -> Verdict:
     level = {name: float(curve.sum()) for name, curve in case.curves.parts.items()}
     walls = max((n for n in level if n not in (BOX, PILLAR)), key=lambda n: level[n], default=None)
     total = float(case.curves.total.sum())
@@ -119,7 +119,7 @@ def _dominated(case: Case) -> Verdict:
 
 def _irradiance(balance: LookinBalance) -> Verdict:
     if balance.irradiance is None or not np.isfinite(balance.irradiance).any():
-        return Verdict(None, "told for Lambertian rooms only")
+        return Verdict(None, "computed for Lambertian rooms only")
     ratio = balance.irradiance[np.isfinite(balance.irradiance)]
     brighter = float((ratio > 1).mean())
     return Verdict(

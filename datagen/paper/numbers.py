@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from datagen.paper.measures import mean_ns, peak_ns
-from datagen.paper.published import PEAKS_NS, SECONDS
-from datagen.paper.runs import Case, Runs
+from datagen.paper.measures import PEAKS_NS, SECONDS, mean_ns, peak_ns
+from datagen.paper.runs import Runs, Simulation
 from datagen.paper.statements import Statement
 from datagen.store.environment import processor
 
@@ -47,7 +46,7 @@ def numbers(runs: Runs, statements: Sequence[Statement], command: str) -> dict[s
     return plain
 
 
-def _case(case: Case) -> dict[str, Any]:
+def _case(case: Simulation) -> dict[str, Any]:
     curves = {**case.curves.parts, "secondary": case.secondary}
     time = case.curves.time_ns
     return {

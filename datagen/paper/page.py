@@ -8,21 +8,12 @@ from html import escape
 
 from datagen.paper.as_printed import AsPrinted
 from datagen.paper.envelope_figures import sigma_ps
-from datagen.paper.measures import peak_ns
-from datagen.paper.published import PEAKS_NS, SECONDS, SIGMA_PS
+from datagen.paper.measures import PEAKS_NS, SECONDS, SIGMA_PS, peak_ns
 from datagen.paper.room_samples import FromLookin, Lit
-from datagen.paper.runs import CONSERVED, GRIDS, SCHEMES, Case, Estimator, Runs
+from datagen.paper.runs import CONSERVED, GRIDS, SCHEMES, Estimator, Runs, Simulation
 from datagen.paper.statements import Statement, Verdict, ratio
+from datagen.report.html import head, table
 from datagen.store.environment import processor
-
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1250px; margin: 2em auto; padding: 0 1em; }
-h1, h2 { line-height: 1.2; } h2 { margin-top: 2em; border-bottom: 1px solid #ccc; }
-table { border-collapse: collapse; font-size: 13px; } td, th { padding: .35em .7em; text-align: left;
-vertical-align: top; border-bottom: 1px solid #e4e4e4; } img { max-width: 100%; height: auto; }
-code { background: #f0f0f0; padding: 0 .25em; } .yes { color: #1a6b2f; font-weight: 600; }
-.no { color: #a32020; font-weight: 600; } .open { color: #777; font-weight: 600; } td small { color: #666; }
-"""
 
 _UNDEFINED = re.compile(r"[+-]?\bnan\b")
 _ESTIMATORS: tuple[Estimator, ...] = ("as printed", "radiometric")
@@ -57,22 +48,9 @@ def page(
     examples: Sequence[FromLookin],
     images: Mapping[str, str],
     command: str,
-) -> str:
-    """The HTML text. images : number of the paper's figure → file beside the page."""
-    return "\n".join(_page(runs, statements, points, examples, images, command))
-
-
-def _page(
-    runs: Runs,
-    statements: Sequence[Statement],
-    points: Lit,
-    examples: Sequence[FromLookin],
-    images: Mapping[str, str],
-    command: str,
 ) -> Iterator[str]:
-    title = "What of the paper holds"
-    yield f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-    yield f"<style>{_STYLE}</style></head><body><h1>{title}</h1>"
+    """The page's HTML, piece by piece. images : number of the paper's figure → file beside the page."""
+    yield head("What of the paper holds")
     yield (
         "<p>Scholes &amp; Leach, <i>Path Tracing-Inspired Modeling of Non-Line-of-Sight SPAD Data</i>, Sensors "
         "24(20), "
@@ -84,14 +62,10 @@ def _page(
     yield _summary(statements)
     yield "<h2>Point by point</h2>"
     rows = [
-        (
-            f"{escape(s.claim)}<br><small>{escape(s.source)}</small>",
-            _verdict(s.printed),
-            _verdict(s.radiometric),
-        )
+        (f"{escape(s.claim)}<br><small>{escape(s.source)}</small>", _verdict(s.printed), _verdict(s.radiometric))
         for s in statements
     ]
-    yield _table(("what the paper says", "as printed", "radiometric"), rows)
+    yield table(("what the paper says", "as printed", "radiometric"), rows)
     for number, text in _deviations(runs, points, examples).items():
         yield f"<h2>Fig. {number}</h2>{text}"
         yield f'<p><img alt="Fig. {number} of the paper, computed again" src="{images[number]}"></p>'
@@ -99,12 +73,12 @@ def _page(
     yield from _levels(runs)
     yield from _layouts(runs, images)
     yield "<h2>What the text leaves open, and what was taken</h2>"
-    yield _table(("", "taken here"), CHOICES)
+    yield table(("", "taken here"), CHOICES)
     yield "</body></html>"
 
 
 def _summary(statements: Sequence[Statement]) -> str:
-    def told(kind: str) -> str:
+    def count(kind: str) -> str:
         verdicts = [getattr(s, kind) for s in statements]
         decided = [v.holds for v in verdicts if v.holds is not None]
         return f"{sum(decided)} of {len(decided)}"
@@ -112,8 +86,8 @@ def _summary(statements: Sequence[Statement]) -> str:
     gone = [s.claim for s in statements if s.printed.holds and s.radiometric.holds is False]
     won = [s.claim for s in statements if s.printed.holds is False and s.radiometric.holds]
     text = (
-        f"<p>Of the statements that this room can decide, {told('printed')} hold as printed and "
-        f"{told('radiometric')} "
+        f"<p>Of the statements that this room can decide, {count('printed')} hold as printed and "
+        f"{count('radiometric')} "
         "with correct radiometry.</p>"
     )
     for intro, claims in (
@@ -178,7 +152,7 @@ def times(runs: Runs) -> Iterator[str]:
             name = f"{rays}×{rays}×{runs.sizes.pixels}×{runs.sizes.pixels}, {scheme}"
             published = SECONDS.get((rays, scheme), "–") if runs.sizes.pixels == 60 else "–"
             rows.append((name, escape(published), *(f"{c.seconds:.2f} ({c.processor_s:.2f})" for c in ours)))
-    yield _table(("secondary paths", "published", "as printed, s", "radiometric, s"), rows)
+    yield table(("secondary paths", "published", "as printed, s", "radiometric, s"), rows)
     saved = {kind: " and ".join(_saved(runs, kind, rays) for rays in runs.sizes.rays) for kind in _ESTIMATORS}
     yield (
         "<p>Elapsed (processor) seconds from rays to envelopes, one core. As printed, every secondary path is formed "
@@ -216,7 +190,7 @@ def _levels(runs: Runs) -> Iterator[str]:
         for rays, level in runs.radiometric_levels.items() if level.primary > 0
     ]  # fmt: skip
     rows.append((f"radiometric, converged, {runs.sizes.reference} lookins", *_level(runs.case("converged"))))
-    yield _table(("", "primary", "secondary", "secondary / primary"), rows)
+    yield table(("", "primary", "secondary", "secondary / primary"), rows)
     yield (
         "<p>As printed, sums over B keep the levels from growing with the number of rays itself; what remains is how "
         "near to a corner the rays reach, for 1/R² has no bound there, and the secondary multiplies three of them. "
@@ -248,15 +222,9 @@ def _layouts(runs: Runs, images: Mapping[str, str]) -> Iterator[str]:
             (name, *(f"{peak_ns(parts[n], case.curves.time_ns):.1f} ns, height {parts[n].max() / top:.2g}"
                      for n in PEAKS_NS))
         )  # fmt: skip
-    yield _table(("peaks", *PEAKS_NS), rows)
+    yield table(("peaks", *PEAKS_NS), rows)
     yield f'<p><img alt="Fig. 7 in the second room" src="{images["7, second room"]}"></p>'
 
 
-def _level(case: Case) -> tuple[str, str, str]:
+def _level(case: Simulation) -> tuple[str, str, str]:
     return f"{case.level['primary']:.3e}", f"{case.level['secondary']:.3e}", f"{case.ratio:.3g}"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Cells are HTML."""
-    top = "<tr>" + "".join(f"<th>{cell}</th>" for cell in head) + "</tr>"
-    return f"<table>{top}{''.join('<tr>' + ''.join(f'<td>{c}</td>' for c in row) + '</tr>' for row in rows)}</table>"

@@ -38,7 +38,7 @@ def reproduce(
     out : folder to make; an earlier reproduction in it is replaced, anything else refused.
     config : a configuration with one laser point and one pixel; default the paper's demonstration room.
     quick : few rays and pixels, seconds instead of minutes: to see how it works.
-    progress : told the name of each stage as it begins.
+    progress : called with the name of each stage as it begins.
 
     Returns
     -------
@@ -57,11 +57,7 @@ def reproduce(
     with _written_at_once(Path(out)) as folder:
         runs = run_all(room, QUICK if quick else FULL, progress)
         balance = lookin_balance(runs.scene, runs.capture, runs.sparse, runs.sizes.pixels, ROOM_UNIT_M)
-        statements = [
-            *arrival_statements(runs, balance),
-            *scheme_statements(runs),
-            *level_statements(runs, balance),
-        ]
+        statements = [*arrival_statements(runs, balance), *scheme_statements(runs), *level_statements(runs, balance)]
         progress("figures")
         points, examples = lit_points(runs), example_lookins(runs)
         images = {number: f"figure_{number}.png" for number in ("3", "5", "7", "9")}
@@ -74,7 +70,8 @@ def reproduce(
             save_png(other_room_figure(runs), folder / images["7, second room"])
         text = json.dumps(numbers(runs, statements, command), indent=1, ensure_ascii=False)
         (folder / NUMBERS).write_text(text + "\n", encoding="utf-8")
-        (folder / PAGE).write_text(page(runs, statements, points, examples, images, command), encoding="utf-8")
+        html = "\n".join(page(runs, statements, points, examples, images, command))
+        (folder / PAGE).write_text(html, encoding="utf-8")
     return Path(out) / PAGE
 
 

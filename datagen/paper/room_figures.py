@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.paper.room_samples import FromLookin, Lit, panels_of_light
+from datagen.paper.room_samples import FromLookin, Lit
 from datagen.paper.runs import Runs
 from datagen.report.cutaway import Camera, Shaded, shaded
 from datagen.report.room_plots import best_view
-from datagen.report.style import LASER, caption, caption_height, house_style, new_figure
+from datagen.report.style import LASER, captioned, house_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,20 +38,15 @@ def light_figure(runs: Runs, points: Lit) -> Figure:
         "surface also receives by the cosine of its own tilt, which the printed equations leave out: surfaces that "
         "the light grazes darken."
     )
-    panels = panels_of_light(points)
-    height = caption_height(_WIDTH_IN, text)
     with house_style():
-        figure = new_figure(_WIDTH_IN, 2 * _PANEL_IN + height)
-        grid = figure.add_gridspec(3, 3, height_ratios=[_PANEL_IN, _PANEL_IN, height])
+        figure, grid = captioned(_WIDTH_IN, [_PANEL_IN] * 2, text, columns=3)
         backdrop = _Backdrop.of(runs)
-        for row, (estimator, three) in enumerate(panels.items()):
+        for row, (estimator, three) in enumerate(points.panels.items()):
             for column, (name, values) in enumerate(three):
                 axes = figure.add_subplot(grid[row, column])
-                _paint(
-                    figure, axes, backdrop, points.position, points.face, np.where(points.lit, values, 0), column == 1
-                )
+                lit = np.where(points.lit, values, 0)
+                _paint(figure, axes, backdrop, points.position, points.face, lit, column == 1)
                 axes.set_title(f"{estimator}: {name}")
-        caption(figure, figure.add_subplot(grid[2, :]), text)
     return figure
 
 
@@ -65,33 +60,20 @@ def lookins_figure(runs: Runs, examples: list[FromLookin]) -> Figure:
         "their tilt; radiometrically points receive by their own cosine. The paper names no lookins: these are, on "
         "the wall and on the pillar, the nearest to the laser point that light up the field of view."
     )
-    rows = 2 * len(examples)
-    height = caption_height(_WIDTH_IN, text)
     with house_style():
-        figure = new_figure(_WIDTH_IN, rows * _PANEL_IN + height)
-        grid = figure.add_gridspec(rows + 1, 3, height_ratios=[_PANEL_IN] * rows + [height])
+        figure, grid = captioned(_WIDTH_IN, [_PANEL_IN] * (2 * len(examples)), text, columns=3)
         backdrop = _Backdrop.of(runs)
         for k, example in enumerate(examples):
-            first = example.brdf, example.brdf * example.spread, example.final
-            second = example.lobe, example.lobe * example.spread * example.received, example.final_radiometric
-            names = ("α B", "α B / R²", "into the sensor"), ("per solid angle", "irradiance", "into the sensor")
-            for turn, (estimator, values, three) in enumerate(
-                (("as printed", first, names[0]), ("radiometric", second, names[1]))
-            ):
-                row = 2 * k + turn
-                for column in (0, 1):
+            for line, (estimator, panels) in enumerate(example.panels.items()):
+                row, places = 2 * k + line, (example.position, example.face)
+                for column, (name, values) in enumerate(panels):
                     axes = figure.add_subplot(grid[row, column])
-                    _paint(
-                        figure, axes, backdrop, example.position, example.face, values[column], column == 0,
-                        lookin=example.lookin,
-                    )  # fmt: skip
-                    axes.set_title(
-                        f"({'ab'[k]}) {estimator}: {three[column]}" + (f"; {example.where}" * (not column))
-                    )
-                axes = figure.add_subplot(grid[row, 2])
-                _close_up(figure, axes, runs, example, values[2])
-                axes.set_title(f"{estimator}: {three[2]}")
-        caption(figure, figure.add_subplot(grid[rows, :]), text)
+                    if column == 2:
+                        _close_up(figure, axes, runs, example, values)
+                        axes.set_title(f"{estimator}: {name}")
+                        continue
+                    _paint(figure, axes, backdrop, *places, values, column == 0, lookin=example.lookin)
+                    axes.set_title(f"({'ab'[k]}) {estimator}: {name}" + (f"; {example.where}" * (not column)))
     return figure
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.paper.as_printed_paths import Lookins, PrintedRoom, leaving, lighting, observe, place_lookins
+from datagen.paper.as_printed_paths import PrintedLookins, PrintedRoom, leaving, lighting, observe, place_lookins
 from datagen.paper.as_printed_sampling import half_cube, ray_grid
 from datagen.paper.runs import Runs
 from datagen.records import Scene, SinLobe
@@ -19,28 +19,39 @@ UNIT_M = 1e-3
 _UPRIGHT = 0.5
 
 
+Panels = Mapping[str, Sequence[tuple[str, Array]]]
+"""Estimator → the (name, value of each point) of its three panels."""
+
+
 @dataclass(frozen=True)
 class Lit:
-    """Fig. 3: all observed points of all lookins. position (n, 3), face (n,) triangle, lit (n,) not in shadow;
-    spread = 1/R² (mm⁻²), cosine = cosφ at the laser point, received = the cosine at the point, n each."""
+    """Fig. 3: all n observed points of all lookins.
+
+    Attributes
+    ----------
+    position, face : (n, 3) metres, and (n,) the triangle that each lies on.
+    lit : (n,) not in shadow.
+    panels : values (n,).
+    """
 
     position: Array
     face: NDArray[np.int32]
     lit: NDArray[np.bool_]
-    spread: Array
-    cosine: Array
-    received: Array
+    panels: Panels
 
 
 @dataclass(frozen=True)
 class FromLookin:
-    """Fig. 5: what one lookin sends where.
+    """Fig. 5: what one lookin sends to its n observed points.
 
-    where : what the lookin lies on and by which B it scatters. lookin : (3,). position (n, 3), face (n,): its
-    observed points. brdf, spread, received : (n,) α B as printed, 1/R² (mm⁻²), the cosine at the observed point.
-    lobe : (n,) what stands for B radiometrically, per solid angle. in_view : (q,) indices of the points within the
-    field of view.
-    final, final_radiometric : (q,) weight of those including the last bounce.
+    Attributes
+    ----------
+    where : what the lookin lies on, and by which B it scatters.
+    lookin : (3,) its place.
+    position, face : (n, 3) metres, and (n,) the triangle that each point lies on.
+    brdf : (n,) α B as printed.
+    in_view : (q,) indices of the points within the field of view.
+    panels : values (n,) without and with 1/R², and (q,) with the last bounce into the sensor.
     """
 
     where: str
@@ -48,12 +59,8 @@ class FromLookin:
     position: Array
     face: NDArray[np.int32]
     brdf: Array
-    lobe: Array
-    spread: Array
-    received: Array
     in_view: NDArray[np.int64]
-    final: Array
-    final_radiometric: Array
+    panels: Panels
 
     @property
     def level_share(self) -> float:
@@ -72,10 +79,13 @@ def lit_points(runs: Runs) -> Lit:
     met = seen.face >= 0
     position, distance = seen.position[met], light.distance[met]
     span = (position - room.points.position[0]) / distance[:, None]
-    received = -np.einsum("nk,nk->n", span, seen.normal[met])
-    cosine = span @ room.points.normal[0]
-    spread = (UNIT_M / distance) ** 2
-    return Lit(position, seen.face[met], light.lit[met], spread, np.maximum(cosine, 0), np.maximum(received, 0))
+    one, spread = np.maximum(span @ room.points.normal[0], 0), (UNIT_M / distance) ** 2
+    both = one * np.maximum(-np.einsum("nk,nk->n", span, seen.normal[met]), 0)
+    panels = {
+        "as printed": [("1/R²", spread), ("cosφ", one), ("cosφ / R²", one * spread)],
+        "radiometric": [("1/R²", spread), ("cosφ · cosφ′", both), ("irradiance ∝ cosφ cosφ′ / R²", both * spread)],
+    }
+    return Lit(position, seen.face[met], light.lit[met], panels)
 
 
 def example_lookins(runs: Runs) -> list[FromLookin]:
@@ -111,7 +121,7 @@ def _example(
     return None
 
 
-def _from_lookin(room: PrintedRoom, lookin: Lookins, camera: Array, where: str) -> FromLookin:
+def _from_lookin(room: PrintedRoom, lookin: PrintedLookins, camera: Array, where: str) -> FromLookin:
     seen = observe(room, lookin, camera)
     out = leaving(room, lookin, seen, np.array([0]))
     met = np.flatnonzero(seen.face[0] >= 0)
@@ -126,18 +136,11 @@ def _from_lookin(room: PrintedRoom, lookin: Lookins, camera: Array, where: str) 
     sine = room.materials.sine[lookin.part[0]]
     lobe = share * cosine if sine else cosine
     gain = received[in_view] / np.where(share[in_view] > 0, share[in_view], 1.0) * lobe[in_view]
-    return FromLookin(
-        where, lookin.position[0], position, seen.face[0, met], share, lobe, spread, received, in_view,
-        out.paths.energy, out.paths.energy * gain,
-    )  # fmt: skip
-
-
-def panels_of_light(points: Lit) -> Mapping[str, list[tuple[str, Array]]]:
-    """Estimator → the three panels of Fig. 3."""
-    one, both = points.cosine, points.cosine * points.received
-    return {
-        "as printed": [("1/R²", points.spread), ("cosφ", one), ("cosφ / R²", one * points.spread)],
+    final = out.paths.energy
+    panels = {
+        "as printed": [("α B", share), ("α B / R²", share * spread), ("into the sensor", final)],
         "radiometric": [
-            ("1/R²", points.spread), ("cosφ · cosφ′", both), ("irradiance ∝ cosφ cosφ′ / R²", both * points.spread)
+            ("per solid angle", lobe), ("irradiance", lobe * spread * received), ("into the sensor", final * gain),
         ],
     }  # fmt: skip
+    return FromLookin(where, lookin.position[0], position, seen.face[0, met], share, in_view, panels)

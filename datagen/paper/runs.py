@@ -38,9 +38,14 @@ SCHEMES: tuple[Scheme, ...] = ("all", "strongest")
 class Sizes:
     """How much is simulated.
 
-    rays : side of the two grids of rays. pixels : side of a lookin's unfolded picture. reference : lookins of the
-    converged run. seeds : radiometric runs whose spread is the error of a level. sweep, sweep_pixels : sides of the
-    grids over which the level as printed is followed, and the pixels there.
+    Attributes
+    ----------
+    rays : side of the two grids of rays.
+    pixels : side of a lookin's unfolded picture.
+    reference : lookins of the converged run.
+    seeds : radiometric runs whose spread is the error of a level.
+    sweep : sides of the grids over which the level as printed is followed.
+    sweep_pixels : `pixels` there.
     """
 
     rays: tuple[int, int] = (10, 45)
@@ -56,9 +61,15 @@ QUICK = Sizes(rays=(8, 16), pixels=20, reference=1 << 14, seeds=4, sweep=(4, 8, 
 
 
 @dataclass(frozen=True)
-class Case:
-    """One simulation. curves : its likelihood envelopes; level : component → energy per emitted photon (or what
-    stands for it as printed); seconds, processor_s : elapsed and processor time of all of it."""
+class Simulation:
+    """One simulation.
+
+    Attributes
+    ----------
+    curves : its likelihood envelopes.
+    level : component → energy per emitted photon, or what stands for it as printed.
+    seconds, processor_s : elapsed and processor time of all of it.
+    """
 
     curves: ComponentCurves
     level: Mapping[str, float]
@@ -95,11 +106,15 @@ class Level:
 class Runs:
     """All that was simulated.
 
-    cases : (estimator, rays a side, scheme) → Case; the converged run has 0 rays.
-    choices : (grid, conserved) → Case of the sparse grid. sweep : rays a side → level as printed.
+    Attributes
+    ----------
+    cases : (estimator, rays a side, scheme) → Simulation; the converged run has 0 rays.
+    choices : (grid, conserved) → Simulation of the sparse grid.
+    sweep : rays a side → level as printed.
     radiometric_levels : rays a side → level over several seeds.
-    in_metres : the sparse grid as printed with lengths in metres. rescaled : levels of the radiometric run of the
-        sparse counts, and of the same with all lengths of room, aperture and time axis multiplied as from mm to m.
+    in_metres : the sparse grid as printed with lengths in metres.
+    rescaled : levels of the radiometric run of the sparse counts, and of the same with all lengths of room, aperture
+        and time axis multiplied as from mm to m.
     laid_out : rays a side → dense case as printed, 0 → converged, in `room_laid_out_as_printed`; empty without one.
     relative_error : of the converged run.
     """
@@ -108,30 +123,34 @@ class Runs:
     scene: Scene
     capture: Capture
     sizes: Sizes
-    cases: dict[tuple[Estimator, int, Scheme], Case] = field(default_factory=dict)
-    choices: dict[tuple[Grid, Conserved], Case] = field(default_factory=dict)
+    cases: dict[tuple[Estimator, int, Scheme], Simulation] = field(default_factory=dict)
+    choices: dict[tuple[Grid, Conserved], Simulation] = field(default_factory=dict)
     sweep: dict[int, Level] = field(default_factory=dict)
     radiometric_levels: dict[int, Level] = field(default_factory=dict)
-    in_metres: dict[int, Case] = field(default_factory=dict)
+    in_metres: dict[int, Simulation] = field(default_factory=dict)
     rescaled: list[Level] = field(default_factory=list)
-    laid_out: dict[int, Case] = field(default_factory=dict)
+    laid_out: dict[int, Simulation] = field(default_factory=dict)
     relative_error: list[float] = field(default_factory=list)
 
-    def case(self, estimator: Estimator, rays: int = 0, scheme: Scheme = "all") -> Case:
+    def case(self, estimator: Estimator, rays: int = 0, scheme: Scheme = "all") -> Simulation:
+        """One of the simulations."""
         return self.cases[estimator, rays, scheme]
 
     @property
     def sparse(self) -> int:
+        """Rays a side of the coarser grid."""
         return self.sizes.rays[0]
 
     @property
     def dense(self) -> int:
+        """Rays a side of the finer grid."""
         return self.sizes.rays[1]
 
     @property
     def laser_point(self) -> NDArray[np.float64]:
         """(3,) where the laser meets the relay wall."""
-        return LaserPoints.of(Raycaster(self.scene), self.scene, self.capture.laser).position[0]
+        points = LaserPoints.of(Raycaster(self.scene), self.scene, self.capture.laser)
+        return np.asarray(points.position[0], np.float64)
 
     @property
     def time_ns(self) -> NDArray[np.float64]:
@@ -218,11 +237,11 @@ def _levels(runs: Runs) -> None:
         )  # fmt: skip
 
 
-def _printed(runs: Runs, settings: AsPrinted) -> Case:
+def _printed(runs: Runs, settings: AsPrinted) -> Simulation:
     return _timed(runs, lambda: simulate_as_printed(runs.scene, runs.capture, settings))[0]
 
 
-def _radiometric(runs: Runs, rays: int, pixels: int, scheme: Scheme, seed: int) -> Case:
+def _radiometric(runs: Runs, rays: int, pixels: int, scheme: Scheme, seed: int) -> Simulation:
     return _timed(runs, lambda: simulate(runs.scene, runs.capture, _counts(rays, pixels, scheme), seed))[0]
 
 
@@ -246,16 +265,16 @@ def _rescaled(runs: Runs, factor: float) -> Level:
     return Level(float(found["primary"].sum()), float(found["secondary"].sum()))
 
 
-def _converged(runs: Runs) -> tuple[Case, float]:
+def _converged(runs: Runs) -> tuple[Simulation, float]:
     accuracy = Accuracy(lookins=runs.sizes.reference, fov_samples=16, max_bounces=4, replicates=16)
     case, transient = _timed(runs, lambda: simulate(runs.scene, runs.capture, accuracy, 0))
     return case, transient.relative_error
 
 
-def _timed(runs: Runs, run: Callable[[], Transient]) -> tuple[Case, Transient]:
+def _timed(runs: Runs, run: Callable[[], Transient]) -> tuple[Simulation, Transient]:
     began, began_processor = clock.perf_counter(), clock.process_time()
     transient = run()
     seconds, processor_s = clock.perf_counter() - began, clock.process_time() - began_processor
     curves = component_curves(runs.config, runs.scene, runs.capture, transient)
     level = {name: float(values.sum()) for name, values in transient.components.items()}
-    return Case(curves, level, seconds, processor_s), transient
+    return Simulation(curves, level, seconds, processor_s), transient

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 
 from datagen.paper.lookin_balance import LookinBalance
 from datagen.paper.measures import (
+    PEAK_TOLERANCE_NS,
+    PEAKS_NS,
     Curve,
     best_copy,
     mean_ns,
@@ -19,8 +21,7 @@ from datagen.paper.measures import (
     shape_difference,
     width_ns,
 )
-from datagen.paper.published import PEAK_TOLERANCE_NS, PEAKS_NS
-from datagen.paper.runs import Case, Estimator, Runs
+from datagen.paper.runs import Estimator, Runs, Simulation
 
 WALLS, BOX, PILLAR = PEAKS_NS
 MUCH_HIGHER = 3.0
@@ -163,7 +164,7 @@ def scheme_statements(runs: Runs) -> list[Statement]:
     ]  # fmt: skip
 
 
-def _peaks(case: Case, time: Curve) -> Verdict:
+def _peaks(case: Simulation, time: Curve) -> Verdict:
     found = {n: peak_ns(case.curves.parts[n], time) for n in PEAKS_NS if n in case.curves.parts}
     if not found:
         return Verdict(None, "none of these parts is in this room")
@@ -174,11 +175,11 @@ def _peaks(case: Case, time: Curve) -> Verdict:
     return Verdict(decided(near, *off.values()), text + " ns")
 
 
-def _heights(case: Case) -> dict[str, float]:
+def _heights(case: Simulation) -> dict[str, float]:
     return {name: float(curve.max()) for name, curve in case.curves.parts.items()}
 
 
-def _order(case: Case) -> Verdict:
+def _order(case: Simulation) -> Verdict:
     height = _heights(case)
     if not {WALLS, BOX, PILLAR} <= set(height):
         return Verdict(None, "this room has other parts")
@@ -187,7 +188,7 @@ def _order(case: Case) -> Verdict:
     return Verdict(holds, f"walls : box : pillar = 1 : 1/{over[0]:.2g} : 1/{over[1]:.2g}")
 
 
-def _pillar(case: Case, time: Curve) -> Verdict:
+def _pillar(case: Simulation, time: Curve) -> Verdict:
     parts, height = case.curves.parts, _heights(case)
     if not {BOX, PILLAR} <= set(height):
         return Verdict(None, "this room has no box and pillar")

@@ -49,6 +49,16 @@ class Accuracy:
         is the upper bound of its own error estimate; the bias of the k strongest paths is not part of it.
     max_lookins : with a target: give up (`Transient.met_target` False) before more rays than this would leave each
         laser point, on average, over all components; ≥ 2048.
+
+    Examples
+    --------
+    Counts of samples, or the error to be met:
+
+    >>> import datagen as dg
+    >>> dg.Accuracy(lookins=4096, fov_samples=4, max_bounces=4).lookins
+    4096
+    >>> dg.Accuracy(target=0.02).target
+    0.02
     """
 
     lookins: int = _Default(2048)

@@ -8,6 +8,7 @@ As Fig. 7 of Scholes & Leach, Sensors 24, 6522 (2024), plots it::
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +22,8 @@ from datagen.detector import detector_for
 from datagen.detector.irf import Kernel, response_kernel, spread
 from datagen.exit_status import guarded
 from datagen.records import Capture, Scene, TimeAxis, Transient
-from datagen.report.style import INK, caption, caption_height, empty_note, house_style, new_figure, save_png
-from datagen.report.transient_plots import busy_window, clear_channel
+from datagen.report.style import INK, captioned, empty_note, house_style, save_png
+from datagen.report.time_plots import busy_window, clear_channel
 from datagen.scene import generate_scene
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import simulate
@@ -35,16 +36,13 @@ Curve = NDArray[np.float64]
 
 LEAST_BOUNCES = 5
 """The picture shows primary, secondary, and at least one order more."""
-_ROOM_COLOR = "#0072B2"
-_OBJECT_COLORS = ("#7B3FA0", "#E08214", "#1B9E77", "#C51B7D", "#8C6D31", "#35978F")
-"""The paper's purple box and orange pillar first."""
-_ORDER_STYLES = {
-    "secondary": ("#D62728", "-"),
-    "higher": ("#7F7F7F", "--"),
-    "direct": ("#444444", ":"),
-}
+ROOM, SECONDARY = "#1F5FB4", "#D62728"
+_PAPER_COLORS = {"box": "#7B3FA0", "pillar": "#E8820C"}
+_OTHER_COLORS = ("#1B9E77", "#C51B7D", "#8C6D31", "#35978F", "#E6AB02", "#666666")
+_ORDER_STYLES = {"secondary": (SECONDARY, "-"), "higher": ("#7F7F7F", "--"), "direct": ("#444444", ":")}
 _DECADES = 5.0
 _WIDTH_IN = 9.0
+TIME_LABEL = "time since the light reached the laser point (ns)"
 
 
 @dataclass(frozen=True)
@@ -92,33 +90,41 @@ def component_curves(
     return ComponentCurves(times * 1e9, parts, orders, seen(transient.total), (laser, pixel))
 
 
+def colors_of(curves: ComponentCurves) -> dict[str, str]:
+    """Part → colour as in the paper's Fig. 7: the room blue, a box purple, a pillar orange; others from a palette."""
+    room, *others = curves.parts
+    spare = cycle(_OTHER_COLORS)
+    return {room: ROOM} | {name: _PAPER_COLORS.get(name) or next(spare) for name in others}
+
+
+def curve_window(curves: ComponentCurves) -> tuple[float, float]:
+    """Nanoseconds between which there is light."""
+    time = curves.time_ns
+    step = float(time[1] - time[0]) if len(time) > 1 else 1.0
+    return busy_window(curves.total, TimeAxis(len(time), step * 1e-9, float(time[0] - step / 2) * 1e-9))
+
+
 def draw_components(curves: ComponentCurves, title: str, text: str) -> Figure:
     """The curves on a logarithmic axis: total black, room blue, objects in colours, secondary red, higher dashed."""
-    height = caption_height(_WIDTH_IN, text)
     with house_style():
-        figure = new_figure(_WIDTH_IN, 5.2 + height)
-        axes, below = figure.subplots(2, 1, height_ratios=(5.2, height))
+        figure, grid = captioned(_WIDTH_IN, [5.2], text)
+        axes = figure.add_subplot(grid[0])
         axes.set_title(title)
-        axes.set(xlabel="time since the light reached the laser point (ns)", ylabel="likelihood per emitted photon")
+        axes.set(xlabel=TIME_LABEL, ylabel="likelihood per emitted photon")
         highest = float(curves.total.max())
-        if highest > 0:
-            times = curves.time_ns
-            axes.plot(times, curves.total, color=INK, linewidth=2.6, label="all paths")
-            for color, (name, curve) in zip(_part_colors(curves), curves.parts.items(), strict=True):
-                axes.plot(times, curve, color=color, linewidth=1.5, label=f"primary: {name.replace('_', ' ')}")
-            for name, curve in curves.orders.items():
-                color, line = _ORDER_STYLES[name]
-                axes.plot(times, curve, color=color, linestyle=line, linewidth=1.5, label=name)
-            axes.set_yscale("log")
-            axes.set_ylim(highest * 10.0**-_DECADES, highest * 3)
-            half = (times[1] - times[0]) / 2 if len(times) > 1 else 0.5
-            axis = TimeAxis(len(times), 2e-9 * half, (times[0] - half) * 1e-9)
-            axes.set_xlim(*busy_window(curves.total, axis))
-            axes.grid(color="#E4E4E4", linewidth=0.6)
-            axes.legend(loc="upper right")
-        else:
+        if highest <= 0:
             empty_note(axes, "no light arrives within the time window")
-        caption(figure, below, text)
+            return figure
+        lines = [("all paths", curves.total, INK, "-")]
+        colors = colors_of(curves)
+        lines += [(f"primary: {name}", curve, colors[name], "-") for name, curve in curves.parts.items()]
+        lines += [(name, curve, *_ORDER_STYLES[name]) for name, curve in curves.orders.items()]
+        for place, (name, curve, color, line) in enumerate(lines):
+            label, width = name.replace("_", " "), 1.5 if place else 2.6
+            axes.plot(curves.time_ns, curve, color=color, linestyle=line, linewidth=width, label=label)
+        axes.set(yscale="log", ylim=(highest * 10.0**-_DECADES, highest * 3), xlim=curve_window(curves))
+        axes.grid(color="#E4E4E4", linewidth=0.6)
+        axes.legend(loc="upper right")
     return figure
 
 
@@ -158,11 +164,6 @@ def _room_label(names: list[str]) -> str:
     """`walls, floor, ceiling`: the relay wall sends nothing back to itself, so it is not named where it is flat."""
     others = [name for name in names if name != "relay_wall"]
     return ", ".join(others or names)
-
-
-def _part_colors(curves: ComponentCurves) -> list[str]:
-    others = len(curves.parts) - 1
-    return [_ROOM_COLOR, *(_OBJECT_COLORS[k % len(_OBJECT_COLORS)] for k in range(others))][: len(curves.parts)]
 
 
 def _text(curves: ComponentCurves, bounces: int | None, lookins: int) -> str:

@@ -86,12 +86,9 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
         figure.text(0.12 / width, 1 - 0.12 / height, f"{count} rooms and their labels", va="top", fontweight="bold")
         for row, (config, index) in enumerate(first_scenes(several, count)):
             bottom = height - _HEAD_IN - (row + 1) * high
-            panels = [
-                figure.add_axes(
-                    ((k * wide + 0.5) / width, (bottom + 0.45) / height, (wide - 1.25) / width, (high - 0.8) / height)
-                )
-                for k in range(2 + len(fields))
-            ]
+            across, up = (wide - 1.25) / width, (high - 0.8) / height
+            left, low = (np.arange(2 + len(fields)) * wide + 0.5) / width, (bottom + 0.45) / height
+            panels = [figure.add_axes((x, low, across, up)) for x in left]
             scene = generate_scene(config.scene, config.seed, index)
             room = RoomPicture(scene, pixels=420)
             draw_plan(panels[0], room)

@@ -48,13 +48,12 @@ class Camera:
 class Cutaway:
     """What to draw of a room.
 
-    faces : triangles that stay. outlines : (E, 2, 3) edges of walls that were taken away, and
-    ceiling : whether there was a ceiling, which is always taken away.
+    faces : triangles that stay.
+    outlines : (E, 2, 3) edges of walls that were taken away.
     """
 
     faces: NDArray[np.int64]
     outlines: NDArray[np.float64]
-    ceiling: bool
 
 
 def normals_of(scene: Scene) -> NDArray[np.float64]:
@@ -79,7 +78,7 @@ def cut_open(scene: Scene, camera: Camera) -> Cutaway:
     walls, _, ceiling = room_faces(scene)
     shown = np.setdiff1d(np.arange(len(scene.triangles)), np.concatenate([walls, ceiling]))
     if len(walls) == 0:
-        return Cutaway(shown, np.empty((0, 2, 3)), len(ceiling) > 0)
+        return Cutaway(shown, np.empty((0, 2, 3)))
     group, edges = flat_groups(scene, walls)
     rest = shown if len(shown) else walls
     triangles, rows, columns, _ = to_pixels(scene, camera, np.concatenate([rest, walls]), _SURVEY_PIXELS)
@@ -91,7 +90,6 @@ def cut_open(scene: Scene, camera: Camera) -> Cutaway:
     return Cutaway(
         np.concatenate([shown, walls[~taken[group]]]),
         np.concatenate(outlines) if outlines else np.empty((0, 2, 3)),
-        len(ceiling) > 0,
     )
 
 
@@ -124,7 +122,7 @@ def flat_groups(scene: Scene, faces: NDArray[np.int64]) -> tuple[NDArray[np.int6
 
 
 def _numbered(rows: NDArray[np.generic]) -> NDArray[np.int64]:
-    return np.unique(rows, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+    return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1].ravel(), np.int64)
 
 
 def to_pixels(

@@ -126,7 +126,7 @@ def _draw_sdf(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) ->
     grid = VoxelGrid.of(scene, values.shape)
     row = int(np.argmin(values.mean(axis=(0, 2))))
     layer = values[:, row, :]
-    # Half the range to the far side of the surface, so that the inside is told from the outside by colour.
+    # Half the range to the far side of the surface, so that inside and outside differ in colour.
     reach = max(3 * float(-layer.min()), 0.4 * float(abs(layer).max())) or 1.0
     extent = (grid.low[0], grid.high[0], grid.low[2], grid.high[2])
     image = axes.imshow(layer, extent=extent, origin="lower", cmap="RdBu", vmin=-reach, vmax=reach)

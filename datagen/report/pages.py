@@ -9,20 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ObjectBoxes, ViewFrame
-from datagen.report.histogram_plots import draw_counts, draw_residuals, mean_square_residual
 from datagen.report.label_plots import draw_boxes, draw_label
-from datagen.report.listed_scan import listed_page
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
-from datagen.report.scan_plots import clear_row, draw_moment, draw_time_slice, moments, scan_of, time_limits
-from datagen.report.style import caption, caption_height, new_figure
-from datagen.report.transient_plots import (
+from datagen.report.scan_plots import (
+    clear_row,
+    draw_moment,
+    draw_time_slice,
+    listed_page,
+    moments,
+    raster_of,
+    scan_of,
+    time_limits,
+)  # fmt: skip
+from datagen.report.style import captioned
+from datagen.report.time_plots import (
     busy_window,
     clear_channel,
+    draw_counts,
+    draw_residuals,
     draw_stack,
-    raster_of,
+    mean_square_residual,
     stacking_order,
-)
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,16 +62,13 @@ def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
         text += " CAUTION: simulating the stored scene again gave another one; this room may not be the stored one."
     entries = len(again.scene.part_names) + 4
     legend_in = 0.2 * np.ceil(entries / 6) + 0.1
-    figure = new_figure(12, 5.6 + legend_in + caption_height(12, text))
-    grid = figure.add_gridspec(3, 2, height_ratios=[5.6, legend_in, caption_height(12, text)], width_ratios=[1, 1.15])
-    figure.suptitle(f"{stored.title}: the room", fontweight="bold")
+    figure, grid = captioned(12, [5.6, legend_in], text, f"{stored.title}: the room", 2, [1, 1.15])
     plan, opened = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
     draw_plan(plan, room)
     plan.set_title("Plan, from above")
     draw_opened(opened, room)
     opened.set_title("Opened, without perspective")
     draw_legend(figure, figure.add_subplot(grid[1, :]), room)
-    caption(figure, figure.add_subplot(grid[2, :]), text)
     return figure
 
 
@@ -75,9 +81,7 @@ def transient_page(stored: StoredScene, again: Replay) -> Figure:
         "logarithmic axis an upper layer looks thinner than it is: read a layer as the difference of its two "
         f"edges. {_provenance(again)}"
     )
-    figure = new_figure(12, 4.6 + caption_height(12, text))
-    grid = figure.add_gridspec(2, 2, height_ratios=[4.6, caption_height(12, text)])
-    figure.suptitle(f"{stored.title}: the transient by part", fontweight="bold")
+    figure, grid = captioned(12, [4.6], text, f"{stored.title}: the transient by part", 2)
     one, whole = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
     draw_stack(one, again.scene, _curves(again, (laser, pixel)), again.capture.time)
     one.set_title(_channel_name(again, laser, pixel))
@@ -88,7 +92,6 @@ def transient_page(stored: StoredScene, again: Replay) -> Figure:
         handles, labels = whole.get_legend_handles_labels()
     if handles:
         whole.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.0, 0.5), title="top to bottom")
-    caption(figure, figure.add_subplot(grid[1, :]), text)
     return figure
 
 
@@ -96,9 +99,7 @@ def histogram_page(stored: StoredScene, again: Replay) -> Figure:
     """Counts over their expectation with residuals: one channel, and the sum over the scan."""
     laser, pixel = clear_channel(again.scene, again.transient)
     text = _histogram_caption(stored, again)
-    figure = new_figure(12, 5.4 + caption_height(12, text))
-    grid = figure.add_gridspec(3, 2, height_ratios=[3.6, 1.8, caption_height(12, text)])
-    figure.suptitle(f"{stored.title}: photon counts and their expectation", fontweight="bold")
+    figure, grid = captioned(12, [3.6, 1.8], text, f"{stored.title}: photon counts and their expectation", 2)
     time = again.capture.time
     for column, (title, counts, expected) in enumerate(
         (
@@ -112,7 +113,6 @@ def histogram_page(stored: StoredScene, again: Replay) -> Figure:
         draw_residuals(lower, counts, expected, time, is_poisson=again.is_poisson)
         for axes in (upper, lower):
             axes.set_xlim(*busy_window(expected if expected.any() else counts, time))
-    caption(figure, figure.add_subplot(grid[2, :]), text)
     return figure
 
 
@@ -139,15 +139,12 @@ def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray
     width = 4.6 * columns if columns > 1 else 7.0
     frame = ViewFrame.of(again.scene)
     high = float(np.clip(0.7 * width / columns * frame.half_height_m / frame.half_width_m, 1.5, 5.0)) + 1.0
-    figure = new_figure(width, high * rows + caption_height(width, text))
-    grid = figure.add_gridspec(rows + 1, columns, height_ratios=[high] * rows + [caption_height(width, text)])
-    figure.suptitle(f"{stored.title}: labels", fontweight="bold")
+    figure, grid = captioned(width, [high] * rows, text, f"{stored.title}: labels", columns)
     for number, (field, values) in enumerate(labels.items()):
         draw_label(figure, figure.add_subplot(grid[divmod(number, columns)]), again.scene, field, values)
     if boxes is not None:
         axes = figure.add_subplot(grid[divmod(len(labels), columns)])
         draw_boxes(axes, again.scene, boxes, stored.config.scene.object_classes(), labels.get("depth"))
-    caption(figure, figure.add_subplot(grid[rows, :]), text)
     return figure
 
 
@@ -170,9 +167,7 @@ def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
         "the signal, each on its own scale). Above all light, below only what objects scattered. "
         f"{_provenance(again)}"
     )
-    figure = new_figure(14, 6.0 + caption_height(14, text))
-    grid = figure.add_gridspec(2, 2, height_ratios=[6.0, caption_height(14, text)], width_ratios=[1, 2.4])
-    figure.suptitle(f"{stored.title}: slices of the scan", fontweight="bold")
+    figure, grid = captioned(14, [6.0], text, f"{stored.title}: slices of the scan", 2, [1, 2.4])
     # Subfigures, so that the colour bars of one take no room from the columns of the other.
     left, right = figure.add_subfigure(grid[0, 0]), figure.add_subfigure(grid[0, 1])
     row = clear_row(objects if objects.any() else whole)
@@ -188,7 +183,6 @@ def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
             draw_moment(axes, scan, bins, raster)
             axes.set_title(f"{edges[bins.start]:.4g} – {edges[bins.stop]:.4g} ns")
             axes.set_ylabel("" if number else f"{what}: up (m)")
-    caption(figure, figure.add_subplot(grid[1, :]), text)
     return figure
 
 
@@ -204,9 +198,7 @@ def overview_page(
     )
     entries = len(again.scene.part_names) + 4
     legend_in = 0.2 * np.ceil(entries / 8) + 0.1
-    figure = new_figure(15, 9.2 + legend_in + caption_height(15, text))
-    grid = figure.add_gridspec(4, 6, height_ratios=[4.9, legend_in, 4.0, caption_height(15, text)])
-    figure.suptitle(f"{stored.title}: overview", fontweight="bold")
+    figure, grid = captioned(15, [4.9, legend_in, 4.0 + 0.3], text, f"{stored.title}: overview", 6)
     raster = raster_of(again.capture, channel)
     plan, opened = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:4] if raster else grid[0, 2:])
     draw_plan(plan, room)
@@ -228,7 +220,6 @@ def overview_page(
     counted.set_xlim(*busy_window(again.expected[channel], time))
     counted.set_title(f"Counts, {_channel_name(again, *channel).lower()}")
     draw_label(figure, depth, again.scene, "depth", labels["depth"])
-    caption(figure, figure.add_subplot(grid[3, :]), text)
     return figure
 
 

@@ -19,8 +19,8 @@ from datagen.detector import Exposure, Spad, detector_for, expected_histogram
 from datagen.errors import InputError
 from datagen.exit_status import guarded
 from datagen.records import Accuracy, TimeAxis
-from datagen.report.style import EXPECTED, INK, LASER, caption, caption_height, house_style, new_figure, save_png
-from datagen.report.transient_plots import busy_window
+from datagen.report.style import EXPECTED, INK, LASER, captioned, house_style, save_png
+from datagen.report.time_plots import busy_window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -100,20 +100,6 @@ def pileup_rows(
     return rows
 
 
-def synthetic_corner() -> tuple[Array, TimeAxis, float]:
-    """A corner in outline: (bin,) transient, its time axis, the end of the direct return.
-
-    The direct return carries 80 % of the light; the hidden scene, two objects before a wall and their decaying
-    interreflection, the rest.
-    """
-    time = TimeAxis(768, 100e-12)
-    t = time.centers_s * 1e9
-    hidden = np.exp(-0.5 * ((t - 21) / 0.8) ** 2) + 0.5 * np.exp(-0.5 * ((t - 27) / 1.5) ** 2)
-    hidden += 0.25 * np.exp(-(t - 20) / 9.0) * (t > 20) / (1 + np.exp(-(t - 22) / 0.5))
-    direct = np.exp(-0.5 * ((t - 8) / 0.1) ** 2)
-    return 0.8 * direct / direct.sum() + 0.2 * hidden / hidden.sum(), time, 12e-9
-
-
 def table(rows: Sequence[PileupRow]) -> str:
     """Markdown, a line for each row."""
     head = ["detector", "direct return", "flux / cycle", "bias of signal", "worst bin", "delay (ps)"]
@@ -148,12 +134,9 @@ def draw_pileup(
         "A dead time that ends before the signal begins would do what a gate does."
     )
     with house_style():
-        height = caption_height(11, text)
-        figure = new_figure(11, 4.4 + height)
-        grid = figure.add_gridspec(2, 2, height_ratios=[4.4, height], width_ratios=[1.15, 1])
+        figure, grid = captioned(11, [4.4], text, columns=2, widths=[1.15, 1])
         _draw_histograms(figure.add_subplot(grid[0, 0]), shape, time, repetition_rate_hz)
         _draw_bias(figure.add_subplot(grid[0, 1]), rows)
-        caption(figure, figure.add_subplot(grid[1, :]), text)
         return save_png(figure, out)
 
 
@@ -165,17 +148,9 @@ _LINEWIDTHS = dict(zip(DETECTORS, (3.4, 1.4, 1.2), strict=True))
 def _draw_histograms(axes: Axes, shape: Array, time: TimeAxis, repetition_rate_hz: float) -> None:
     exposure = Exposure(repetition_rate_hz, 1, 1.0 / float(shape.sum()))
     edges = time.edges_s * 1e9
-    for label, spad, color in [
-        ("Poisson", Spad(pde=1.0, mode="ideal"), INK),
-        *((name, spad, _COLORS[name]) for name, spad in DETECTORS.items()),
-    ]:
-        axes.stairs(
-            expected_histogram(shape, time, spad, exposure),
-            edges,
-            color=color,
-            label=label,
-            linewidth=_LINEWIDTHS.get(label, 2.4),
-        )
+    for label, spad in {"Poisson": Spad(pde=1.0, mode="ideal"), **DETECTORS}.items():
+        counts, width = expected_histogram(shape, time, spad, exposure), _LINEWIDTHS.get(label, 2.4)
+        axes.stairs(counts, edges, color=_COLORS.get(label, INK), label=label, linewidth=width)
     axes.set(yscale="log", ylim=(1e-6, 1), xlabel="time (ns)", ylabel="counts per cycle and bin")
     axes.set_xlim(*busy_window(shape, time))
     axes.set_title("One event per cycle, direct return in view")

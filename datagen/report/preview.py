@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -16,13 +14,14 @@ from datagen.config import DatasetConfig
 from datagen.errors import InputError
 from datagen.records import Scalar
 from datagen.report.contact_sheet import sheet_figure
+from datagen.report.html import head, inside, table
 from datagen.report.parameter_plots import parameter_page, varying
 from datagen.report.replay import read_scene, replay
 from datagen.report.room_plots import RoomPicture
 from datagen.report.show import pages
 from datagen.report.style import house_style
 from datagen.scene import generate_scene
-from datagen.store import Field, Manifest, read_manifest
+from datagen.store import Manifest, read_manifest
 from datagen.store.record import SceneRecord, ShardRecord, read_record, recorded_shards
 
 if TYPE_CHECKING:
@@ -32,13 +31,6 @@ ROOMS = 24
 """Rooms on the sheet."""
 SCENES = 3
 """Scenes shown in full."""
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1200px; margin: 2em auto; padding: 0 1em; }
-h1, h2 { line-height: 1.2; } h2 { margin-top: 2em; border-bottom: 1px solid #ccc; }
-table { border-collapse: collapse; font-size: 13px; } td, th { padding: .25em .7em; text-align: left; }
-tr:nth-child(even) { background: #f4f4f4; } td.number { text-align: right; font-variant-numeric: tabular-nums; }
-img { max-width: 100%; height: auto; } code { background: #f0f0f0; padding: 0 .25em; } .warning { color: #a33; }
-"""
 
 
 def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int = SCENES) -> Path:
@@ -77,29 +69,19 @@ def _page(
     root: Path, manifest: Manifest, records: Sequence[ShardRecord], made: Sequence[SceneRecord], scenes: int
 ) -> Iterator[str]:
     config = manifest.parsed_config()
-    title = escape(config.name)
-    yield f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-    yield f"<style>{_STYLE}</style></head><body><h1>{title}</h1>"
+    yield head(config.name)
     if config.description:
         yield f"<p>{escape(config.description)}</p>"
     yield from _state(manifest, records, made)
     yield "<h2>Fields</h2>"
-    yield _table(
-        ("field", "axes", "shape", "dtype", "unit", "meaning"),
-        [
-            (
-                f.name,
-                ", ".join(f.dims),
-                " × ".join(map(str, (manifest.schema.scenes, *f.shape))),
-                f.dtype,
-                f.unit,
-                f.meaning,
-            )
-            for f in manifest.schema.fields
-        ],
-    )
+    shapes = (" × ".join(map(str, (manifest.schema.scenes, *f.shape))) for f in manifest.schema.fields)
+    rows = [
+        (f.name, ", ".join(f.dims), shape, f.dtype, f.unit, f.meaning)
+        for f, shape in zip(manifest.schema.fields, shapes, strict=True)
+    ]
+    yield _table(("field", "axes", "shape", "dtype", "unit", "meaning"), rows)
     yield "<h2>Rooms</h2>"
-    yield _image(_rooms(config, made[:ROOMS]), f"the first {min(len(made), ROOMS)} rooms, plan and opened")
+    yield inside(_rooms(config, made[:ROOMS]), f"the first {min(len(made), ROOMS)} rooms, plan and opened")
     yield "<h2>Scenes in full</h2>"
     for scene in made[:scenes]:
         yield from _scene(root, scene)
@@ -108,7 +90,7 @@ def _page(
     figure = parameter_page(columns)
     yield f"<h2>What was drawn</h2><p>Over {len(made)} scenes; parameters that do not vary are left out.</p>"
     if figure is not None:
-        yield _image(figure, "histograms of the drawn parameters")
+        yield inside(figure, "histograms of the drawn parameters")
     yield _parameter_table(columns)
     yield "<h2>Configuration</h2><details><summary>as stored in <code>dataset.json</code></summary>"
     yield f"<pre>{escape(config.model_dump_json(indent=2))}</pre></details></body></html>"
@@ -151,7 +133,7 @@ def _rooms(config: DatasetConfig, chosen: Sequence[SceneRecord]) -> Figure:
 def _scene(root: Path, record: SceneRecord) -> Iterator[str]:
     stored = read_scene(root, record.index)
     for name, figure in pages(stored, replay(stored), ["overview"]):
-        yield _image(figure, f"scene {record.index}, {name}")
+        yield inside(figure, f"scene {record.index}, {name}")
 
 
 def _parameter_table(columns: Mapping[str, Sequence[Scalar]]) -> str:
@@ -166,18 +148,5 @@ def _parameter_table(columns: Mapping[str, Sequence[Scalar]]) -> str:
     return _table(("parameter", "least", "median", "most"), rows)
 
 
-def _shape(manifest: Manifest, field: Field) -> str:
-    return " × ".join(str(length) for length in (manifest.schema.scenes, *field.shape))
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    top = "<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in head) + "</tr>" if head else ""
-    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table>{top}{body}</table>"
-
-
-def _image(figure: Figure, meaning: str) -> str:
-    file = io.BytesIO()
-    figure.savefig(file, format="png", metadata={"Software": None})
-    data = base64.b64encode(file.getvalue()).decode()
-    return f'<p><img alt="{escape(meaning)}" src="data:image/png;base64,{data}"></p>'
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return table(header, [[escape(cell) for cell in row] for row in rows])

@@ -40,6 +40,7 @@ class StoredScene:
 
     @property
     def title(self) -> str:
+        """Dataset and scene, as pictures are headed."""
         return f"{self.config.name}, scene {self.index}"
 
 
@@ -69,7 +70,7 @@ class Replay:
 
     @property
     def reproduced(self) -> bool:
-        """Whether this is the stored scene, as far as can be told."""
+        """Whether this is the stored scene, as far as what is stored shows."""
         return self.moved_m <= SAME_PLACE_M and (self.difference is None or self.difference <= REPRODUCED)
 
 

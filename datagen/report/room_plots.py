@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.legend import Legend
 
 _ELEVATION_DEG = 42.0
-_TURNS_DEG = (-55.0, -30.0, 30.0, 55.0)
+_AZIMUTHS_DEG = (-55.0, -30.0, 30.0, 55.0)
 _MANY_PIXELS = 400
 HIDDEN_VIEW = "#117733"
 
@@ -118,8 +118,8 @@ def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
     front = float(np.degrees(np.arctan2(normal[1], normal[0])))
     wanted = np.flatnonzero([role != "structure" for role in scene.roles])
     best: tuple[float, Camera, Cutaway] | None = None
-    for turn in _TURNS_DEG:
-        camera = Camera.looking(front + turn, _ELEVATION_DEG)
+    for azimuth in _AZIMUTHS_DEG:
+        camera = Camera.looking(front + azimuth, _ELEVATION_DEG)
         cut = cut_open(scene, camera)
         share = _seen_share(scene, camera, cut, wanted)
         if best is None or share > best[0] + 1e-6:
@@ -147,29 +147,17 @@ def draw_legend(figure: Figure, axes: Axes, room: RoomPicture, columns: int = 6)
     from matplotlib.patches import Patch
 
     scene = room.scene
-    handles: list[Patch | Line2D] = [
-        Patch(facecolor=color, edgecolor="#555555", linewidth=0.5, label=name)
-        for name, color in part_colors(scene).items()
-    ]
-    for label in room.devices:
-        handles.append(Line2D([], [], marker=_marker(label), color="black", linestyle="", markersize=8, label=label))
+    colors = part_colors(scene).items()
+    handles: list[Patch | Line2D] = [Patch(fc=color, ec="#555555", lw=0.5, label=name) for name, color in colors]
+    dots: dict[str, Any] = {"color": "black", "linestyle": "", "markersize": 8}
+    handles += [Line2D([], [], marker=_marker(label), label=label, **dots) for label in room.devices]
     if room.laser_points is not None:
         handles.append(Line2D([], [], marker="o", color=LASER, linestyle="", markersize=4, label="laser points"))
     if room.capture is not None:
-        handles.append(
-            Patch(facecolor="none", edgecolor=FIELD_OF_VIEW, linewidth=1.2, label="field of view of the pixels")
-        )
+        handles.append(Patch(fc="none", ec=FIELD_OF_VIEW, lw=1.2, label="field of view of the pixels"))
     if scene.hidden_view is not None:
-        handles.append(
-            Line2D(
-                [],
-                [],
-                color=HIDDEN_VIEW,
-                linewidth=1.6,
-                linestyle=(0, (5, 2)),
-                label="hidden view (window of the labels)",
-            )
-        )
+        label, dashed = "hidden view (window of the labels)", (0, (5, 2))
+        handles.append(Line2D([], [], color=HIDDEN_VIEW, linewidth=1.6, linestyle=dashed, label=label))
     axes.set_axis_off()
     legend = axes.legend(handles=handles, loc="upper left", ncols=columns, borderaxespad=0, handlelength=1.6)
     legend.set_in_layout(False)
@@ -249,21 +237,11 @@ def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera) -> None:
     for label, position in room.devices.items():
         here = camera.project(position)[:2]
         if len(points) and label.startswith("laser"):
-            spread = points[
-                [points[:, 0].argmin(), points[:, 0].argmax(), points[:, 1].argmin(), points[:, 1].argmax()]
-            ]
+            spread = points[[*points.argmin(axis=0), *points.argmax(axis=0)]]
             beam = np.stack([np.broadcast_to(here, spread.shape), spread], axis=1)
             _lines(axes, beam, color=LASER, linewidth=0.6, alpha=0.7, zorder=8)
-        axes.scatter(
-            here[0],
-            here[1],
-            s=55,
-            marker=_marker(label),
-            color="black",
-            edgecolors="white",
-            linewidths=0.8,
-            zorder=10,
-        )
+        mark: dict[str, Any] = {"color": "black", "edgecolors": "white", "linewidths": 0.8, "zorder": 10}
+        axes.scatter(here[0], here[1], s=55, marker=_marker(label), **mark)
 
 
 def _dots(axes: Axes, points: NDArray[np.float64], extent: float) -> None:
@@ -299,13 +277,6 @@ def _mark_axes(axes: Axes, camera: Camera, scene: Scene, picture: NDArray[np.flo
         axes.annotate("", xy=tuple(origin + arrow), xytext=tuple(origin), arrowprops=style, zorder=11)
         x, y = origin + 1.22 * arrow
         axes.text(x, y, name, ha="center", va="center", fontsize=8, color=INK, zorder=11)
-    note = (left if at_left else right, bottom - 0.035 * (top - bottom))
-    axes.text(
-        note[0],
-        note[1],
-        f"arrows: {length:g} m",
-        ha="left" if at_left else "right",
-        va="top",
-        fontsize=7.5,
-        color=INK,
-    )
+    corner = (left if at_left else right, bottom - 0.035 * (top - bottom))
+    side = "left" if at_left else "right"
+    axes.text(*corner, f"arrows: {length:g} m", ha=side, va="top", fontsize=7.5, color=INK)

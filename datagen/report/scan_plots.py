@@ -1,23 +1,80 @@
-"""A scan as pictures: time against place along one row, and the wall at a few moments."""
+"""A scan as pictures: time against place along one row and the wall at a few moments, or time against laser point."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.records import TimeAxis
-from datagen.report.style import empty_note
-from datagen.report.transient_plots import Raster, busy_window, time_label
+from datagen.records import Capture, Rectangle, TimeAxis
+from datagen.report.style import LASER, captioned, empty_note
+from datagen.report.time_plots import busy_window, time_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import FigureBase
+    from matplotlib.figure import Figure, FigureBase
     from matplotlib.image import AxesImage
 
 _COLORS = "magma"
 _DECADES = 3.5
+_NUMBERED = 40
+"""Up to so many laser points carry their number in the picture."""
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Channels that lie on a grid on the wall.
+
+    channels : (row, column, 2) laser and pixel number of each. x_m, z_m : (column,) and (row,) metres right and up
+    from the grid's middle. what : "laser points" or "pixels".
+    """
+
+    channels: NDArray[np.int64]
+    x_m: NDArray[np.float64]
+    z_m: NDArray[np.float64]
+    what: str
+
+
+def raster_of(capture: Capture, channel: tuple[int, int]) -> Raster | None:
+    """The grid that the scan's laser points make; else that of the pixels, for the laser point of `channel`.
+
+    A grid is recognised by its places: rows of equally many points at equal steps. None when there is none with at
+    least two points in a row.
+    """
+    lasers, pixels, _ = capture.shape
+    for count, places, what in (
+        (lasers, capture.laser.targets, "laser points"),
+        (pixels, capture.sensor.pixels.mean(axis=1), "pixels"),
+    ):
+        columns = _columns(places) if count > 1 else None
+        if columns is None:
+            continue
+        number = np.arange(count).reshape(-1, columns)
+        fixed = np.full_like(number, channel[1] if what == "laser points" else channel[0])
+        pair = (number, fixed) if what == "laser points" else (fixed, number)
+        grid = places.reshape(-1, columns, 3)
+        x = np.linalg.norm(grid[0] - grid[0, 0], axis=-1)
+        z = np.linalg.norm(grid[:, 0] - grid[0, 0], axis=-1)
+        return Raster(np.stack(pair, axis=-1), x - x.mean(), z.mean() - z, what)
+    return None
+
+
+def _columns(places: NDArray[np.float64]) -> int | None:
+    """Length of the rows of a regular grid listed row by row, or None."""
+    steps = np.diff(places, axis=0)
+    if (np.linalg.norm(steps, axis=1) == 0).any():
+        return None
+    tolerance = 1e-6 * float(np.ptp(places, axis=0).max()) + 1e-12
+    along = np.linalg.norm(steps - steps[0], axis=1) <= tolerance
+    columns = len(places) if along.all() else int(np.argmin(along)) + 1
+    if columns < 2 or len(places) % columns:
+        return None
+    grid = places.reshape(-1, columns, 3)
+    regular = abs(grid - grid[:, :1] - (grid[0] - grid[0, 0])).max() <= tolerance
+    down = np.diff(grid[:, 0], axis=0)
+    return columns if regular and (len(down) < 2 or abs(down - down[0]).max() <= tolerance) else None
 
 
 def scan_of(values: NDArray[np.float64], raster: Raster) -> NDArray[np.float64]:
@@ -101,3 +158,44 @@ def time_limits(scan: NDArray[np.float64], objects: NDArray[np.float64], time: T
 
 def _half_step(places: NDArray[np.float64]) -> float:
     return abs(float(places[1] - places[0])) / 2 if len(places) > 1 else 0.5
+
+
+def listed_page(
+    title: str, wall: Rectangle, capture: Capture, whole: NDArray[np.float64], objects: NDArray[np.float64], note: str
+) -> Figure:
+    """The laser points on the wall, and the transient of each in the scan's order.
+
+    whole, objects : (laser, pixel, bin) all light, and what objects scattered. note : ends the caption.
+    """
+    count = len(capture.laser.targets)
+    text = (
+        f"The {count} laser points of this scan make no grid. Left: where they aim on the relay wall (outline: what "
+        "the device sees of it), in order. Right: the transient at each, in the same order (pixels summed); a "
+        f"point of the hidden scene answers early where a laser point is near it. {note}"
+    )
+    figure, grid = captioned(14, [4.6], text, f"{title}: the scan", 3)
+    _draw_places(figure.add_subplot(grid[0, 0]), wall, capture.laser.targets)
+    number = np.arange(count)
+    raster = Raster(np.zeros((1, count, 2), np.int64), number.astype(np.float64), np.zeros(1), "laser points")
+    scans = [values.sum(axis=1)[None] for values in (whole, objects)]
+    limits = time_limits(scans[0], scans[1], capture.time)
+    for column, (what, scan) in enumerate(zip(("all light", "objects only"), scans, strict=True)):
+        axes = figure.add_subplot(grid[0, column + 1])
+        draw_time_slice(figure, axes, scan, 0, raster, capture.time, limits)
+        axes.set(title=f"Time against laser point, {what}", xlabel="number of the laser point")
+    return figure
+
+
+def _draw_places(axes: Axes, wall: Rectangle, places: NDArray[np.float64]) -> None:
+    half = np.linalg.norm([wall.right, wall.up], axis=1)
+    offset = places - wall.center
+    x, y = offset @ wall.right / half[0], offset @ wall.up / half[1]
+    outline = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half
+    axes.plot(outline[:, 0], outline[:, 1], color="#777777", linewidth=1.0)
+    axes.plot(x, y, color=LASER, linewidth=0.4, alpha=0.5)
+    axes.scatter(x, y, s=14, color=LASER, zorder=3)
+    if len(x) <= _NUMBERED:
+        for k, place in enumerate(zip(x, y, strict=True)):
+            axes.annotate(str(k), place, xytext=(3, 3), textcoords="offset points", fontsize=7)
+    axes.set(xlabel="right (m)", ylabel="up (m)", title="Laser points on the relay wall")
+    axes.set_aspect("equal", adjustable="datalim")

@@ -7,7 +7,7 @@ caller's is changed or obeyed, so the same data give the same picture everywhere
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from datagen.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.gridspec import GridSpec
 
     from datagen.records import Scene
 
@@ -91,6 +92,28 @@ def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figu
         figure.set_layout_engine("constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def captioned(
+    width_in: float,
+    heights_in: Sequence[float],
+    text: str,
+    title: str = "",
+    columns: int = 1,
+    widths: Sequence[float] | None = None,
+) -> tuple[Figure, GridSpec]:
+    """A figure with a caption below it, and the grid of its rows and columns.
+
+    The caption has the last row, and is the first of the figure's axes.
+    """
+    height = caption_height(width_in, text)
+    figure = new_figure(width_in, sum(heights_in) + height)
+    rows = [*heights_in, height]
+    grid = figure.add_gridspec(len(rows), columns, height_ratios=rows, width_ratios=widths)
+    if title:
+        figure.suptitle(title, fontweight="bold")
+    caption(figure, figure.add_subplot(grid[len(heights_in), :]), text)
+    return figure, grid
 
 
 def caption(figure: Figure, axes: Axes, text: str) -> None:

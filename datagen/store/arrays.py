@@ -41,6 +41,7 @@ def write_metadata(root: Path, files: dict[str, bytes]) -> None:
 
 
 def metadata_digests(files: dict[str, bytes]) -> dict[str, str]:
+    """Path → hex SHA-256 of its content."""
     return {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
 
 

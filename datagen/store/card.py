@@ -151,6 +151,13 @@ def write_croissant(root: Path, manifest: Manifest) -> None:
     write_if_changed(root / CROISSANT, json_bytes(croissant(root, manifest)))
 
 
+_CROISSANT_CONTEXT = {
+    "@language": "en", "@vocab": "https://schema.org/", "sc": "https://schema.org/",
+    "cr": "http://mlcommons.org/croissant/", "dct": "http://purl.org/dc/terms/", "conformsTo": "dct:conformsTo",
+    "column": "cr:column", "dataType": {"@id": "cr:dataType", "@type": "@vocab"}, "extract": "cr:extract",
+    "field": "cr:field", "fileObject": "cr:fileObject", "fileSet": "cr:fileSet", "includes": "cr:includes",
+    "recordSet": "cr:recordSet", "source": "cr:source",
+}  # fmt: skip
 _CROISSANT_TYPES = {"string": "sc:Text", "double": "sc:Float", "bool": "sc:Boolean"}
 
 
@@ -160,23 +167,7 @@ def croissant(root: Path, manifest: Manifest) -> dict[str, Any]:
 
     columns = pq.read_schema(root / TABLE)
     return {
-        "@context": {
-            "@language": "en",
-            "@vocab": "https://schema.org/",
-            "sc": "https://schema.org/",
-            "cr": "http://mlcommons.org/croissant/",
-            "dct": "http://purl.org/dc/terms/",
-            "conformsTo": "dct:conformsTo",
-            "column": "cr:column",
-            "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-            "extract": "cr:extract",
-            "field": "cr:field",
-            "fileObject": "cr:fileObject",
-            "fileSet": "cr:fileSet",
-            "includes": "cr:includes",
-            "recordSet": "cr:recordSet",
-            "source": "cr:source",
-        },
+        "@context": _CROISSANT_CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.0",
         "name": manifest.config["name"],

@@ -32,8 +32,9 @@ def info(path: str | Path) -> str:
         f"shards       {len(records)} of {schema.shards}, {schema.scenes_per_shard} scenes each",
         f"seed         {manifest.seed}",
         f"fingerprint  {manifest.fingerprint[:12]}",
-        f"made by      datagen {manifest.versions['datagen']}, commit {(manifest.commit or 'unknown')[:12]}, "
-        f"on {manifest.hardware['processor']}, {manifest.hardware['cores']} cores",
+        f"made by      datagen {manifest.versions['datagen']}, schema {manifest.schema_version}, commit "
+        f"{(manifest.commit or 'unknown')[:12]}, on {manifest.hardware['processor']}, "
+        f"{manifest.hardware['cores']} cores",
         "",
         f"{'field':20}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
     ]
@@ -128,8 +129,8 @@ def _effects(records: Sequence[ShardRecord]) -> Iterator[str]:
             continue
         on = sum(bool(of[f"effect.{name}.on"]) for of in there)
         estimates = [float(of[f"effect.{name}.estimate"]) for of in there if f"effect.{name}.estimate" in of]
-        told = f"{min(estimates):9.2g} … {max(estimates):.2g}" if estimates else ""
-        lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}  {told}".rstrip())
+        span = f"{min(estimates):9.2g} … {max(estimates):.2g}" if estimates else ""
+        lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}  {span}".rstrip())
     if lines:
         yield f"  {'effects (scenes)':25}{'simulated':>9}{'left out':>10}    leaving out changes the answer by ≤"
         yield from lines

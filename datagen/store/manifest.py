@@ -14,20 +14,25 @@ from datagen.store.arrays import metadata_digests, metadata_files, shard_shape, 
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import PARTIAL, json_bytes, read_json, write_if_changed
 from datagen.store.record import BUILD
-from datagen.store.schema import SCHEMA_VERSION, Field, Schema, schema_of
+from datagen.store.schema import SCHEMA_VERSION, SCHEMA_VERSIONS, Field, Schema, schema_of
 
 MANIFEST = "dataset.json"
 FORMAT = "datagen dataset"
 WHEN_COMPLETE = ("samples.parquet", "croissant.json")
 """Files that are there only when all shards are."""
+_RENAMED_SINCE = {1: (("transport", "scramblings", "replicates"),)}
+"""Schema version → (section, key then, key now) of its stored configuration."""
 
 
 @dataclass(frozen=True)
 class Manifest:
     """The content of `dataset.json`.
 
-    config : the configuration as plain values; meshes : mesh file → digest of its bytes.
-    mesh_folder : where relative mesh paths start; None when there are none, so that it tells nothing of a machine.
+    Attributes
+    ----------
+    config : the configuration as plain values, with the key names of its `schema_version`.
+    meshes : mesh file → digest of its bytes.
+    mesh_folder : where relative mesh paths start; None when there are none, so that no machine's paths are stored.
     metadata : `zarr.json` files → SHA-256.
     """
 
@@ -40,24 +45,32 @@ class Manifest:
     versions: dict[str, str]
     commit: str | None
     hardware: dict[str, Any]
+    schema_version: int = SCHEMA_VERSION
 
     @property
     def seed(self) -> int:
+        """The dataset seed."""
         return int(self.config["seed"])
 
     def parsed_config(self) -> DatasetConfig:
-        """The configuration as models, able to generate the scenes again.
+        """The configuration as models, able to generate the scenes again (other ones than the stored, if the dataset
+        is of an earlier schema version).
 
-        Raises `InputError` when a mesh file is no longer where it was.
+        Raises `InputError` when a mesh file is no longer where it was, or a setting no longer exists.
         """
-        return config_from_mapping(self.config, source=MANIFEST, base_directory=self.mesh_folder or ".")
+        config = self.config
+        for section, old, new in _RENAMED_SINCE.get(self.schema_version, ()):
+            renamed = {new if key == old else key: value for key, value in config[section].items()}
+            config = config | {section: renamed}
+        return config_from_mapping(config, source=MANIFEST, base_directory=self.mesh_folder or ".")
 
     def to_bytes(self) -> bytes:
+        """The file `dataset.json`."""
         schema = self.schema
         return json_bytes(
             {
                 "format": FORMAT,
-                "schema_version": SCHEMA_VERSION,
+                "schema_version": self.schema_version,
                 "name": self.config["name"],
                 "description": self.config["description"],
                 "seed": self.seed,
@@ -93,7 +106,10 @@ def describe(config: DatasetConfig, schema: Schema) -> Manifest:
 
 
 def read_manifest(root: str | Path) -> Manifest:
-    """Read `dataset.json`. Raises `InputError` when the folder is no dataset, or one of another schema version."""
+    """Read `dataset.json`, of any schema version so far; the configuration in it is not looked at.
+
+    Raises `InputError` when the folder is no dataset, or one of a later schema version.
+    """
     root = Path(root)
     path = root / MANIFEST
     if not path.is_file():
@@ -102,14 +118,17 @@ def read_manifest(root: str | Path) -> Manifest:
     values = read_json(path)
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise InputError(f"{path}: is not the manifest of a datagen dataset; name a folder that `datagen build` made")
-    if values.get("schema_version") != SCHEMA_VERSION:
+    if values.get("schema_version") not in SCHEMA_VERSIONS:
         raise InputError(
-            f"{path}: schema_version = {values.get('schema_version')!r}, this datagen reads {SCHEMA_VERSION}; "
+            f"{path}: schema_version = {values.get('schema_version')!r}, this datagen reads 1 … {SCHEMA_VERSION}; "
             "use the version of datagen that made it"
         )
     try:
         fields = tuple(_field_of(row) for row in values["fields"])
-        kept = ("config", "meshes", "mesh_folder", "fingerprint", "metadata", "versions", "commit", "hardware")
+        kept = (
+            "config", "meshes", "mesh_folder", "fingerprint", "metadata", "versions", "commit", "hardware",
+            "schema_version",
+        )  # fmt: skip
         schema = Schema(fields, int(values["scenes"]), int(values["scenes_per_shard"]))
         return Manifest(schema=schema, **{key: values[key] for key in kept})
     except (KeyError, TypeError, ValueError) as error:
@@ -156,6 +175,11 @@ def _taken_up(root: Path, config: DatasetConfig) -> Manifest:
             f"output {root}: holds {first!r} and no dataset.json, so it is no dataset; name a new or an empty folder"
         )
     old = read_manifest(root)
+    if old.schema_version != SCHEMA_VERSION:
+        raise InputError(
+            f"output {root}: holds a dataset of schema version {old.schema_version}, and this datagen, of version "
+            f"{SCHEMA_VERSION}, makes other scenes of the same seed; build into a new folder"
+        )
     _check_same(root, old, config)
     if config.scenes < old.schema.scenes:
         raise InputError(

@@ -55,6 +55,7 @@ class ShardReader:
         return out
 
     def close(self) -> None:
+        """Close all files; a later read opens them again."""
         for handle, _ in self._open.values():
             os.close(handle)
         self._open.clear()

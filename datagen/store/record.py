@@ -30,6 +30,8 @@ class SceneRecord:
 
 @dataclass(frozen=True)
 class FileRecord:
+    """Hex SHA-256 and size of a file."""
+
     sha256: str
     bytes: int
 
@@ -65,6 +67,7 @@ class ShardRecord:
         return {scene.index: scene.failure for scene in self.scenes if scene.failure is not None}
 
     def to_bytes(self) -> bytes:
+        """The record's file."""
         return json_bytes(asdict(self))
 
     def problem(self, root: Path, hashes: bool = True) -> str | None:
@@ -81,6 +84,7 @@ class ShardRecord:
 
 
 def record_path(root: Path, shard: int) -> Path:
+    """The commit record's file."""
     return root / BUILD / f"shard-{shard:06d}.json"
 
 

@@ -15,7 +15,14 @@ import numpy as np
 from datagen.config import DatasetConfig
 from datagen.errors import InputError
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSIONS = {
+    1: "datagen 0.1",
+    2: "datagen 0.2: a seed yields other scenes, light and counts (rooms drawn once, Russian roulette, the choice of "
+    "samplers); columns `detector_plan.*` are `sampler.*`; key transport.scramblings is transport.replicates",
+}
+"""What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
+or what a seed yields changes, so that a dataset never mixes two."""
+SCHEMA_VERSION = max(SCHEMA_VERSIONS)
 CHUNK_BYTES = 4 * 2**20
 """A scene's chunk is cut (first along `laser`) when its raw bytes exceed this."""
 SHARD_BYTES = 256 * 2**20
@@ -51,6 +58,7 @@ class Field:
 
     @property
     def bytes_per_scene(self) -> int:
+        """Raw bytes of one scene's value."""
         return math.prod(self.shape) * np.dtype(self.dtype).itemsize
 
     @property
@@ -79,6 +87,7 @@ class Schema:
 
     @property
     def shards(self) -> int:
+        """How many shards there are."""
         return math.ceil(self.scenes / self.scenes_per_shard)
 
     def scenes_of(self, shard: int) -> range:
@@ -88,10 +97,12 @@ class Schema:
 
     @cached_property
     def by_name(self) -> dict[str, Field]:
+        """Name → field."""
         return {field.name: field for field in self.fields}
 
     @property
     def bytes_per_scene(self) -> int:
+        """Raw bytes of one scene over all fields."""
         return sum(field.bytes_per_scene for field in self.fields)
 
 

@@ -77,11 +77,7 @@ def digest(field: Field, value: NDArray[np.generic]) -> str:
 
 
 def write_shard(
-    root: Path,
-    schema: Schema,
-    shard: int,
-    fingerprint: str,
-    samples: Iterable[tuple[int, Sample | str]],
+    root: Path, schema: Schema, shard: int, fingerprint: str, samples: Iterable[tuple[int, Sample | str]]
 ) -> ShardRecord:
     """Write one shard and commit it.
 

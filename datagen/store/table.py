@@ -45,6 +45,7 @@ def table_bytes(table: pa.Table) -> bytes:
 
 
 def write_table(root: Path, records: Sequence[ShardRecord], fields: Sequence[str]) -> None:
+    """Write `samples.parquet` into a dataset."""
     write_if_changed(root / TABLE, table_bytes(table_of(records, fields)))
 
 

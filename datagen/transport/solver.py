@@ -56,6 +56,20 @@ def simulate(
     Raises
     ------
     InputError : for a pixel that is no convex quadrilateral, or a negative seed.
+
+    Examples
+    --------
+    >>> import datagen as dg, trimesh
+    >>> wall = trimesh.Trimesh([(0, -1, 0), (0, 1, 0), (0, 1, 2), (0, -1, 2)], [(0, 1, 2), (0, 2, 3)])
+    >>> box = trimesh.creation.box(bounds=[(1, 0.3, 0.5), (1.5, 0.8, 1)])
+    >>> scene = dg.Scene.from_parts([dg.Part("relay_wall", wall, dg.Lambertian(0.8)),
+    ...                              dg.Part("box", box, dg.Lambertian(0.5))])
+    >>> laser = dg.Laser((2, -1, 1), [(0, -0.2, 1)])
+    >>> sensor = dg.Sensor.grid((2, -1, 1), (0, 0.2, 1), (0, 0.1, 0), (0, 0, 0.1), rows=1, cols=2)
+    >>> capture = dg.Capture(laser, sensor, dg.TimeAxis(bins=200, width_s=1e-10, origin="wall"))
+    >>> t = dg.simulate(scene, capture, dg.Accuracy(lookins=1024, max_bounces=4), seed=0)
+    >>> t.total.shape, sorted(t.components), bool(t.parts["box"].sum() > 0)
+    ((1, 2, 200), ['primary', 'secondary'], True)
     """
     accuracy = accuracy or Accuracy()
     if not 0 <= seed < 2**64:

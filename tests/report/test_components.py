@@ -92,7 +92,7 @@ def test_odd_scenes_have_pictures(capture: dict[str, Any], scene: dict[str, Any]
 def test_nothing_to_see_is_said() -> None:
     dark = np.zeros(8)
     curves = ComponentCurves(np.arange(8.0), {"walls": dark}, {"secondary": dark}, dark, (0, 0))
-    axes = draw_components(curves, "dark", "no light").axes[0]
+    axes = draw_components(curves, "dark", "no light").axes[1]
     assert any("no light" in text.get_text() for text in axes.texts)
 
 

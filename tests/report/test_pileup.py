@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from datagen.config import config_from_mapping
 from datagen.errors import InputError
 from datagen.records import TimeAxis
-from datagen.report.pileup import DETECTORS, draw_pileup, pileup_rows, room_channel, synthetic_corner, table
+from datagen.report.pileup import DETECTORS, draw_pileup, pileup_rows, room_channel, table
 
 ONE = "synchronous, one a cycle"
 
@@ -30,6 +30,17 @@ def test_a_single_bin_after_the_direct_return_has_the_closed_form() -> None:
         assert row.signal_bias == pytest.approx(signal / seen - 1, rel=1e-9)
         assert row.worst_bias == pytest.approx(row.signal_bias)
         assert row.delay_ps == pytest.approx(0, abs=1e-6)
+
+
+def synthetic_corner() -> tuple[np.ndarray, TimeAxis, float]:
+    """(bin,) transient, its time axis, the end of the direct return, which carries 80 % of the light; two objects
+    before a wall and their decaying interreflection send the rest."""
+    time = TimeAxis(768, 100e-12)
+    t = time.centers_s * 1e9
+    hidden = np.exp(-0.5 * ((t - 21) / 0.8) ** 2) + 0.5 * np.exp(-0.5 * ((t - 27) / 1.5) ** 2)
+    hidden += 0.25 * np.exp(-(t - 20) / 9.0) * (t > 20) / (1 + np.exp(-(t - 22) / 0.5))
+    direct = np.exp(-0.5 * ((t - 8) / 0.1) ** 2)
+    return 0.8 * direct / direct.sum() + 0.2 * hidden / hidden.sum(), time, 12e-9
 
 
 def test_bias_grows_with_flux_and_the_gate_lowers_it() -> None:

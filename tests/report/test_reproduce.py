@@ -17,6 +17,7 @@ from datagen.paper import reproduce as command
 from datagen.paper.level_statements import level_statements
 from datagen.paper.lookin_balance import lookin_balance
 from datagen.paper.measures import (
+    PEAKS_NS,
     best_copy,
     exceeds_from_ns,
     mean_ns,
@@ -26,8 +27,7 @@ from datagen.paper.measures import (
     width_ns,
 )
 from datagen.paper.page import times
-from datagen.paper.published import PEAKS_NS
-from datagen.paper.runs import QUICK, Case, Runs, room_laid_out_as_printed, run_all
+from datagen.paper.runs import QUICK, Runs, Simulation, room_laid_out_as_printed, run_all
 from datagen.paper.statements import Statement, arrival_statements, scheme_statements
 from datagen.report.components import component_curves
 
@@ -123,8 +123,8 @@ def test_a_failure_leaves_nothing(
 
     monkeypatch.setattr(command, "run_all", stop)
     assert run(["reproduce", str(tmp_path / place), "--quiet"]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "Traceback" not in told
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and "Traceback" not in message
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
@@ -183,7 +183,7 @@ def test_verdicts_follow_the_numbers(runs: Runs) -> None:
     assert statements(replace(runs, in_metres=metres))["ratio unit"].printed.holds
 
 
-def _with_secondary(case: Case, factor: float) -> Case:
+def _with_secondary(case: Simulation, factor: float) -> Simulation:
     orders = {**case.curves.orders, "secondary": factor * case.curves.orders["secondary"]}
     level = {**case.level, "secondary": factor * case.level["secondary"]}
     return replace(case, curves=replace(case.curves, orders=orders), level=level)

@@ -126,7 +126,7 @@ def test_stack_adds_up_to_the_total_with_objects_lowest(ordinary: dict[str, Figu
     from matplotlib.patches import StepPatch
 
     scene = l_corridor()
-    steps = [patch for patch in ordinary["transient"].axes[1].patches if isinstance(patch, StepPatch)]
+    steps = [patch for patch in ordinary["transient"].axes[2].patches if isinstance(patch, StepPatch)]
     names = [patch.get_label() for patch in steps[:-1]]
     assert names[:2] == ["pillar", "box"]
     total = replayed(scene, scan(scene))[1].transient.total.sum(axis=(0, 1))
@@ -198,7 +198,7 @@ def test_stored_boxes_are_drawn_on_plan_and_labels() -> None:
     assert "Objects: boxes and classes" in words(figures["labels"])
     assert "Shaded view" in words(figures["labels"])
     plain = drawn(*replayed(scene, scan(scene)), ["room"])["room"]
-    assert len(figures["room"].axes[0].collections) == len(plain.axes[0].collections) + 2
+    assert len(figures["room"].axes[1].collections) == len(plain.axes[1].collections) + 2
 
 
 @pytest.mark.parametrize(

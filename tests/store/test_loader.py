@@ -114,11 +114,11 @@ def test_the_order_is_a_function_of_seed_and_epoch() -> None:
     assert order(1, 0) == order(1, 0) and sorted(order(1, 0)) == list(range(10))
     assert len({tuple(order(seed, epoch)) for seed in range(3) for epoch in range(3)}) == 9
     assert order(1, 0, shuffle=False) == list(range(10))
-    ranks = [order(1, 4, rank=rank, world=3) for rank in range(3)]
+    ranks = [order(1, 4, rank=rank, ranks=3) for rank in range(3)]
     assert {len(rank) for rank in ranks} == {4} and set().union(*ranks) == set(range(10))
     assert [i for together in zip(*ranks, strict=True) for i in together][:10] == order(1, 4)
     with pytest.raises(InputError, match="rank"):
-        EpochSampler(range(10), rank=3, world=3)
+        EpochSampler(range(10), rank=3, ranks=3)
 
 
 def test_noise_is_redrawn_from_seed_epoch_and_scene(dataset: Path) -> None:

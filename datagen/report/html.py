@@ -1,0 +1,46 @@
+"""What our HTML pages share: their look, tables, and pictures inside the file."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from html import escape
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1225px; margin: 2em auto; padding: 0 1em; }
+h1, h2 { line-height: 1.2; } h2 { margin-top: 2em; border-bottom: 1px solid #ccc; }
+table { border-collapse: collapse; font-size: 13px; } td, th { padding: .3em .7em; text-align: left;
+vertical-align: top; border-bottom: 1px solid #e4e4e4; } tr:nth-child(even) { background: #f7f7f7; }
+img { max-width: 100%; height: auto; } code { background: #f0f0f0; padding: 0 .25em; } td small { color: #666; }
+.yes { color: #1a6b2f; font-weight: 600; } .no { color: #a32020; font-weight: 600; }
+.open { color: #777; font-weight: 600; } .warning { color: #a33; }
+"""
+
+
+def head(title: str) -> str:
+    """Everything up to and with the page's headline; `title` is plain text."""
+    text = escape(title)
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{text}</title>'
+        f"<style>{_STYLE}</style></head><body><h1>{text}</h1>"
+    )
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table whose cells are HTML; no header row for an empty `header`."""
+    top = "<tr>" + "".join(f"<th>{cell}</th>" for cell in header) + "</tr>" if header else ""
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<table>{top}{body}</table>"
+
+
+def inside(figure: Figure, meaning: str) -> str:
+    """A figure as a PNG within the page itself; `meaning` is what is read where it cannot be seen."""
+    file = io.BytesIO()
+    figure.savefig(file, format="png", metadata={"Software": None})
+    data = base64.b64encode(file.getvalue()).decode()
+    return f'<p><img alt="{escape(meaning)}" src="data:image/png;base64,{data}"></p>'
