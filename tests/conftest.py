@@ -1,4 +1,4 @@
-"""How the tests run: one thread each, the slowest files first, and builds of one worker in the test's own process."""
+"""How the tests run: one thread each, the long files first, and builds of one worker in the test's own process."""
 
 from __future__ import annotations
 
@@ -14,24 +14,32 @@ import pytest
 for _library in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
-SLOWEST_FIRST = (
+FIRST = (
     "equivalence/test_secondary.py",
+    "detector/test_laws.py",
+    "detector/test_samplers.py",
+    "detector/test_numerics.py",
+    "detector/test_interface.py",
     "physics/test_primary_truths.py",
     "effects/test_switchboard.py",
     "physics/test_accuracy_target.py",
     "equivalence/test_clear_sight.py",
-    "store/test_build.py",
     "physics/test_all_bounces.py",
+    "report/test_show_pictures.py",
+    "store/test_build.py",
     "capture/test_configs_built.py",
+    "report/test_datasets_shown.py",
     "report/test_reproduce.py",
 )
-"""A file goes to one process as a whole: begun last, a long one would leave the others idle."""
+"""A file goes to one process as a whole. While the first one compiles the transport's kernels, the second compiles
+those of the detector, and not both the same; and a long file begun last would leave the other process idle.
+"""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     def rank(item: pytest.Item) -> int:
         file = item.nodeid.partition("::")[0].removeprefix("tests/")
-        return SLOWEST_FIRST.index(file) if file in SLOWEST_FIRST else len(SLOWEST_FIRST)
+        return FIRST.index(file) if file in FIRST else len(FIRST)
 
     items.sort(key=rank)
 

@@ -25,10 +25,12 @@ DETECTORS: dict[str, dict[str, Any]] = {
 """Name → section `detector`; those after lab_si have no exact mean."""
 EXACT = ("ideal", "lab_si")
 
+Shown = tuple[str, StoredScene, Replay]
+"""Name of a detector, a scene that it counted, and the scene simulated again."""
+
 
 @pytest.fixture(scope="module", params=DETECTORS)
-def shown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, StoredScene, Replay]:
-    """Name of a detector, a scene that it counted, and the scene simulated again."""
+def shown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Shown:
     name = request.param
     bright = {"photons_per_pulse": 3e8, "cycles": 20_000, "repetition_rate_mhz": 5}
     config = config_from_mapping(
@@ -50,7 +52,7 @@ def shown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return name, stored, replay(stored)
 
 
-def test_the_pages_of_counts_are_drawn_for_every_detector(shown: tuple[str, StoredScene, Replay]) -> None:
+def test_the_pages_of_counts_are_drawn_for_every_detector(shown: Shown) -> None:
     """Those that depend on the detector; all pages are drawn in test_datasets_shown.py."""
     _, stored, again = shown
     with house_style():
@@ -61,7 +63,7 @@ def test_the_pages_of_counts_are_drawn_for_every_detector(shown: tuple[str, Stor
             figure.canvas.draw()
 
 
-def test_the_caption_claims_what_holds(shown: tuple[str, StoredScene, Replay]) -> None:
+def test_the_caption_claims_what_holds(shown: Shown) -> None:
     name, stored, again = shown
     text = _histogram_caption(stored, again)
     assert again.mean_is_exact is (name in EXACT)
