@@ -114,11 +114,15 @@ def test_the_schema_in_the_repository_is_the_one_the_code_has(capsys: pytest.Cap
     )
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "configs").glob("*.yaml")), ids=lambda path: path.name)
-def test_shipped_configurations_fit_the_schema(path: Path) -> None:
+def test_shipped_configurations_fit_the_schema() -> None:
     schema = json.loads((ROOT / "configs/schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
-    jsonschema.Draft202012Validator(schema).validate(yaml.safe_load(path.read_text()))
+    wrong = {
+        path.name: [error.message for error in jsonschema.Draft202012Validator(schema).iter_errors(values)]
+        for path in (ROOT / "configs").glob("*.yaml")
+        if (values := yaml.safe_load(path.read_text()))
+    }
+    assert len(wrong) >= 8 and not any(wrong.values()), wrong
 
 
 def test_help_is_quick_because_it_loads_nothing_heavy() -> None:
