@@ -163,7 +163,8 @@ class DaskCluster:
         self._executor = self._client.get_executor(pure=False, retries=0)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        return self._executor.submit(function, *arguments)
+        future: Future[Any] = self._executor.submit(function, *arguments)
+        return future
 
     def close(self, kill: bool) -> None:
         self._executor.shutdown(wait=not kill)
