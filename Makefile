@@ -13,8 +13,9 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 JOBS ?= 2
 CONFIG ?= configs/quickstart.yaml
 OUT ?= out/quickstart.zarr
+ROOMS ?= 10000
 
-.PHONY: help setup demo test tests check lint types format schema fuzz hard-cases bench peers wheel clean
+.PHONY: help setup demo test tests check lint types format schema fuzz nightly cpu-types hard-cases bench peers wheel clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
@@ -22,6 +23,7 @@ help:
 	@echo "make tests   the tests alone;  make check   lint, format and types alone"
 	@echo "make format  rewrite the sources in house style;  make schema   regenerate configs/schema.json"
 	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  the table of docs/hard_cases.md"
+	@echo "make nightly the long statistical runs (hours);  make cpu-types  the tests as on older processors"
 	@echo "make bench   the tables of the README;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 	@echo "make wheel   a wheel in dist/;  make clean   remove what was made"
 
@@ -70,6 +72,16 @@ fuzz: SEED ?= $(shell date +%s)
 fuzz: setup
 	@echo "fuzz: SEED=$(SEED)"
 	DATAGEN_FUZZ=nightly $(BIN)/python -m pytest -p no:cacheprovider -n $(JOBS) --hypothesis-seed=$(SEED) tests/fuzz
+
+# About two hours on two cores: what the ordinary tests do with few cases, at the size that the documentation states.
+nightly: setup
+	$(BIN)/python -m pytest -n $(JOBS) -m nightly
+	$(MAKE) fuzz
+	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
+	$(BIN)/python tests/scene/drawn_distributions.py --scenes $(ROOMS)
+
+cpu-types: setup
+	$(BIN)/python tests/cpu_types.py
 
 hard-cases: setup
 	$(BIN)/python tests/stability/hard_case_table.py

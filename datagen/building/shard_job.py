@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -41,7 +40,6 @@ class ShardJob:
 
 def run_shard(job: ShardJob) -> dict[int, str]:
     """Make one shard and commit it; returns its failures, scene → reason."""
-    _one_thread()
     path = running_path(job.root, job.shard)
     with _sole_writer(path, LOCK_PATIENCE_S) as running:
         record = _made_meanwhile(job)
@@ -138,10 +136,3 @@ def _locked(handle: int) -> bool:
         # A file system without locks: then the person at the keyboard is the only guard.
         return True
     return True
-
-
-def _one_thread() -> None:
-    """Where threads were not limited before the libraries were loaded (Dask), limit those that still can be."""
-    if "numba" in sys.modules:
-        with suppress(Exception):
-            sys.modules["numba"].set_num_threads(1)

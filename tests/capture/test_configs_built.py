@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -41,26 +38,6 @@ def reduced(config: DatasetConfig) -> DatasetConfig:
     return config_from_mapping(values, base_directory=CONFIGS)
 
 
-class HereAndNow:
-    """Runs each job in this process: starting another takes longer than the small builds of this file."""
-
-    capacity = 1
-    deaths = ()
-
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        done: Future[Any] = Future()
-        done.set_result(function(*arguments))
-        return done
-
-    def close(self, kill: bool) -> None:
-        pass
-
-
-@contextmanager
-def here(*_: Any) -> Iterator[HereAndNow]:
-    yield HereAndNow()
-
-
 def test_there_are_at_least_eight() -> None:
     assert len(READY) >= 8
     configs = [load_config(path) for path in READY]
@@ -72,8 +49,7 @@ def test_there_are_at_least_eight() -> None:
 
 
 @pytest.mark.parametrize("path", READY, ids=lambda path: path.stem)
-def test_every_ready_configuration_is_built(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.building.build.started", here)
+def test_every_ready_configuration_is_built(path: Path, tmp_path: Path) -> None:
     config = reduced(load_config(path))
     result = dg.build(config, tmp_path / "set", progress=False)
     assert result.complete

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 
-import jsonschema
 import pytest
-import yaml
 
 from datagen.cli import run
 
@@ -115,26 +111,17 @@ def test_the_schema_in_the_repository_is_the_one_the_code_has(capsys: pytest.Cap
     )
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "configs").glob("*.yaml")), ids=lambda path: path.name)
-def test_shipped_configurations_fit_the_schema(path: Path) -> None:
-    schema = json.loads((ROOT / "configs/schema.json").read_text())
-    jsonschema.Draft202012Validator.check_schema(schema)
-    jsonschema.Draft202012Validator(schema).validate(yaml.safe_load(path.read_text()))
-
-
-def test_help_is_quick() -> None:
-    """Below half a second, best of three: another process may be in the way."""
-    taken = []
-    for _ in range(3):
-        started = time.perf_counter()
-        done = subprocess.run([sys.executable, "-m", "datagen", "--help"], capture_output=True, text=True, check=True)
-        taken.append(time.perf_counter() - started)
-    assert "build" in done.stdout and min(taken) < 0.5
-
-
-def test_help_loads_nothing_heavy() -> None:
-    code = "import sys, datagen.cli; print([m for m in ('numpy', 'torch', 'zarr', 'numba') if m in sys.modules])"
-    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+def test_help_is_quick_because_it_loads_nothing_heavy() -> None:
+    """Beside the standard library `--help` imports click and this package's first modules: the only cost there is."""
+    code = """
+import sys
+before = set(sys.modules)
+from datagen.cli import run
+assert run(["--help"]) == 0
+print("loaded:", *sorted({name.partition(".")[0] for name in set(sys.modules) - before} - sys.stdlib_module_names))
+"""
+    told = subprocess.check_output([sys.executable, "-c", code], text=True)
+    assert "build" in told and told.splitlines()[-1] == "loaded: click datagen"
 
 
 def test_a_reader_that_leaves_early_is_no_error() -> None:

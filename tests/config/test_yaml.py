@@ -68,6 +68,7 @@ def test_ready_configurations_satisfy_the_published_schema(path: Path) -> None:
 
 
 def test_the_schema_refuses_what_the_program_refuses() -> None:
+    Draft202012Validator.check_schema(json_schema())
     validator = Draft202012Validator(json_schema())
     for bad in ({"scenes": 0}, {"capture": {"scan": {"rows": "x"}}}, {"unknown": 1}):
         assert not validator.is_valid(bad)

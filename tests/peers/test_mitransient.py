@@ -40,7 +40,6 @@ AXIS = bins_of_path(170, 0.1, 0.0)
 COLUMNS = ROWS = 4
 
 needs_mitransient = pytest.mark.skipif(missing_for_mitransient() is not None, reason=str(missing_for_mitransient()))
-pytestmark = pytest.mark.peers
 
 
 def room() -> Scene:
@@ -112,11 +111,13 @@ def compare(
     assert p_scaled >= LEVEL
 
 
+@pytest.mark.peers
 @needs_mitransient
 def test_three_bounces_in_a_furnished_room() -> None:
     compare("3 bounces", ours_in_room(3)[:, 0], theirs_in_room(3))
 
 
+@pytest.mark.peers
 @needs_mitransient
 def test_three_and_four_bounces_in_a_furnished_room() -> None:
     ours, both, three = ours_in_room(4), theirs_in_room(4), theirs_in_room(3)
@@ -130,6 +131,7 @@ def test_three_and_four_bounces_in_a_furnished_room() -> None:
     compare("4 bounces, factorised", factorised, both - three, energy_tolerance=1e-2, largest_noise=0.1)
 
 
+@pytest.mark.peers
 @needs_mitransient
 def test_confocal_plate_three_ways() -> None:
     """A bare plate scanned confocally: quadrature, mitransient at its best, and ours."""

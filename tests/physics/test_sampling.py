@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from rooms import bins_of_path, furnished_box, one_point_capture
 from scipy import stats
 from scipy.stats import qmc
@@ -75,7 +74,6 @@ def test_standard_error_is_honest() -> None:
     assert 0.85 < ratio < 1.15
 
 
-@pytest.mark.slow
 def test_order_of_convergence() -> None:
     """Error of the total energy against N: scrambled Sobol' beats Monte Carlo's N^-1/2 clearly (about N^-0.9)."""
     scene, capture = furnished_box(), one_point_capture(half_side_m=0.01, time=bins_of_path(1, 40.0, 0.0))

@@ -15,13 +15,14 @@ from datagen.config.distributions import Choice, LogUniform, Normal, NormalShape
 from datagen.scene import generate_scene
 
 
-def test_every_declared_parameter_of_every_layout() -> None:
+@pytest.mark.parametrize("scenes", [12, pytest.param(100, marks=pytest.mark.nightly)])
+def test_every_declared_parameter_of_every_layout(scenes: int) -> None:
     """KS and χ² over all parameters of all layouts, family-wise level 1e-3 (Holm). `drawn_distributions.py` does the
     same with every family of distributions for every parameter, and as many rooms as one has time for.
     """
     p_values: dict[str, float] = {}
     for number, kind in enumerate(LAYOUTS):
-        own, rooms = p_values_of(kind, range(number % 4, number % 4 + 1), scenes=30, seed=21)
+        own, rooms = p_values_of(kind, range(number % 4, number % 4 + 1), scenes=scenes, seed=21)
         assert redrawn_share(rooms) < 0.1
         p_values |= own
     assert len(p_values) > 400

@@ -110,7 +110,7 @@ def start_slow_build(root: Path, script: Path) -> subprocess.Popen[bytes]:
         # Where the tests run in the background of a shell, Ctrl-C is ignored, and children would inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 600
     while not list(root.glob("build/shard-*.json")):
         assert time.monotonic() < deadline and child.poll() is None, "the build did not get going"
         time.sleep(0.02)
@@ -132,7 +132,7 @@ def test_interrupted_build_leaves_whole_shards_only_and_resumes(whole: dict[str,
     root = tmp_path / "set"
     child = start_slow_build(root, tmp_path / "child.py")
     os.killpg(child.pid, signal.SIGINT)
-    _, errors = child.communicate(timeout=60)
+    _, errors = child.communicate(timeout=600)
     assert child.returncode != 0
     # One traceback, the parent's own KeyboardInterrupt: the workers say nothing.
     assert errors.decode().count("Traceback") == 1 and "KeyboardInterrupt" in errors.decode()
@@ -344,6 +344,5 @@ def test_shard_numbers() -> None:
 
 
 def test_dask_writes_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
-    pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
     quiet_build(small_config(), tmp_path / "set", 2, engine="dask")
     assert content(tmp_path / "set") == whole

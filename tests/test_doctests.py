@@ -1,0 +1,38 @@
+"""The examples in the docstrings of the public names, run."""
+
+from __future__ import annotations
+
+import doctest
+
+import pytest
+
+import datagen
+
+FEWEST = 10
+"""Public names that have an example."""
+
+EXAMPLES = {
+    name: tests
+    for name in datagen.__all__
+    if getattr(getattr(datagen, name), "__doc__", None)
+    and (
+        tests := [
+            test
+            for test in doctest.DocTestFinder(recurse=False).find(getattr(datagen, name), name, globs={})
+            if test.examples
+        ]
+    )
+}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_give_what_they_say(name: str, tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(str(tmp_path))
+    for test in EXAMPLES[name]:
+        told: list[str] = []
+        runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+        assert runner.run(test, out=told.append).failed == 0, "".join(told)
+
+
+def test_many_public_names_have_an_example() -> None:
+    assert len(EXAMPLES) >= FEWEST

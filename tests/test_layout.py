@@ -1,0 +1,89 @@
+"""The layout is the physics: imports run down CONTRIBUTING.md's picture, and no two files import each other."""
+
+from __future__ import annotations
+
+import ast
+import re
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TOP = {"__init__", "__main__", "_version", "cli", "exit_status", "pipeline", "seeding", "units", "errors", "compiled"}
+
+
+def picture() -> list[list[str]]:
+    """The rooms of every line of the picture, the highest line first."""
+    drawn = re.search(r"\n\n((?: {6}.*\n|\n)+)", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
+    assert drawn is not None
+    return [rooms for line in drawn[1].splitlines() if (rooms := re.findall(r"\w+", line))]
+
+
+def imported(source: str, modules: set[str]) -> set[str]:
+    """Every import of the two packages, in functions and for type checkers too."""
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            package = f"{node.module}" if node.level == 0 else "relative"
+            below = {f"{package}.{alias.name}" for alias in node.names}
+            names |= below & modules or {package}
+    return {name for name in names if name.split(".")[0] in ("datagen", "scene_library", "relative")}
+
+
+def room(module: str) -> str:
+    return module.removeprefix("datagen.").split(".")[0]
+
+
+def faults(sources: dict[str, str], lines: list[list[str]]) -> list[str]:
+    """What breaks the rule among modules, given by name and source."""
+    depth = {name: number for number, names in enumerate(lines) for name in names}
+    graph = {name: imported(source, set(sources)) for name, source in sources.items()}
+    found = []
+    for name, below in graph.items():
+        for other in sorted(below):
+            if room(name) != room(other) and depth.get(room(name), len(lines)) >= depth.get(room(other), -1):
+                found.append(f"{name} imports {other}, which is no line below it")
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        found.append("a circle: " + " ← ".join(error.args[1]))
+    return found
+
+
+def test_imports_run_downward_and_never_in_a_circle() -> None:
+    files = [path for top in ("datagen", "scene_library") for path in (ROOT / top).rglob("*.py")]
+    sources = {}
+    for path in files:
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        sources[".".join(parts).removesuffix(".__init__")] = path.read_text(encoding="utf-8")
+    # The public face names everything, and may be imported by `python -m datagen` alone.
+    del sources["datagen"], sources["datagen.__main__"]
+    assert faults(sources, picture()) == []
+    assert {room(name) for name in sources} == {name for line in picture() for name in line}, (
+        "rooms not in the picture"
+    )
+
+
+def test_the_top_holds_the_chain_and_nothing_else() -> None:
+    assert {path.stem for path in (ROOT / "datagen").glob("*.py")} <= TOP
+
+
+@pytest.mark.parametrize(
+    ("sources", "fault"),
+    [
+        ({"datagen.low.a": "import datagen.high", "datagen.high": ""}, "datagen.low.a imports datagen.high"),
+        ({"datagen.left": "from datagen.right import x", "datagen.right": ""}, "datagen.left imports datagen.right"),
+        ({"datagen.low": "def f():\n    from datagen import high", "datagen.high": ""}, "low imports datagen.high"),
+        ({"datagen.low": "if TYPE_CHECKING:\n    import datagen.high.x", "datagen.high": ""}, "datagen.high.x"),
+        ({"datagen.high.a": "import datagen.high.b", "datagen.high.b": "import datagen.high.a"}, "a circle"),
+        ({"datagen.high": "from datagen import simulate"}, "datagen.high imports datagen"),
+        ({"datagen.high": "from . import low"}, "datagen.high imports relative"),
+        ({"datagen.new": "import datagen.low", "datagen.low": ""}, "datagen.new imports datagen.low"),
+    ],
+)
+def test_what_breaks_the_rule_is_found(sources: dict[str, str], fault: str) -> None:
+    found = faults(sources, [["high"], ["left", "right"], ["low"]])
+    assert len(found) == 1 and fault in found[0]
