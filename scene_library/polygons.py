@@ -138,14 +138,8 @@ def _bend(a: _Point, b: _Point, c: _Point) -> float:
 
 def _quality(a: _Point, b: _Point, c: _Point) -> float:
     """Area over squared size; 0 for a corner that bends inwards or is straight."""
-    size = (
-        abs(b[0] - a[0])
-        + abs(b[1] - a[1])
-        + abs(c[0] - b[0])
-        + abs(c[1] - b[1])
-        + abs(a[0] - c[0])
-        + abs(a[1] - c[1])
-    )
+    size = abs(b[0] - a[0]) + abs(b[1] - a[1]) + abs(c[0] - b[0])
+    size = size + abs(c[1] - b[1]) + abs(a[0] - c[0]) + abs(a[1] - c[1])
     quality = _bend(a, b, c) / size**2 if size > 0 else 0.0
     return quality if quality > 1e-12 else 0.0
 

@@ -21,6 +21,9 @@ _SMALLEST_DEPTH_M = 1e-6
 class HiddenSurface:
     """What every pixel of the hidden view sees first.
 
+    Attributes
+    ----------
+    scene, frame : what is looked at, and from where.
     face : (rows, columns) index of the triangle, −1 where the view is empty.
     depth : (rows, columns) float64 metres from the plane of the relay wall along its normal; 0 where empty.
     """

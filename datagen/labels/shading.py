@@ -52,13 +52,9 @@ def shaded_image(surface: HiddenSurface) -> NDArray[np.float32]:
     normals = normal_image(surface)[row, column].astype(np.float64) @ frame.axes
     occluders = scene.corners[np.array([role != "relay_wall" for role in scene.roles])[scene.face_part]]
     lift = _LIFT * float(np.ptp(scene.vertices, axis=0).max())
-    lit = np.concatenate(
-        [np.empty(0)]
-        + [
-            _lit(points[some], normals[some], scene.relay_wall, occluders, lift)
-            for some in (slice(k, k + _PIXELS_AT_ONCE) for k in range(0, len(points), _PIXELS_AT_ONCE))
-        ]
-    )
+    lit = np.empty(len(points))
+    for some in (slice(k, k + _PIXELS_AT_ONCE) for k in range(0, len(points), _PIXELS_AT_ONCE)):
+        lit[some] = _lit(points[some], normals[some], scene.relay_wall, occluders, lift)
     image = np.zeros((rows, columns))
     image[row, column] = lit + (1 - lit) * AMBIENT_RADIANCE
     return (image * albedo_image(surface)).astype(np.float32)

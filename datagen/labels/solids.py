@@ -23,6 +23,8 @@ _LATTICE = 2**20  # cells across a part: 1 µm in an object of 1 m
 class ConnectedSurface:
     """One connected surface.
 
+    Attributes
+    ----------
     corners : (F, 3, 3) its triangles, without any that bridge holes.
     lid : (B, 3, 3) the triangles that bridge its holes; with `corners` they make a closed surface.
     closed : whether it encloses a volume.

@@ -21,6 +21,9 @@ OPEN3D_SYSTEM_PACKAGES = ("libusb-1.0-0", "libgl1", "libegl1", "libx11-6", "libg
 class VoxelGrid:
     """A box of voxels along the axes of the label frame.
 
+    Attributes
+    ----------
+    frame : the label frame.
     low, high : (3,) its corners along (right, up, depth) of the frame, metres.
     shape : voxels along (depth, row, column); row 0 is at the top, column 0 at −right, layer 0 nearest the wall.
     """

@@ -22,8 +22,10 @@ Role = Literal["relay_wall", "structure", "object"]
 
 @dataclass(frozen=True)
 class Pose:
-    """What an object is and how it stands, which its triangles alone do not tell.
+    """What an object is and how it stands, which its triangles alone do not say.
 
+    Attributes
+    ----------
     label : its class.
     axes : (3, 3) rows: the object's own unit axes in the scene's frame, right-handed: width, depth (the back lies at
         +depth, so a front looks along −depth) and height.

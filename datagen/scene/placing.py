@@ -32,7 +32,14 @@ class Unmet(Exception):
 
 @dataclass(frozen=True)
 class Spot:
-    """A pose: the solid is rotated about z, then moved. `along` and `across` are its place in the hidden part."""
+    """The pose of an object: rotated about z, then moved.
+
+    Attributes
+    ----------
+    x_m, y_m, z_m : where its origin stands.
+    rotation_deg : about z, counter-clockwise.
+    along, across : its place as shares of the hidden part, 0 … 1.
+    """
 
     x_m: float
     y_m: float

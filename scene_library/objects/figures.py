@@ -85,32 +85,20 @@ def dog(rng: np.random.Generator) -> Solid:
     length, r = rng.uniform(1.0, 1.3) * h, 0.2 * h
     spine = 0.75 * h
     head = np.array([0.0, -0.62 * length, h])
+    nose = head + np.array([0.0, -0.36 * h, -0.03 * h])
+    tail = (0, 0.8 * length, spine + rng.uniform(-0.1, 0.4) * h)
     pieces = [
         ellipsoid((r, 0.55 * length, r), (0, 0, spine), 16),
         limb((0, -0.42 * length, spine + 0.05 * h), head, 0.12 * h, 0.1 * h),
         ellipsoid((0.13 * h, 0.2 * h, 0.13 * h), head + np.array([0.0, -0.05 * h, 0.03 * h]), 14),
-        limb(
-            head + np.array([0.0, -0.15 * h, 0.0]), head + np.array([0.0, -0.36 * h, -0.03 * h]), 0.09 * h, 0.05 * h
-        ),
-        limb(
-            (0, 0.5 * length, spine + 0.05 * h),
-            (0, 0.8 * length, spine + rng.uniform(-0.1, 0.4) * h),
-            0.04 * h,
-            0.02 * h,
-        ),
+        limb(head + np.array([0.0, -0.15 * h, 0.0]), nose, 0.09 * h, 0.05 * h),
+        limb((0, 0.5 * length, spine + 0.05 * h), tail, 0.04 * h, 0.02 * h),
     ]
     for side in (-1, 1):
-        pieces.append(
-            limb(
-                head + np.array([side * 0.08 * h, 0, 0.08 * h]),
-                head + np.array([side * 0.12 * h, 0, 0.26 * h]),
-                0.05 * h,
-                0.01 * h,
-            )
-        )
+        ear, tip = (head + np.array([side * out * h, 0, up * h]) for out, up in ((0.08, 0.08), (0.12, 0.26)))
+        pieces.append(limb(ear, tip, 0.05 * h, 0.01 * h))
         for y in (-0.38, 0.38):
             swing = rng.uniform(-0.12, 0.12) * h
-            pieces.append(
-                limb((side * 0.6 * r, y * length, spine), (side * 0.6 * r, y * length + swing, 0), 0.07 * h, 0.04 * h)
-            )
+            x, y_m = side * 0.6 * r, y * length
+            pieces.append(limb((x, y_m, spine), (x, y_m + swing, 0), 0.07 * h, 0.04 * h))
     return Solid.compound(pieces)

@@ -75,13 +75,8 @@ def round_table(rng: np.random.Generator) -> Solid:
     """A round table on one post."""
     size, height, board = rng.uniform(0.6, 1.2), rng.uniform(0.6, 0.78), 0.03
     foot, post = rng.uniform(0.4, 0.6) * size, rng.uniform(0.05, 0.1)
-    return Solid.compound(
-        [
-            cylinder(foot, board, sides=28),
-            cylinder(post, height - board, z=board),
-            cylinder(size, board, z=height, sides=32),
-        ]
-    )
+    legs = [cylinder(foot, board, sides=28), cylinder(post, height - board, z=board)]
+    return Solid.compound([*legs, cylinder(size, board, z=height, sides=32)])
 
 
 def desk(rng: np.random.Generator) -> Solid:
@@ -106,17 +101,12 @@ def bed(rng: np.random.Generator) -> Solid:
     pillows = 1 if width < 1.3 else 2
     share = width / pillows
     top = frame + mattress
-    return Solid.compound(
-        [
-            block(width, length, frame),
-            block(0.97 * width, 0.98 * length, mattress, z=frame),
-            block(width, 0.06, head, y=length / 2 + 0.03),
-            *(
-                block(0.8 * share, 0.4, 0.1, (k - (pillows - 1) / 2) * 0.95 * share, length / 2 - 0.28, top)
-                for k in range(pillows)
-            ),
-        ]
-    )
+    pieces = [block(width, length, frame), block(0.97 * width, 0.98 * length, mattress, z=frame)]
+    pieces.append(block(width, 0.06, head, y=length / 2 + 0.03))
+    for k in range(pillows):
+        x = (k - (pillows - 1) / 2) * 0.95 * share
+        pieces.append(block(0.8 * share, 0.4, 0.1, x, length / 2 - 0.28, top))
+    return Solid.compound(pieces)
 
 
 def shelf(rng: np.random.Generator) -> Solid:
@@ -128,18 +118,11 @@ def shelf(rng: np.random.Generator) -> Solid:
     sides = [block(thick, depth, height, s * (width - thick) / 2) for s in (-1, 1)]
     levels = [block(inner, depth - thick, thick, 0, -thick / 2, k * step) for k in range(boards)]
     back = block(inner, thick, height, 0, (depth - thick) / 2)
-    books = [
-        block(
-            rng.uniform(0.2, 0.8) * inner,
-            0.6 * depth,
-            rng.uniform(0.4, 0.8) * (step - thick),
-            0,
-            -0.1 * depth,
-            k * step + thick,
-        )
-        for k in range(boards - 1)
-        if rng.random() < 0.6
-    ]
+    books = []
+    for k in range(boards - 1):
+        if rng.random() < 0.6:
+            wide, tall = rng.uniform(0.2, 0.8) * inner, rng.uniform(0.4, 0.8) * (step - thick)
+            books.append(block(wide, 0.6 * depth, tall, 0, -0.1 * depth, k * step + thick))
     return Solid.compound([*sides, *levels, back, *books])
 
 
@@ -150,12 +133,9 @@ def cabinet(rng: np.random.Generator) -> Solid:
     body = moved(block(width, depth, height - foot), z=foot)
     doors = int(rng.integers(1, 4))
     share = width / doors
-    fronts = [
-        block(
-            0.94 * share, 0.02, 0.94 * (height - foot), (k - (doors - 1) / 2) * share, -depth / 2 - 0.01, foot + 0.02
-        )
-        for k in range(doors)
-    ]
+    tall, y = 0.94 * (height - foot), -depth / 2 - 0.01
+    middles = [(k - (doors - 1) / 2) * share for k in range(doors)]
+    fronts = [block(0.94 * share, 0.02, tall, x, y, foot + 0.02) for x in middles]
     return Solid.compound([*_legs(0.9 * width, 0.9 * depth, foot, 0.05), body, *fronts])
 
 
