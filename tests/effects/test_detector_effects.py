@@ -100,9 +100,7 @@ def test_bright_light_behind_the_gate_is_not_forgotten() -> None:
     """A flash a thousand times the rest is shut out; what the response moves of it into the gate is not nothing."""
     values = np.full((1, 1, AXIS.bins), 1e-12)
     values[..., 20] = 1e-8
-    spad = Spad(
-        pde=0.3, mode="ideal", jitter_tail_s=4e-11, jitter_tail_fraction=1.0, gate_start_s=4.2e-9, gate_width_s=1e-8
-    )
+    spad = Spad(pde=0.3, mode="ideal", jitter_tail_s=2e-11, gate_start_s=4.2e-9, gate_width_s=1e-8)
     given = Detection(values, AXIS, spad, Exposure(cycles=1000, photons_per_pulse=1e10), 1e-3)
     row = ROWS["timing_response"]
     assert not isinstance(row.change, str)
