@@ -24,8 +24,8 @@ help:
 	@echo "make format  rewrite the sources in house style;  make schema   regenerate configs/schema.json"
 	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  the table of docs/hard_cases.md"
 	@echo "make nightly the long statistical runs (hours);  make cpu-types  the tests as on older processors"
-	@echo "make bench   the tables of the README;  make peers   compare with mitransient (needs LLVM 16 or newer)"
-	@echo "make wheel   a wheel in dist/;  make clean   remove what was made"
+	@echo "make docs    docs/api.md from the docstrings;  make wheel   a wheel in dist/;  make clean   remove what was made"
+	@echo "make bench   the tables of docs/figures.md;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 
 setup: $(STAMP)
 
@@ -88,7 +88,7 @@ hard-cases: setup
 
 bench: setup
 	$(BIN)/datagen bench stages $(CONFIG)
-	$(BIN)/datagen bench speed
+	$(BIN)/datagen bench peers
 	$(BIN)/datagen bench scaling out/scaling
 	$(BIN)/datagen bench detector
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy

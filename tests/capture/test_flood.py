@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_configs_built import here
 from test_scans import SQUARE_ROOM
 
 import datagen as dg
@@ -119,8 +118,7 @@ def test_what_makes_no_flood_is_refused(scene: Scene) -> None:
         replace(capture, pairing="confocal")
 
 
-def test_built_verified_and_simulated_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.building.build.started", here)
+def test_built_verified_and_simulated_again(tmp_path: Path) -> None:
     values = flood(4).model_dump(mode="json") | {"scenes": 1}
     values["transport"] = {"lookins": 8, "replicates": 2, "direct": True}
     values["store"]["fields"] = ["histogram", "transient"]

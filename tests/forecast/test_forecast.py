@@ -164,7 +164,9 @@ def test_unknown_error_is_no_number(one_pilot: Pilots) -> None:
 def test_a_trial_simulates_what_the_scene_would() -> None:
     """Effects are decided by the configured lookins: 1/64 of them decide differently, the trial does not."""
     scan = {"scan": {"rows": 6, "columns": 6}}
-    config = config_from_mapping({"scenes": 1, "seed": 1, "capture": scan, "transport": {"lookins": 8192}})
+    config = config_from_mapping(
+        {"scenes": 1, "seed": 1, "capture": scan, "transport": {"lookins": 8192, "max_bounces": 5}}
+    )
     reduced, _ = with_less_effort(config, 64)
 
     def decided(sample: Sample) -> dict[str, object]:

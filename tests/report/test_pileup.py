@@ -56,7 +56,8 @@ def test_bias_grows_with_flux_and_the_gate_lowers_it() -> None:
     assert all(r.delay_ps > 0 for r in free)
 
 
-def test_every_row_is_in_the_table_and_the_picture_is_drawn(tmp_path: Path) -> None:
+def test_every_row_is_in_the_table_and_the_picture_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.report.style.DPI", 110)
     transient, time, direct_until_s = synthetic_corner()
     rows = pileup_rows(transient, time, direct_until_s, fluxes=(0.1,))
     lines = table(rows).splitlines()
