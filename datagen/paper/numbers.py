@@ -23,10 +23,6 @@ def numbers(runs: Runs, statements: Sequence[Statement], command: str) -> dict[s
     cases |= {f"as printed in metres, {rays}, all": _case(case) for rays, case in runs.in_metres.items()}
     cases |= {f"as printed, {runs.sparse}, all, {grid}, α₁ over {conserved}": _case(case)
               for (grid, conserved), case in runs.choices.items()}  # fmt: skip
-    cases |= {
-        f"laid out for the printed weights, {f'as printed, {rays}' if rays else 'converged'}": _case(case)
-        for rays, case in runs.laid_out.items()
-    }
     found = {
         "made_by": MADE_BY,
         "command": command,
