@@ -30,7 +30,7 @@ from datagen.bench.other_renderers import (
     photons_to_radiance,
     plate_quadrature,
     point_capture,
-)
+)  # fmt: skip
 from datagen.bench.problems import DEVICE, WALL, furnished_room, rectangle
 from datagen.records import Accuracy, Capture, Rectangle, Scene, TimeAxis
 from datagen.transport import simulate

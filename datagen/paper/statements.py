@@ -23,7 +23,7 @@ from datagen.paper.measures import (
     roughness,
     shape_difference,
     width_ns,
-)
+)  # fmt: skip
 from datagen.paper.runs import SCHEMES, Estimator, Runs, Simulation
 
 WALLS, BOX, PILLAR = PEAKS_NS

@@ -17,7 +17,7 @@ from datagen.report.pages import (
     room_page,
     scan_page,
     transient_page,
-)
+)  # fmt: skip
 from datagen.report.replay import Replay, StoredScene, read_scene, replay
 from datagen.report.room_plots import RoomPicture
 from datagen.report.style import house_style, save_png
