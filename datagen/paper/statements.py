@@ -12,18 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.paper import measures
 from datagen.paper.lookin_balance import LookinBalance
-from datagen.paper.measures import (
-    PEAK_TOLERANCE_NS,
-    PEAKS_NS,
-    best_copy,
-    exceeds_from_ns,
-    mean_ns,
-    peak_ns,
-    roughness,
-    shape_difference,
-    width_ns,
-)  # fmt: skip
+from datagen.paper.measures import PEAK_TOLERANCE_NS, PEAKS_NS, mean_ns, peak_ns, shape_difference
 from datagen.paper.runs import SCHEMES, Estimator, Runs, Simulation
 
 WALLS, BOX, PILLAR = PEAKS_NS
@@ -177,7 +168,7 @@ def _strongest(runs: Runs, estimator: Estimator) -> Verdict:
     full, one = (runs.case(estimator, runs.dense, scheme) for scheme in SCHEMES)
     a, b = (peak_ns(case.secondary, case.time_ns) for case in (full, one))
     height = ratio(float(one.secondary.max()), float(full.secondary.max()))
-    widths = [width_ns(case.secondary, case.time_ns, WIDTH_LEVEL) for case in (full, one)]
+    widths = [measures.width_ns(case.secondary, case.time_ns, WIDTH_LEVEL) for case in (full, one)]
     kept = ratio(one.level["secondary"], full.level["secondary"])
     return Verdict(
         _decided(abs(a - b) <= PEAK_TOLERANCE_NS and height < 1 and widths[1] <= widths[0], a, b, height, *widths),
@@ -189,7 +180,7 @@ def _strongest(runs: Runs, estimator: Estimator) -> Verdict:
 def _copy(runs: Runs, estimator: Estimator) -> Verdict:
     full, one = (runs.case(estimator, runs.dense, scheme) for scheme in SCHEMES)
     time = one.time_ns
-    delay, scale, residual = best_copy(one.primary, one.secondary)
+    delay, scale, residual = measures.best_copy(one.primary, one.secondary)
     step = float(time[1] - time[0]) if len(time) > 1 else float("nan")
     peaks = (peak_ns(case.secondary, time) for case in (full, one))
     return Verdict(
@@ -200,7 +191,7 @@ def _copy(runs: Runs, estimator: Estimator) -> Verdict:
 
 def _smoother(runs: Runs, estimator: Estimator) -> Verdict:
     total = [runs.case(estimator, rays).total for rays in runs.sizes.rays]
-    rough = [roughness(curve) for curve in total]
+    rough = [measures.roughness(curve) for curve in total]
     change = shape_difference(total[0], total[1])
     return Verdict(
         _decided(rough[1] < rough[0] and change < SAME_PROFILE, *rough, change),
@@ -210,7 +201,7 @@ def _smoother(runs: Runs, estimator: Estimator) -> Verdict:
 
 def _broader(runs: Runs, estimator: Estimator) -> Verdict:
     cases = [runs.case(estimator, rays) for rays in runs.sizes.rays]
-    broad = [width_ns(case.total, case.time_ns, WIDTH_LEVEL) for case in cases]
+    broad = [measures.width_ns(case.total, case.time_ns, WIDTH_LEVEL) for case in cases]
     return Verdict(
         _decided(broad[1] > broad[0], *broad),
         f"width at {100 * WIDTH_LEVEL:g} % of the peak {broad[0]:.1f} → {broad[1]:.1f} ns",
@@ -222,7 +213,7 @@ def _of_levels(runs: Runs, balance: LookinBalance) -> list[Statement]:
     printed, converged = runs.case("as printed", runs.dense), runs.case("converged")
     sparse, metres = runs.case("as printed", runs.sparse), runs.in_metres[runs.sparse]
     unit, ratio_unit = ratio(metres.level["primary"], sparse.level["primary"]), ratio(metres.ratio, sparse.ratio)
-    from_ns = exceeds_from_ns(converged.secondary, converged.primary, runs.time_ns)
+    from_ns = measures.exceeds_from_ns(converged.secondary, converged.primary, runs.time_ns)
     overtakes = f"; above the primary from {from_ns:.0f} ns on" if math.isfinite(from_ns) else ""
     strongest, every = _highest(balance.strongest), _highest(balance.every)
     once, again = runs.rescaled

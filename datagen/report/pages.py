@@ -10,19 +10,12 @@ from numpy.typing import NDArray
 
 from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ObjectBoxes, ViewFrame
 from datagen.report import scan_plots as scans
+from datagen.report import time_plots as times
 from datagen.report.label_plots import draw_boxes, draw_label
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.style import captioned
-from datagen.report.time_plots import (
-    busy_window,
-    clear_channel,
-    draw_counts,
-    draw_residuals,
-    draw_stack,
-    mean_square_residual,
-    stacking_order,
-)  # fmt: skip
+from datagen.report.time_plots import busy_window, clear_channel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,9 +62,9 @@ def transient_page(stored: StoredScene, again: Replay) -> Figure:
     )
     figure, grid = captioned(12, [4.6], text, f"{stored.title}: the transient by part", 2)
     one, whole = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
-    draw_stack(one, again.scene, _curves(again, (laser, pixel)), again.capture.time)
+    times.draw_stack(one, again.scene, _curves(again, (laser, pixel)), again.capture.time)
     one.set_title(_channel_name(again, laser, pixel))
-    draw_stack(whole, again.scene, _curves(again, None), again.capture.time)
+    times.draw_stack(whole, again.scene, _curves(again, None), again.capture.time)
     whole.set_title(_whole_name(again))
     # What has light anywhere is in the sum.
     handles, labels = whole.get_legend_handles_labels()
@@ -93,9 +86,9 @@ def histogram_page(stored: StoredScene, again: Replay) -> Figure:
         )
     ):
         upper, lower = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
-        draw_counts(upper, counts, expected, time, mean=_mean_name(again))
+        times.draw_counts(upper, counts, expected, time, mean=_mean_name(again))
         upper.set(title=title, xlabel="")
-        draw_residuals(lower, counts, expected, time, is_poisson=again.is_poisson)
+        times.draw_residuals(lower, counts, expected, time, is_poisson=again.is_poisson)
         for axes in (upper, lower):
             axes.set_xlim(*busy_window(expected if expected.any() else counts, time))
     return figure
@@ -194,9 +187,9 @@ def overview_page(
         sliced.set_title(f"Scan: time along row {row + 1} from the top")
     draw_legend(figure, figure.add_subplot(grid[1, :]), room, columns=8)
     stack, counted, depth = (figure.add_subplot(grid[2, 2 * k : 2 * k + 2]) for k in range(3))
-    draw_stack(stack, again.scene, _curves(again, None), time)
+    times.draw_stack(stack, again.scene, _curves(again, None), time)
     stack.set_title(f"Transient, {_whole_name(again).lower()}")
-    draw_counts(counted, again.counts[channel], again.expected[channel], time, mean=_mean_name(again))
+    times.draw_counts(counted, again.counts[channel], again.expected[channel], time, mean=_mean_name(again))
     counted.set_xlim(*busy_window(again.expected[channel], time))
     counted.set_title(f"Counts, {_channel_name(again, *channel).lower()}")
     draw_label(figure, depth, again.scene, "depth", labels["depth"])
@@ -231,7 +224,7 @@ def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, N
     """(part, (bin,) curve) in stacking order, of one channel or summed over all; parts without light left out."""
     parts = again.transient.parts
     pick = {name: values.sum(axis=(0, 1)) if channel is None else values[channel] for name, values in parts.items()}
-    curves = [(name, pick[name]) for name in stacking_order(again.scene) if name in pick]
+    curves = [(name, pick[name]) for name in times.stacking_order(again.scene) if name in pick]
     return [(name, curve) for name, curve in curves if parts[name].any()]
 
 
@@ -273,7 +266,7 @@ def _histogram_caption(stored: StoredScene, again: Replay) -> str:
         "the Poisson spread; the band is ± 2, which holds about 95 % where counts are high (where few are expected, "
         "residuals jump between 0 and 1 counts and are lopsided)."
     )
-    found = mean_square_residual(again.counts, again.expected)
+    found = times.mean_square_residual(again.counts, again.expected)
     if found is not None:
         text += (
             f" Over all {found[2]} bins with any expectation, the mean square residual is {found[0]:.3f}; "

@@ -14,7 +14,6 @@ import click
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datagen.bench.measuring import markdown
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, load_config
 from datagen.detector import Exposure, Spad, detector_for, expected_histogram
@@ -110,7 +109,7 @@ def table(rows: Sequence[PileupRow]) -> str:
         for row in rows
     ]  # fmt: skip
     head = ["detector", "direct return", "flux / cycle", "bias of signal", "worst bin", "delay (ps)"]
-    return markdown(head, cells, words=2)
+    return "\n".join(f"| {' | '.join(line)} |" for line in (head, ["---"] * 2 + ["---:"] * 4, *cells))
 
 
 def _three_digits(value: float, sign: str = "") -> str:

@@ -12,17 +12,8 @@ from numpy.typing import NDArray
 from datagen.labels import ObjectBoxes, ViewFrame
 from datagen.labels.raster import first_hits
 from datagen.records import Capture, Scene
-from datagen.report.cutaway import (
-    Camera,
-    Cutaway,
-    Extent,
-    Shaded,
-    cut_open,
-    flat_groups,
-    room_faces,
-    shaded,
-    to_pixels,
-)  # fmt: skip
+from datagen.report import cutaway
+from datagen.report.cutaway import Camera, Cutaway, Extent, Shaded, room_faces
 from datagen.report.style import FIELD_OF_VIEW, INK, LASER, part_colors
 
 if TYPE_CHECKING:
@@ -55,14 +46,14 @@ class RoomPicture:
     def opened(self) -> tuple[Camera, Cutaway, Shaded]:
         """Direction, what is left of the walls, and the shaded picture in 3D."""
         camera, cut = best_view(self.scene)
-        return camera, cut, shaded(self.scene, camera, cut.faces, part_colors(self.scene), self.pixels)
+        return camera, cut, cutaway.shaded(self.scene, camera, cut.faces, part_colors(self.scene), self.pixels)
 
     @cached_property
     def plan(self) -> Shaded:
         """The shaded picture from above: no ceiling, and walls have no width."""
         walls, _, ceiling = room_faces(self.scene)
         faces = np.setdiff1d(np.arange(len(self.scene.triangles)), np.concatenate([walls, ceiling]))
-        return shaded(self.scene, Camera.from_above(), faces, part_colors(self.scene), self.pixels)
+        return cutaway.shaded(self.scene, Camera.from_above(), faces, part_colors(self.scene), self.pixels)
 
     @property
     def devices(self) -> dict[str, NDArray[np.float64]]:
@@ -82,7 +73,7 @@ def draw_plan(axes: Axes, room: RoomPicture) -> None:
     _show(axes, room.plan)
     walls = room_faces(scene)[0]
     if len(walls):
-        border = np.concatenate(flat_groups(scene, walls)[1])
+        border = np.concatenate(cutaway.flat_groups(scene, walls)[1])
         _lines(axes, border[..., :2], color="#555555", linewidth=1.6, zorder=3)
     if "relay_wall" in scene.roles:
         name = scene.part_names[scene.roles.index("relay_wall")]
@@ -123,7 +114,7 @@ def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
     best, most = None, -np.inf
     for azimuth in _AZIMUTHS_DEG:
         camera = Camera.looking(front + azimuth, _ELEVATION_DEG)
-        cut = cut_open(scene, camera)
+        cut = cutaway.cut_open(scene, camera)
         share = _seen_share(scene, camera, cut, wanted)
         if share > most + 1e-6:
             best, most = (camera, cut), share
@@ -133,7 +124,7 @@ def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
 
 def _seen_share(scene: Scene, camera: Camera, cut: Cutaway, wanted: NDArray[np.int64]) -> float:
     """Sum over the wanted parts of the share of their outline that is not hidden."""
-    triangles, rows, columns, _ = to_pixels(scene, camera, cut.faces, 200)
+    triangles, rows, columns, _ = cutaway.to_pixels(scene, camera, cut.faces, 200)
     part = scene.face_part[cut.faces]
     together = first_hits(triangles, rows, columns, -np.inf)[0]
     shown = np.where(together < 0, -1, part[together])
