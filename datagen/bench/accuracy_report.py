@@ -6,7 +6,7 @@ import math
 import statistics
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from datagen.bench.accuracy_settings import ALL_LOOKINS, Row
 from datagen.bench.measuring import markdown, percent
@@ -107,20 +107,21 @@ def _cost(axes: Axes, rows: Sequence[Row], title: str) -> None:
 
     shown = [row for row in rows if row.error > 0]
     front = sorted((row for row in shown if row.front), key=lambda row: row.seconds)
-    axes.plot(
-        [row.seconds for row in front], [row.error for row in front], color="#F0C000", lw=7, alpha=0.45, zorder=0,
-        solid_capstyle="round", label="Pareto front",
-    )  # fmt: skip
+    broad: dict[str, Any] = {"color": "#F0C000", "lw": 7, "alpha": 0.45, "zorder": 0, "solid_capstyle": "round"}
+    axes.plot(*_places(front), label="Pareto front", **broad)
     for quantity in dict.fromkeys(row.quantity for row in shown):
         color, marker = _LOOKS[quantity]
         points = [row for row in shown if row.quantity == quantity]
-        axes.plot(
-            [row.seconds for row in points], [row.error for row in points], color=color, marker=marker, ms=5.5,
-            lw=1.0, alpha=0.9, label=quantity,
-        )  # fmt: skip
+        axes.plot(*_places(points), color=color, marker=marker, ms=5.5, lw=1.0, alpha=0.9, label=quantity)
         for row in points[:: max(len(points) - 1, 1)]:
-            place = (row.seconds, row.error)
-            axes.annotate(row.value, place, xytext=(5, 4), textcoords="offset points", fontsize=6.5, color=color)
+            axes.annotate(
+                row.value,
+                (row.seconds, row.error),
+                xytext=(5, 4),
+                textcoords="offset points",
+                fontsize=6.5,
+                color=color,
+            )
     for goal in GOALS:
         axes.axhline(goal, color="#BBBBBB", lw=0.6, zorder=0)
     axes.set(xscale="log", yscale="log", xlabel="processor seconds a scene", ylabel="relative L2 error", title=title)
@@ -130,3 +131,7 @@ def _cost(axes: Axes, rows: Sequence[Row], title: str) -> None:
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.margins(0.12)
     axes.legend(loc="lower left", fontsize=7)
+
+
+def _places(rows: Sequence[Row]) -> tuple[list[float], list[float]]:
+    return [row.seconds for row in rows], [row.error for row in rows]

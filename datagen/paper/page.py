@@ -24,8 +24,8 @@ CHOICES = (
      "<code>AsPrinted(grid=\"solid_angle\")</code> takes equal solid angles"),
     ("half cube map",
      "a camera of 180° with 60 × 60 pixels: a face of 90° with 30 × 30 and four half faces with 30 × 15 pixels. "
-     "Unfolded they fill a cross in the 60 × 60 picture; its corners, 900 places, hold no direction, so Ñ is 2700 and "
-     "not 3600"),
+     "Unfolded they fill a cross in the 60 × 60 picture; its corners, 900 places, hold no direction, so Ñ is 2700 "
+     "and not 3600"),
     ("α", "“a normalization constant, to ensure the conservation of energy”: 1/Σ B over the directions sampled"),
     ("α₁ in Eq. 8",
      "the same, over all lit observed points of all lookins; <code>conserved=\"lookin\"</code> (the set k runs over) "
@@ -55,9 +55,10 @@ def page(
     yield head("What of the paper holds")
     yield (
         "<p>Scholes &amp; Leach, <i>Path Tracing-Inspired Modeling of Non-Line-of-Sight SPAD Data</i>, Sensors "
-        "24(20), 6522 (2024), computed again twice: <b>as printed</b>, by its Eq. 6 and Eq. 8 to the letter with lengths in "
-        f"millimetres, and with <b>radiometric</b> weights. Room: <code>{escape(runs.config.name)}</code>. Every "
-        f"verdict below comes from this run's own numbers, all of them in <code>numbers.json</code>. Made by "
+        "24(20), 6522 (2024), computed again twice: <b>as printed</b>, by its Eq. 6 and Eq. 8 to the letter with "
+        "lengths in millimetres, and with <b>radiometric</b> weights. "
+        f"Room: <code>{escape(runs.config.name)}</code>. Every verdict below comes from this run's own numbers, all of "
+        "them in <code>numbers.json</code>. Made by "
         f"<code>{escape(command)}</code> on one core of {escape(processor())}.</p>"
     )
     yield _summary(statements)
