@@ -35,7 +35,7 @@ def numbers(runs: Runs, statements: Sequence[Statement], command: str) -> dict[s
         "levels_as_printed_by_rays": {str(rays): asdict(level) for rays, level in runs.sweep.items()},
         "levels_radiometric_by_rays": {str(rays): asdict(level) for rays, level in runs.radiometric_levels.items()},
         "levels_radiometric_lengths_times_1_and_1000": [asdict(level) for level in runs.rescaled],
-        "converged_relative_standard_error": runs.relative_error[0],
+        "converged_relative_standard_error": runs.case("converged").relative_error,
         "time_ns": runs.time_ns,
     }
     plain: dict[str, Any] = _plain(found)

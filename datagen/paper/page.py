@@ -57,8 +57,8 @@ def page(
         "<p>Scholes &amp; Leach, <i>Path Tracing-Inspired Modeling of Non-Line-of-Sight SPAD Data</i>, Sensors "
         "24(20), 6522 (2024), computed again twice: <b>as printed</b>, by its Eq. 6 and Eq. 8 to the letter with "
         "lengths in millimetres, and with <b>radiometric</b> weights. "
-        f"Room: <code>{escape(runs.config.name)}</code>. Every verdict below comes from this run's own numbers, all of "
-        "them in <code>numbers.json</code>. Made by "
+        f"Room: <code>{escape(runs.config.name)}</code>. Every verdict below comes from this run's own numbers, all "
+        "of them in <code>numbers.json</code>. Made by "
         f"<code>{escape(command)}</code> on one core of {escape(processor())}.</p>"
     )
     yield _summary(statements)

@@ -67,12 +67,14 @@ class Simulation:
     curves : its likelihood envelopes.
     level : component → energy per emitted photon, or what stands for it as printed.
     seconds, processor_s : elapsed and processor time of all of it.
+    relative_error : estimated standard error of the transient, relative L2; NaN as printed.
     """
 
     curves: ComponentCurves
     level: Mapping[str, float]
     seconds: float
     processor_s: float
+    relative_error: float
 
     @property
     def primary(self) -> NDArray[np.float64]:
@@ -123,7 +125,6 @@ class Runs:
     in_metres : the sparse grid as printed with lengths in metres.
     rescaled : levels of the radiometric run of the sparse counts, and of the same with all lengths of room, aperture
         and time axis multiplied as from mm to m.
-    relative_error : of the converged run.
     """
 
     config: DatasetConfig
@@ -136,7 +137,6 @@ class Runs:
     radiometric_levels: dict[int, Level] = field(default_factory=dict)
     in_metres: dict[int, Simulation] = field(default_factory=dict)
     rescaled: list[Level] = field(default_factory=list)
-    relative_error: list[float] = field(default_factory=list)
 
     def case(self, estimator: Estimator, rays: int = 0, scheme: Scheme = "all") -> Simulation:
         """One of the simulations."""
@@ -187,8 +187,8 @@ def run_all(config: DatasetConfig, sizes: Sizes, progress: Progress) -> Runs:
             for _ in range(2):
                 runs.cases["radiometric", rays, scheme] = _radiometric(runs, rays, sizes.pixels, scheme, 0)
     progress(f"radiometric, converged, {sizes.reference} lookins")
-    runs.cases["converged", 0, "all"], error = _converged(runs)
-    runs.relative_error.append(error)
+    accuracy = Accuracy(lookins=sizes.reference, fov_samples=16, max_bounces=4, replicates=16)
+    runs.cases["converged", 0, "all"] = _timed(runs, lambda: simulate(scene, capture, accuracy, 0))
     if not runs.case("converged").level["primary"] > 0:
         raise InputError(f"{config.name}: no light comes around the corner within the time window; nothing to plot")
     progress("levels against units, rays and choices")
@@ -218,11 +218,11 @@ def _levels(runs: Runs) -> None:
 
 
 def _printed(runs: Runs, settings: AsPrinted) -> Simulation:
-    return _timed(runs, lambda: simulate_as_printed(runs.scene, runs.capture, settings))[0]
+    return _timed(runs, lambda: simulate_as_printed(runs.scene, runs.capture, settings))
 
 
 def _radiometric(runs: Runs, rays: int, pixels: int, scheme: Scheme, seed: int) -> Simulation:
-    return _timed(runs, lambda: simulate(runs.scene, runs.capture, _counts(rays, pixels, scheme), seed))[0]
+    return _timed(runs, lambda: simulate(runs.scene, runs.capture, _counts(rays, pixels, scheme), seed))
 
 
 def _counts(rays: int, pixels: int, scheme: Scheme) -> Accuracy:
@@ -245,16 +245,10 @@ def _rescaled(runs: Runs, factor: float) -> Level:
     return Level(float(found["primary"].sum()), float(found["secondary"].sum()))
 
 
-def _converged(runs: Runs) -> tuple[Simulation, float]:
-    accuracy = Accuracy(lookins=runs.sizes.reference, fov_samples=16, max_bounces=4, replicates=16)
-    case, transient = _timed(runs, lambda: simulate(runs.scene, runs.capture, accuracy, 0))
-    return case, transient.relative_error
-
-
-def _timed(runs: Runs, run: Callable[[], Transient]) -> tuple[Simulation, Transient]:
+def _timed(runs: Runs, run: Callable[[], Transient]) -> Simulation:
     began, began_processor = clock.perf_counter(), clock.process_time()
     transient = run()
     seconds, processor_s = clock.perf_counter() - began, clock.process_time() - began_processor
     curves = component_curves(runs.config, runs.scene, runs.capture, transient)
     level = {name: float(values.sum()) for name, values in transient.components.items()}
-    return Simulation(curves, level, seconds, processor_s), transient
+    return Simulation(curves, level, seconds, processor_s, transient.relative_error)

@@ -339,6 +339,6 @@ def _shape(runs: Runs) -> Statement:
         Verdict(
             _decided(own < SAME_PROFILE, own),
             f"at the same counts {100 * own:.0f} % from the converged one, whose standard error is "
-            f"{100 * runs.relative_error[0]:.2g} % (L2 over bins of {runs.capture.time.width_s * 1e12:g} ps)",
+            f"{100 * converged.relative_error:.2g} % (L2 over bins of {runs.capture.time.width_s * 1e12:g} ps)",
         ),
     )
