@@ -13,7 +13,7 @@ from datagen.labels import ObjectBoxes, ViewFrame
 from datagen.labels.raster import first_hits
 from datagen.records import Capture, Scene
 from datagen.report import cutaway
-from datagen.report.cutaway import Camera, Cutaway, Extent, Shaded, room_faces
+from datagen.report.cutaway import Camera, Cutaway, Extent, Shaded, room_faces, shaded
 from datagen.report.style import FIELD_OF_VIEW, INK, LASER, part_colors
 
 if TYPE_CHECKING:
@@ -46,14 +46,14 @@ class RoomPicture:
     def opened(self) -> tuple[Camera, Cutaway, Shaded]:
         """Direction, what is left of the walls, and the shaded picture in 3D."""
         camera, cut = best_view(self.scene)
-        return camera, cut, cutaway.shaded(self.scene, camera, cut.faces, part_colors(self.scene), self.pixels)
+        return camera, cut, shaded(self.scene, camera, cut.faces, part_colors(self.scene), self.pixels)
 
     @cached_property
     def plan(self) -> Shaded:
         """The shaded picture from above: no ceiling, and walls have no width."""
         walls, _, ceiling = room_faces(self.scene)
         faces = np.setdiff1d(np.arange(len(self.scene.triangles)), np.concatenate([walls, ceiling]))
-        return cutaway.shaded(self.scene, Camera.from_above(), faces, part_colors(self.scene), self.pixels)
+        return shaded(self.scene, Camera.from_above(), faces, part_colors(self.scene), self.pixels)
 
     @property
     def devices(self) -> dict[str, NDArray[np.float64]]:
