@@ -6,7 +6,7 @@ import math
 import statistics
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from datagen.bench.accuracy_settings import ALL_LOOKINS, Row
 from datagen.bench.measuring import markdown, percent
@@ -92,14 +92,12 @@ def _label(row: Row) -> str:
 
 
 def picture(rows: Sequence[Row], title: str, path: Path) -> Path:
-    """Error against seconds, one colour for each swept quantity, the Pareto front as a line; and the floors."""
+    """Error against seconds, one colour for each swept quantity, the Pareto front as a line."""
     with house_style():
-        figure = new_figure(13.0, 5.6)
-        left, middle, right = figure.subplots(1, 3, width_ratios=(2.2, 1.3, 1.1))
-        middle.sharey(left)
+        figure = new_figure(11.0, 5.6)
+        left, right = figure.subplots(1, 2, width_ratios=(2.2, 1.3), sharey=True)
         _cost(left, [row for row in rows if not row.complete], f"Error against cost: {_light_of(rows)}")
-        _cost(middle, [row for row in rows if row.complete], "… of all bounces")
-        _bias(right, rows)
+        _cost(right, [row for row in rows if row.complete], "… of all bounces")
         figure.suptitle(title, fontsize=10, color=INK)
         return save_png(figure, path)
 
@@ -109,20 +107,21 @@ def _cost(axes: Axes, rows: Sequence[Row], title: str) -> None:
 
     shown = [row for row in rows if row.error > 0]
     front = sorted((row for row in shown if row.front), key=lambda row: row.seconds)
-    axes.plot(
-        [row.seconds for row in front], [row.error for row in front], color="#F0C000", lw=7, alpha=0.45, zorder=0,
-        solid_capstyle="round", label="Pareto front",
-    )  # fmt: skip
+    broad: dict[str, Any] = {"color": "#F0C000", "lw": 7, "alpha": 0.45, "zorder": 0, "solid_capstyle": "round"}
+    axes.plot(*_places(front), label="Pareto front", **broad)
     for quantity in dict.fromkeys(row.quantity for row in shown):
         color, marker = _LOOKS[quantity]
         points = [row for row in shown if row.quantity == quantity]
-        axes.plot(
-            [row.seconds for row in points], [row.error for row in points], color=color, marker=marker, ms=5.5,
-            lw=1.0, alpha=0.9, label=quantity,
-        )  # fmt: skip
+        axes.plot(*_places(points), color=color, marker=marker, ms=5.5, lw=1.0, alpha=0.9, label=quantity)
         for row in points[:: max(len(points) - 1, 1)]:
-            place = (row.seconds, row.error)
-            axes.annotate(row.value, place, xytext=(5, 4), textcoords="offset points", fontsize=6.5, color=color)
+            axes.annotate(
+                row.value,
+                (row.seconds, row.error),
+                xytext=(5, 4),
+                textcoords="offset points",
+                fontsize=6.5,
+                color=color,
+            )
     for goal in GOALS:
         axes.axhline(goal, color="#BBBBBB", lw=0.6, zorder=0)
     axes.set(xscale="log", yscale="log", xlabel="processor seconds a scene", ylabel="relative L2 error", title=title)
@@ -134,16 +133,5 @@ def _cost(axes: Axes, rows: Sequence[Row], title: str) -> None:
     axes.legend(loc="lower left", fontsize=7)
 
 
-def _bias(axes: Axes, rows: Sequence[Row]) -> None:
-    """Bars: what is left out however many samples are taken."""
-    shown = [row for row in rows if row.quantity in ("bounce orders", "k strongest paths") and row.value != "all"]
-    places = range(len(shown))
-    axes.barh(places, [row.bias for row in shown], color=[_LOOKS[row.quantity][0] for row in shown], height=0.7)
-    for place, row in zip(places, shown, strict=True):
-        text = f" {percent(row.bias)}" if row.bias > 0 else " hidden by the noise"
-        axes.text(row.bias, place, text, va="center", fontsize=7.5, color="#444444")
-    axes.set_yticks(places, [_label(row) for row in shown])
-    axes.invert_yaxis()
-    axes.set_xlim(0, 1.35 * max([row.bias for row in shown] + [0.01]))
-    axes.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
-    axes.set(xlabel="relative L2 (k: of the left panel's light)", title="Floors: light left out")
+def _places(rows: Sequence[Row]) -> tuple[list[float], list[float]]:
+    return [row.seconds for row in rows], [row.error for row in rows]

@@ -8,10 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import click
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,7 +48,7 @@ class Row:
     ----------
     detections : in a histogram.
     ms, mean_ms : of `detect` and `expected_histogram`, on `BLOCK` histograms at once where each takes little.
-    plain_ms, compiled_ms : of the naive simulation with its rule as a plain Python loop, and compiled. NaN: not run.
+    naive_ms : of the naive simulation; NaN: not run.
     """
 
     case: str
@@ -59,20 +57,18 @@ class Row:
     detections: float
     ms: float
     mean_ms: float
-    plain_ms: float
-    compiled_ms: float
+    naive_ms: float
 
     def cells(self) -> list[str]:
         """Of the table."""
         return [
             self.case, f"{self.flux:g}", self.sampler, f"{self.ms:.3g}", f"{self.mean_ms:.3g}",
-            f"{self.ms * 1e6 / max(self.detections, 1.0):.3g}", f"{self.plain_ms:.4g}",
-            f"{self.plain_ms / self.ms:.0f}×", f"{self.compiled_ms:.4g}", f"{self.compiled_ms / self.ms:.3g}×",
+            f"{self.ms * 1e6 / max(self.detections, 1.0):.3g}", f"{self.naive_ms:.4g}",
+            f"{self.naive_ms / self.ms:.0f}×",
         ]  # fmt: skip
 
 
-HEAD = ("case", "flux / cycle", "sampler", "ms", "exact mean (ms)", "ns / detection",
-        "naive, plain (ms)", "ratio", "naive, compiled (ms)", "ratio")  # fmt: skip
+HEAD = ("case", "flux / cycle", "sampler", "ms", "exact mean (ms)", "ns / detection", "naive (ms)", "ratio")
 
 
 def measure(fluxes: Sequence[float] = FLUXES, naive: bool = True) -> list[Row]:
@@ -89,10 +85,9 @@ def measure(fluxes: Sequence[float] = FLUXES, naive: bool = True) -> list[Row]:
             block = np.tile(shape, (size, 1, 1))
             draw = partial(detect, block, axis, spad, exposure, tolerance=0.0, approximate=ensemble)
             mean = partial(expected_histogram, block, axis, spad, exposure, approximate=True)
-            plain, compiled = naive_seconds(shape, spad) if naive else (np.nan, np.nan)
             rows.append(
                 Row(case, flux, plan.sampler, float(draw().sum()) / size, 1e3 * _typical(draw) / size,
-                    1e3 * _typical(mean) / size, 1e3 * plain, 1e3 * compiled)
+                    1e3 * _typical(mean) / size, 1e3 * naive_seconds(shape, spad) if naive else np.nan)
             )  # fmt: skip
     return rows
 
@@ -107,33 +102,24 @@ def demonstration_shape() -> NDArray[np.float64]:
     return np.asarray(shape)
 
 
-def naive_seconds(flux: NDArray[np.float64], spad: Spad) -> tuple[float, float]:
-    """Seconds of one naive simulation, its rule as a plain loop and compiled. Afterpulses are left out of it."""
+def naive_seconds(flux: NDArray[np.float64], spad: Spad) -> float:
+    """Seconds of one naive simulation. Afterpulses are left out of it."""
     rng = np.random.default_rng(0)
     synchronous, dead_time = spad.mode == "synchronous", spad.dead_time_s if spad.mode != "ideal" else 0.0
 
-    def histogram(compiled: bool) -> None:
+    def histogram() -> None:
         count = rng.poisson(flux.sum() * CYCLES)
         bins = np.searchsorted(np.cumsum(flux), rng.random(count) * flux.sum(), side="right")
         photons = rng.integers(CYCLES, size=count) * PERIOD_S + (bins + rng.random(count)) * BIN_WIDTH_S
-        photons.sort()
-        if compiled:
-            kept = _rule_compiled(photons, PERIOD_S, dead_time, synchronous)
-        else:
-            kept = _rule(photons.tolist(), PERIOD_S, dead_time, synchronous)
+        kept = detected(np.sort(photons).tolist(), PERIOD_S, dead_time, synchronous)
         np.histogram(np.asarray(kept) % PERIOD_S, BINS, (0, PERIOD_S))
 
-    histogram(True)
-    plain, compiled = (
-        float(np.median([processor_seconds(partial(histogram, kind))[1] for _ in range(3)])) for kind in (False, True)
-    )
-    return plain, compiled
+    return float(np.median([processor_seconds(histogram)[1] for _ in range(3)]))
 
 
-def _rule(photons: Any, period: float, dead_time: float, synchronous: bool) -> list[float]:
-    """The photons that are detected, in order."""
-    kept = [0.0][:0]  # an empty list of floats, for the compiler too
-    ready, cycle_end = -1.0, -1.0
+def detected(photons: Sequence[float], period: float, dead_time: float, synchronous: bool) -> list[float]:
+    """The photons that are detected, in order; a synchronous detector is ready at the start of every cycle."""
+    kept, ready, cycle_end = list[float](), -1.0, -1.0
     for t in photons:
         if synchronous and t >= cycle_end:
             ready, cycle_end = -1.0, (t // period + 1.0) * period
@@ -141,9 +127,6 @@ def _rule(photons: Any, period: float, dead_time: float, synchronous: bool) -> l
             kept.append(t)
             ready = t + dead_time
     return kept
-
-
-_rule_compiled: Callable[..., Any] = numba.njit(_rule)
 
 
 def _typical(call: Callable[[], object]) -> float:
@@ -155,14 +138,6 @@ def _typical(call: Callable[[], object]) -> float:
     return float(np.median(runs)) / inner
 
 
-def scan_milliseconds() -> float:
-    """Milliseconds per histogram of a whole scan at once: 256 laser points, ideal, in the default tolerance."""
-    axis, exposure = TimeAxis(BINS, BIN_WIDTH_S), Exposure(1.0 / PERIOD_S, CYCLES, 1.0)
-    block = np.tile(0.1 * demonstration_shape(), (256, 1, 1))
-    spad = Spad(pde=1.0, mode="ideal", jitter_fwhm_s=60e-12)
-    return 1e3 * _typical(lambda: detect(block, axis, spad, exposure)) / 256
-
-
 @click.command()
 @click.option("--naive/--no-naive", default=True, show_default=True, help="Also time the naive simulation.")
 @click.option("--flux", "fluxes", multiple=True, type=float, help=f"Events per cycle; left out: {FLUXES}.")
@@ -171,4 +146,3 @@ def main(naive: bool, fluxes: tuple[float, ...]) -> None:
     rows = measure(fluxes or FLUXES, naive)
     click.echo(f"{BINS} bins, {CYCLES:.0e} cycles, tolerance 0; processor time, {machine()}\n")
     click.echo(markdown(HEAD, [row.cells() for row in rows]))
-    click.echo(f"\nA scan of 256 histograms at once, ideal: {scan_milliseconds():.3g} ms each.")

@@ -50,12 +50,10 @@ def missing_for_mitransient() -> str | None:
 
 def _newest_llvm() -> str | None:
     """The newest LLVM library of the system that drjit can use."""
-    found: list[tuple[int, str]] = []
-    for folder in ("/usr/lib/*", "/usr/lib", "/usr/local/lib", "/usr/lib/llvm-*/lib", "/opt/homebrew/opt/llvm/lib"):
-        for path in glob.glob(f"{folder}/libLLVM*"):
-            version = re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path)
-            if version and int(version[1]) >= OLDEST_LLVM:
-                found.append((int(version[1]), path))
+    folders = ("/usr/lib/*", "/usr/lib", "/usr/local/lib", "/usr/lib/llvm-*/lib", "/opt/homebrew/opt/llvm/lib")
+    paths = [path for folder in folders for path in glob.glob(f"{folder}/libLLVM*")]
+    versions = [(re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path), path) for path in paths]
+    found = [(int(version[1]), path) for version, path in versions if version and int(version[1]) >= OLDEST_LLVM]
     return max(found)[1] if found else None
 
 
@@ -140,19 +138,9 @@ class MitransientPeer:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        wall_name: str,
-        wall: Rectangle,
-        device: ArrayLike,
-        laser_point: ArrayLike | None,
-        columns: int,
-        rows: int,
-        axis: TimeAxis,
-        bounces: int,
-        fine: int = FINE,
-        aim_at_hidden: bool = False,
-    ) -> None:
+        self, scene: Scene, wall_name: str, wall: Rectangle, device: ArrayLike, laser_point: ArrayLike | None,
+        columns: int, rows: int, axis: TimeAxis, bounces: int, fine: int = FINE, aim_at_hidden: bool = False,
+    ) -> None:  # fmt: skip
         if columns & (columns - 1) or rows & (rows - 1):
             raise InputError(f"peer mitransient: {columns} × {rows} points; its grids need powers of two")
         if axis.origin != "wall":
@@ -166,7 +154,7 @@ class MitransientPeer:
         self._irradiance = np.abs(away @ wall.normal) / np.linalg.norm(away, axis=1) ** 3
         target = wall.center if laser_point is None else lit[0]
         width = float(path_from_time(axis.width_s))
-        bsdfs = [self._bsdf(scene, k) for k in range(len(scene.part_names))]
+        bsdfs = {name: self._bsdf(scene, k) for k, name in enumerate(scene.part_names)}
         contents: dict[str, Any] = {
             "type": "scene",
             "integrator": {
@@ -184,32 +172,26 @@ class MitransientPeer:
             "relay_wall": {
                 "type": "rectangle",
                 "to_world": self._mi.ScalarTransform4f(_frame(wall)),
-                "bsdf": bsdfs[scene.part_names.index(wall_name)],
+                "bsdf": bsdfs[wall_name],
                 "sensor": {
                     "type": "nlos_capture_meter",
                     "sensor_origin": device.tolist(),
                     "sampler": {"type": "independent"},
                     "film": {
-                        "type": "transient_hdr_film",
-                        "width": columns,
-                        "height": rows,
-                        "temporal_bins": axis.bins * fine,
-                        "bin_width_opl": width / fine,
-                        "start_opl": width * (axis.start_s / axis.width_s),
-                        "rfilter": {"type": "box"},
+                        "type": "transient_hdr_film", "width": columns, "height": rows,
+                        "temporal_bins": axis.bins * fine, "bin_width_opl": width / fine,
+                        "start_opl": width * (axis.start_s / axis.width_s), "rfilter": {"type": "box"},
                     },
                 },
             },
             "laser": {
-                "type": "spot",
-                "intensity": 1.0,
-                "cutoff_angle": 1.0,
+                "type": "spot", "intensity": 1.0, "cutoff_angle": 1.0,
                 "to_world": self._mi.ScalarTransform4f().look_at(
                     origin=device.tolist(), target=target.tolist(), up=(wall.up / np.linalg.norm(wall.up)).tolist()
                 ),
             },
-        }
-        for name, bsdf in zip(scene.part_names, bsdfs, strict=True):
+        }  # fmt: skip
+        for name, bsdf in bsdfs.items():
             if name != wall_name:
                 contents[f"part_{name}"] = self._mesh(scene, name, bsdf)
         self._scene = self._mi.load_dict(contents)

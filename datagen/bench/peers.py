@@ -22,15 +22,9 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.bench import other_renderers as others
 from datagen.bench.measuring import machine, markdown, percent, processor_seconds
-from datagen.bench.other_renderers import (
-    MitransientPeer,
-    grid_points,
-    missing_for_mitransient,
-    photons_to_radiance,
-    plate_quadrature,
-    point_capture,
-)
+from datagen.bench.other_renderers import grid_points, missing_for_mitransient
 from datagen.bench.problems import DEVICE, WALL, furnished_room, rectangle
 from datagen.records import Accuracy, Capture, Rectangle, Scene, TimeAxis
 from datagen.transport import simulate
@@ -108,7 +102,7 @@ def _ours(scene: Scene, capture: Capture, bounces: int) -> Callable[[int, int], 
     def run(lookins: int, seed: int) -> Array:
         accuracy = Accuracy(lookins=lookins, fov_samples=1, max_bounces=bounces, replicates=1)
         photons = simulate(scene, capture, accuracy, seed, split_parts=False).total
-        return photons_to_radiance(photons, capture).reshape(-1, capture.time.bins)
+        return others.photons_to_radiance(photons, capture).reshape(-1, capture.time.bins)
 
     return run
 
@@ -123,9 +117,9 @@ def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
     scene = Scene.from_parts([rectangle("wall", scan, albedos[0]), rectangle("plate", plate, albedos[1], "object")])
 
     def quadrature(knots: int, _: int) -> Array:
-        return plate_quadrature(points, scan.normal, plate, albedos, axis, knots)
+        return others.plate_quadrature(points, scan.normal, plate, albedos, axis, knots)
 
-    ours = _ours(scene, point_capture(scan, points, device, points, axis, confocal=True), 3)
+    ours = _ours(scene, others.point_capture(scan, points, device, points, axis, confocal=True), 3)
     truth = quadrature(reference_knots, 0)
     contenders = [
         Contender("ours", "lookins a point", ours, (1 << 11, 1 << 13, 1 << 15), truth),
@@ -133,8 +127,10 @@ def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
     ]
     if missing_for_mitransient() is None:
         sides = (points_a_side, points_a_side)
-        peer = MitransientPeer(scene, "wall", scan, device, None, *sides, axis, bounces=3, fine=1, aim_at_hidden=True)
-        own = plate_quadrature(points, scan.normal, plate, albedos, axis, reference_knots, shared=False)
+        peer = others.MitransientPeer(
+            scene, "wall", scan, device, None, *sides, axis, bounces=3, fine=1, aim_at_hidden=True
+        )
+        own = others.plate_quadrature(points, scan.normal, plate, albedos, axis, reference_knots, shared=False)
         contenders.append(Contender("mitransient", "paths a point", peer.render, (1 << 8, 1 << 10, 1 << 12), own))
     title = f"Bare plate, {points_a_side} × {points_a_side} confocal points, 300 bins, 3 bounces"
     return Case(title, 1, 0.01, tuple(contenders))
@@ -145,14 +141,14 @@ def room(points_a_side: int, reference_walks: int = 1 << 20) -> Case:
     scene, laser_point = furnished_room(), np.array([0, -0.8, 1.4])
     axis = _axis(170, 0.1, 0.0)
     points = grid_points(WALL, points_a_side, points_a_side)
-    ours = _ours(scene, point_capture(WALL, points, DEVICE, laser_point[None], axis), 4)
+    ours = _ours(scene, others.point_capture(WALL, points, DEVICE, laser_point[None], axis), 4)
     halves = [ours(reference_walks // 2, 1000 + k) for k in range(2)]
     truth = (halves[0] + halves[1]) / 2
     uncertain = float(np.linalg.norm(halves[0] - halves[1]) / 2 / np.linalg.norm(truth))
     contenders = [Contender("ours", "walks", ours, (1 << 12, 1 << 14, 1 << 16), truth)]
     if missing_for_mitransient() is None:
         sides = (points_a_side, points_a_side)
-        peer = MitransientPeer(scene, "relay_wall", WALL, DEVICE, laser_point, *sides, axis, bounces=4)
+        peer = others.MitransientPeer(scene, "relay_wall", WALL, DEVICE, laser_point, *sides, axis, bounces=4)
         most = (1 << 20) // points_a_side**2
         contenders.append(
             Contender("mitransient", "paths a point", peer.render, (most // 16, most // 4, most), truth)

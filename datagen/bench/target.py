@@ -25,9 +25,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from datagen.bench.measuring import machine, markdown, processor_seconds
-from datagen.bench.target_cases import random_case, room_of
+from datagen.bench.target_cases import random_case
+from datagen.capture import capture_for
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scene, Transient
+from datagen.scene import generate_scene
 from datagen.transport import simulate
 
 TARGETS = (0.10, 0.05, 0.02, 0.01)
@@ -81,7 +83,8 @@ def outcomes(
     for case in cases:
         config = random_case(case)
         try:
-            scene, capture = room_of(config)
+            scene = generate_scene(config.scene, config.seed, 0)
+            capture = capture_for(config, scene, config.seed, 0)
         except InputError:
             continue
         base = Accuracy(max_bounces=config.transport.max_bounces, direct=config.transport.direct)

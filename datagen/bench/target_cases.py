@@ -6,10 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from datagen.capture import capture_for
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.records import Capture, Scene
-from datagen.scene import generate_scene
 
 LAYOUTS = ("l_corridor", "t_corridor", "corridor_room", "z_corridor", "straight_corridor")
 WINDOWS = ((32, 2000), (64, 1000), (128, 500), (256, 250), (512, 100))
@@ -49,11 +46,6 @@ def random_case(index: int, seed: int = 0) -> DatasetConfig:
     )
 
 
-def room_of(config: DatasetConfig) -> tuple[Scene, Capture]:
-    scene = generate_scene(config.scene, config.seed, 0)
-    return scene, capture_for(config, scene, config.seed, 0)
-
-
 def _surface(rng: np.random.Generator) -> dict[str, Any]:
     return {"albedo": float(rng.uniform(0.1, 0.95)), "brdf": BRDFS[rng.integers(len(BRDFS))]}
 
@@ -74,10 +66,6 @@ def _capture(rng: np.random.Generator) -> dict[str, Any]:
         small = float(rng.choice([0.02, 0.05, 0.2]))
         return {"pairing": "confocal", "scan": grid, "field_of_view": {"width_m": small, "height_m": small}}
     view = {"width_m": side, "height_m": side}
-    one = {"rows": 1, "columns": 1}
-    if kind == 1:
-        return {"pairing": "exhaustive", "scan": one, "field_of_view": {**view, "rows": 6, "columns": 6}}
-    if kind == 2:
-        few = {"rows": 2, "columns": 2, "width_m": side, "height_m": side}
-        return {"pairing": "exhaustive", "scan": few, "field_of_view": {**view, "rows": 3, "columns": 3}}
-    return {"pairing": "exhaustive", "scan": one, "field_of_view": view}
+    scan = {"rows": 2, "columns": 2, **view} if kind == 2 else {"rows": 1, "columns": 1}
+    pixels = {1: {"rows": 6, "columns": 6}, 2: {"rows": 3, "columns": 3}}.get(int(kind), {})
+    return {"pairing": "exhaustive", "scan": scan, "field_of_view": {**view, **pixels}}

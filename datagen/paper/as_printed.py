@@ -132,10 +132,10 @@ def simulate_as_printed(scene: Scene, capture: Capture, settings: AsPrinted | No
     secondary = np.zeros((lasers, pixels, bins))
     seconds = {"prepare": clock_time.perf_counter() - began, "trace": 0.0, "secondary": 0.0}
     for laser in np.flatnonzero(room.points.part >= 0):
-        found = _of_laser_point(room, settings, int(laser), seconds)
-        parts[:, laser] = aperture * found.parts
-        secondary[laser] = aperture * found.secondary
-        overflow[laser] = aperture * found.overflow
+        place = parts[:, laser], secondary[laser], overflow[laser]
+        _add_laser_point(room, settings, int(laser), *place, seconds)
+        for light in place:
+            light *= aperture
     components = {"primary": parts.sum(axis=0)}
     if settings.secondary != "none":
         components["secondary"] = secondary
@@ -150,25 +150,18 @@ def simulate_as_printed(scene: Scene, capture: Capture, settings: AsPrinted | No
     )
 
 
-@dataclass(frozen=True)
-class _OfLaserPoint:
-    """parts : (K, P, T); secondary : (P, T); overflow : (P,); without the aperture."""
-
-    parts: Array
-    secondary: Array
-    overflow: Array
-
-
-def _of_laser_point(room: PrintedRoom, settings: AsPrinted, laser: int, seconds: dict[str, float]) -> _OfLaserPoint:
+def _add_laser_point(
+    room: PrintedRoom, settings: AsPrinted, laser: int, parts: Array, secondary: Array, overflow: Array,
+    seconds: dict[str, float],
+) -> None:  # fmt: skip
+    """Add the light of one laser point, without the aperture, to parts (K, P, T), secondary (P, T), overflow (P,)."""
     capture = room.capture
     _, count, bins = capture.shape
-    confocal = capture.pairing == "confocal"
-    pixels = np.array([laser]) if confocal else np.arange(count)
+    pixels = np.array([laser]) if capture.pairing == "confocal" else np.arange(count)
     before = room.points.leg[laser] if capture.time.origin == "source" else 0.0
     start = float(room.bins(np.array(before))) - capture.time.start_s / capture.time.width_s
     camera = half_cube(settings.pixels)
     lookins = place_lookins(room, laser, ray_grid(settings.rays, settings.grid))
-    parts, overflow = np.zeros((len(room.scene.part_names), count, bins)), np.zeros(count)
     sums = Sums(np.zeros((count, bins)), np.zeros(count), np.zeros(count), np.zeros(count))
     total = 0.0
     at_once = max(1, POINTS_AT_ONCE // (len(camera) * max(1, len(pixels) // 8)))
@@ -193,7 +186,8 @@ def _of_laser_point(room: PrintedRoom, settings: AsPrinted, laser: int, seconds:
         total += float(light.brdf.sum())
         seconds["secondary"] += clock_time.perf_counter() - traced
     alpha = {"room": 1.0 / total if total > 0 else 0.0, "lookin": 1.0, "rays": lookins.alpha}[settings.conserved]
-    return _OfLaserPoint(parts, alpha * sums.transient, overflow + alpha * sums.overflow)
+    secondary += alpha * sums.transient
+    overflow += alpha * sums.overflow
 
 
 def _each_lookin_alike(into: Paths, light: Lighting) -> Paths:

@@ -8,9 +8,9 @@ import numpy as np
 
 from datagen.detector import detector_for
 from datagen.detector.irf import FWHM_PER_SIGMA
-from datagen.paper.measures import PEAKS_NS, Curve
+from datagen.paper.envelopes import SECONDARY, TIME_LABEL, Curve, colors_of, curve_window
+from datagen.paper.measures import PEAKS_NS
 from datagen.paper.runs import Estimator, Runs, Scheme, Simulation
-from datagen.report.components import SECONDARY, TIME_LABEL, colors_of, curve_window
 from datagen.report.style import captioned, house_style
 
 if TYPE_CHECKING:
@@ -50,40 +50,17 @@ def envelope_figure(runs: Runs, scheme: Scheme, number: str) -> Figure:
                 axes = figure.add_subplot(grid[row, column])
                 if estimator == "radiometric":
                     _draw(axes, case("converged"), thin=True)
+                _draw(axes, one)
+                colors = colors_of(one.curves)
+                for name in colors.keys() & PEAKS_NS.keys():
+                    axes.axvline(PEAKS_NS[name], color=colors[name], linewidth=0.9, linestyle=":", zorder=0)
                 title = f"{estimator}, {rays} × {rays} × {sizes.pixels} × {sizes.pixels}"
-                _panel(axes, title, one, limits, window, "" if column else _LABELS[estimator])
+                axes.set(title=title, yscale="log", ylim=limits, xlim=window, xlabel=TIME_LABEL)
+                axes.set_ylabel("" if column else _LABELS[estimator])
+                axes.grid(color="#E8E8E8", linewidth=0.6)
                 if (row, column) == (0, 1):
                     axes.legend(loc="upper right")
     return figure
-
-
-def other_room_figure(runs: Runs) -> Figure:
-    """Fig. 7 once more, in the room laid out for the printed weights: as printed beside radiometric (converged)."""
-    text = (
-        "As the paper's Fig. 7, in the second room: its sizes are chosen so that the printed weights, left, have the "
-        "published peaks (dotted); right, the same room by radiometric weights, converged. Colours as in Fig. 7."
-    )
-    cases = runs.laid_out[runs.dense], runs.laid_out[0]
-    counts = f"{runs.dense} × {runs.dense} × {runs.sizes.pixels} × {runs.sizes.pixels}"
-    window = curve_window(cases[1].curves)
-    with house_style():
-        figure, grid = captioned(_WIDTH_IN, [4.8], text, columns=2)
-        for column, title in enumerate((f"as printed, {counts}", "radiometric, converged")):
-            one, axes = cases[column], figure.add_subplot(grid[0, column])
-            _panel(axes, title, one, _limits(list(_curves(one).values())), window, _LABELS[_ROWS[column]])
-        axes.legend(loc="upper right")
-    return figure
-
-
-def _panel(
-    axes: Axes, title: str, case: Simulation, limits: tuple[float, float], window: tuple[float, float], label: str
-) -> None:
-    _draw(axes, case)
-    colors = colors_of(case.curves)
-    for name in colors.keys() & PEAKS_NS.keys():
-        axes.axvline(PEAKS_NS[name], color=colors[name], linewidth=0.9, linestyle=":", zorder=0)
-    axes.set(title=title, yscale="log", ylim=limits, xlim=window, xlabel=TIME_LABEL, ylabel=label)
-    axes.grid(color="#E8E8E8", linewidth=0.6)
 
 
 def sigma_ps(runs: Runs) -> float:
@@ -93,7 +70,7 @@ def sigma_ps(runs: Runs) -> float:
 
 
 def _curves(case: Simulation) -> dict[str, Curve]:
-    return {"total": case.primary + case.secondary, **case.curves.parts, "secondary bounce": case.secondary}
+    return {"total": case.total, **case.curves.parts, "secondary bounce": case.secondary}
 
 
 def _draw(axes: Axes, case: Simulation, thin: bool = False) -> None:

@@ -23,10 +23,6 @@ def numbers(runs: Runs, statements: Sequence[Statement], command: str) -> dict[s
     cases |= {f"as printed in metres, {rays}, all": _case(case) for rays, case in runs.in_metres.items()}
     cases |= {f"as printed, {runs.sparse}, all, {grid}, α₁ over {conserved}": _case(case)
               for (grid, conserved), case in runs.choices.items()}  # fmt: skip
-    cases |= {
-        f"laid out for the printed weights, {f'as printed, {rays}' if rays else 'converged'}": _case(case)
-        for rays, case in runs.laid_out.items()
-    }
     found = {
         "made_by": MADE_BY,
         "command": command,
@@ -39,7 +35,7 @@ def numbers(runs: Runs, statements: Sequence[Statement], command: str) -> dict[s
         "levels_as_printed_by_rays": {str(rays): asdict(level) for rays, level in runs.sweep.items()},
         "levels_radiometric_by_rays": {str(rays): asdict(level) for rays, level in runs.radiometric_levels.items()},
         "levels_radiometric_lengths_times_1_and_1000": [asdict(level) for level in runs.rescaled],
-        "converged_relative_standard_error": runs.relative_error[0],
+        "converged_relative_standard_error": runs.case("converged").relative_error,
         "time_ns": runs.time_ns,
     }
     plain: dict[str, Any] = _plain(found)

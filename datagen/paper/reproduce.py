@@ -12,15 +12,14 @@ from pathlib import Path
 
 from datagen.config import load_config
 from datagen.errors import InputError
-from datagen.paper.envelope_figures import envelope_figure, other_room_figure
-from datagen.paper.level_statements import level_statements
+from datagen.paper.envelope_figures import envelope_figure
 from datagen.paper.lookin_balance import lookin_balance
 from datagen.paper.numbers import MADE_BY, numbers
 from datagen.paper.page import page
 from datagen.paper.room_figures import light_figure, lookins_figure
 from datagen.paper.room_samples import example_lookins, lit_points
 from datagen.paper.runs import FULL, QUICK, ROOM_UNIT_M, Progress, run_all
-from datagen.paper.statements import arrival_statements, scheme_statements
+from datagen.paper.statements import statements_of
 from datagen.report.style import save_png
 
 PAGE, NUMBERS = "index.html", "numbers.json"
@@ -57,7 +56,7 @@ def reproduce(
     with _written_at_once(Path(out)) as folder:
         runs = run_all(room, QUICK if quick else FULL, progress)
         balance = lookin_balance(runs.scene, runs.capture, runs.sparse, runs.sizes.pixels, ROOM_UNIT_M)
-        statements = [*arrival_statements(runs, balance), *scheme_statements(runs), *level_statements(runs, balance)]
+        statements = statements_of(runs, balance)
         progress("figures")
         points, examples = lit_points(runs), example_lookins(runs)
         images = {number: f"figure_{number}.png" for number in ("3", "5", "7", "9")}
@@ -65,9 +64,6 @@ def reproduce(
         save_png(lookins_figure(runs, examples), folder / images["5"])
         save_png(envelope_figure(runs, "all", "7"), folder / images["7"])
         save_png(envelope_figure(runs, "strongest", "9"), folder / images["9"])
-        if runs.laid_out:
-            images["7, second room"] = "figure_7_second_room.png"
-            save_png(other_room_figure(runs), folder / images["7, second room"])
         text = json.dumps(numbers(runs, statements, command), indent=1, ensure_ascii=False)
         (folder / NUMBERS).write_text(text + "\n", encoding="utf-8")
         html = "\n".join(page(runs, statements, points, examples, images, command))

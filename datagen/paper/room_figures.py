@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,16 +135,12 @@ def _paint(
     shown = shown[:: max(1, len(shown) // _MOST_POINTS)]
     at = backdrop.camera.project(position[shown])
     order = np.argsort(-at[:, 2])
-    color = _relative(values[shown] / highest, linear)
     size = float(np.clip(25_000 / len(shown), 0.4, 9.0))
-    drawn = axes.scatter(
-        at[order, 0], at[order, 1], c=color[order], s=size, cmap=_COLORS, vmin=-_DECADES * (not linear),
-        vmax=1.0 if linear else 0.0, linewidths=0, zorder=6,
-    )  # fmt: skip
+    relative = values[shown][order] / highest
+    _scatter(figure, axes, at[order], relative, linear, s=size, linewidths=0, zorder=6)
     backdrop.mark(axes, backdrop.beam[1], "o", 26, LASER)
     if lookin is not None:
         backdrop.mark(axes, lookin, "^", 60, "#9A9A9A")
-    figure.colorbar(drawn, ax=axes, shrink=0.7, pad=0.01).set_label("relative" if linear else "log₁₀, relative")
 
 
 def _close_up(figure: Figure, axes: Axes, runs: Runs, example: FromLookin, values: NDArray[np.float64]) -> None:
@@ -159,19 +155,19 @@ def _close_up(figure: Figure, axes: Axes, runs: Runs, example: FromLookin, value
     at = (example.position[example.in_view] - middle) @ frame.T
     square = (np.concatenate([corners, corners[:1]]) - middle) @ frame.T
     highest = float(values.max(initial=0.0))
-    color = _relative(values / highest, False) if highest > 0 else np.full(len(values), -_DECADES)
+    relative = values / highest if highest > 0 else np.zeros(len(values))
     size = float(np.clip(6000 / max(len(at), 1), 3.0, 60.0))
-    drawn = axes.scatter(
-        at[:, 0], at[:, 1], c=color, s=size, cmap=_COLORS, vmin=-_DECADES, vmax=0.0, edgecolors="#888888",
-        linewidths=0.2,
-    )  # fmt: skip
+    _scatter(figure, axes, at, relative, False, s=size, edgecolors="#888888", linewidths=0.2)
     axes.plot(square[:, 0], square[:, 1], color=_GREEN, linewidth=1.8)
     axes.set_aspect("equal")
     axes.set(xlabel="right (m)", ylabel="up (m)")
-    figure.colorbar(drawn, ax=axes, shrink=0.7, pad=0.01).set_label("log₁₀, relative")
 
 
-def _relative(values: NDArray[np.float64], linear: bool) -> NDArray[np.float64]:
-    if linear:
-        return np.clip(values, 0, 1)
-    return np.asarray(np.clip(np.log10(np.maximum(values, 1e-300)), -_DECADES, 0), np.float64)
+def _scatter(
+    figure: Figure, axes: Axes, at: NDArray[np.float64], relative: NDArray[np.float64], linear: bool, **style: Any
+) -> None:
+    """Points coloured by value, as it is or over the decades below the brightest, with a colour bar."""
+    color = np.clip(relative, 0, 1) if linear else np.clip(np.log10(np.maximum(relative, 1e-300)), -_DECADES, 0)
+    limits = (0.0, 1.0) if linear else (-_DECADES, 0.0)
+    drawn = axes.scatter(at[:, 0], at[:, 1], c=color, cmap=_COLORS, vmin=limits[0], vmax=limits[1], **style)
+    figure.colorbar(drawn, ax=axes, shrink=0.7, pad=0.01).set_label("relative" if linear else "log₁₀, relative")

@@ -15,8 +15,8 @@ from datagen.config import DatasetConfig
 from datagen.errors import InputError
 from datagen.paper.as_printed import AsPrinted, Conserved, simulate_as_printed
 from datagen.paper.as_printed_sampling import Grid
+from datagen.paper.envelopes import ComponentCurves, component_curves
 from datagen.records import Accuracy, Capture, Laser, Scene, Sensor, TimeAxis, Transient
-from datagen.report.components import ComponentCurves, component_curves
 from datagen.scene import generate_scene
 from datagen.transport import simulate
 from datagen.transport.raycast import Raycaster
@@ -29,8 +29,6 @@ Progress = Callable[[str], None]
 ROOM_UNIT_M, OTHER_UNIT_M = 1e-3, 1.0
 GRIDS: tuple[Grid, ...] = ("angles", "solid_angle")
 CONSERVED: tuple[Conserved, ...] = ("room", "lookin", "rays")
-LAYOUT_AS_PRINTED: dict[str, float] = {"height_m": 3.0}
-CONTENTS_AS_PRINTED: dict[str, dict[str, float]] = {"box": {"height_m": 2.2}, "pillar": {"across": 0.7}}
 SCHEMES: tuple[Scheme, ...] = ("all", "strongest")
 
 
@@ -69,12 +67,14 @@ class Simulation:
     curves : its likelihood envelopes.
     level : component → energy per emitted photon, or what stands for it as printed.
     seconds, processor_s : elapsed and processor time of all of it.
+    relative_error : estimated standard error of the transient, relative L2; NaN as printed.
     """
 
     curves: ComponentCurves
     level: Mapping[str, float]
     seconds: float
     processor_s: float
+    relative_error: float
 
     @property
     def primary(self) -> NDArray[np.float64]:
@@ -85,6 +85,16 @@ class Simulation:
     def secondary(self) -> NDArray[np.float64]:
         """(bin,) envelope of the secondary paths."""
         return self.curves.orders["secondary"]
+
+    @property
+    def total(self) -> NDArray[np.float64]:
+        """(bin,) envelope of both."""
+        return self.primary + self.secondary
+
+    @property
+    def time_ns(self) -> NDArray[np.float64]:
+        """(bin,) since the light reached the laser point."""
+        return self.curves.time_ns
 
     @property
     def ratio(self) -> float:
@@ -115,8 +125,6 @@ class Runs:
     in_metres : the sparse grid as printed with lengths in metres.
     rescaled : levels of the radiometric run of the sparse counts, and of the same with all lengths of room, aperture
         and time axis multiplied as from mm to m.
-    laid_out : rays a side → dense case as printed, 0 → converged, in `room_laid_out_as_printed`; empty without one.
-    relative_error : of the converged run.
     """
 
     config: DatasetConfig
@@ -129,8 +137,6 @@ class Runs:
     radiometric_levels: dict[int, Level] = field(default_factory=dict)
     in_metres: dict[int, Simulation] = field(default_factory=dict)
     rescaled: list[Level] = field(default_factory=list)
-    laid_out: dict[int, Simulation] = field(default_factory=dict)
-    relative_error: list[float] = field(default_factory=list)
 
     def case(self, estimator: Estimator, rays: int = 0, scheme: Scheme = "all") -> Simulation:
         """One of the simulations."""
@@ -155,7 +161,7 @@ class Runs:
     @property
     def time_ns(self) -> NDArray[np.float64]:
         """(bin,) since the light reached the laser point."""
-        return self.case("converged").curves.time_ns
+        return self.case("converged").time_ns
 
 
 def run_all(config: DatasetConfig, sizes: Sizes, progress: Progress) -> Runs:
@@ -181,39 +187,13 @@ def run_all(config: DatasetConfig, sizes: Sizes, progress: Progress) -> Runs:
             for _ in range(2):
                 runs.cases["radiometric", rays, scheme] = _radiometric(runs, rays, sizes.pixels, scheme, 0)
     progress(f"radiometric, converged, {sizes.reference} lookins")
-    runs.cases["converged", 0, "all"], error = _converged(runs)
-    runs.relative_error.append(error)
+    accuracy = Accuracy(lookins=sizes.reference, fov_samples=16, max_bounces=4, replicates=16)
+    runs.cases["converged", 0, "all"] = _timed(runs, lambda: simulate(scene, capture, accuracy, 0))
     if not runs.case("converged").level["primary"] > 0:
         raise InputError(f"{config.name}: no light comes around the corner within the time window; nothing to plot")
     progress("levels against units, rays and choices")
     _levels(runs)
-    other = room_laid_out_as_printed(config)
-    if other is not None:
-        progress("the room laid out for the printed weights")
-        _lay_out(runs, other)
     return runs
-
-
-def room_laid_out_as_printed(config: DatasetConfig) -> DatasetConfig | None:
-    """The demonstration room with three lengths changed so that Eq. 6, and not radiometry, has the published peaks.
-
-    The paper gives no plan; any room with its peaks will do. None for another configuration.
-    """
-    if config.name != "demonstration_room":
-        return None
-    layout = config.scene.layout.model_copy(update=LAYOUT_AS_PRINTED)
-    contents = tuple(
-        content.model_copy(update=CONTENTS_AS_PRINTED.get(content.kind, {})) for content in config.scene.contents
-    )
-    scene = config.scene.model_copy(update={"layout": layout, "contents": contents})
-    return config.model_copy(update={"scene": scene})
-
-
-def _lay_out(runs: Runs, config: DatasetConfig) -> None:
-    scene = generate_scene(config.scene, config.seed, 0)
-    there = Runs(config, scene, capture_for(config, scene, config.seed, 0), runs.sizes)
-    runs.laid_out[runs.dense] = _printed(there, AsPrinted(runs.dense, runs.sizes.pixels))
-    runs.laid_out[0] = _converged(there)[0]
 
 
 def _levels(runs: Runs) -> None:
@@ -238,11 +218,11 @@ def _levels(runs: Runs) -> None:
 
 
 def _printed(runs: Runs, settings: AsPrinted) -> Simulation:
-    return _timed(runs, lambda: simulate_as_printed(runs.scene, runs.capture, settings))[0]
+    return _timed(runs, lambda: simulate_as_printed(runs.scene, runs.capture, settings))
 
 
 def _radiometric(runs: Runs, rays: int, pixels: int, scheme: Scheme, seed: int) -> Simulation:
-    return _timed(runs, lambda: simulate(runs.scene, runs.capture, _counts(rays, pixels, scheme), seed))[0]
+    return _timed(runs, lambda: simulate(runs.scene, runs.capture, _counts(rays, pixels, scheme), seed))
 
 
 def _counts(rays: int, pixels: int, scheme: Scheme) -> Accuracy:
@@ -265,16 +245,10 @@ def _rescaled(runs: Runs, factor: float) -> Level:
     return Level(float(found["primary"].sum()), float(found["secondary"].sum()))
 
 
-def _converged(runs: Runs) -> tuple[Simulation, float]:
-    accuracy = Accuracy(lookins=runs.sizes.reference, fov_samples=16, max_bounces=4, replicates=16)
-    case, transient = _timed(runs, lambda: simulate(runs.scene, runs.capture, accuracy, 0))
-    return case, transient.relative_error
-
-
-def _timed(runs: Runs, run: Callable[[], Transient]) -> tuple[Simulation, Transient]:
+def _timed(runs: Runs, run: Callable[[], Transient]) -> Simulation:
     began, began_processor = clock.perf_counter(), clock.process_time()
     transient = run()
     seconds, processor_s = clock.perf_counter() - began, clock.process_time() - began_processor
     curves = component_curves(runs.config, runs.scene, runs.capture, transient)
     level = {name: float(values.sum()) for name, values in transient.components.items()}
-    return Simulation(curves, level, seconds, processor_s), transient
+    return Simulation(curves, level, seconds, processor_s, transient.relative_error)

@@ -6,9 +6,8 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from datagen.effects import EFFECTS
-from datagen.effects.rule import Decision
 from datagen.report.replay import Replay, StoredScene
-from datagen.report.style import caption, caption_height, new_figure
+from datagen.report.style import captioned
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,11 +30,9 @@ def effects_page(stored: StoredScene, again: Replay) -> Figure | None:
         "change: a bound is proven, a trial run measures with few samples. Effects that were switched on or off, and "
         "those that cost no time, are not estimated."
     )
-    rows = [(decision, textwrap.wrap(_reason(decision), _REASON_WIDTH) or [""]) for decision in decisions]
-    lines = sum(len(reason) for _, reason in rows) + 1.5
-    figure = new_figure(13, _LINE_IN * lines + 0.5 + caption_height(13, text))
-    grid = figure.add_gridspec(2, 1, height_ratios=[_LINE_IN * lines, caption_height(13, text)])
-    figure.suptitle(f"{stored.title}: effects", fontweight="bold")
+    reasons = [textwrap.wrap(decision.reason.replace("`", ""), _REASON_WIDTH) or [""] for decision in decisions]
+    lines = sum(map(len, reasons)) + 1.5
+    figure, grid = captioned(13, [_LINE_IN * lines + 0.5], text, f"{stored.title}: effects")
     axes = figure.add_subplot(grid[0])
     axes.set(xlim=(0, 1), ylim=(lines, 0))
     axes.set_axis_off()
@@ -43,22 +40,13 @@ def effects_page(stored: StoredScene, again: Replay) -> Figure | None:
         axes.text(x, 0.0, name, fontweight="bold", va="top", fontsize=9)
     titles = {row.name: row.title for row in EFFECTS}
     y = 1.4
-    for decision, reason in rows:
+    for decision, reason in zip(decisions, reasons, strict=True):
         state = "simulated" if decision.simulated else "left out" if decision.left_out else "none"
-        number = (
-            ""
-            if decision.estimate is None or state == "none"
-            else "> 1"
-            if decision.estimate > 1
-            else f"{decision.estimate:.2g}"
-        )
+        number = ""
+        if decision.estimate is not None and state != "none":
+            number = "> 1" if decision.estimate > 1 else f"{decision.estimate:.2g}"
         words = (titles[decision.effect], state, number, "" if state == "none" else decision.kind, "\n".join(reason))
         for (_, x), word in zip(_COLUMNS, words, strict=True):
             axes.text(x, y, word, va="top", fontsize=8.5, color=_COLOURS[state], linespacing=1.3)
         y += len(reason)
-    caption(figure, figure.add_subplot(grid[1]), text)
     return figure
-
-
-def _reason(decision: Decision) -> str:
-    return decision.reason.replace("`", "")

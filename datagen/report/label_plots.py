@@ -15,6 +15,7 @@ from datagen.report.style import empty_note, part_colors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colorbar import Colorbar
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
@@ -45,8 +46,7 @@ def draw_boxes(
     axes.set_title("Objects: boxes and classes (thick: front)")
     axes.set(xlabel="right (m)", ylabel="up (m)")
     if behind is not None:
-        shown = np.ma.masked_where(behind <= 0, behind)
-        axes.imshow(shown, extent=_image_extent(scene), cmap="gray_r", interpolation="nearest", alpha=0.45)
+        _image(axes, scene, np.ma.masked_where(behind <= 0, behind), cmap="gray_r", alpha=0.45)
     colors = part_colors(scene)
     for corners, label, part in zip(boxes.corners(), boxes.label, boxes.part, strict=False):
         color = colors[scene.part_names[part]]
@@ -70,26 +70,28 @@ def _image_extent(scene: Scene) -> tuple[float, float, float, float]:
     return -frame.half_width_m, frame.half_width_m, -frame.half_height_m, frame.half_height_m
 
 
+def _image(axes: Axes, scene: Scene, values: NDArray[Any], **style: Any) -> AxesImage:
+    return axes.imshow(values, **{"extent": _image_extent(scene), "interpolation": "nearest", **style})
+
+
 def _draw_depth(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
     """Near is bright; 0 means empty and stays white."""
     shown = np.ma.masked_where(values <= 0, values)
-    image = axes.imshow(shown, extent=_image_extent(scene), cmap="viridis_r", interpolation="nearest")
+    image = _image(axes, scene, shown, cmap="viridis_r")
     if shown.count() == 0:
         empty_note(axes, "nothing stands behind the view")
         return
-    label = "depth (m); white: empty" if shown.count() < shown.size else "depth (m)"
-    _color_bar(figure, axes, image, label)
+    _color_bar(figure, axes, image, "depth (m); white: empty" if shown.count() < shown.size else "depth (m)")
 
 
 def _draw_albedo(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
-    image = axes.imshow(values, extent=_image_extent(scene), cmap="gray", interpolation="nearest", vmin=0.0, vmax=1.0)
-    _color_bar(figure, axes, image, "albedo (0: empty)")
+    _color_bar(figure, axes, _image(axes, scene, values, cmap="gray", vmin=0.0, vmax=1.0), "albedo (0: empty)")
 
 
 def _draw_shaded(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
-    image = axes.imshow(np.sqrt(values), extent=_image_extent(scene), cmap="gray", interpolation="nearest", vmin=0.0)
+    image = _image(axes, scene, np.sqrt(values), cmap="gray", vmin=0.0)
     ticks = [t for t in (0.0, 0.01, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0) if t <= values.max()]
-    bar = figure.colorbar(image, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label="radiance (lit relay wall: 1)")
+    bar = _color_bar(figure, axes, image, "radiance (lit relay wall: 1)")
     bar.set_ticks([float(np.sqrt(t)) for t in ticks], labels=[f"{t:g}" for t in ticks])
 
 
@@ -97,7 +99,7 @@ def _draw_normal(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any])
     """Red: facing right, green: up, blue: facing the wall (half intensity: perpendicular to that)."""
     towards = values * np.array([1.0, 1.0, -1.0])
     color = np.where(np.linalg.norm(values, axis=-1, keepdims=True) > 0, (towards + 1) / 2, 1.0)
-    axes.imshow(np.clip(color, 0, 1), extent=_image_extent(scene), interpolation="nearest")
+    _image(axes, scene, np.clip(color, 0, 1))
 
 
 def _draw_parts(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
@@ -105,8 +107,7 @@ def _draw_parts(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) 
     from matplotlib.patches import Patch
 
     colors = part_colors(scene)
-    table = np.array([to_rgb(colors[name]) for name in scene.part_names] + [(1.0, 1.0, 1.0)])
-    axes.imshow(table[values], extent=_image_extent(scene), interpolation="nearest")
+    _image(axes, scene, np.array([to_rgb(colors[name]) for name in scene.part_names] + [(1.0, 1.0, 1.0)])[values])
     seen = [scene.part_names[k] for k in np.unique(values) if k >= 0]
     handles = [Patch(facecolor=colors[name], edgecolor="#555555", linewidth=0.5, label=name) for name in seen[:12]]
     axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))
@@ -117,7 +118,7 @@ def _draw_occupancy(figure: Figure, axes: Axes, scene: Scene, values: NDArray[An
     grid = VoxelGrid.of(scene, values.shape)
     extent = (grid.low[0], grid.high[0], grid.low[1], grid.high[1])
     thickness = values.sum(axis=0, dtype=np.float64) * grid.voxel_m[0]
-    image = axes.imshow(thickness, extent=extent, cmap="cividis", interpolation="nearest", vmin=0.0)
+    image = _image(axes, scene, thickness, extent=extent, cmap="cividis", vmin=0.0)
     _color_bar(figure, axes, image, "taken depth (m)")
 
 
@@ -138,9 +139,9 @@ def _draw_sdf(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) ->
     _color_bar(figure, axes, image, "distance (m), inside negative")
 
 
-def _color_bar(figure: Figure, axes: Axes, image: AxesImage, label: str) -> None:
+def _color_bar(figure: Figure, axes: Axes, image: AxesImage, label: str) -> Colorbar:
     """A colour bar as high as the picture beside it."""
-    figure.colorbar(image, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label=label)
+    return figure.colorbar(image, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label=label)
 
 
 _DRAW: dict[str, Callable[[Figure, Axes, Scene, NDArray[Any]], None]] = {

@@ -9,31 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ObjectBoxes, ViewFrame
+from datagen.report import scan_plots as scans
+from datagen.report import time_plots as times
 from datagen.report.label_plots import draw_boxes, draw_label
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
-from datagen.report.scan_plots import (
-    clear_row,
-    draw_moment,
-    draw_time_slice,
-    listed_page,
-    moments,
-    raster_of,
-    scan_of,
-    time_limits,
-)  # fmt: skip
 from datagen.report.style import captioned
-from datagen.report.time_plots import (
-    busy_window,
-    clear_channel,
-    draw_counts,
-    draw_residuals,
-    draw_stack,
-    mean_square_residual,
-    stacking_order,
-)  # fmt: skip
+from datagen.report.time_plots import busy_window, clear_channel
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _MOMENTS = 4
@@ -60,14 +45,8 @@ def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
         text += " Black outlines in the plan: the objects' boxes as stored, a tick at the front of each."
     if not again.reproduced:
         text += " CAUTION: simulating the stored scene again gave another one; this room may not be the stored one."
-    entries = len(again.scene.part_names) + 4
-    legend_in = 0.2 * np.ceil(entries / 6) + 0.1
-    figure, grid = captioned(12, [5.6, legend_in], text, f"{stored.title}: the room", 2, [1, 1.15])
-    plan, opened = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
-    draw_plan(plan, room)
-    plan.set_title("Plan, from above")
-    draw_opened(opened, room)
-    opened.set_title("Opened, without perspective")
+    figure, grid = captioned(12, [5.6, _legend_in(again, 6)], text, f"{stored.title}: the room", 2, [1, 1.15])
+    _draw_room(figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1]), room)
     draw_legend(figure, figure.add_subplot(grid[1, :]), room)
     return figure
 
@@ -83,13 +62,12 @@ def transient_page(stored: StoredScene, again: Replay) -> Figure:
     )
     figure, grid = captioned(12, [4.6], text, f"{stored.title}: the transient by part", 2)
     one, whole = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
-    draw_stack(one, again.scene, _curves(again, (laser, pixel)), again.capture.time)
+    times.draw_stack(one, again.scene, _curves(again, (laser, pixel)), again.capture.time)
     one.set_title(_channel_name(again, laser, pixel))
-    draw_stack(whole, again.scene, _curves(again, None), again.capture.time)
+    times.draw_stack(whole, again.scene, _curves(again, None), again.capture.time)
     whole.set_title(_whole_name(again))
-    handles, labels = one.get_legend_handles_labels()
-    if not handles:
-        handles, labels = whole.get_legend_handles_labels()
+    # What has light anywhere is in the sum.
+    handles, labels = whole.get_legend_handles_labels()
     if handles:
         whole.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.0, 0.5), title="top to bottom")
     return figure
@@ -108,9 +86,9 @@ def histogram_page(stored: StoredScene, again: Replay) -> Figure:
         )
     ):
         upper, lower = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
-        draw_counts(upper, counts, expected, time, mean=_mean_name(again))
+        times.draw_counts(upper, counts, expected, time, mean=_mean_name(again))
         upper.set(title=title, xlabel="")
-        draw_residuals(lower, counts, expected, time, is_poisson=again.is_poisson)
+        times.draw_residuals(lower, counts, expected, time, is_poisson=again.is_poisson)
         for axes in (upper, lower):
             axes.set_xlim(*busy_window(expected if expected.any() else counts, time))
     return figure
@@ -151,15 +129,15 @@ def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray
 def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
     """Slices of the scan, all light above and the objects' alone below; of one without a grid, time against laser
     point; None when there is a single channel."""
-    raster = raster_of(again.capture, clear_channel(again.scene, again.transient))
+    raster = scans.raster_of(again.capture, clear_channel(again.scene, again.transient))
     if raster is None:
         wall = again.scene.relay_wall
         if again.capture.shape[0] < 2 or wall is None:
             return None
         total, note = again.transient.total, _provenance(again)
-        return listed_page(stored.title, wall, again.capture, total, _objects(again), note)
-    whole = scan_of(again.transient.total, raster)
-    objects = scan_of(_objects(again), raster)
+        return scans.listed_page(stored.title, wall, again.capture, total, _objects(again), note)
+    whole = scans.scan_of(again.transient.total, raster)
+    objects = scans.scan_of(_objects(again), raster)
     text = (
         f"The transient of the scan's {raster.what} ({len(raster.z_m)} rows of {len(raster.x_m)}). Left: along the "
         "row that objects reach most; a point of the hidden scene draws a curve that is earliest where the wall is "
@@ -170,17 +148,17 @@ def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
     figure, grid = captioned(14, [6.0], text, f"{stored.title}: slices of the scan", 2, [1, 2.4])
     # Subfigures, so that the colour bars of one take no room from the columns of the other.
     left, right = figure.add_subfigure(grid[0, 0]), figure.add_subfigure(grid[0, 1])
-    row = clear_row(objects if objects.any() else whole)
-    at = moments(objects if objects.any() else whole, _MOMENTS)
+    row = scans.clear_row(objects if objects.any() else whole)
+    at = scans.moments(objects if objects.any() else whole, _MOMENTS)
     time = again.capture.time
-    limits, edges = time_limits(whole, objects, time), time.edges_s * 1e9
+    limits, edges = scans.time_limits(whole, objects, time), time.edges_s * 1e9
     for line, (what, scan) in enumerate((("all light", whole), ("objects only", objects))):
         along = left.add_subplot(2, 1, line + 1)
-        draw_time_slice(left, along, scan, row, raster, time, limits)
+        scans.draw_time_slice(left, along, scan, row, raster, time, limits)
         along.set_title(f"Row {row + 1} from the top, {what}")
         for number, bins in enumerate(at):
             axes = right.add_subplot(2, _MOMENTS, line * _MOMENTS + number + 1)
-            draw_moment(axes, scan, bins, raster)
+            scans.draw_moment(axes, scan, bins, raster)
             axes.set_title(f"{edges[bins.start]:.4g} – {edges[bins.stop]:.4g} ns")
             axes.set_ylabel("" if number else f"{what}: up (m)")
     return figure
@@ -196,31 +174,38 @@ def overview_page(
         "depth label looks from. Below: the expected light of the whole scan split by part (stacked, logarithmic), "
         f"photon counts over their {_mean_name(again)} in one channel, and the depth label. {_provenance(again)}"
     )
-    entries = len(again.scene.part_names) + 4
-    legend_in = 0.2 * np.ceil(entries / 8) + 0.1
-    figure, grid = captioned(15, [4.9, legend_in, 4.0 + 0.3], text, f"{stored.title}: overview", 6)
-    raster = raster_of(again.capture, channel)
+    figure, grid = captioned(15, [4.9, _legend_in(again, 8), 4.3], text, f"{stored.title}: overview", 6)
+    raster = scans.raster_of(again.capture, channel)
     plan, opened = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:4] if raster else grid[0, 2:])
-    draw_plan(plan, room)
-    plan.set_title("Plan, from above")
-    draw_opened(opened, room)
-    opened.set_title("Opened: ceiling and near walls off")
+    _draw_room(plan, opened, room)
     if raster is not None:
-        scan, objects = scan_of(again.transient.total, raster), scan_of(_objects(again), raster)
-        row = clear_row(objects if objects.any() else scan)
+        scan, objects = scans.scan_of(again.transient.total, raster), scans.scan_of(_objects(again), raster)
+        row = scans.clear_row(objects if objects.any() else scan)
         corner = figure.add_subfigure(grid[0, 4:])
         sliced = corner.add_subplot()
-        draw_time_slice(corner, sliced, scan, row, raster, time, time_limits(scan, objects, time))
+        scans.draw_time_slice(corner, sliced, scan, row, raster, time, scans.time_limits(scan, objects, time))
         sliced.set_title(f"Scan: time along row {row + 1} from the top")
     draw_legend(figure, figure.add_subplot(grid[1, :]), room, columns=8)
     stack, counted, depth = (figure.add_subplot(grid[2, 2 * k : 2 * k + 2]) for k in range(3))
-    draw_stack(stack, again.scene, _curves(again, None), time)
+    times.draw_stack(stack, again.scene, _curves(again, None), time)
     stack.set_title(f"Transient, {_whole_name(again).lower()}")
-    draw_counts(counted, again.counts[channel], again.expected[channel], time, mean=_mean_name(again))
+    times.draw_counts(counted, again.counts[channel], again.expected[channel], time, mean=_mean_name(again))
     counted.set_xlim(*busy_window(again.expected[channel], time))
     counted.set_title(f"Counts, {_channel_name(again, *channel).lower()}")
     draw_label(figure, depth, again.scene, "depth", labels["depth"])
     return figure
+
+
+def _draw_room(plan: Axes, opened: Axes, room: RoomPicture) -> None:
+    draw_plan(plan, room)
+    plan.set_title("Plan, from above")
+    draw_opened(opened, room)
+    opened.set_title("Opened: ceiling and near walls off")
+
+
+def _legend_in(again: Replay, columns: int) -> float:
+    """Inches of a legend of all parts and four marks."""
+    return 0.2 * float(np.ceil((len(again.scene.part_names) + 4) / columns)) + 0.1
 
 
 def boxes_of(stored: StoredScene) -> ObjectBoxes | None:
@@ -239,7 +224,7 @@ def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, N
     """(part, (bin,) curve) in stacking order, of one channel or summed over all; parts without light left out."""
     parts = again.transient.parts
     pick = {name: values.sum(axis=(0, 1)) if channel is None else values[channel] for name, values in parts.items()}
-    curves = [(name, pick[name]) for name in stacking_order(again.scene) if name in pick]
+    curves = [(name, pick[name]) for name in times.stacking_order(again.scene) if name in pick]
     return [(name, curve) for name, curve in curves if parts[name].any()]
 
 
@@ -281,7 +266,7 @@ def _histogram_caption(stored: StoredScene, again: Replay) -> str:
         "the Poisson spread; the band is ± 2, which holds about 95 % where counts are high (where few are expected, "
         "residuals jump between 0 and 1 counts and are lopsided)."
     )
-    found = mean_square_residual(again.counts, again.expected)
+    found = times.mean_square_residual(again.counts, again.expected)
     if found is not None:
         text += (
             f" Over all {found[2]} bins with any expectation, the mean square residual is {found[0]:.3f}; "

@@ -1,7 +1,7 @@
 """How wrong Poisson is: `python -m datagen.report.pileup configs/demonstration_room.yaml OUT`.
 
 The bias of a Poisson detector (flux × cycles, no dead time) against the exact mean of a real one, over flux, with the
-direct return in view and gated out. As picture and table, for a simulated room or any transient.
+direct return in view and gated out.
 """
 
 from __future__ import annotations
@@ -9,23 +9,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from datagen.capture import capture_for
+from datagen.config import DatasetConfig, load_config
 from datagen.detector import Exposure, Spad, detector_for, expected_histogram
 from datagen.errors import InputError
 from datagen.exit_status import guarded
 from datagen.records import Accuracy, TimeAxis
 from datagen.report.style import EXPECTED, INK, LASER, captioned, house_style, save_png
 from datagen.report.time_plots import busy_window
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from datagen.config import DatasetConfig
+from datagen.scene import generate_scene
+from datagen.seeding import Purpose, derived_seed
+from datagen.transport import simulate
 
 Array = NDArray[np.float64]
 
@@ -37,7 +36,8 @@ DETECTORS: dict[str, Spad] = {
     "synchronous, 10 ns dead time": Spad(pde=1.0, mode="synchronous", dead_time_s=10e-9),
     "free running, 50 ns dead time": Spad(pde=1.0, dead_time_s=50e-9),
 }
-_PURPLE = "#882255"
+_LOOKS = dict(zip(DETECTORS, ((LASER, 3.4), (EXPECTED, 1.4), ("#882255", 1.2)), strict=True))
+"""Colour and line width; broad ones first, so that curves which coincide are all seen."""
 _LOOKINS = 16_384
 
 
@@ -102,16 +102,14 @@ def pileup_rows(
 
 def table(rows: Sequence[PileupRow]) -> str:
     """Markdown, a line for each row."""
+    cells = [
+        [row.detector, "gated out" if row.gated else "in view", f"{row.flux:g}",
+         f"{_three_digits(100 * row.signal_bias, '+')} %", f"{_three_digits(100 * row.worst_bias)} %",
+         _three_digits(row.delay_ps, "+")]
+        for row in rows
+    ]  # fmt: skip
     head = ["detector", "direct return", "flux / cycle", "bias of signal", "worst bin", "delay (ps)"]
-    lines = [f"| {' | '.join(head)} |", "|---|---|" + "---:|" * 4]
-    for row in rows:
-        cells = [
-            row.detector, "gated out" if row.gated else "in view", f"{row.flux:g}",
-            f"{_three_digits(100 * row.signal_bias, '+')} %", f"{_three_digits(100 * row.worst_bias)} %",
-            _three_digits(row.delay_ps, "+"),
-        ]  # fmt: skip
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+    return "\n".join(f"| {' | '.join(line)} |" for line in (head, ["---"] * 2 + ["---:"] * 4, *cells))
 
 
 def _three_digits(value: float, sign: str = "") -> str:
@@ -122,10 +120,9 @@ def _three_digits(value: float, sign: str = "") -> str:
 def draw_pileup(
     transient: ArrayLike, time: TimeAxis, direct_until_s: float, out: Path, repetition_rate_hz: float = 10e6
 ) -> Path:
-    """Write the picture as PNG: histograms with and without gate at one flux, and bias against flux."""
+    """Write the picture as PNG: histograms with and without dead time at one flux, and bias against flux."""
     shape = np.asarray(transient, np.float64)
-    fluxes = np.geomspace(1e-3, 10, 25)
-    rows = pileup_rows(shape, time, direct_until_s, repetition_rate_hz, list(fluxes))
+    rows = pileup_rows(shape, time, direct_until_s, repetition_rate_hz, list(np.geomspace(1e-3, 10, 25)))
     text = (
         "Left: expected counts at one event per cycle, as Poisson counting has them and as detectors with dead time "
         "do, divided by the same number of cycles; the direct return comes first. Right: how many counts too many "
@@ -133,42 +130,27 @@ def draw_pileup(
         "(dashed; the flux is that without the gate). Above the dotted line Poisson is wrong by more than 5 %. "
         "A dead time that ends before the signal begins would do what a gate does."
     )
+    exposure = Exposure(repetition_rate_hz, 1, 1.0 / float(shape.sum()))
     with house_style():
         figure, grid = captioned(11, [4.4], text, columns=2, widths=[1.15, 1])
-        _draw_histograms(figure.add_subplot(grid[0, 0]), shape, time, repetition_rate_hz)
-        _draw_bias(figure.add_subplot(grid[0, 1]), rows)
+        left, right = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
+        for name, spad in {"Poisson": Spad(pde=1.0, mode="ideal"), **DETECTORS}.items():
+            color, width = _LOOKS.get(name, (INK, 2.4))
+            counts = expected_histogram(shape, time, spad, exposure)
+            left.stairs(counts, time.edges_s * 1e9, color=color, label=name, linewidth=width)
+            for gated in (False, True) if name in DETECTORS else ():
+                mine = [row for row in rows if row.detector == name and row.gated is gated]
+                flux, bias = [row.flux for row in mine], [100 * row.signal_bias for row in mine]
+                label = None if gated else name
+                right.plot(flux, bias, "--" if gated else "-", color=color, label=label, linewidth=width)
+        left.set(yscale="log", ylim=(1e-6, 1), xlabel="time (ns)", ylabel="counts per cycle and bin")
+        left.set(xlim=busy_window(shape, time), title="One event per cycle, direct return in view")
+        left.legend(loc="upper right")
+        right.axhline(5, color="#777777", linestyle=":", linewidth=1)
+        right.set(xscale="log", yscale="log", xlabel="events per cycle, direct return included", ylabel="bias (%)")
+        right.set_title("Poisson over exact, after the direct return")
+        right.legend(loc="upper left")
         return save_png(figure, out)
-
-
-_COLORS = dict(zip(DETECTORS, (LASER, EXPECTED, _PURPLE), strict=True))
-_LINEWIDTHS = dict(zip(DETECTORS, (3.4, 1.4, 1.2), strict=True))
-"""Broad ones first, so that curves which coincide are all seen."""
-
-
-def _draw_histograms(axes: Axes, shape: Array, time: TimeAxis, repetition_rate_hz: float) -> None:
-    exposure = Exposure(repetition_rate_hz, 1, 1.0 / float(shape.sum()))
-    edges = time.edges_s * 1e9
-    for label, spad in {"Poisson": Spad(pde=1.0, mode="ideal"), **DETECTORS}.items():
-        counts, width = expected_histogram(shape, time, spad, exposure), _LINEWIDTHS.get(label, 2.4)
-        axes.stairs(counts, edges, color=_COLORS.get(label, INK), label=label, linewidth=width)
-    axes.set(yscale="log", ylim=(1e-6, 1), xlabel="time (ns)", ylabel="counts per cycle and bin")
-    axes.set_xlim(*busy_window(shape, time))
-    axes.set_title("One event per cycle, direct return in view")
-    axes.legend(loc="upper right")
-
-
-def _draw_bias(axes: Axes, rows: Sequence[PileupRow]) -> None:
-    for name, color in _COLORS.items():
-        for gated in (False, True):
-            mine = [r for r in rows if r.detector == name and r.gated is gated]
-            axes.plot(
-                [r.flux for r in mine], [100 * r.signal_bias for r in mine], "--" if gated else "-",
-                color=color, label=None if gated else name, linewidth=_LINEWIDTHS[name],
-            )  # fmt: skip
-    axes.axhline(5, color="#777777", linestyle=":", linewidth=1)
-    axes.set(xscale="log", yscale="log", xlabel="events per cycle, direct return included", ylabel="bias (%)")
-    axes.set_title("Poisson over exact, after the direct return")
-    axes.legend(loc="upper left")
 
 
 def room_channel(config: DatasetConfig, index: int = 0) -> tuple[Array, TimeAxis, float]:
@@ -177,11 +159,6 @@ def room_channel(config: DatasetConfig, index: int = 0) -> tuple[Array, TimeAxis
     Of all histograms the one with most light from the hidden scene. Raises `InputError` where no direct return is
     seen, or nothing after it.
     """
-    from datagen.capture import capture_for
-    from datagen.scene import generate_scene
-    from datagen.seeding import Purpose, derived_seed
-    from datagen.transport import simulate
-
     scene = generate_scene(config.scene, config.seed, index)
     capture = capture_for(config, scene, config.seed, index)
     accuracy = Accuracy(min(config.transport.lookins, _LOOKINS), max_bounces=4, direct=True)
@@ -204,8 +181,6 @@ def room_channel(config: DatasetConfig, index: int = 0) -> tuple[Array, TimeAxis
 @click.option("--index", default=0, show_default=True, help="Which scene of the configuration.")
 def main(config: Path, out: Path, index: int) -> None:
     """Write OUT/pileup.png for a scene of CONFIG and print the table."""
-    from datagen.config import load_config
-
     settings = load_config(config)
     transient, time, direct_until_s = room_channel(settings, index)
     rate_hz = detector_for(settings.detector, settings.seed, index, time)[1].repetition_rate_hz

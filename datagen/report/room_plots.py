@@ -12,17 +12,8 @@ from numpy.typing import NDArray
 from datagen.labels import ObjectBoxes, ViewFrame
 from datagen.labels.raster import first_hits
 from datagen.records import Capture, Scene
-from datagen.report.cutaway import (
-    Camera,
-    Cutaway,
-    Extent,
-    Shaded,
-    cut_open,
-    flat_groups,
-    room_faces,
-    shaded,
-    to_pixels,
-)
+from datagen.report import cutaway
+from datagen.report.cutaway import Camera, Cutaway, Extent, Shaded, room_faces, shaded
 from datagen.report.style import FIELD_OF_VIEW, INK, LASER, part_colors
 
 if TYPE_CHECKING:
@@ -82,11 +73,14 @@ def draw_plan(axes: Axes, room: RoomPicture) -> None:
     _show(axes, room.plan)
     walls = room_faces(scene)[0]
     if len(walls):
-        border = np.concatenate(flat_groups(scene, walls)[1])
+        border = np.concatenate(cutaway.flat_groups(scene, walls)[1])
         _lines(axes, border[..., :2], color="#555555", linewidth=1.6, zorder=3)
-    for number in [k for k, role in enumerate(scene.roles) if role == "relay_wall"][:1]:
-        corners = scene.corners[scene.face_part == number][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
-        _lines(axes, corners[..., :2], color=_relay_color(scene), linewidth=_relay_width(len(corners)), zorder=4)
+    if "relay_wall" in scene.roles:
+        name = scene.part_names[scene.roles.index("relay_wall")]
+        edges = scene.corners[scene.faces_of(name)][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
+        # A flat wall is a broad line; the profile of an uneven one needs a fine pen.
+        width = 4.5 if len(edges) < 60 else 0.8
+        _lines(axes, edges[..., :2], color=part_colors(scene)[name], linewidth=width, zorder=4)
     _mark_hidden_view(axes, scene, camera)
     _mark_boxes(axes, room, camera)
     _mark_capture(axes, room, camera)
@@ -117,20 +111,20 @@ def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
     normal = np.array([-1.0, 0.0, 0.0]) if scene.relay_wall is None else scene.relay_wall.normal
     front = float(np.degrees(np.arctan2(normal[1], normal[0])))
     wanted = np.flatnonzero([role != "structure" for role in scene.roles])
-    best: tuple[float, Camera, Cutaway] | None = None
+    best, most = None, -np.inf
     for azimuth in _AZIMUTHS_DEG:
         camera = Camera.looking(front + azimuth, _ELEVATION_DEG)
-        cut = cut_open(scene, camera)
+        cut = cutaway.cut_open(scene, camera)
         share = _seen_share(scene, camera, cut, wanted)
-        if best is None or share > best[0] + 1e-6:
-            best = (share, camera, cut)
+        if share > most + 1e-6:
+            best, most = (camera, cut), share
     assert best is not None
-    return best[1], best[2]
+    return best
 
 
 def _seen_share(scene: Scene, camera: Camera, cut: Cutaway, wanted: NDArray[np.int64]) -> float:
     """Sum over the wanted parts of the share of their outline that is not hidden."""
-    triangles, rows, columns, _ = to_pixels(scene, camera, cut.faces, 200)
+    triangles, rows, columns, _ = cutaway.to_pixels(scene, camera, cut.faces, 200)
     part = scene.face_part[cut.faces]
     together = first_hits(triangles, rows, columns, -np.inf)[0]
     shown = np.where(together < 0, -1, part[together])
@@ -166,17 +160,6 @@ def draw_legend(figure: Figure, axes: Axes, room: RoomPicture, columns: int = 6)
 
 def _marker(label: str) -> str:
     return {"laser": "^", "sensor": "s"}.get(label, "D")
-
-
-def _relay_width(edges: int) -> float:
-    """A flat wall is a broad line; the profile of an uneven one needs a fine pen."""
-    return 4.5 if edges < 60 else 0.8
-
-
-def _relay_color(scene: Scene) -> str:
-    return next(
-        c for (_, c), role in zip(part_colors(scene).items(), scene.roles, strict=True) if role == "relay_wall"
-    )
 
 
 def _show(axes: Axes, picture: Shaded) -> None:

@@ -15,7 +15,6 @@ from datagen.report.time_plots import busy_window, time_label
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, FigureBase
-    from matplotlib.image import AxesImage
 
 _COLORS = "magma"
 _DECADES = 3.5
@@ -95,40 +94,30 @@ def draw_time_slice(
     from matplotlib.colors import LogNorm
 
     edges = time.edges_s * 1e9
-    half = _half_step(raster.x_m)
+    across = _reach(raster.x_m)
     axes.set(xlabel="place along the row (m to the right)", ylabel=time_label(time))
     highest = float(scan[row].max())
     if highest <= 0:
-        axes.set(xlim=(raster.x_m[0] - half, raster.x_m[-1] + half), ylim=limits[::-1])
+        axes.set(xlim=across, ylim=limits[::-1])
         empty_note(axes, "no light")
         return
     axes.set_facecolor("black")
+    lowest = highest * 10.0**-_DECADES
     image = axes.imshow(
-        np.maximum(scan[row].T, highest * 10.0**-_DECADES),
-        extent=(raster.x_m[0] - half, raster.x_m[-1] + half, edges[-1], edges[0]),
-        aspect="auto",
-        cmap=_COLORS,
-        interpolation="nearest",
-        norm=LogNorm(highest * 10.0**-_DECADES, highest),
-    )
+        np.maximum(scan[row].T, lowest), extent=(*across, edges[-1], edges[0]), aspect="auto", cmap=_COLORS,
+        interpolation="nearest", norm=LogNorm(lowest, highest),
+    )  # fmt: skip
     axes.set_ylim(limits[::-1])
     figure.colorbar(image, ax=axes, pad=0.02, label="photons per emitted photon and bin")
 
 
-def draw_moment(axes: Axes, scan: NDArray[np.float64], bins: slice, raster: Raster) -> AxesImage:
+def draw_moment(axes: Axes, scan: NDArray[np.float64], bins: slice, raster: Raster) -> None:
     """The whole scan summed over a few bins: the wall as a picture, square root of the signal as brightness."""
-    across, upward = _half_step(raster.x_m), _half_step(raster.z_m)
-    image = axes.imshow(
-        np.sqrt(scan[..., bins].sum(axis=-1)),
-        extent=(
-            raster.x_m[0] - across, raster.x_m[-1] + across, raster.z_m[-1] - upward, raster.z_m[0] + upward,
-        ),
-        cmap=_COLORS,
-        interpolation="nearest",
-        vmin=0.0,
-    )  # fmt: skip
+    top, bottom = _reach(raster.z_m)
+    extent = (*_reach(raster.x_m), bottom, top)
+    shown = np.sqrt(scan[..., bins].sum(axis=-1))
+    axes.imshow(shown, extent=extent, cmap=_COLORS, interpolation="nearest", vmin=0.0)
     axes.set(xlabel="right (m)", ylabel="up (m)")
-    return image
 
 
 def moments(objects: NDArray[np.float64], count: int) -> list[slice]:
@@ -156,8 +145,10 @@ def time_limits(scan: NDArray[np.float64], objects: NDArray[np.float64], time: T
     return low, high
 
 
-def _half_step(places: NDArray[np.float64]) -> float:
-    return abs(float(places[1] - places[0])) / 2 if len(places) > 1 else 0.5
+def _reach(places: NDArray[np.float64]) -> tuple[float, float]:
+    """From half a step before the first place to half a step after the last."""
+    half = float(places[1] - places[0]) / 2 if len(places) > 1 else 0.5
+    return float(places[0]) - half, float(places[-1]) + half
 
 
 def listed_page(

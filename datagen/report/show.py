@@ -7,17 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datagen.labels import make_labels
+from datagen.report import pages as drawn
 from datagen.report.effects_page import effects_page
-from datagen.report.pages import (
-    boxes_of,
-    histogram_page,
-    labels_of,
-    labels_page,
-    overview_page,
-    room_page,
-    scan_page,
-    transient_page,
-)
 from datagen.report.replay import Replay, StoredScene, read_scene, replay
 from datagen.report.room_plots import RoomPicture
 from datagen.report.style import house_style, save_png
@@ -65,18 +56,18 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
 
     To be used within `house_style()`.
     """
-    wanted = labels_of(stored)
+    wanted = drawn.labels_of(stored)
     kept = {name: stored.arrays[name] for name in wanted if name in stored.arrays}
     made = make_labels(stored.config.labels, again.scene, [name for name in wanted if name not in kept])
     labels = {name: (kept | made)[name] for name in wanted}
-    room = RoomPicture(again.scene, again.capture, again.transient.laser_points, boxes=boxes_of(stored))
+    room = RoomPicture(again.scene, again.capture, again.transient.laser_points, boxes=drawn.boxes_of(stored))
     makers: dict[str, Callable[[], Figure | None]] = {
-        "overview": lambda: overview_page(stored, again, room, labels),
-        "room": lambda: room_page(stored, again, room),
-        "transient": lambda: transient_page(stored, again),
-        "histogram": lambda: histogram_page(stored, again),
-        "labels": lambda: labels_page(stored, again, labels),
-        "scan": lambda: scan_page(stored, again),
+        "overview": lambda: drawn.overview_page(stored, again, room, labels),
+        "room": lambda: drawn.room_page(stored, again, room),
+        "transient": lambda: drawn.transient_page(stored, again),
+        "histogram": lambda: drawn.histogram_page(stored, again),
+        "labels": lambda: drawn.labels_page(stored, again, labels),
+        "scan": lambda: drawn.scan_page(stored, again),
         "effects": lambda: effects_page(stored, again),
     }
     for name in names:

@@ -75,26 +75,16 @@ def draw_stack(axes: Axes, scene: Scene, parts: Sequence[tuple[str, NDArray[np.f
     axes.set_yscale("log")
     axes.set_ylim(highest * 10.0**-decades, highest * 2)
     axes.set_xlim(*busy_window(total, time))
-    add_path_axis(axes)
+    axes.spines["top"].set_visible(True)
+    metre = path_from_time(1e-9)
+    both = (lambda time_ns: np.asarray(time_ns) * metre, lambda path_m: np.asarray(path_m) / metre)
+    axes.secondary_xaxis("top", functions=both).set_xlabel("path length (m)")
 
 
 def stacking_order(scene: Scene) -> list[str]:
     """Part names, objects first: the lowest layer of a stack is the one that can be read off a logarithmic axis."""
     rank = {"object": 0, "structure": 1, "relay_wall": 2}
     return [name for _, name in sorted(zip(scene.roles, scene.part_names, strict=True), key=lambda p: rank[p[0]])]
-
-
-def add_path_axis(axes: Axes) -> None:
-    """The same axis once more along the top, as path length in metres."""
-
-    def to_path(time_ns: Any) -> Any:
-        return np.asarray(time_ns) * path_from_time(1e-9)
-
-    def to_time(path_m: Any) -> Any:
-        return np.asarray(path_m) / path_from_time(1e-9)
-
-    axes.spines["top"].set_visible(True)
-    axes.secondary_xaxis("top", functions=(to_path, to_time)).set_xlabel("path length (m)")
 
 
 def draw_counts(
@@ -121,17 +111,13 @@ def draw_counts(
     axes.legend(loc="upper right")
 
 
-def residuals(counts: NDArray[Any], expected: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(counts − expectation) / √expectation; NaN where nothing is expected and nothing was counted."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where((expected > 0) | (counts > 0), (counts - expected) / np.sqrt(expected), np.nan)
-
-
 def draw_residuals(
     axes: Axes, counts: NDArray[Any], expected: NDArray[np.float64], time: TimeAxis, *, is_poisson: bool = True
 ) -> None:
     """Residuals in units of the Poisson spread; for Poisson counts the band that holds 95 % of them where many."""
-    values = residuals(counts, expected)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left = (counts - expected) / np.sqrt(expected)
+    values = np.where((expected > 0) | (counts > 0), left, np.nan)
     if is_poisson:
         axes.axhspan(-2, 2, color=EXPECTED, alpha=0.12, linewidth=0)
     axes.axhline(0, color=EXPECTED, linewidth=0.8)

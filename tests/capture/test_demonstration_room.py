@@ -10,8 +10,8 @@ import pytest
 
 import datagen as dg
 from datagen.config import load_config
+from datagen.paper.envelopes import component_curves
 from datagen.records import Capture, Scene, Transient
-from datagen.report.components import component_curves
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demonstration_room.yaml"
 PUBLISHED_PEAKS_NS = {"walls, floor, ceiling": 25.6, "box": 24.9, "pillar": 35.3}

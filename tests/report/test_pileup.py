@@ -11,6 +11,7 @@ from matplotlib.image import imread
 from datagen.config import config_from_mapping
 from datagen.errors import InputError
 from datagen.records import TimeAxis
+from datagen.report import style
 from datagen.report.pileup import DETECTORS, draw_pileup, pileup_rows, room_channel, table
 
 ONE = "synchronous, one a cycle"
@@ -64,7 +65,7 @@ def test_every_row_is_in_the_table_and_the_picture_is_drawn(tmp_path: Path, monk
     assert len(lines) == 2 + len(rows) == 2 + 2 * len(DETECTORS)
     assert f"{100 * rows[0].signal_bias:+.3g} %" in lines[2]
     picture = imread(draw_pileup(transient, time, direct_until_s, tmp_path / "pileup.png"))
-    assert picture.shape[1] > 800 and picture[..., :3].std() > 0.05
+    assert picture.shape[1] > 8 * style.DPI and picture[..., :3].std() > 0.05
 
 
 def test_what_has_no_signal_is_refused() -> None:

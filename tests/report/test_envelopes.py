@@ -1,11 +1,8 @@
-"""The picture of components: its curves for odd scenes and scans, and its command."""
+"""The envelopes by part and by number of bounces, for odd scenes and scans."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,13 +10,7 @@ import pytest
 
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.errors import InputError
-from datagen.report.components import (
-    ComponentCurves,
-    component_curves,
-    components_picture,
-    draw_components,
-)
+from datagen.paper.envelopes import ComponentCurves, colors_of, component_curves, curve_window
 
 FAST = {"lookins": 64, "fov_samples": 2, "replicates": 2}
 
@@ -84,33 +75,7 @@ def test_efficiency_and_pulse_act_as_they_should() -> None:
     ],
     ids=["one bin", "no light", "no objects", "more objects than colours"],
 )
-def test_odd_scenes_have_pictures(capture: dict[str, Any], scene: dict[str, Any], tmp_path: Path) -> None:
-    out = components_picture(configured(capture, **scene), tmp_path / "new" / "picture.png")
-    assert out.stat().st_size > 10_000
-
-
-def test_nothing_to_see_is_said() -> None:
-    dark = np.zeros(8)
-    curves = ComponentCurves(np.arange(8.0), {"walls": dark}, {"secondary": dark}, dark, (0, 0))
-    axes = draw_components(curves, "dark", "no light").axes[1]
-    assert any("no light" in text.get_text() for text in axes.texts)
-
-
-def test_unwritable_output_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    config = configured({"scan": {"rows": 1, "columns": 1}})
-    with pytest.raises(InputError, match="cannot be written"):
-        components_picture(config, tmp_path / "file" / "picture.png")
-
-
-def test_the_command_refuses_bad_input_without_a_traceback(tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "datagen.report.components",
-        str(tmp_path / "none.yaml"),
-        str(tmp_path / "a.png"),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 2
-    assert "no such file" in done.stderr and "Traceback" not in done.stderr
+def test_odd_scenes_have_curves(capture: dict[str, Any], scene: dict[str, Any]) -> None:
+    curves = curves_of(configured(capture, **scene))
+    low, high = curve_window(curves)
+    assert low < high and np.isfinite(curves.total).all() and set(colors_of(curves)) == set(curves.parts)
