@@ -182,14 +182,7 @@ def choose_sampler(
 
 @dataclass(frozen=True)
 class _Flux:
-    """The flux per cycle of some laser points, for the choice of samplers, the draw and the mean alike.
-
-    Attributes
-    ----------
-    first : number of the first of them.
-    values : (laser, pixel, n) expected events per cycle and bin of the period.
-    totals : (laser, pixel) their sums, Λ.
-    """
+    """The flux per cycle of laser points `first`, …: (laser, pixel, n), and its sums Λ (laser, pixel)."""
 
     first: int
     values: Array
@@ -216,8 +209,7 @@ class _Setup:
             check_integer("detect", name, value, 0, 2**62)
         values = checked_transient(transient, time, exposure.photons_per_pulse)
         pixels = values.shape[1]
-        coupled = spad.crosstalk_probability > 0 and spad.mode != "ideal"
-        if coupled and (first_pixel != 0 or pixels % (spad.array_columns or 1) != 0):
+        if _has_crosstalk(spad) and (first_pixel != 0 or pixels % (spad.array_columns or 1) != 0):
             raise InputError(
                 f"crosstalk_probability = {spad.crosstalk_probability:g}, array_columns = {spad.array_columns}, with "
                 f"{pixels} pixels from number {first_pixel}: crosstalk needs whole rows of all pixels from number 0"
@@ -228,7 +220,7 @@ class _Setup:
     @property
     def coupled(self) -> bool:
         """Whether crosstalk makes the pixels of a laser point one system."""
-        return self.spad.crosstalk_probability > 0 and self.spad.mode != "ideal" and self.transient.shape[1] > 1
+        return _has_crosstalk(self.spad) and self.transient.shape[1] > 1
 
     def where(self, laser: int, pixel: int) -> str:
         return f"laser {self.first_laser + laser}, pixel {self.first_pixel + pixel}"
@@ -241,6 +233,10 @@ class _Setup:
             block = self.transient[start : start + step]
             flux = np.ascontiguousarray(flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel))
             yield _Flux(start, flux, flux.sum(axis=2))
+
+
+def _has_crosstalk(spad: Spad) -> bool:
+    return spad.crosstalk_probability > 0 and spad.mode != "ideal"
 
 
 def _choices(setup: _Setup, flux: _Flux, laser: int, tolerance: float, approximate: bool) -> list[Choice]:

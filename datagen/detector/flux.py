@@ -169,9 +169,8 @@ class Fold:
         out = np.zeros((*values.shape[:-1], self.bins))
         low, high = self.aligned.start, self.aligned.stop
         out[..., low:high] = values[..., low - self.first : high - self.first]
-        if len(self.rows):
-            for row, column, share in zip(self.rows, self.columns, self.shares, strict=True):
-                out[..., column] += values[..., row] * share
+        for row, column, share in zip(self.rows, self.columns, self.shares, strict=True):
+            out[..., column] += values[..., row] * share
         return out
 
 

@@ -10,7 +10,7 @@ later. For equal pieces and small λ the weights are (1−f)²/2, ½+f−f², f�
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -32,8 +32,7 @@ _LONG_PIECE_FLUX = 0.002
 _MOST_PIECES = 4_000_000
 
 
-@dataclass(frozen=True)
-class Pieces:
+class Pieces(NamedTuple):
     """Bins of the period cut up: (m,) flux and bin number, (m + 1,) edges in seconds, and the dead time."""
 
     flux: Array
@@ -46,14 +45,9 @@ class Pieces:
 
 
 def pieces_of(
-    flux: Array,
-    edges_s: Array,
-    width_s: float,
-    dead_time_s: float,
-    *,
-    shorter_than_dead_time: bool = False,
+    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
     piece_flux: float = PIECE_FLUX,
-) -> Pieces:
+) -> Pieces:  # fmt: skip
     """Cut the bins of the period; bins longer than `width_s` are background and cut more finely."""
     count = _parts(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time, piece_flux)
     total = float(count.sum())

@@ -82,15 +82,8 @@ class SamplerChoice:
 
     def parameters(self) -> dict[str, float | str | bool]:
         """The decision as scalars, to be stored with a sample."""
-        return {
-            "name": self.sampler,
-            "reason": self.reason,
-            "flux_per_cycle": self.flux_per_cycle,
-            "poisson_bias": self.poisson_bias,
-            "poisson_deviation": self.poisson_deviation,
-            "detections": self.detections,
-            "approximate": self.approximate,
-        }
+        kept = ("reason", "flux_per_cycle", "poisson_bias", "poisson_deviation", "detections", "approximate")
+        return {"name": self.sampler, **{key: getattr(self, key) for key in kept}}
 
 
 @dataclass(frozen=True)
@@ -106,15 +99,9 @@ class Choice:
 
 
 def choose(
-    flux: Array,
-    total: float,
-    cycle: Cycle,
-    spad: Spad,
-    exposure: Exposure,
-    tolerance: float,
-    approximate: bool,
+    flux: Array, total: float, cycle: Cycle, spad: Spad, exposure: Exposure, tolerance: float, approximate: bool,
     where: str,
-) -> Choice:
+) -> Choice:  # fmt: skip
     """Decide for one histogram's (n,) flux and its sum; for pixels coupled by crosstalk give the sum of theirs.
 
     Raises `InputError`, naming the histogram `where`, for what can only be done approximately unless `approximate`.
@@ -214,13 +201,18 @@ def poisson_bias(flux: Array, cycle: Cycle, spad: Spad) -> float:
     if spad.dead_time_s > 0:
         whole = np.floor(spad.dead_time_s / cycle.period_s)
         rest = spad.dead_time_s - whole * cycle.period_s
-        if spad.mode == "synchronous":
-            bias = total if whole else most_in_window(flux, cycle.edges_s, rest)
+        if whole and spad.mode == "synchronous":
+            bias = total
         else:
             bias = whole * total + most_in_window(flux, cycle.edges_s, rest)
+    return float(sum(caused(spad), bias))
+
+
+def caused(spad: Spad) -> tuple[float, float]:
+    """Avalanches that one causes at most by afterpulsing and by crosstalk, those caused by these included."""
     load = sum(spad.trap_loads) if spad.afterpulse_probability > 0 else 0.0
     shared = min(4 * spad.crosstalk_probability, 0.99)
-    return float(bias + load / (1.0 - load) + shared / (1.0 - shared))
+    return load / (1.0 - load), shared / (1.0 - shared)
 
 
 def summarise(choices: list[Choice], tolerance: float) -> SamplerChoice:

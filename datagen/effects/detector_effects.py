@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from datagen.detector import Exposure, Spad
 from datagen.detector.flux import cycle_of, dark_count_rates
 from datagen.detector.irf import response_kernel
+from datagen.detector.sampler_choice import caused
 from datagen.effects.rule import Change, Effect
 from datagen.records import TimeAxis
 
@@ -74,10 +75,8 @@ class Detection:
     @property
     def caused(self) -> float:
         """Avalanches that one causes at most by afterpulsing and crosstalk, those caused by these included."""
-        spad = self.spad
-        load = sum(spad.trap_loads) if spad.afterpulse_probability > 0 else 0.0
-        shared = min(4.0 * spad.crosstalk_probability, 0.99) if self.transient.shape[1] > 1 else 0.0
-        return 0.0 if self.counts_all else load / (1.0 - load) + shared / (1.0 - shared)
+        by_traps, by_neighbours = caused(self.spad)
+        return 0.0 if self.counts_all else by_traps + (by_neighbours if self.transient.shape[1] > 1 else 0.0)
 
 
 def _timing(given: Detection) -> Change:
