@@ -71,15 +71,9 @@ def draw_avalanches(flux: Array, cycle: Cycle, spad: Spad, cycles: int, rng: Rng
 
 @numba.njit(cache=True, error_model="numpy")
 def _run(
-    cumulative: Array,
-    edges: Array,
-    per_width: float,
-    lattice: int,
-    guide: Counts,
-    diode: _Diode,
-    cycles: int,
+    cumulative: Array, edges: Array, per_width: float, lattice: int, guide: Counts, diode: _Diode, cycles: int,
     rng: Rng,
-) -> Counts:
+) -> Counts:  # fmt: skip
     gate, dead_time, synchronous, paralyzable, loads, times, crosstalk, columns, burn_in = diode
     pixels, n = cumulative.shape[0], cumulative.shape[1] - 1
     period = edges[n]

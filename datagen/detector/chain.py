@@ -131,9 +131,8 @@ def draw_cycle_ensemble(
 ) -> Counts:
     """Free-running counts at a cost that does not depend on the exposure; exact in the mean only.
 
-    The exposure is taken as independent runs of `together` consecutive cycles (longer ones if the dead time spans
-    cycles), each begun in equilibrium; what is lost is the correlation between one run and the next, which makes the
-    total fluctuate a little more than it should.
+    The exposure is taken as independent runs of `together` cycles (more if the dead time spans cycles), each begun
+    in equilibrium; lost is the correlation between runs, so that the total fluctuates a little too much.
     """
     pieces = state.pieces
     period = float(pieces.edges[-1])
@@ -168,15 +167,9 @@ def _pending(detections: Flux, table: Table, whole: int) -> Flux:
 
 @numba.njit(cache=True)
 def _ensemble(
-    table: Table,
-    bin_of: Counts,
-    whole: int,
-    pending: Flux,
-    bins: int,
-    runs: int,
-    length: int,
+    table: Table, bin_of: Counts, whole: int, pending: Flux, bins: int, runs: int, length: int,
     rng: np.random.Generator,
-) -> Counts:
+) -> Counts:  # fmt: skip
     q, first, offset, weights = table
     m = len(q)
     ring = whole + 3

@@ -31,18 +31,10 @@ _BLOCK_VALUES = 4_000_000
 
 
 def detect(
-    transient: ArrayLike,
-    time: TimeAxis,
-    spad: Spad,
-    exposure: Exposure,
-    seed: int = 0,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    approximate: bool = False,
-    first_laser: int = 0,
-    first_pixel: int = 0,
+    transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, seed: int = 0, *,
+    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_laser: int = 0, first_pixel: int = 0,
     dtype: DTypeLike = np.int64,
-) -> Counts:
+) -> Counts:  # fmt: skip
     """Counts after an exposure, the shape of `transient`.
 
     Photons are displaced by pulse and carrier diffusion, thinned by gate and PDE, joined by background; what the dead
@@ -83,18 +75,10 @@ def detect(
 
 
 def detect_and_choice(
-    transient: ArrayLike,
-    time: TimeAxis,
-    spad: Spad,
-    exposure: Exposure,
-    seed: int = 0,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    approximate: bool = False,
-    first_laser: int = 0,
-    first_pixel: int = 0,
+    transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, seed: int = 0, *,
+    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_laser: int = 0, first_pixel: int = 0,
     dtype: DTypeLike = np.int64,
-) -> tuple[Counts, SamplerChoice]:
+) -> tuple[Counts, SamplerChoice]:  # fmt: skip
     """`detect` and `choose_sampler` in one pass, for which the flux is worked out once."""
     check_number("detect", "tolerance", tolerance, 0.0, 1.0, "a relative bias, such as 1e-3")
     kind = np.dtype(dtype)
@@ -119,14 +103,9 @@ def detect_and_choice(
 
 
 def expected_histogram(
-    transient: ArrayLike,
-    time: TimeAxis,
-    spad: Spad,
-    exposure: Exposure,
-    *,
-    approximate: bool = False,
+    transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, *, approximate: bool = False,
     first_pixel: int = 0,
-) -> Array:
+) -> Array:  # fmt: skip
     """Exact mean of `detect`, float64, the shape of `transient`.
 
     There is none in closed form for afterpulsing or crosstalk together with a dead time, nor for counters that
@@ -160,15 +139,9 @@ def expected_histogram(
 
 
 def choose_sampler(
-    transient: ArrayLike,
-    time: TimeAxis,
-    spad: Spad,
-    exposure: Exposure,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    approximate: bool = False,
-    first_pixel: int = 0,
-) -> SamplerChoice:
+    transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, *, tolerance: float = DEFAULT_TOLERANCE,
+    approximate: bool = False, first_pixel: int = 0,
+) -> SamplerChoice:  # fmt: skip
     """How `detect` would draw the counts, and why; raises `InputError` where it would refuse."""
     setup = _Setup.of(transient, time, spad, exposure, 0, first_pixel)
     choices = [

@@ -12,19 +12,15 @@ from datagen.records import TimeAxis
 from datagen.seeding import Purpose, generator
 
 _PARAMETERS: dict[str, tuple[str, float, float]] = {
-    "pde": ("pde", 1.0, 0.3),
-    "dark_count_rate_hz": ("dark_count_rate_hz", 1.0, 100.0),
-    "dead_time_s": ("dead_time_ns", 1e-9, 50e-9),
-    "jitter_fwhm_s": ("jitter_fwhm_ps", 1e-12, 60e-12),
-    "jitter_tail_s": ("jitter_tail_ps", 1e-12, 0.0),
-    "jitter_tail_fraction": ("jitter_tail_fraction", 1.0, 0.2),
+    "pde": ("pde", 1.0, 0.3), "dark_count_rate_hz": ("dark_count_rate_hz", 1.0, 100.0),
+    "dead_time_s": ("dead_time_ns", 1e-9, 50e-9), "jitter_fwhm_s": ("jitter_fwhm_ps", 1e-12, 60e-12),
+    "jitter_tail_s": ("jitter_tail_ps", 1e-12, 0.0), "jitter_tail_fraction": ("jitter_tail_fraction", 1.0, 0.2),
     "afterpulse_probability": ("afterpulse_probability", 1.0, 0.0),
     "afterpulse_time_s": ("afterpulse_time_ns", 1e-9, 50e-9),
     "crosstalk_probability": ("crosstalk_probability", 1.0, 0.0),
-    "hot_pixel_fraction": ("hot_pixel_fraction", 1.0, 0.0),
-    "hot_pixel_factor": ("hot_pixel_factor", 1.0, 100.0),
+    "hot_pixel_fraction": ("hot_pixel_fraction", 1.0, 0.0), "hot_pixel_factor": ("hot_pixel_factor", 1.0, 100.0),
     "repetition_rate_hz": ("repetition_rate_mhz", 1e6, 10e6),
-}
+}  # fmt: skip
 """Parameter in SI units → key of the configuration, its unit, and what holds where neither the configuration nor a
 class says otherwise: a silicon SPAD in a laboratory."""
 
@@ -65,12 +61,8 @@ def detector_for(
         ):
             values[f"gate_{key}"] = draw(getattr(config.gate, gate), rng) * unit
     spad = Spad(
-        afterpulse_times_s=(values.pop("afterpulse_time_s"),),
-        mode=config.mode,
-        paralyzable=config.paralyzable,
-        hot_pixel_seed=int(rng.integers(2**62)),
-        array_columns=config.array_columns,
-        counter_max=config.counter_max,
+        afterpulse_times_s=(values.pop("afterpulse_time_s"),), mode=config.mode, paralyzable=config.paralyzable,
+        hot_pixel_seed=int(rng.integers(2**62)), array_columns=config.array_columns, counter_max=config.counter_max,
         **values,
-    )
+    )  # fmt: skip
     return spad, exposure

@@ -32,10 +32,8 @@ def draw_free_running(
 ) -> NDArray[np.int64]:  # fmt: skip
     """(n,) detections in `cycles` laser periods of a detector that has been running for ever.
 
-    From the moment s at which it is armed the next event is where Λ(t) = Λ(s) + Exp(1), the integral of the flux
-    being inverted with a guide table; time is kept as (cycle, phase), so that it stays exact over any exposure. The
-    first moment is drawn from the equilibrium, hence the mean is exact for any number of cycles.
-
+    Armed from s on, the next event is where Λ(t) = Λ(s) + Exp(1); time is kept as (cycle, phase), exact over any
+    exposure. The first moment is drawn from the equilibrium, hence the mean is exact for any number of cycles.
     `front` bins from phase 0 on have the width `width_s` (the last of all may be shorter).
     """
     cumulative = np.append(0.0, np.cumsum(flux))

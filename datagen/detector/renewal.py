@@ -22,13 +22,10 @@ Array = NDArray[np.float64]
 
 PIECE_FLUX = 0.0125
 """Most events in a piece. What is neglected, the slope of the detections within it, is of second order in this."""
-
 _FLUX_PIECES = 16_384
 """At a flux of hundreds and more per cycle pieces carry 1/16384 of it instead, for which they are short enough."""
-
 _LONG_PIECE_FLUX = 0.002
 """The same for long background bins, in which detections may start or end abruptly."""
-
 _MOST_PIECES = 4_000_000
 
 

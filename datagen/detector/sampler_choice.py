@@ -23,13 +23,10 @@ Array = NDArray[np.float64]
 
 DEFAULT_TOLERANCE = 1e-3
 """Largest relative bias that a cheaper sampler may cause."""
-
 HIDDEN_DEVIATION = 0.1
 """Largest bias of a total in its own standard deviations: one that no test of a single histogram could find."""
-
 ENSEMBLE_EVENTS = 2e6
 """Detections per histogram above which, if allowed, free running is drawn by the approximate ensemble."""
-
 MOST_EVENTS = 2e7
 """Events per histogram above which event-driven samplers would take seconds and more, and are refused."""
 
@@ -135,15 +132,9 @@ def choose(
 
 
 def _beyond_poisson(
-    flux: Array,
-    cycle: Cycle,
-    spad: Spad,
-    cycles: int,
-    events: float,
-    detections: float,
-    approximate: bool,
+    flux: Array, cycle: Cycle, spad: Spad, cycles: int, events: float, detections: float, approximate: bool,
     where: str,
-) -> tuple[Sampler, str]:
+) -> tuple[Sampler, str]:  # fmt: skip
     if spad.afterpulse_probability > 0 or spad.crosstalk_probability > 0:
         what = "afterpulsing" if spad.afterpulse_probability > 0 else "crosstalk"
         _limit(detections, what, where)
@@ -217,16 +208,8 @@ def caused(spad: Spad) -> tuple[float, float]:
 
 def summarise(choices: list[Choice], tolerance: float) -> SamplerChoice:
     """One record for all histograms; the numbers are those of the brightest."""
-    brightest = max(choices, key=lambda c: c.flux)
-    names = Counter(c.sampler.name.lower() for c in choices)
-    return SamplerChoice(
-        sampler=brightest.sampler.name.lower(),
-        reason=brightest.reason,
-        histograms=dict(sorted(names.items())),
-        flux_per_cycle=brightest.flux,
-        poisson_bias=brightest.bias,
-        poisson_deviation=brightest.deviation,
-        detections=brightest.detections,
-        tolerance=tolerance,
-        approximate=any(c.sampler is Sampler.CYCLE_ENSEMBLE for c in choices),
-    )
+    b = max(choices, key=lambda c: c.flux)
+    names = dict(sorted(Counter(c.sampler.name.lower() for c in choices).items()))
+    approximate = any(c.sampler is Sampler.CYCLE_ENSEMBLE for c in choices)
+    figures = b.flux, b.bias, b.deviation, b.detections
+    return SamplerChoice(b.sampler.name.lower(), b.reason, names, *figures, tolerance, approximate)
