@@ -8,38 +8,18 @@ before is lost, and what is released while the gate is shut too.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.detector.events import MANY_LAPS, Light, phase_of, rest_of_lap, share_before
+from datagen.detector.events import MANY_LAPS, rest_of_lap
 from datagen.detector.flux import Cycle
 from datagen.detector.spad import Spad
 
 Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
-Rng = np.random.Generator
-_Event = tuple[int, float, int]
-"""Cycle, phase and bin."""
 
 _BURN_IN_CYCLES = 24
 _BURN_IN_TIMES = 8.0
-
-
-class _Diode(NamedTuple):
-    """What `Spad` says of a pixel and its neighbours, as compiled code takes it."""
-
-    gate: Array
-    dead_time: float
-    synchronous: bool
-    paralyzable: bool
-    loads: Array
-    times: Array
-    crosstalk: float
-    columns: int
-    burn_in: int
 
 
 def burn_in_cycles(spad: Spad, period_s: float) -> int:
@@ -48,7 +28,9 @@ def burn_in_cycles(spad: Spad, period_s: float) -> int:
     return _BURN_IN_CYCLES + int(np.ceil(_BURN_IN_TIMES * longest / period_s))
 
 
-def draw_avalanches(flux: Array, cycle: Cycle, spad: Spad, cycles: int, rng: Rng) -> Counts:
+def draw_avalanches(
+    flux: Array, cycle: Cycle, spad: Spad, cycles: int, rng: np.random.Generator
+) -> NDArray[np.int64]:
     """(pixel, n) detections in `cycles` periods of pixels with flux (pixel, n), coupled by crosstalk."""
     pixels = len(flux)
     cumulative = np.concatenate([np.zeros((pixels, 1)), np.cumsum(flux, axis=1)], axis=1)
@@ -59,24 +41,26 @@ def draw_avalanches(flux: Array, cycle: Cycle, spad: Spad, cycles: int, rng: Rng
     guide = np.stack([np.searchsorted(c, c[-1] * shares, side="right") - 1 for c in cumulative])
     loads = np.array(spad.trap_loads) if spad.afterpulse_probability > 0 else np.zeros(0)
     times = np.array(spad.afterpulse_times_s) if spad.afterpulse_probability > 0 else np.zeros(0)
-    diode = _Diode(
-        cycle.gate, spad.dead_time_s, spad.mode == "synchronous", spad.paralyzable, loads, times,
-        spad.crosstalk_probability, spad.array_columns or pixels, burn_in_cycles(spad, cycle.period_s),
-    )  # fmt: skip
     if pixels == 1 and not spad.paralyzable:
-        light = Light(cumulative[0], cycle.edges_s, 1.0 / cycle.width_s, lattice, guide[0])
-        return _run_alone(light, diode, cycles, rng)[None]
-    return _run(cumulative, cycle.edges_s, 1.0 / cycle.width_s, lattice, guide, diode, cycles, rng)
+        return _run_alone(
+            cumulative[0], cycle.edges_s, cycle.width_s, lattice, guide[0], cycle.gate, spad.dead_time_s,
+            spad.mode == "synchronous", loads, times, burn_in_cycles(spad, cycle.period_s), cycles, rng,
+        )[None]  # fmt: skip
+    return _run(
+        cumulative, cycle.edges_s, cycle.width_s, lattice, guide, cycle.gate, spad.dead_time_s,
+        spad.mode == "synchronous", spad.paralyzable, loads, times, spad.crosstalk_probability,
+        spad.array_columns or pixels, burn_in_cycles(spad, cycle.period_s), cycles, rng,
+    )  # fmt: skip
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _run(
-    cumulative: Array, edges: Array, per_width: float, lattice: int, guide: Counts, diode: _Diode, cycles: int,
-    rng: Rng,
-) -> Counts:  # fmt: skip
-    gate, dead_time, synchronous, paralyzable, loads, times, crosstalk, columns, burn_in = diode
+    cumulative: Array, edges: Array, width: float, lattice: int, guide: NDArray[np.int64], gate: Array,
+    dead_time: float, synchronous: bool, paralyzable: bool, loads: Array, times: Array, crosstalk: float,
+    columns: int, burn_in: int, cycles: int, rng: np.random.Generator,
+) -> NDArray[np.int64]:  # fmt: skip
     pixels, n = cumulative.shape[0], cumulative.shape[1] - 1
-    period = edges[n]
+    period, per_width = edges[n], 1.0 / width
     counts = np.zeros((pixels, n), np.int64)
     # The moment from which each pixel is armed, and its next avalanche.
     armed_cycle, armed_phase = np.full(pixels, -burn_in, np.int64), np.zeros(pixels)
@@ -110,13 +94,15 @@ def _run(
             if total > 0.0:
                 e = rng.standard_exponential()
                 u = 0.0 if e <= MANY_LAPS * total else rng.random()
-                light = Light(cumulative[p], edges, per_width, lattice, guide[p])
-                later, at, k = _next_photon(light, from_cycle, from_phase, cycles, e, u)
+                later, at, k = _next_photon(
+                    cumulative[p], edges, per_width, lattice, guide[p], from_cycle, from_phase, cycles, e, u
+                )
             for t in range(len(times)):
                 e = rng.standard_exponential()
                 if e < level[p, t]:
-                    start = from_cycle, from_phase
-                    later, at, k = _release((later, at, k), start, e, level[p, t], times[t], edges, gate, rng)
+                    later, at, k = _release(
+                        later, at, k, from_cycle, from_phase, e, level[p, t], times[t], edges, gate, rng
+                    )
             next_cycle[p], next_phase[p], next_bin[p] = later, at, k
             if is_armed and crosstalk > 0.0:
                 row, column = p // columns, p % columns
@@ -143,28 +129,31 @@ def _run(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _run_alone(light: Light, diode: _Diode, cycles: int, rng: Rng) -> Counts:
+def _run_alone(
+    cumulative: Array, edges: Array, width: float, lattice: int, guide: NDArray[np.int64], gate: Array,
+    dead_time: float, synchronous: bool, loads: Array, times: Array, burn_in: int, cycles: int,
+    rng: np.random.Generator,
+) -> NDArray[np.int64]:  # fmt: skip
     """The same, in half the time, for one pixel without neighbours and a dead time that nothing prolongs."""
-    edges, loads, times = light.edges, diode.loads, diode.times
     counts = np.zeros(len(edges) - 1, np.int64)
     level = np.zeros(len(loads))
-    period, total = edges[-1], light.cumulative[-1]
+    period, total, per_width = edges[-1], cumulative[-1], 1.0 / width
     if not total > 0.0:
         return counts
-    cycle, phase = -diode.burn_in, 0.0
+    cycle, phase = -burn_in, 0.0
     while True:
         e = rng.standard_exponential()
         u = 0.0 if e <= MANY_LAPS * total else rng.random()
-        now, at, j = _next_photon(light, cycle, phase, cycles, e, u)
+        now, at, j = _next_photon(cumulative, edges, per_width, lattice, guide, cycle, phase, cycles, e, u)
         for t in range(len(loads)):
             e = rng.standard_exponential()
             if e < level[t]:
-                now, at, j = _release((now, at, j), (cycle, phase), e, level[t], times[t], edges, diode.gate, rng)
+                now, at, j = _release(now, at, j, cycle, phase, e, level[t], times[t], edges, gate, rng)
         if now >= cycles:
             return counts
         if now >= 0:
             counts[j] += 1
-        armed_cycle, armed_phase = _armed_again(now, at + diode.dead_time, period, diode.synchronous)
+        armed_cycle, armed_phase = _armed_again(now, at + dead_time, period, synchronous)
         since = (armed_cycle - cycle) * period + (armed_phase - phase)
         for t in range(len(loads)):
             level[t] = level[t] * np.exp(-since / times[t]) + loads[t]
@@ -185,13 +174,14 @@ def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> 
 
 @numba.njit(cache=True, error_model="numpy")
 def _release(
-    due: _Event, start: tuple[int, float], e: float, left: float, time: float, edges: Array, gate: Array, rng: Rng
-) -> _Event:
-    """The next avalanche: the one `due`, or an earlier release of a trap that holds `left`.
+    now: int, at: float, j: int, cycle: int, phase: float, e: float, left: float, time: float, edges: Array,
+    gate: Array, rng: np.random.Generator,
+) -> tuple[int, float, int]:  # fmt: skip
+    """(cycle, phase, bin) of the next avalanche: `now, at, j`, or an earlier release of a trap that holds `left`.
 
-    The pixel is armed from `start` (cycle, phase) on; `e` < `left` is the exponential number of the first release.
+    The pixel is armed from (`cycle`, `phase`) on; `e` < `left` is the exponential number of the trap's first release.
     """
-    (now, at, _), (cycle, phase), period = due, start, edges[-1]
+    period = edges[-1]
     delay = 0.0
     while e < left:
         delay -= time * np.log1p(-e / left)
@@ -207,18 +197,27 @@ def _release(
         if gate[k] >= 1.0 or rng.random() < gate[k]:
             return at_cycle, at_phase, k
         e = rng.standard_exponential()
-    return due
+    return now, at, j
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _next_photon(light: Light, cycle: int, phase: float, cycles: int, e: float, u: float) -> _Event:
-    """The first photon detected after (cycle, phase), where Λ has grown by `e`.
+def _next_photon(
+    cumulative: Array, edges: Array, per_width: float, lattice: int, guide: NDArray[np.int64], cycle: int,
+    phase: float, cycles: int, e: float, u: float,
+) -> tuple[int, float, int]:  # fmt: skip
+    """(cycle, phase, bin) of the first photon detected after (cycle, phase), where Λ has grown by `e`.
 
     `u` is a uniform number, used beyond `MANY_LAPS` periods. A cycle of `cycles` or later means that there is none.
     """
-    total = light.cumulative[-1]
-    j, before = share_before(light, phase)
-    target = before + e
+    n = len(edges) - 1
+    total = cumulative[n]
+    j = int(phase * per_width)
+    if j >= lattice:
+        j = min(max(int(np.searchsorted(edges, phase, side="right")) - 1, 0), n - 1)
+    elif edges[j + 1] <= phase:
+        j += 1
+    share = min(max((phase - edges[j]) / (edges[j + 1] - edges[j]), 0.0), 1.0)
+    target = cumulative[j] + share * (cumulative[j + 1] - cumulative[j]) + e
     if target >= total:
         laps = np.floor(target / total)
         target = max(target - laps * total, 0.0) if e <= MANY_LAPS * total else rest_of_lap(total, u)
@@ -226,5 +225,9 @@ def _next_photon(light: Light, cycle: int, phase: float, cycles: int, e: float, 
             target, laps = 0.0, laps + 1.0
         cycle = cycle + int(laps) if laps < cycles - cycle else cycles
         j = 0
-    at, j = phase_of(light, target, j)
+    # An empty bin adds nothing to Λ, so it is stepped over and never hit.
+    j = max(j, int(guide[min(int(target * (n / total)), n - 1)]))
+    while cumulative[j + 1] <= target:
+        j += 1
+    at = edges[j] + (edges[j + 1] - edges[j]) * (target - cumulative[j]) / (cumulative[j + 1] - cumulative[j])
     return cycle, at, j

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -16,24 +14,16 @@ MANY_LAPS = 2.0**20
 """Periods without an event after which the phase of the next one is drawn afresh, before rounding shows in it."""
 
 
-class Light(NamedTuple):
-    """Λ at the `edges` of the bins, of which the first `front` are 1 / `per_width` wide, and a guide table to it."""
-
-    cumulative: Array
-    edges: Array
-    per_width: float
-    front: int
-    guide: NDArray[np.int64]
-
-
 def draw_free_running(
     flux: Array, edges_s: Array, width_s: float, front: int, dead_time_s: float, cycles: int, state: Equilibrium,
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:  # fmt: skip
     """(n,) detections in `cycles` laser periods of a detector that has been running for ever.
 
-    Armed from s on, the next event is where Λ(t) = Λ(s) + Exp(1); time is kept as (cycle, phase), exact over any
-    exposure. The first moment is drawn from the equilibrium, hence the mean is exact for any number of cycles.
+    From the moment s at which it is armed the next event is where Λ(t) = Λ(s) + Exp(1), the integral of the flux
+    being inverted with a guide table; time is kept as (cycle, phase), so that it stays exact over any exposure. The
+    first moment is drawn from the equilibrium, hence the mean is exact for any number of cycles.
+
     `front` bins from phase 0 on have the width `width_s` (the last of all may be shorter).
     """
     cumulative = np.append(0.0, np.cumsum(flux))
@@ -42,7 +32,7 @@ def draw_free_running(
         return np.zeros(len(flux), np.int64)
     cycle, phase = _first_armed(state, rng)
     guide = np.searchsorted(cumulative, total * np.arange(len(flux)) / len(flux), side="right") - 1
-    return _run(Light(cumulative, edges_s, 1.0 / width_s, front, guide), dead_time_s, cycles, cycle, phase, rng)
+    return _run(cumulative, edges_s, width_s, front, guide, dead_time_s, cycles, cycle, phase, rng)
 
 
 def _first_armed(state: Equilibrium, rng: np.random.Generator) -> tuple[int, float]:
@@ -71,42 +61,27 @@ def rest_of_lap(total: float, u: float) -> float:
     return float(-np.log1p(u * np.expm1(-total)))
 
 
-@numba.njit(inline="always")
-def share_before(light: Light, phase: float) -> tuple[int, float]:
-    """The bin of a phase, and Λ there."""
-    cumulative, edges, per_width, front, guide = light
-    j = int(phase * per_width)
-    if j >= front:
-        j = min(max(int(np.searchsorted(edges, phase, side="right")) - 1, 0), len(guide) - 1)
-    elif edges[j + 1] <= phase and j + 1 < len(guide):
-        j += 1
-    share = min(max((phase - edges[j]) / (edges[j + 1] - edges[j]), 0.0), 1.0)
-    return j, cumulative[j] + share * (cumulative[j + 1] - cumulative[j])
-
-
-@numba.njit(inline="always")
-def phase_of(light: Light, target: float, j: int) -> tuple[float, int]:
-    """The phase at which Λ is `target`, and its bin, which is not before bin j."""
-    cumulative, edges, _, _, guide = light
-    n = len(guide)
-    j = max(j, int(guide[min(int(target * (n / cumulative[n])), n - 1)]))
-    # An empty bin adds nothing to Λ, so it is stepped over and never hit.
-    while cumulative[j + 1] <= target:
-        j += 1
-    return edges[j] + (edges[j + 1] - edges[j]) * (target - cumulative[j]) / (cumulative[j + 1] - cumulative[j]), j
-
-
 @numba.njit(cache=True)
 def _run(
-    light: Light, dead_time: float, cycles: int, cycle: int, phase: float, rng: np.random.Generator
-) -> NDArray[np.int64]:
-    total, period = light.cumulative[-1], light.edges[-1]
+    cumulative: Array, edges: Array, width: float, front: int, guide: NDArray[np.int64], dead_time: float,
+    cycles: int, cycle: int, phase: float, rng: np.random.Generator,
+) -> NDArray[np.int64]:  # fmt: skip
+    n = len(guide)
+    total, period = cumulative[n], edges[n]
+    per_total = n / total
     whole = int(np.floor(dead_time / period))
     rest = dead_time - whole * period
-    counts = np.zeros(len(light.guide), np.int64)
+    per_width = 1.0 / width
+    counts = np.zeros(n, np.int64)
     while True:
-        j, before = share_before(light, phase)
-        target = before + rng.standard_exponential()
+        # Λ at the phase from which the detector is armed.
+        j = int(phase * per_width)
+        if j >= front:
+            j = min(max(int(np.searchsorted(edges, phase, side="right")) - 1, 0), n - 1)
+        elif edges[j + 1] <= phase and j + 1 < n:
+            j += 1
+        share = min(max((phase - edges[j]) / (edges[j + 1] - edges[j]), 0.0), 1.0)
+        target = cumulative[j] + share * (cumulative[j + 1] - cumulative[j]) + rng.standard_exponential()
         if target >= total:
             laps = np.floor(target / total)
             if laps >= cycles - cycle:
@@ -119,10 +94,14 @@ def _run(
                 target = 0.0
                 cycle += 1
             j = 0
-        phase, j = phase_of(light, target, j)
+        j = max(j, int(guide[min(int(target * per_total), n - 1)]))
+        # An empty bin adds nothing to Λ, so it is stepped over and never hit.
+        while cumulative[j + 1] <= target:
+            j += 1
         if cycle >= cycles:
             return counts
         counts[j] += 1
+        phase = edges[j] + (edges[j + 1] - edges[j]) * (target - cumulative[j]) / (cumulative[j + 1] - cumulative[j])
         phase += rest
         cycle += whole
         if phase >= period:
