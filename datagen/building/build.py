@@ -15,26 +15,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from datagen import store
 from datagen.building.engines import Engine, check_engine, started
 from datagen.building.progress import Progress
 from datagen.building.shard_job import ShardJob, abandon_shard, run_shard, scene_at
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
-from datagen.store import (
-    Manifest,
-    Schema,
-    check_output,
-    check_writable,
-    committed,
-    finish,
-    is_fresh,
-    prepare,
-    read_manifest,
-    running_path,
-    schema_of,
-    write_card,
-)
 
 SampleFunction = Callable[[DatasetConfig, int], Sample]
 
@@ -66,25 +53,16 @@ class BuildResult:
         """One line for people."""
         did = f"{self.built} shards built in {self.seconds:.1f} s" if self.built else "nothing left to build"
         found = f", {self.kept} were there" if self.kept else ""
-        state = (
-            f"complete with {self.scenes} scenes" if self.complete else "not complete yet: other shards are missing"
-        )
+        missing = "not complete yet: other shards are missing"
+        state = f"complete with {self.scenes} scenes" if self.complete else missing
         return f"{self.path}: {did}{found}; {state}"
 
 
 def build(
-    config: DatasetConfig,
-    path: str | Path,
-    workers: int = 1,
-    *,
-    scenes: int | None = None,
-    shards: str | None = None,
-    engine: str = "local",
-    scheduler: str | None = None,
-    progress: bool = True,
-    sample_function: SampleFunction | None = None,
-    input_check: Callable[[DatasetConfig], None] | None = None,
-) -> BuildResult:
+    config: DatasetConfig, path: str | Path, workers: int = 1, *, scenes: int | None = None,
+    shards: str | None = None, engine: str = "local", scheduler: str | None = None, progress: bool = True,
+    sample_function: SampleFunction | None = None, input_check: Callable[[DatasetConfig], None] | None = None,
+) -> BuildResult:  # fmt: skip
     """Build a dataset, or go on with one.
 
     Parameters
@@ -123,9 +101,11 @@ def build(
         config = config.with_scenes(scenes)
     root = Path(path)
     check_engine(engine, workers, scheduler)
-    check_output(root, config)
-    check_writable(root)
-    schema = schema_of(config, None if is_fresh(root) else read_manifest(root).schema.scenes_per_shard)
+    store.check_output(root, config)
+    store.check_writable(root)
+    schema = store.schema_of(
+        config, None if store.is_fresh(root) else store.read_manifest(root).schema.scenes_per_shard
+    )
     wanted = parse_shards(shards, schema.shards)
     if sample_function is None:
         from datagen import pipeline
@@ -135,14 +115,11 @@ def build(
         input_check(config)
     try:
         with started(engine, workers, scheduler) as running:
-            manifest = prepare(root, config)
+            manifest = store.prepare(root, config)
             kept = _Build(config, root, manifest, running, sample_function).run(wanted, progress)
-        records = committed(root, manifest)
+        records = store.committed(root, manifest)
         complete = len(records) == schema.shards
-        if complete:
-            finish(root, manifest, records)
-        else:
-            write_card(root, manifest, records)
+        (store.finish if complete else store.write_card)(root, manifest, records)
     except OSError as error:
         reason = f"{error.filename or root}: {error.strerror or error}"
         raise CheckError(f"{reason}; mend that and build again to resume") from None
@@ -162,7 +139,7 @@ class _Build:
 
     config: DatasetConfig
     root: Path
-    manifest: Manifest
+    manifest: store.Manifest
     engine: Engine
     sample_function: SampleFunction
     deaths: Counter[int] = field(default_factory=Counter)
@@ -170,19 +147,21 @@ class _Build:
     given_up: dict[int, str] = field(default_factory=dict)
 
     @property
-    def schema(self) -> Schema:
+    def schema(self) -> store.Schema:
         return self.manifest.schema
 
     def run(self, wanted: Iterable[int], shown: bool) -> int:
         """Make the wanted shards that are not there; returns how many were."""
         wanted = list(wanted)
-        kept = {record.shard for record in committed(self.root, self.manifest, hashes=True) if not record.failures}
+        kept = {
+            record.shard for record in store.committed(self.root, self.manifest, hashes=True) if not record.failures
+        }
         for shard in kept:
-            running_path(self.root, shard).unlink(missing_ok=True)
+            store.running_path(self.root, shard).unlink(missing_ok=True)
         waiting = deque(shard for shard in wanted if shard not in kept)
         if not waiting:
             return len(wanted)
-        write_card(self.root, self.manifest, committed(self.root, self.manifest))
+        store.write_card(self.root, self.manifest, store.committed(self.root, self.manifest))
         sizes = {shard: len(self.schema.scenes_of(shard)) for shard in wanted}
         progress = Progress(sum(sizes.values()), sum(sizes[shard] for shard in wanted if shard in kept), shown)
         if len(waiting) < len(wanted):
@@ -206,9 +185,8 @@ class _Build:
                     made, failed = made + sizes[shard], failed + len(failures)
                     if failed == made >= min(HOPELESS, self.schema.scenes):
                         scene, reason = min(failures.items())
-                        raise CheckError(
-                            f"all of the first {made} scenes failed, so the build stops; scene {scene}: {reason}"
-                        )
+                        stops = f"all of the first {made} scenes failed, so the build stops"
+                        raise CheckError(f"{stops}; scene {scene}: {reason}")
         except BaseException:
             # Their writers must be gone before what they left is cleared.
             self.engine.close(kill=True)
@@ -251,8 +229,8 @@ class _Build:
 
     def _clear(self, shard: int) -> None:
         """Remove what an unfinished shard left, unless it was committed at the last moment."""
-        if committed(self.root, self.manifest, [shard]):
-            running_path(self.root, shard).unlink(missing_ok=True)
+        if store.committed(self.root, self.manifest, [shard]):
+            store.running_path(self.root, shard).unlink(missing_ok=True)
         else:
             abandon_shard(self.root, self.schema, shard)
 

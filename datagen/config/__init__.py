@@ -10,16 +10,6 @@ from datagen.config.store import StoreConfig
 from datagen.config.transport import TransportConfig
 
 __all__ = [
-    "CaptureConfig",
-    "DatasetConfig",
-    "DetectorConfig",
-    "EffectsConfig",
-    "LabelsConfig",
-    "SceneConfig",
-    "StoreConfig",
-    "TransportConfig",
-    "config_from_mapping",
-    "fingerprint_of",
-    "json_schema",
-    "load_config",
-]
+    "CaptureConfig", "DatasetConfig", "DetectorConfig", "EffectsConfig", "LabelsConfig", "SceneConfig", "StoreConfig",
+    "TransportConfig", "config_from_mapping", "fingerprint_of", "json_schema", "load_config",
+]  # fmt: skip

@@ -27,7 +27,7 @@ def raise_input_error(source: str, error: pydantic.ValidationError, model: type[
     # An unknown key is often the cause of a missing one, so it is named first.
     details.sort(key=lambda d: d["type"] != "extra_forbidden")
     first = details[0]
-    key = _dotted(first["loc"], model)
+    key = _dotted(first["loc"])
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
     raise InputError(f"{source}: {_explain(key, first, model)}{more}") from None
 
@@ -37,8 +37,7 @@ def _explain(key: str, detail: Any, model: type[BaseModel]) -> str:
     if kind == "extra_forbidden":
         parent, _, name = key.rpartition(".")
         known = _known_keys(model, detail["loc"][:-1])
-        near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(sorted(known))}"
+        hint = near_hint(name, known, 0.5).rstrip() or f"known keys: {', '.join(sorted(known))}"
         return f"{key}: unknown key{f' in {parent!r}' if parent else ''}; {hint}"
     if kind == "missing":
         return f"{key}: missing; this key is required"
@@ -49,26 +48,25 @@ def _explain(key: str, detail: Any, model: type[BaseModel]) -> str:
     return f"{key} = {shown}: {message[:1].lower()}{message[1:]}"
 
 
+def near_hint(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """`did you mean '…'? `, or nothing where none of the known names is like it."""
+    near = difflib.get_close_matches(name, [*known], n=1, cutoff=cutoff)
+    return f"did you mean {near[0]!r}? " if near else ""
+
+
 def _yaml_name(value: object) -> str:
     return "mapping" if isinstance(value, dict) else "list" if isinstance(value, list) else type(value).__name__
 
 
-def _dotted(loc: Iterable[int | str], model: type[BaseModel]) -> str:
+def _dotted(loc: Iterable[int | str]) -> str:
     """The YAML path of a pydantic location: tags of unions are left out, list positions stay."""
-    parts = [p for p, is_tag in _walk(tuple(loc), model) if not is_tag]
+    tags = {f"<{name}>" for name in TAGS}
     text = ""
-    for part in parts:
+    for part in loc:
+        if isinstance(part, str) and (part in tags or part.startswith("function-")):
+            continue
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
     return text
-
-
-def _walk(loc: tuple[int | str, ...], model: type[BaseModel]) -> list[tuple[int | str, bool]]:
-    tags = _union_tags()
-    return [(p, isinstance(p, str) and (p in tags or p.startswith("function-"))) for p in loc]
-
-
-def _union_tags() -> set[str]:
-    return {f"<{tag}>" for tag in TAGS}
 
 
 TAGS: set[str] = set()
@@ -87,10 +85,8 @@ def _known_keys(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]
     for part in loc:
         if isinstance(part, int):
             continue
-        name = part.strip("<>") if part.startswith("<") else None
-        if name is not None:
-            chosen = {m for m in current if tag_of(m) == name}
-            current = chosen or current
+        if part.startswith("<"):
+            current = {m for m in current if tag_of(m) == part.strip("<>")} or current
             continue
         current = {m for c in current if part in c.model_fields for m in _models_in(c.model_fields[part].annotation)}
     return sorted({f for m in current for f in m.model_fields})

@@ -86,50 +86,37 @@ class CaptureConfig(Settings):
         return self.illumination == "flood" and isinstance(scan, GridScan) and not own
 
     @model_validator(mode="after")
-    def _confocal_has_one_pixel(self) -> Self:
-        view = self.field_of_view
-        if self.pairing != "confocal":
-            return self
-        if view.rows * view.columns != 1:
+    def _consistent(self) -> Self:
+        view, is_confocal, is_flood = self.field_of_view, self.pairing == "confocal", self.illumination == "flood"
+        if is_confocal and view.rows * view.columns != 1:
             raise ValueError(
                 f"field_of_view: {view.rows} × {view.columns} pixels with pairing 'confocal', which has one pixel "
                 "a laser point; leave rows and columns out or set pairing: exhaustive"
             )
-        if view.center_m is not None:
+        if is_confocal and view.center_m is not None:
             raise ValueError(
                 f"field_of_view.center_m = {list(view.center_m)}: with pairing 'confocal' the pixels lie around the "
                 "laser points; set scan.center_m instead, or pairing: exhaustive"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _flood_lights_all_alike(self) -> Self:
-        if self.illumination != "flood":
-            return self
-        if self.pairing == "confocal":
+        if is_flood and is_confocal:
             raise ValueError(
                 "illumination = 'flood' with pairing 'confocal': a flood lights all points at once; set pairing: "
                 "exhaustive"
             )
         values = self.scan.laser_points * self.shape[1] * self.time.bins
-        if values > LARGEST_FLOOD:
+        if is_flood and values > LARGEST_FLOOD:
             raise ValueError(
                 f"illumination = 'flood' with {self.scan.laser_points} points × {self.shape[1]} pixels × "
                 f"{self.time.bins} bins: {values} values are kept at once, at most {LARGEST_FLOOD} fit (2 GiB); take "
                 "fewer of one of them"
             )
-        if self.flood_fills_view:
-            for name in ("rows", "columns"):
-                points, pixels = getattr(self.scan, name), getattr(self.field_of_view, name)
-                if points % pixels:
-                    raise ValueError(
-                        f"scan.{name} = {points} with illumination 'flood' and field_of_view.{name} = {pixels}: some "
-                        f"pixels would get more points of the flood than others; take a multiple of {pixels}"
-                    )
-        return self
-
-    @model_validator(mode="after")
-    def _one_place_each(self) -> Self:
+        for name in ("rows", "columns") if self.flood_fills_view else ():
+            points, pixels = getattr(self.scan, name), getattr(view, name)
+            if points % pixels:
+                raise ValueError(
+                    f"scan.{name} = {points} with illumination 'flood' and field_of_view.{name} = {pixels}: some "
+                    f"pixels would get more points of the flood than others; take a multiple of {pixels}"
+                )
         for device in ("laser", "sensor"):
             place, offset = getattr(self, f"{device}_position_m"), getattr(self, f"{device}_offset_m")
             if place is not None and offset is not None:

@@ -123,9 +123,7 @@ def _member(value: Any) -> str | None:
         return None
     if isinstance(value, (int, float)):
         return tag("constant")
-    keys = (
-        value.keys() if isinstance(value, dict) else type(value).model_fields if isinstance(value, Settings) else ()
-    )
+    keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, Settings) else ()
     return next((tag(key) for key in ("uniform", "log_uniform", "normal", "choice") if key in keys), None)
 
 

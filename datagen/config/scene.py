@@ -39,8 +39,7 @@ class SceneConfig(Settings):
     @model_validator(mode="after")
     def _possible(self) -> SceneConfig:
         """Refuse what no draw can meet: an object whose smallest size exceeds the largest room."""
-        room = self.layout.largest_hidden_m()
-        height = self._highest_m()
+        room, height = self.layout.largest_hidden_m(), support(self.layout.height_m)[1]
         for i, item in enumerate(self.contents):
             footprint = item.smallest_footprint_m()
             if footprint is not None and not _fits(footprint, room, self.clearance_m):
@@ -56,9 +55,6 @@ class SceneConfig(Settings):
                     "lower it or raise layout.height_m"
                 )
         return self
-
-    def _highest_m(self) -> float:
-        return support(self.layout.height_m)[1]
 
     def object_classes(self) -> tuple[str, ...]:
         """The classes of all objects that can be drawn, sorted: what the numbers in the label `objects` stand for."""

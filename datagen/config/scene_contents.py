@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
+from datagen.config.base import near_hint
 from datagen.config.distributions import Count, Distribution, Fraction, Length, Uniform, support, within
 from datagen.config.scene_files import (
     RESERVED_NAMES,
@@ -17,6 +17,7 @@ from datagen.config.scene_files import (
     TriangleBudget,
     UpAxis,
     classed_files,
+    is_placed,
     label_of,
     resolved,
 )
@@ -104,7 +105,6 @@ class Pillar(Item):
     width_m: Length = Uniform(uniform=(0.25, 0.6))
     depth_m: Length | None = None
     """Left out: as deep as wide."""
-
     sizes = ("width_m", "depth_m")
 
 
@@ -115,32 +115,28 @@ class Box(Standing):
     width_m: Length = Uniform(uniform=(0.3, 0.9))
     depth_m: Length = Uniform(uniform=(0.3, 0.9))
     height_m: Length = Uniform(uniform=(0.3, 1.4))
-
     sizes = ("width_m", "depth_m", "height_m")
 
 
 def _known_classes(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if name not in CLASSES and name not in GROUPS:
-            near = difflib.get_close_matches(name, [*GROUPS, *CLASSES], n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
+            hint = near_hint(name, [*GROUPS, *CLASSES])
             raise ValueError(f"{name!r} is no class of the library; {hint}Groups: {', '.join(GROUPS)}")
     return names
+
+
+KnownClasses = Annotated[tuple[str, ...], Field(min_length=1), AfterValidator(_known_classes)]
 
 
 class Library(Standing):
     """An object of the library: its class is drawn, then its proportions."""
 
     kind: Literal["library"] = "library"
-    classes: Annotated[tuple[str, ...], Field(min_length=1), AfterValidator(_known_classes)] = (
-        "furniture",
-        "household",
-        "figures",
-    )
+    classes: KnownClasses = ("furniture", "household", "figures")
     """Classes (chair, mannequin, letter_a, digit_7, sphere, …) or groups of them; all equally likely."""
     height_m: Length | None = None
     """Scale to this height; left out: natural size."""
-
     sizes = ("height_m",)
 
     @property
@@ -158,7 +154,6 @@ class MeshItem(Standing):
     """The axis of the file that points up."""
     max_triangles: TriangleBudget = None
     """Simplify to at most this many triangles; left out: never."""
-
     sizes = ("height_m",)
 
 
@@ -206,7 +201,7 @@ class MeshFolder(MeshItem):
     @model_validator(mode="after")
     def _resolve(self, info: ValidationInfo) -> Self:
         self._folder = resolved(self.path, info)
-        if (info.context or {}).get("base_directory") is not None:
+        if is_placed(info):
             found = classed_files(self._folder)
             for name in self.classes or ():
                 if name not in found:

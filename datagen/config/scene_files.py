@@ -20,24 +20,26 @@ def resolved(path: str, info: ValidationInfo) -> Path:
     return Path(base or ".").resolve() / path
 
 
+def is_placed(info: ValidationInfo) -> bool:
+    """Whether there is a folder to start from: when an old dataset's settings are read, no file need be there."""
+    return (info.context or {}).get("base_directory") is not None
+
+
 def _existing_file(path: str, info: ValidationInfo) -> str:
-    # Without a folder to start from, as when an old dataset's settings are read, nothing need be there.
-    if (info.context or {}).get("base_directory") is not None:
-        place = resolved(path, info)
-        if not place.is_file():
-            found = "is a directory (kind: mesh_folder reads one)" if place.is_dir() else "no such file"
-            raise ValueError(f"{path!r}: {found} ({place}); paths start at the configuration's folder")
+    place = resolved(path, info)
+    if is_placed(info) and not place.is_file():
+        found = "is a directory (kind: mesh_folder reads one)" if place.is_dir() else "no such file"
+        raise ValueError(f"{path!r}: {found} ({place}); paths start at the configuration's folder")
     return path
 
 
 def _existing_folder(path: str, info: ValidationInfo) -> str:
-    if (info.context or {}).get("base_directory") is not None:
-        place = resolved(path, info)
-        if not place.is_dir():
-            found = "is a file (kind: mesh reads one)" if place.is_file() else "no such folder"
-            raise ValueError(f"{path!r}: {found} ({place}); paths start at the configuration's folder")
-        if not classed_files(place):
-            raise ValueError(f"{path!r}: holds no mesh files ({place}); {' '.join(SUFFIXES)} are read")
+    place = resolved(path, info)
+    if is_placed(info) and not place.is_dir():
+        found = "is a file (kind: mesh reads one)" if place.is_file() else "no such folder"
+        raise ValueError(f"{path!r}: {found} ({place}); paths start at the configuration's folder")
+    if is_placed(info) and not classed_files(place):
+        raise ValueError(f"{path!r}: holds no mesh files ({place}); {' '.join(SUFFIXES)} are read")
     return path
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from typing import Any, get_args
 
 from pydantic import BaseModel, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from datagen.config.base import tag, tag_of
+from datagen.config.base import near_hint, tag, tag_of
 
 _UNKNOWN = tag("unknown kind")
 
@@ -21,12 +20,8 @@ def kinds_of(union: Any) -> dict[str, type[BaseModel]]:
 
 @dataclass(frozen=True)
 class ByKind:
-    """Annotation of a union of models: `Annotated[Pillar | Box, ByKind()]`.
-
-    Attributes
-    ----------
-    default : the kind of a mapping without the key, or None where the key is required.
-    """
+    """Annotation of a union of models: `Annotated[Pillar | Box, ByKind()]`. `default` is the kind of a mapping
+    without the key, or None where the key is required."""
 
     default: str | None = None
 
@@ -66,6 +61,4 @@ def _refusal(value: Any, kinds: list[str]) -> str:
         return f"a mapping with the key kind is needed (kind: one of {listed})"
     if kind is None:
         return f"the key kind is missing; it must be one of {listed}"
-    near = difflib.get_close_matches(str(kind), kinds, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    return f"kind = {kind!r} is unknown; {hint}It must be one of {listed}"
+    return f"kind = {kind!r} is unknown; {near_hint(str(kind), kinds)}It must be one of {listed}"

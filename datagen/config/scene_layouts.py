@@ -97,7 +97,6 @@ class StraightCorridor(Corridor):
     partition_reach: Annotated[Distribution, within(0.05, 0.95)] = Uniform(uniform=(0.4, 0.55))
     """Share of the corridor's width that the partition covers."""
     partition_thickness_m: Length = Uniform(uniform=(0.05, 0.2))
-
     hidden_m = ("partition_distance_m", ("corridor_width_m",))
     limits = (("partition_distance_m", "relay_distance_m", "the partition is behind the device"),)
 
@@ -110,7 +109,6 @@ class LCorridor(Corridor):
     """From the relay wall back to the inner corner."""
     room_width_m: Length = Uniform(uniform=(3.0, 5.0))
     """From the corridor to the far wall of the room."""
-
     hidden_m = ("room_length_m", ("room_width_m",))
     limits = (("room_length_m", "relay_distance_m", "the inner corner lies behind the device"),)
 
@@ -125,7 +123,6 @@ class TCorridor(Corridor):
     """Length of the arm on the side of `turn`."""
     right_arm_m: Length = Uniform(uniform=(3.0, 5.0))
     """Length of the other arm."""
-
     hidden_m = ("arm_width_m", ("left_arm_m", "right_arm_m"))
     limits = (("arm_width_m", "relay_distance_m", "the corners lie behind the device"),)
 
@@ -139,7 +136,6 @@ class ZCorridor(Corridor):
     middle_length_m: Length = Uniform(uniform=(4.0, 6.0))
     last_width_m: Length = Uniform(uniform=(1.4, 2.2))
     last_length_m: Length = Uniform(uniform=(1.0, 4.0))
-
     hidden_m = ("middle_width_m", ("middle_length_m",))
     limits = (
         ("middle_width_m", "relay_distance_m", "the inner corner lies behind the device"),
@@ -156,7 +152,6 @@ class CorridorRoom(Corridor):
     room_width_m: Length = Uniform(uniform=(5.0, 8.0))
     opening_offset: Fraction = Uniform(uniform=(0.2, 0.8))
     """Where the corridor enters: 0 puts all of the room on the side of `turn`, 1 on the other."""
-
     hidden_m = ("room_length_m", ("room_width_m",))
     limits = (
         ("room_length_m", "relay_distance_m", "the room's corners lie behind the device"),
@@ -179,7 +174,6 @@ class DoorwayRoom(Closed):
     room_width_m: Length = Uniform(uniform=(4.0, 7.0))
     opening_offset: Fraction = Uniform(uniform=(0.2, 0.8))
     """Where the doorway is: 0 puts all of the room on the side of `turn`, 1 on the other."""
-
     hidden_m = ("room_length_m", ("room_width_m",))
     limits = (
         ("room_length_m", "relay_distance_m", "the doorway lies behind the device"),
@@ -206,7 +200,6 @@ class IsolatedWall(Layout):
     """From the line of sight to the screen."""
     space_width_m: Length = Uniform(uniform=(2.0, 3.0))
     """From the screen to the far side of the space that holds the objects."""
-
     hidden_m = ("screen_to_wall_m", ("space_width_m",))
     limits = (("screen_to_wall_m", "relay_distance_m", "the screen ends behind the device"),)
 

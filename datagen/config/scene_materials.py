@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from typing import Annotated, Self
 
 import numpy as np
 from pydantic import AfterValidator, model_validator
 
-from datagen.config.base import Settings
+from datagen.config.base import Settings, near_hint
 from datagen.config.distributions import Fraction, Uniform, draw
 from datagen.config.scene_brdfs import BrdfSettings, CatalogueBrdf, LambertianBrdf
 from datagen.records import Material
@@ -18,8 +17,7 @@ from scene_library.materials import MATERIALS
 def _known_materials(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if name not in MATERIALS:
-            near = difflib.get_close_matches(name, MATERIALS, n=1, cutoff=0.4)
-            hint = f"did you mean {near[0]!r}? " if near else ""
+            hint = near_hint(name, MATERIALS, 0.4)
             raise ValueError(f"{name!r} is no material of the catalogue; {hint}There are {', '.join(MATERIALS)}")
     return names
 
@@ -37,13 +35,9 @@ class SurfaceMaterial(Settings):
     """How the surface scatters; `kind: catalogue` takes the lobe that the catalogue gives for `material`."""
 
     @model_validator(mode="after")
-    def _catalogue_needs_a_material(self) -> Self:
+    def _consistent(self) -> Self:
         if isinstance(self.brdf, CatalogueBrdf) and not self.material:
             raise ValueError("brdf: kind 'catalogue' takes the lobe of a catalogue material; name one under material")
-        return self
-
-    @model_validator(mode="after")
-    def _one_of_both(self) -> Self:
         # A dumped configuration holds the default albedo beside the material, so only another one is a contradiction.
         if self.material and self.albedo != type(self).model_fields["albedo"].default:
             raise ValueError("albedo and material are both given; leave one of them out")

@@ -9,18 +9,9 @@ from pydantic import Field, model_validator
 from datagen.config.base import Settings
 
 StoredField = Literal[
-    "histogram",
-    "transient",
-    "transient_stderr",
-    "depth",
-    "normal",
-    "albedo",
-    "part_id",
-    "shaded",
-    "occupancy",
-    "sdf",
-    "objects",
-]
+    "histogram", "transient", "transient_stderr", "depth", "normal", "albedo", "part_id", "shaded", "occupancy",
+    "sdf", "objects",
+]  # fmt: skip
 
 
 class StoreConfig(Settings):

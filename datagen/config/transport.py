@@ -38,24 +38,8 @@ class TransportConfig(Settings):
 
     def accuracy(self) -> Accuracy:
         """The same as the record that `simulate` takes."""
-        if self.target is not None:
-            return Accuracy(
-                max_bounces=self.max_bounces,
-                direct=self.direct,
-                observed=self.observed,
-                secondary=self.secondary,
-                target=self.target,
-                max_lookins=self.max_lookins,
-            )
-        return Accuracy(
-            lookins=self.lookins,
-            fov_samples=self.fov_samples,
-            max_bounces=self.max_bounces,
-            replicates=self.replicates,
-            direct=self.direct,
-            observed=self.observed,
-            secondary=self.secondary,
-        )
+        others = ("target", "max_lookins") if self.target is None else CHOSEN_BY_TARGET
+        return Accuracy(**{name: getattr(self, name) for name in type(self).model_fields if name not in others})
 
     @model_validator(mode="after")
     def _consistent(self) -> TransportConfig:

@@ -23,18 +23,8 @@ from datagen.detector.sampler_choice import Sampler, SamplerChoice
 from datagen.detector.spad import Exposure, Spad
 
 __all__ = [
-    "DETECTOR_CLASSES",
-    "Exposure",
-    "Sampler",
-    "SamplerChoice",
-    "Spad",
-    "choose_sampler",
-    "coates_correction",
-    "dead_time_correction",
-    "detect",
-    "detect_and_choice",
-    "detector_for",
-    "expected_histogram",
-]
+    "DETECTOR_CLASSES", "Exposure", "Sampler", "SamplerChoice", "Spad", "choose_sampler", "coates_correction",
+    "dead_time_correction", "detect", "detect_and_choice", "detector_for", "expected_histogram",
+]  # fmt: skip
 
 drop_stale_kernels(Path(__file__).parent)

@@ -55,23 +55,10 @@ def draw_avalanches(
 
 @numba.njit(cache=True, error_model="numpy")
 def _run(
-    cumulative: Array,
-    edges: Array,
-    width: float,
-    lattice: int,
-    guide: NDArray[np.int64],
-    gate: Array,
-    dead_time: float,
-    synchronous: bool,
-    paralyzable: bool,
-    loads: Array,
-    times: Array,
-    crosstalk: float,
-    columns: int,
-    burn_in: int,
-    cycles: int,
-    rng: np.random.Generator,
-) -> NDArray[np.int64]:
+    cumulative: Array, edges: Array, width: float, lattice: int, guide: NDArray[np.int64], gate: Array,
+    dead_time: float, synchronous: bool, paralyzable: bool, loads: Array, times: Array, crosstalk: float,
+    columns: int, burn_in: int, cycles: int, rng: np.random.Generator,
+) -> NDArray[np.int64]:  # fmt: skip
     pixels, n = cumulative.shape[0], cumulative.shape[1] - 1
     period, per_width = edges[n], 1.0 / width
     counts = np.zeros((pixels, n), np.int64)
@@ -143,20 +130,10 @@ def _run(
 
 @numba.njit(cache=True, error_model="numpy")
 def _run_alone(
-    cumulative: Array,
-    edges: Array,
-    width: float,
-    lattice: int,
-    guide: NDArray[np.int64],
-    gate: Array,
-    dead_time: float,
-    synchronous: bool,
-    loads: Array,
-    times: Array,
-    burn_in: int,
-    cycles: int,
+    cumulative: Array, edges: Array, width: float, lattice: int, guide: NDArray[np.int64], gate: Array,
+    dead_time: float, synchronous: bool, loads: Array, times: Array, burn_in: int, cycles: int,
     rng: np.random.Generator,
-) -> NDArray[np.int64]:
+) -> NDArray[np.int64]:  # fmt: skip
     """The same, in half the time, for one pixel without neighbours and a dead time that nothing prolongs."""
     counts = np.zeros(len(edges) - 1, np.int64)
     level = np.zeros(len(loads))
@@ -197,18 +174,9 @@ def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> 
 
 @numba.njit(cache=True, error_model="numpy")
 def _release(
-    now: int,
-    at: float,
-    j: int,
-    cycle: int,
-    phase: float,
-    e: float,
-    left: float,
-    time: float,
-    edges: Array,
-    gate: Array,
-    rng: np.random.Generator,
-) -> tuple[int, float, int]:
+    now: int, at: float, j: int, cycle: int, phase: float, e: float, left: float, time: float, edges: Array,
+    gate: Array, rng: np.random.Generator,
+) -> tuple[int, float, int]:  # fmt: skip
     """(cycle, phase, bin) of the next avalanche: `now, at, j`, or an earlier release of a trap that holds `left`.
 
     The pixel is armed from (`cycle`, `phase`) on; `e` < `left` is the exponential number of the trap's first release.
@@ -234,17 +202,9 @@ def _release(
 
 @numba.njit(cache=True, error_model="numpy")
 def _next_photon(
-    cumulative: Array,
-    edges: Array,
-    per_width: float,
-    lattice: int,
-    guide: NDArray[np.int64],
-    cycle: int,
-    phase: float,
-    cycles: int,
-    e: float,
-    u: float,
-) -> tuple[int, float, int]:
+    cumulative: Array, edges: Array, per_width: float, lattice: int, guide: NDArray[np.int64], cycle: int,
+    phase: float, cycles: int, e: float, u: float,
+) -> tuple[int, float, int]:  # fmt: skip
     """(cycle, phase, bin) of the first photon detected after (cycle, phase), where Λ has grown by `e`.
 
     `u` is a uniform number, used beyond `MANY_LAPS` periods. A cycle of `cycles` or later means that there is none.

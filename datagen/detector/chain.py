@@ -15,10 +15,11 @@ from datagen.detector.equilibrium import Equilibrium
 from datagen.detector.renewal import Pieces, Table, early_share, return_table
 
 Flux = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def draw_hazard_chain(flux: Flux, cycles: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def draw_hazard_chain(flux: Flux, cycles: int, rng: np.random.Generator) -> Counts:
     """At most one detection in a cycle: n_i ~ Binomial(R, q_i), R ← R − n_i, from R = `cycles`.
 
     The law is the multinomial with p_i = q_i exp(−Λ_{i−1}), without its sum that rounding may push beyond 1; right
@@ -32,7 +33,8 @@ def draw_hazard_chain(flux: Flux, cycles: int, rng: np.random.Generator) -> NDAr
     return counts
 
 
-def draw_return_chain(pieces: Pieces, bins: int, cycles: int, rng: np.random.Generator) -> NDArray[np.int64]:
+@numba.njit(cache=True, error_model="numpy")
+def draw_return_chain(pieces: Pieces, bins: int, cycles: int, rng: np.random.Generator) -> Counts:
     """Several detections in a cycle: those that fired come back after the dead time and can fire again.
 
     A detection is uniform within its piece (`renewal.PIECE_FLUX` keeps it so), hence its return in the piece shifted
@@ -40,13 +42,42 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, rng: np.random.Gen
     there decides one rare binomial, and all others are armed from the next piece on. Pieces must be shorter than
     the dead time.
     """
-    flux, edges, dead_time = pieces.flux, pieces.edges, pieces.dead_time
+    flux, bin_of, edges, dead_time = pieces
     fires, soon, first, after = _windows(flux, edges, dead_time)
-    return _return_chain(flux, fires, edges, pieces.bin_of, dead_time, soon, first, after, bins, cycles, rng)
+    n = len(flux)
+    counts = np.zeros(bins, np.int64)
+    # Decided ahead for each piece: how many just returned fire in it, how many are armed from its start on.
+    firing, arming = np.zeros(n, np.int64), np.zeros(n + 1, np.int64)
+    hazards = np.empty(n + 3)
+    armed = cycles
+    for i in range(n):
+        armed += arming[i]
+        fired = binomial(armed, fires[i], rng)
+        armed -= fired
+        fired += firing[i]
+        if fired == 0:
+            continue
+        counts[bin_of[i]] += fired
+        if first[i] == n:
+            continue
+        left = binomial(fired, soon[i], rng)
+        arming[after[i]] += fired - left
+        if left == 0:
+            continue
+        rest = soon[i]
+        count = _hazards(edges[i] + dead_time, edges[i + 1] + dead_time, first[i], flux, fires, edges, hazards)
+        for k in range(count):
+            again = left if k == count - 1 else binomial(left, hazards[k] / rest, rng)
+            firing[first[i] + k] += again
+            left -= again
+            rest -= hazards[k]
+            if left == 0:
+                break
+    return counts
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Flux, NDArray[np.int64], NDArray[np.int64]]:
+def _windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Flux, Counts, Counts]:
     """For each piece: the chance q to fire in it if armed, and then that to fire again right upon the return.
 
     The latter is meant for pieces `first … after − 1`, in which one returns; `first` is the number of pieces where
@@ -95,60 +126,13 @@ def _hazards(start: float, stop: float, first: int, flux: Flux, fires: Flux, edg
             return k
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _return_chain(
-    flux: Flux,
-    fires: Flux,
-    edges: Flux,
-    bin_of: NDArray[np.int64],
-    dead_time: float,
-    soon: Flux,
-    first: NDArray[np.int64],
-    after: NDArray[np.int64],
-    bins: int,
-    cycles: int,
-    rng: np.random.Generator,
-) -> NDArray[np.int64]:
-    n = len(flux)
-    counts = np.zeros(bins, np.int64)
-    # Decided ahead for each piece: how many just returned fire in it, how many are armed from its start on.
-    firing, arming = np.zeros(n, np.int64), np.zeros(n + 1, np.int64)
-    hazards = np.empty(n + 3)
-    armed = cycles
-    for i in range(n):
-        armed += arming[i]
-        fired = binomial(armed, fires[i], rng)
-        armed -= fired
-        fired += firing[i]
-        if fired == 0:
-            continue
-        counts[bin_of[i]] += fired
-        if first[i] == n:
-            continue
-        left = binomial(fired, soon[i], rng)
-        arming[after[i]] += fired - left
-        if left == 0:
-            continue
-        rest = soon[i]
-        count = _hazards(edges[i] + dead_time, edges[i + 1] + dead_time, first[i], flux, fires, edges, hazards)
-        for k in range(count):
-            again = left if k == count - 1 else binomial(left, hazards[k] / rest, rng)
-            firing[first[i] + k] += again
-            left -= again
-            rest -= hazards[k]
-            if left == 0:
-                break
-    return counts
-
-
 def draw_cycle_ensemble(
     state: Equilibrium, bins: int, cycles: int, rng: np.random.Generator, together: int = 64
-) -> NDArray[np.int64]:
+) -> Counts:
     """Free-running counts at a cost that does not depend on the exposure; exact in the mean only.
 
-    The exposure is taken as independent runs of `together` consecutive cycles (longer ones if the dead time spans
-    cycles), each begun in equilibrium; what is lost is the correlation between one run and the next, which makes the
-    total fluctuate a little more than it should.
+    The exposure is taken as independent runs of `together` cycles (more if the dead time spans cycles), each begun
+    in equilibrium; lost is the correlation between runs, so that the total fluctuates a little too much.
     """
     pieces = state.pieces
     period = float(pieces.edges[-1])
@@ -183,15 +167,9 @@ def _pending(detections: Flux, table: Table, whole: int) -> Flux:
 
 @numba.njit(cache=True)
 def _ensemble(
-    table: Table,
-    bin_of: NDArray[np.int64],
-    whole: int,
-    pending: Flux,
-    bins: int,
-    runs: int,
-    length: int,
+    table: Table, bin_of: Counts, whole: int, pending: Flux, bins: int, runs: int, length: int,
     rng: np.random.Generator,
-) -> NDArray[np.int64]:
+) -> Counts:  # fmt: skip
     q, first, offset, weights = table
     m = len(q)
     ring = whole + 3

@@ -27,6 +27,8 @@ class Range:
 
 
 ESTIMATE = "estimate"
+_CMOS_TAILS = "61 and 129 ps fitted to a published 20 µm CMOS response"
+_RATES = "WISC single-photon 3D data: 10 MHz; Instruments 4, 14: 40 MHz"
 
 _CLASSES: dict[str, dict[str, Range]] = {
     "lab_si": {
@@ -36,11 +38,11 @@ _CLASSES: dict[str, dict[str, Range]] = {
         ),
         "dead_time_s": Range(20e-9, 100e-9, "Straka et al., JLT 2020: 24 ns; PicoHarp 300: 95 ns"),
         "jitter_fwhm_s": Range(25e-12, 80e-12, "Instruments 4, 14: under 50 ps; ends estimate"),
-        "jitter_tail_s": Range(50e-12, 150e-12, "61 and 129 ps fitted to a published 20 µm CMOS response"),
+        "jitter_tail_s": Range(50e-12, 150e-12, _CMOS_TAILS),
         "jitter_tail_fraction": Range(0.05, 0.3, ESTIMATE),
         "afterpulse_probability": Range(0.001, 0.03, "Straka et al., JLT 2020: 1.71 %; ends estimate", True),
         "afterpulse_time_s": Range(20e-9, 200e-9, ESTIMATE, True),
-        "repetition_rate_hz": Range(1e6, 40e6, "WISC single-photon 3D data: 10 MHz; Instruments 4, 14: 40 MHz", True),
+        "repetition_rate_hz": Range(1e6, 40e6, _RATES, True),
     },
     "si_array": {
         "pde": Range(0.02, 0.5, "8 µm pixel, TED 2015: 39.5 % at 480 nm; SwissSPAD3: 50 %; lower end estimate", True),
@@ -49,18 +51,14 @@ _CLASSES: dict[str, dict[str, Range]] = {
         ),
         "dead_time_s": Range(5e-9, 150e-9, "WISC single-photon 3D data: 50 ns; ends estimate", True),
         "jitter_fwhm_s": Range(50e-12, 150e-12, "Instruments 4, 14: under 50 ps (16×1 array); upper end estimate"),
-        "jitter_tail_s": Range(
-            50e-12, 300e-12, "61 and 129 ps fitted to a published 20 µm CMOS response; end estimate"
-        ),
+        "jitter_tail_s": Range(50e-12, 300e-12, f"{_CMOS_TAILS}; end estimate"),
         "jitter_tail_fraction": Range(0.05, 0.3, ESTIMATE),
         "afterpulse_probability": Range(1e-4, 0.02, ESTIMATE, True),
         "afterpulse_time_s": Range(10e-9, 200e-9, ESTIMATE, True),
         "hot_pixel_fraction": Range(0.01, 0.01, ESTIMATE),
         "hot_pixel_factor": Range(30, 300, ESTIMATE, True),
         "crosstalk_probability": Range(1e-4, 0.01, ESTIMATE, True),
-        "repetition_rate_hz": Range(
-            10e6, 40e6, "WISC single-photon 3D data: 10 MHz; Instruments 4, 14: 40 MHz", True
-        ),
+        "repetition_rate_hz": Range(10e6, 40e6, _RATES, True),
     },
     "ingaas": {
         "pde": Range(0.1, 0.3, "arXiv 1204.4594: 10 %; Photonics 2025, 12, 534: 30 %"),

@@ -31,18 +31,10 @@ _BLOCK_VALUES = 4_000_000
 
 
 def detect(
-    transient: ArrayLike,
-    time: TimeAxis,
-    spad: Spad,
-    exposure: Exposure,
-    seed: int = 0,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    approximate: bool = False,
-    first_laser: int = 0,
-    first_pixel: int = 0,
+    transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, seed: int = 0, *,
+    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_laser: int = 0, first_pixel: int = 0,
     dtype: DTypeLike = np.int64,
-) -> Counts:
+) -> Counts:  # fmt: skip
     """Counts after an exposure, the shape of `transient`.
 
     Photons are displaced by pulse and carrier diffusion, thinned by gate and PDE, joined by background; what the dead
@@ -83,18 +75,10 @@ def detect(
 
 
 def detect_and_choice(
-    transient: ArrayLike,
-    time: TimeAxis,
-    spad: Spad,
-    exposure: Exposure,
-    seed: int = 0,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    approximate: bool = False,
-    first_laser: int = 0,
-    first_pixel: int = 0,
+    transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, seed: int = 0, *,
+    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_laser: int = 0, first_pixel: int = 0,
     dtype: DTypeLike = np.int64,
-) -> tuple[Counts, SamplerChoice]:
+) -> tuple[Counts, SamplerChoice]:  # fmt: skip
     """`detect` and `choose_sampler` in one pass, for which the flux is worked out once."""
     check_number("detect", "tolerance", tolerance, 0.0, 1.0, "a relative bias, such as 1e-3")
     kind = np.dtype(dtype)
@@ -119,14 +103,9 @@ def detect_and_choice(
 
 
 def expected_histogram(
-    transient: ArrayLike,
-    time: TimeAxis,
-    spad: Spad,
-    exposure: Exposure,
-    *,
-    approximate: bool = False,
+    transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, *, approximate: bool = False,
     first_pixel: int = 0,
-) -> Array:
+) -> Array:  # fmt: skip
     """Exact mean of `detect`, float64, the shape of `transient`.
 
     There is none in closed form for afterpulsing or crosstalk together with a dead time, nor for counters that
@@ -160,15 +139,9 @@ def expected_histogram(
 
 
 def choose_sampler(
-    transient: ArrayLike,
-    time: TimeAxis,
-    spad: Spad,
-    exposure: Exposure,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    approximate: bool = False,
-    first_pixel: int = 0,
-) -> SamplerChoice:
+    transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, *, tolerance: float = DEFAULT_TOLERANCE,
+    approximate: bool = False, first_pixel: int = 0,
+) -> SamplerChoice:  # fmt: skip
     """How `detect` would draw the counts, and why; raises `InputError` where it would refuse."""
     setup = _Setup.of(transient, time, spad, exposure, 0, first_pixel)
     choices = [
@@ -182,14 +155,7 @@ def choose_sampler(
 
 @dataclass(frozen=True)
 class _Flux:
-    """The flux per cycle of some laser points, for the choice of samplers, the draw and the mean alike.
-
-    Attributes
-    ----------
-    first : number of the first of them.
-    values : (laser, pixel, n) expected events per cycle and bin of the period.
-    totals : (laser, pixel) their sums, Λ.
-    """
+    """The flux per cycle of laser points `first`, …: (laser, pixel, n), and its sums Λ (laser, pixel)."""
 
     first: int
     values: Array
@@ -216,8 +182,7 @@ class _Setup:
             check_integer("detect", name, value, 0, 2**62)
         values = checked_transient(transient, time, exposure.photons_per_pulse)
         pixels = values.shape[1]
-        coupled = spad.crosstalk_probability > 0 and spad.mode != "ideal"
-        if coupled and (first_pixel != 0 or pixels % (spad.array_columns or 1) != 0):
+        if _has_crosstalk(spad) and (first_pixel != 0 or pixels % (spad.array_columns or 1) != 0):
             raise InputError(
                 f"crosstalk_probability = {spad.crosstalk_probability:g}, array_columns = {spad.array_columns}, with "
                 f"{pixels} pixels from number {first_pixel}: crosstalk needs whole rows of all pixels from number 0"
@@ -228,7 +193,7 @@ class _Setup:
     @property
     def coupled(self) -> bool:
         """Whether crosstalk makes the pixels of a laser point one system."""
-        return self.spad.crosstalk_probability > 0 and self.spad.mode != "ideal" and self.transient.shape[1] > 1
+        return _has_crosstalk(self.spad) and self.transient.shape[1] > 1
 
     def where(self, laser: int, pixel: int) -> str:
         return f"laser {self.first_laser + laser}, pixel {self.first_pixel + pixel}"
@@ -241,6 +206,10 @@ class _Setup:
             block = self.transient[start : start + step]
             flux = np.ascontiguousarray(flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel))
             yield _Flux(start, flux, flux.sum(axis=2))
+
+
+def _has_crosstalk(spad: Spad) -> bool:
+    return spad.crosstalk_probability > 0 and spad.mode != "ideal"
 
 
 def _choices(setup: _Setup, flux: _Flux, laser: int, tolerance: float, approximate: bool) -> list[Choice]:

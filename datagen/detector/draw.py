@@ -11,37 +11,18 @@ from datagen.detector.spad import Exposure, Spad
 from datagen.records import TimeAxis
 from datagen.seeding import Purpose, generator
 
-LAB_DETECTOR = {
-    "pde": 0.3,
-    "dark_count_rate_hz": 100.0,
-    "dead_time_s": 50e-9,
-    "jitter_fwhm_s": 60e-12,
-    "jitter_tail_s": 0.0,
-    "jitter_tail_fraction": 0.2,
-    "afterpulse_probability": 0.0,
-    "afterpulse_time_s": 50e-9,
-    "crosstalk_probability": 0.0,
-    "hot_pixel_fraction": 0.0,
-    "hot_pixel_factor": 100.0,
-    "repetition_rate_hz": 10e6,
-}
-"""What holds where neither the configuration nor a class says otherwise: a silicon SPAD in a laboratory."""
-
-_KEYS: dict[str, tuple[str, float]] = {
-    "pde": ("pde", 1.0),
-    "dark_count_rate_hz": ("dark_count_rate_hz", 1.0),
-    "dead_time_s": ("dead_time_ns", 1e-9),
-    "jitter_fwhm_s": ("jitter_fwhm_ps", 1e-12),
-    "jitter_tail_s": ("jitter_tail_ps", 1e-12),
-    "jitter_tail_fraction": ("jitter_tail_fraction", 1.0),
-    "afterpulse_probability": ("afterpulse_probability", 1.0),
-    "afterpulse_time_s": ("afterpulse_time_ns", 1e-9),
-    "crosstalk_probability": ("crosstalk_probability", 1.0),
-    "hot_pixel_fraction": ("hot_pixel_fraction", 1.0),
-    "hot_pixel_factor": ("hot_pixel_factor", 1.0),
-    "repetition_rate_hz": ("repetition_rate_mhz", 1e6),
-}
-"""Parameter in SI units → key of the configuration and its unit."""
+_PARAMETERS: dict[str, tuple[str, float, float]] = {
+    "pde": ("pde", 1.0, 0.3), "dark_count_rate_hz": ("dark_count_rate_hz", 1.0, 100.0),
+    "dead_time_s": ("dead_time_ns", 1e-9, 50e-9), "jitter_fwhm_s": ("jitter_fwhm_ps", 1e-12, 60e-12),
+    "jitter_tail_s": ("jitter_tail_ps", 1e-12, 0.0), "jitter_tail_fraction": ("jitter_tail_fraction", 1.0, 0.2),
+    "afterpulse_probability": ("afterpulse_probability", 1.0, 0.0),
+    "afterpulse_time_s": ("afterpulse_time_ns", 1e-9, 50e-9),
+    "crosstalk_probability": ("crosstalk_probability", 1.0, 0.0),
+    "hot_pixel_fraction": ("hot_pixel_fraction", 1.0, 0.0), "hot_pixel_factor": ("hot_pixel_factor", 1.0, 100.0),
+    "repetition_rate_hz": ("repetition_rate_mhz", 1e6, 10e6),
+}  # fmt: skip
+"""Parameter in SI units → key of the configuration, its unit, and what holds where neither the configuration nor a
+class says otherwise: a silicon SPAD in a laboratory."""
 
 
 def detector_for(
@@ -53,17 +34,15 @@ def detector_for(
     laser period, as an experimenter would; a rate that the configuration gives is kept.
     """
     rng = generator(seed, index, Purpose.DETECTOR_PARAMETERS)
-    values = dict(LAB_DETECTOR)
-    drawn: dict[str, float] = {}
+    values: dict[str, Any] = {parameter: usual for parameter, (_, _, usual) in _PARAMETERS.items()}
     name = config.detector_class
     if name == "any":
         name = sorted(DETECTOR_CLASSES)[int(rng.integers(len(DETECTOR_CLASSES)))]  # type: ignore[assignment]
     if name is not None:
-        drawn = draw_class_parameters(name, rng)
-        values |= drawn
+        values |= draw_class_parameters(name, rng)
         if time is not None:
             values["repetition_rate_hz"] = min(values["repetition_rate_hz"], 1.0 / (time.bins * time.width_s))
-    for parameter, (key, unit) in _KEYS.items():
+    for parameter, (key, unit, _) in _PARAMETERS.items():
         configured: Distribution | None = getattr(config, key)
         if configured is not None:
             values[parameter] = draw(configured, rng) * unit
@@ -74,22 +53,16 @@ def detector_for(
         ambient_rate_hz=draw(config.ambient_rate_hz, rng),
         pulse_fwhm_s=draw(config.pulse_fwhm_ps, rng) * 1e-12,
     )
-    gate: dict[str, Any] = {}
     if config.gate is not None:
-        gate = {
-            "gate_start_s": draw(config.gate.start_ns, rng) * 1e-9,
-            "gate_width_s": draw(config.gate.width_ns, rng) * 1e-9,
-            "gate_rise_s": draw(config.gate.rise_ps, rng) * 1e-12,
-        }
-    numbers: dict[str, Any] = dict(values)
+        for key, gate, unit in (
+            ("start_s", "start_ns", 1e-9),
+            ("width_s", "width_ns", 1e-9),
+            ("rise_s", "rise_ps", 1e-12),
+        ):
+            values[f"gate_{key}"] = draw(getattr(config.gate, gate), rng) * unit
     spad = Spad(
-        afterpulse_times_s=(numbers.pop("afterpulse_time_s"),),
-        mode=config.mode,
-        paralyzable=config.paralyzable,
-        hot_pixel_seed=int(rng.integers(2**62)),
-        array_columns=config.array_columns,
-        counter_max=config.counter_max,
-        **numbers,
-        **gate,
-    )
+        afterpulse_times_s=(values.pop("afterpulse_time_s"),), mode=config.mode, paralyzable=config.paralyzable,
+        hot_pixel_seed=int(rng.integers(2**62)), array_columns=config.array_columns, counter_max=config.counter_max,
+        **values,
+    )  # fmt: skip
     return spad, exposure

@@ -38,14 +38,9 @@ class Equilibrium:
 
 
 def equilibrium(
-    flux: Array,
-    edges_s: Array,
-    width_s: float,
-    dead_time_s: float,
-    *,
-    shorter_than_dead_time: bool = False,
+    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
     settled: float = _SETTLED,
-) -> Equilibrium:
+) -> Equilibrium:  # fmt: skip
     """Expected detections per cycle of a free-running detector, dead time of any length.
 
     Whole periods in τ = m T_r + τ′ only rescale: D = X / (1 + m ΣX) with X the answer for τ′. X is the fixed point of

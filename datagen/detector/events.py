@@ -15,15 +15,9 @@ MANY_LAPS = 2.0**20
 
 
 def draw_free_running(
-    flux: Array,
-    edges_s: Array,
-    width_s: float,
-    front: int,
-    dead_time_s: float,
-    cycles: int,
-    state: Equilibrium,
+    flux: Array, edges_s: Array, width_s: float, front: int, dead_time_s: float, cycles: int, state: Equilibrium,
     rng: np.random.Generator,
-) -> NDArray[np.int64]:
+) -> NDArray[np.int64]:  # fmt: skip
     """(n,) detections in `cycles` laser periods of a detector that has been running for ever.
 
     From the moment s at which it is armed the next event is where Λ(t) = Λ(s) + Exp(1), the integral of the flux
@@ -69,17 +63,9 @@ def rest_of_lap(total: float, u: float) -> float:
 
 @numba.njit(cache=True)
 def _run(
-    cumulative: Array,
-    edges: Array,
-    width: float,
-    front: int,
-    guide: NDArray[np.int64],
-    dead_time: float,
-    cycles: int,
-    cycle: int,
-    phase: float,
-    rng: np.random.Generator,
-) -> NDArray[np.int64]:
+    cumulative: Array, edges: Array, width: float, front: int, guide: NDArray[np.int64], dead_time: float,
+    cycles: int, cycle: int, phase: float, rng: np.random.Generator,
+) -> NDArray[np.int64]:  # fmt: skip
     n = len(guide)
     total, period = cumulative[n], edges[n]
     per_total = n / total

@@ -46,10 +46,8 @@ def mean_detections(flux: Array, cycle: Cycle, spad: Spad) -> Array:
             break
         if has_traps:
             armed = np.divide(detections, total, out=np.ones_like(total), where=total > 0)
-            released = np.stack(
-                [_releases(d, f, cycle, spad) for d, f in zip(detections, flux + shared, strict=True)]
-            )
-            released /= np.maximum(armed, 1e-12)
+            pairs = zip(detections, flux + shared, strict=True)
+            released = np.stack([_releases(d, f, cycle, spad) for d, f in pairs]) / np.maximum(armed, 1e-12)
         if has_crosstalk:
             shared = spad.crosstalk_probability * neighbour_sum(detections, spad.array_columns or len(flux))
     return detections
@@ -127,23 +125,16 @@ def _releases(detections: Array, flux: Array, cycle: Cycle, spad: Spad) -> Array
         # a photon comes first.
         kept = float(np.exp(-spad.dead_time_s / time))
         effective = -np.expm1(-load) + (load + np.expm1(-load)) * kept
-        out += _release_one_trap(
-            detections, flux, cycle.edges_s, spad.dead_time_s, effective, time, 1.0 - kept, spad.mode == "synchronous"
-        )
+        trap = spad.dead_time_s, effective, time, 1.0 - kept
+        out += _release_one_trap(detections, flux, cycle.edges_s, *trap, spad.mode == "synchronous")
     return out * cycle.gate
 
 
 @numba.njit(cache=True)
 def _release_one_trap(
-    detections: Array,
-    flux: Array,
-    edges: Array,
-    dead_time: float,
-    load: float,
-    time: float,
-    lost: float,
+    detections: Array, flux: Array, edges: Array, dead_time: float, load: float, time: float, lost: float,
     synchronous: bool,
-) -> Array:
+) -> Array:  # fmt: skip
     n = len(flux)
     period = edges[n]
     cumulative = np.zeros(n + 1)

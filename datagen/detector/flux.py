@@ -19,6 +19,8 @@ from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 
+Array = NDArray[np.float64]
+
 _MAX_PERIOD_BINS = 8_000_000
 _RAMP_PIECES = 16
 
@@ -39,8 +41,8 @@ class Cycle:
 
     period_s: float
     width_s: float
-    edges_s: NDArray[np.float64]
-    gate: NDArray[np.float64]
+    edges_s: Array
+    gate: Array
     front: int
     back: int
     window: int
@@ -49,7 +51,7 @@ class Cycle:
     after_avalanche: Kernel
 
     @property
-    def widths_s(self) -> NDArray[np.float64]:
+    def widths_s(self) -> Array:
         return np.diff(self.edges_s)
 
 
@@ -78,9 +80,9 @@ def cycle_of(time: TimeAxis, spad: Spad, exposure: Exposure) -> Cycle:
     lattice = width * np.arange(min(whole, bins + after) + 1)
     if whole > bins + after + before + 1:
         start, stop = lattice[-1], period - before * width
-        knots = [t for t in _gate_knots(time, spad, period) if start < t < stop]
+        knots = _gate_knots(time, spad, period)
         tail = period - width * np.arange(before, -1, -1)
-        edges = np.concatenate([lattice, np.array(knots), tail])
+        edges = np.concatenate([lattice, knots[(start < knots) & (knots < stop)], tail])
         front, back = bins + after, before
     else:
         lattice = width * np.arange(whole + 1)
@@ -94,8 +96,7 @@ def cycle_of(time: TimeAxis, spad: Spad, exposure: Exposure) -> Cycle:
             "handled; check repetition_rate_hz, the bin width and the jitter"
         )
     gate = _gate(edges, time, spad, period)
-    for kept in (edges, gate):
-        kept.flags.writeable = False
+    edges.flags.writeable = gate.flags.writeable = False
     return Cycle(period, width, edges, gate, front, back, min(bins, len(edges) - 1), bins, pulse, jitter)
 
 
@@ -115,19 +116,17 @@ def _gate_span(time: TimeAxis, spad: Spad, period_s: float) -> tuple[float, floa
     return max(start, 0.0), min(stop, period_s)
 
 
-def _gate_knots(time: TimeAxis, spad: Spad, period_s: float) -> list[float]:
+def _gate_knots(time: TimeAxis, spad: Spad, period_s: float) -> Array:
     """Phases at which the gate's slope changes, ramps cut into short pieces; ascending."""
     span = _gate_span(time, spad, period_s)
     if span is None:
-        return []
-    start, stop = span
+        return np.empty(0)
     ramp = spad.gate_rise_s * np.linspace(0, 1, _RAMP_PIECES + 1)
-    knots = np.unique(np.concatenate([start + ramp, stop - ramp]))
-    keep = np.append(True, np.diff(knots) > 1e-12 * period_s)
-    return [float(t) for t in knots[keep]]
+    knots = np.unique(np.concatenate([span[0] + ramp, span[1] - ramp]))
+    return np.asarray(knots[np.append(True, np.diff(knots) > 1e-12 * period_s)], np.float64)
 
 
-def _gate(edges_s: NDArray[np.float64], time: TimeAxis, spad: Spad, period_s: float) -> NDArray[np.float64]:
+def _gate(edges_s: Array, time: TimeAxis, spad: Spad, period_s: float) -> Array:
     """(n,) mean over each bin of the trapezoid 0 → 1 → 0."""
     span = _gate_span(time, spad, period_s)
     if span is None:
@@ -135,7 +134,7 @@ def _gate(edges_s: NDArray[np.float64], time: TimeAxis, spad: Spad, period_s: fl
     start, stop = span
     rise = spad.gate_rise_s
 
-    def ramp_integral(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    def ramp_integral(t: Array) -> Array:
         """∫ of a ramp from 0 at 0 to 1 at `rise` and 1 ever after."""
         return np.where(t < rise, 0.5 * t**2 / rise if rise > 0 else 0.0, t - 0.5 * rise) * (t > 0)
 
@@ -162,20 +161,19 @@ class Fold:
     aligned: range
     rows: NDArray[np.int64]
     columns: NDArray[np.int64]
-    shares: NDArray[np.float64]
+    shares: Array
 
-    def __call__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, values: Array) -> Array:
         """(…, lattice) → (…, bins)."""
         out = np.zeros((*values.shape[:-1], self.bins))
         low, high = self.aligned.start, self.aligned.stop
         out[..., low:high] = values[..., low - self.first : high - self.first]
-        if len(self.rows):
-            for row, column, share in zip(self.rows, self.columns, self.shares, strict=True):
-                out[..., column] += values[..., row] * share
+        for row, column, share in zip(self.rows, self.columns, self.shares, strict=True):
+            out[..., column] += values[..., row] * share
         return out
 
 
-def fold_of(first: int, count: int, width_s: float, edges_s: NDArray[np.float64]) -> Fold:
+def fold_of(first: int, count: int, width_s: float, edges_s: Array) -> Fold:
     """How lattice bins `first … first + count − 1` fall into the bins of the period, modulo its length."""
     period, bins = float(edges_s[-1]), len(edges_s) - 1
     # The lattice's own part of the period: its edges lie on multiples of the width.
@@ -204,9 +202,7 @@ def fold_of(first: int, count: int, width_s: float, edges_s: NDArray[np.float64]
     return Fold(first, bins, aligned, row, np.array(columns, np.int64), share_of)
 
 
-def flux_per_cycle(
-    transient: NDArray[np.float64], cycle: Cycle, spad: Spad, exposure: Exposure, first_pixel: int = 0
-) -> NDArray[np.float64]:
+def flux_per_cycle(transient: Array, cycle: Cycle, spad: Spad, exposure: Exposure, first_pixel: int = 0) -> Array:
     """(laser, pixel, n) λ: expected avalanche-capable events per cycle in each bin of the period."""
     signal = spread(transient * exposure.photons_per_pulse, cycle.before_avalanche)
     signal = fold_of(-cycle.before_avalanche.before, signal.shape[-1], cycle.width_s, cycle.edges_s)(signal)
@@ -214,7 +210,7 @@ def flux_per_cycle(
     return cycle.gate * (spad.pde * signal + background[:, None] * cycle.widths_s)
 
 
-def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> NDArray[np.float64]:
+def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:
     """(pixels,) dark counts per second of pixels `first_pixel`, …; some of them hot."""
     rates = np.full(pixels, float(spad.dark_count_rate_hz))
     if spad.hot_pixel_fraction > 0:
@@ -231,7 +227,7 @@ def hot_pixels(spad: Spad, pixels: int, first_pixel: int = 0) -> NDArray[np.bool
     return (words >> np.uint64(11)) * 2.0**-53 < spad.hot_pixel_fraction
 
 
-def checked_transient(transient: ArrayLike, time: TimeAxis, photons_per_pulse: float) -> NDArray[np.float64]:
+def checked_transient(transient: ArrayLike, time: TimeAxis, photons_per_pulse: float) -> Array:
     """(laser, pixel, bin) float64 view of a transient, refused with its first offending entry named."""
     try:
         values = np.asarray(transient, dtype=np.float64)

@@ -68,13 +68,16 @@ def dead_time_correction(
     detections = counts / cycles
     window = min(time.bins, int(np.floor(period / width * (1 + 1e-12) + 1e-9)))
     shown = detections[..., :window]
-    cumulative = np.concatenate([np.zeros((*shown.shape[:-1], 1)), np.cumsum(shown, axis=-1)], axis=-1)
-    dead = _dead_share(cumulative, window, width, period, dead_time_s)
-    armed = 1.0 - dead
+    armed = 1.0 - _dead_share(_integral(shown), window, width, period, dead_time_s)
     flux = np.zeros_like(detections)
     with np.errstate(divide="ignore", invalid="ignore"):
         flux[..., :window] = np.where(shown > 0, np.where(armed > 0, shown / armed, np.inf), 0.0)
     return flux
+
+
+def _integral(values: Array) -> Array:
+    """(…, n) → (…, n + 1) sums of the first 0, 1, … n."""
+    return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)], axis=-1)
 
 
 def _dead_share(cumulative: Array, window: int, width: float, period: float, dead_time: float) -> Array:
@@ -82,13 +85,7 @@ def _dead_share(cumulative: Array, window: int, width: float, period: float, dea
     edges = width * np.arange(window + 1, dtype=np.float64)
     total = cumulative[..., -1:]
     # ∫_{bin} C(t − τ) dt from the integral of the piecewise linear C, extended periodically.
-    integral = np.concatenate(
-        [
-            np.zeros((*cumulative.shape[:-1], 1)),
-            np.cumsum(0.5 * (cumulative[..., 1:] + cumulative[..., :-1]) * width, axis=-1),
-        ],
-        axis=-1,
-    )
+    integral = _integral(0.5 * (cumulative[..., 1:] + cumulative[..., :-1]) * width)
     over_period = integral[..., -1:] + total * (period - edges[-1])
 
     def primitive(t: NDArray[np.float64]) -> Array:

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 
+Array = NDArray[np.float64]
+
 FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
 """Full width at half maximum of a Gaussian of unit standard deviation."""
-
 LONGEST_KERNEL = 4_000_000
 """Taps beyond which a response is surely a mistake of units."""
-
 _LONGEST_DIRECT = 4096
 """Taps up to which the sum is done directly: exact to the last digit for every bin, however faint."""
 
@@ -27,7 +27,7 @@ _LONGEST_DIRECT = 4096
 class Kernel:
     """Probability that light of one bin lands `offset` bins later: `weights[offset + before]`; sums to 1."""
 
-    weights: NDArray[np.float64]
+    weights: Array
     before: int
 
     @property
@@ -42,9 +42,7 @@ class Kernel:
 IDENTITY = Kernel(np.ones(1), 0)
 
 
-def response_cdf(
-    t_s: NDArray[np.float64], sigma_s: float, tail_s: float = 0.0, tail_fraction: float = 1.0
-) -> NDArray[np.float64]:
+def response_cdf(t_s: Array, sigma_s: float, tail_s: float = 0.0, tail_fraction: float = 1.0) -> Array:
     """Probability that a photon is displaced by less than `t_s`: a Gaussian, part of it with an exponential delay.
 
     With z = t/σ and Φ the normal distribution function,
@@ -62,7 +60,7 @@ def response_cdf(
     ratio = sigma_s / tail_s
     z = t / sigma_s
     log_delayed = 0.5 * ratio**2 - t / tail_s + scipy.special.log_ndtr(z - ratio)
-    cdf: NDArray[np.float64] = scipy.special.ndtr(z) - tail_fraction * np.exp(np.minimum(log_delayed, 0.0))
+    cdf: Array = scipy.special.ndtr(z) - tail_fraction * np.exp(np.minimum(log_delayed, 0.0))
     return cdf
 
 
@@ -92,7 +90,7 @@ def response_kernel(width_s: float, fwhm_s: float, tail_s: float = 0.0, tail_fra
     return Kernel(weights, before)
 
 
-def spread(values: NDArray[np.float64], kernel: Kernel) -> NDArray[np.float64]:
+def spread(values: Array, kernel: Kernel) -> Array:
     """Convolve the last axis; the result is longer by `before` bins at the front and `after` bins at the end.
 
     Kernels beyond a few thousand taps go through a float64 FFT, whose rounding is 10⁻¹⁶ of the brightest bin: its
@@ -105,9 +103,7 @@ def spread(values: NDArray[np.float64], kernel: Kernel) -> NDArray[np.float64]:
         padded = np.pad(values, [*pad, (kernel.before, kernel.after)])
         # convolve1d centres a kernel of k taps at k // 2; origin moves it so that tap `before` means no displacement.
         origin = kernel.before - len(kernel.weights) // 2
-        out: NDArray[np.float64] = scipy.ndimage.convolve1d(
-            padded, kernel.weights, axis=-1, mode="constant", origin=origin
-        )
+        out: Array = scipy.ndimage.convolve1d(padded, kernel.weights, axis=-1, mode="constant", origin=origin)
         return out
     shape = (1,) * (values.ndim - 1) + (-1,)
     full = np.maximum(scipy.signal.oaconvolve(values, kernel.weights.reshape(shape), axes=-1), 0.0)

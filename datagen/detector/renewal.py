@@ -10,7 +10,7 @@ later. For equal pieces and small λ the weights are (1−f)²/2, ½+f−f², f�
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -22,18 +22,14 @@ Array = NDArray[np.float64]
 
 PIECE_FLUX = 0.0125
 """Most events in a piece. What is neglected, the slope of the detections within it, is of second order in this."""
-
 _FLUX_PIECES = 16_384
 """At a flux of hundreds and more per cycle pieces carry 1/16384 of it instead, for which they are short enough."""
-
 _LONG_PIECE_FLUX = 0.002
 """The same for long background bins, in which detections may start or end abruptly."""
-
 _MOST_PIECES = 4_000_000
 
 
-@dataclass(frozen=True)
-class Pieces:
+class Pieces(NamedTuple):
     """Bins of the period cut up: (m,) flux and bin number, (m + 1,) edges in seconds, and the dead time."""
 
     flux: Array
@@ -46,14 +42,9 @@ class Pieces:
 
 
 def pieces_of(
-    flux: Array,
-    edges_s: Array,
-    width_s: float,
-    dead_time_s: float,
-    *,
-    shorter_than_dead_time: bool = False,
+    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
     piece_flux: float = PIECE_FLUX,
-) -> Pieces:
+) -> Pieces:  # fmt: skip
     """Cut the bins of the period; bins longer than `width_s` are background and cut more finely."""
     count = _parts(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time, piece_flux)
     total = float(count.sum())

@@ -23,13 +23,10 @@ Array = NDArray[np.float64]
 
 DEFAULT_TOLERANCE = 1e-3
 """Largest relative bias that a cheaper sampler may cause."""
-
 HIDDEN_DEVIATION = 0.1
 """Largest bias of a total in its own standard deviations: one that no test of a single histogram could find."""
-
 ENSEMBLE_EVENTS = 2e6
 """Detections per histogram above which, if allowed, free running is drawn by the approximate ensemble."""
-
 MOST_EVENTS = 2e7
 """Events per histogram above which event-driven samplers would take seconds and more, and are refused."""
 
@@ -82,15 +79,8 @@ class SamplerChoice:
 
     def parameters(self) -> dict[str, float | str | bool]:
         """The decision as scalars, to be stored with a sample."""
-        return {
-            "name": self.sampler,
-            "reason": self.reason,
-            "flux_per_cycle": self.flux_per_cycle,
-            "poisson_bias": self.poisson_bias,
-            "poisson_deviation": self.poisson_deviation,
-            "detections": self.detections,
-            "approximate": self.approximate,
-        }
+        kept = ("reason", "flux_per_cycle", "poisson_bias", "poisson_deviation", "detections", "approximate")
+        return {"name": self.sampler, **{key: getattr(self, key) for key in kept}}
 
 
 @dataclass(frozen=True)
@@ -106,15 +96,9 @@ class Choice:
 
 
 def choose(
-    flux: Array,
-    total: float,
-    cycle: Cycle,
-    spad: Spad,
-    exposure: Exposure,
-    tolerance: float,
-    approximate: bool,
+    flux: Array, total: float, cycle: Cycle, spad: Spad, exposure: Exposure, tolerance: float, approximate: bool,
     where: str,
-) -> Choice:
+) -> Choice:  # fmt: skip
     """Decide for one histogram's (n,) flux and its sum; for pixels coupled by crosstalk give the sum of theirs.
 
     Raises `InputError`, naming the histogram `where`, for what can only be done approximately unless `approximate`.
@@ -148,15 +132,9 @@ def choose(
 
 
 def _beyond_poisson(
-    flux: Array,
-    cycle: Cycle,
-    spad: Spad,
-    cycles: int,
-    events: float,
-    detections: float,
-    approximate: bool,
+    flux: Array, cycle: Cycle, spad: Spad, cycles: int, events: float, detections: float, approximate: bool,
     where: str,
-) -> tuple[Sampler, str]:
+) -> tuple[Sampler, str]:  # fmt: skip
     if spad.afterpulse_probability > 0 or spad.crosstalk_probability > 0:
         what = "afterpulsing" if spad.afterpulse_probability > 0 else "crosstalk"
         _limit(detections, what, where)
@@ -214,27 +192,24 @@ def poisson_bias(flux: Array, cycle: Cycle, spad: Spad) -> float:
     if spad.dead_time_s > 0:
         whole = np.floor(spad.dead_time_s / cycle.period_s)
         rest = spad.dead_time_s - whole * cycle.period_s
-        if spad.mode == "synchronous":
-            bias = total if whole else most_in_window(flux, cycle.edges_s, rest)
+        if whole and spad.mode == "synchronous":
+            bias = total
         else:
             bias = whole * total + most_in_window(flux, cycle.edges_s, rest)
+    return float(sum(caused(spad), bias))
+
+
+def caused(spad: Spad) -> tuple[float, float]:
+    """Avalanches that one causes at most by afterpulsing and by crosstalk, those caused by these included."""
     load = sum(spad.trap_loads) if spad.afterpulse_probability > 0 else 0.0
     shared = min(4 * spad.crosstalk_probability, 0.99)
-    return float(bias + load / (1.0 - load) + shared / (1.0 - shared))
+    return load / (1.0 - load), shared / (1.0 - shared)
 
 
 def summarise(choices: list[Choice], tolerance: float) -> SamplerChoice:
     """One record for all histograms; the numbers are those of the brightest."""
-    brightest = max(choices, key=lambda c: c.flux)
-    names = Counter(c.sampler.name.lower() for c in choices)
-    return SamplerChoice(
-        sampler=brightest.sampler.name.lower(),
-        reason=brightest.reason,
-        histograms=dict(sorted(names.items())),
-        flux_per_cycle=brightest.flux,
-        poisson_bias=brightest.bias,
-        poisson_deviation=brightest.deviation,
-        detections=brightest.detections,
-        tolerance=tolerance,
-        approximate=any(c.sampler is Sampler.CYCLE_ENSEMBLE for c in choices),
-    )
+    b = max(choices, key=lambda c: c.flux)
+    names = dict(sorted(Counter(c.sampler.name.lower() for c in choices).items()))
+    approximate = any(c.sampler is Sampler.CYCLE_ENSEMBLE for c in choices)
+    figures = b.flux, b.bias, b.deviation, b.detections
+    return SamplerChoice(b.sampler.name.lower(), b.reason, names, *figures, tolerance, approximate)

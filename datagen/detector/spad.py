@@ -46,8 +46,6 @@ class Spad:
     counter_max : counts at which a bin's counter stays; None: counters never saturate.
     mode : see `Mode`; `ideal` counts every event, so dead time, afterpulsing and crosstalk play no part in it.
 
-    Not modelled: recovery of the PDE after the dead time, twilight pulses, gate memory, TDC nonlinearity.
-
     Examples
     --------
     >>> import datagen as dg

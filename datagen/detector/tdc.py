@@ -13,6 +13,8 @@ from datagen.detector.flux import Cycle, fold_of
 from datagen.detector.irf import spread
 
 N = TypeVar("N", bound=np.generic)
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
 
 class Tdc:
@@ -30,7 +32,7 @@ class Tdc:
         # A period that is no whole number of bins ends in a shorter one. Of its own records a displacement makes what
         # it makes of a moment in its middle; a full bin of the lattice displaced there is shared out by the fold.
         short = not self._merged and float(cycle.widths_s[-1]) < cycle.width_s * (1 - 1e-6)
-        self._from_short: NDArray[np.int64] | None = None
+        self._from_short: Counts | None = None
         if short and not jitter.is_identity:
             steps = np.arange(-jitter.before, jitter.after + 1) * cycle.width_s
             moments = (cycle.edges_s[-2:].mean() + steps) % cycle.period_s
@@ -44,7 +46,7 @@ class Tdc:
         self._fold_rows, starts = np.unique(self._fold.rows, return_index=True)
         self._fold_starts = np.append(starts, len(self._fold.rows)).astype(np.int64)
 
-    def mean(self, detections: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mean(self, detections: Array) -> Array:
         """(…, n) expected detections per bin of the period → (…, bins) expected records."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
         out = np.zeros((*detections.shape[:-1], cycle.bins))
@@ -62,7 +64,7 @@ class Tdc:
         out[..., : cycle.window] = folded[..., : cycle.window]
         return out
 
-    def draw(self, detections: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
+    def draw(self, detections: Counts, rng: np.random.Generator) -> Counts:
         """(n,) detections → (bins,) records: a multinomial for each bin."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
         out = np.zeros(cycle.bins, np.int64)
@@ -99,9 +101,7 @@ class Tdc:
 
 
 @numba.njit(cache=True)
-def _scatter(
-    counts: NDArray[np.int64], weights: NDArray[np.float64], offsets: NDArray[np.int64], rng: np.random.Generator
-) -> NDArray[np.int64]:
+def _scatter(counts: Counts, weights: Array, offsets: Counts, rng: np.random.Generator) -> Counts:
     """Each of `counts` goes `offsets[k]` bins on with probability `weights[k]`; weights descend and sum to 1."""
     taps = len(weights)
     out = np.zeros(len(counts) + taps - 1, np.int64)
@@ -129,12 +129,7 @@ def _scatter(
 
 @numba.njit(cache=True)
 def _share_out(
-    counts: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    columns: NDArray[np.int64],
-    shares: NDArray[np.float64],
-    out: NDArray[np.int64],
-    rng: np.random.Generator,
+    counts: Counts, starts: Counts, columns: Counts, shares: Array, out: Counts, rng: np.random.Generator
 ) -> None:
     """Add `counts[r]` to `out`, split at random over `columns[starts[r]:starts[r + 1]]` by their shares."""
     for r in range(len(counts)):

@@ -11,13 +11,6 @@ from datagen.effects.decide import (
 from datagen.effects.rule import Change, Decision, Effect
 
 __all__ = [
-    "EFFECTS",
-    "Change",
-    "Decision",
-    "Effect",
-    "EffectDecisions",
-    "decide_detector_effects",
-    "decide_transport_effects",
-    "decision_lines",
-    "plan_effects",
-]
+    "EFFECTS", "Change", "Decision", "Effect", "EffectDecisions", "decide_detector_effects",
+    "decide_transport_effects", "decision_lines", "plan_effects",
+]  # fmt: skip

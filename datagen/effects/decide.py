@@ -16,6 +16,7 @@ from datagen.effects.detector_effects import DETECTOR_EFFECTS, Detection
 from datagen.effects.rule import Decision, Effect, Stage, decide
 from datagen.effects.scene_figures import SceneFigures
 from datagen.effects.transport_effects import TRANSPORT_EFFECTS
+from datagen.effects.trial import few_samples
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scalar, Scene, TimeAxis, Transient
 from datagen.transport import simulate
@@ -71,8 +72,7 @@ class EffectDecisions:
     ) -> tuple[Spad, Exposure, float]:
         """The detector, its exposure and the tolerance for `detect`, which is 0 where the dead time's effects, or
         those of avalanches, are switched on."""
-        nothing = np.zeros((1, 1, 1))
-        given = Detection(nothing, TimeAxis(1, 1e-9), spad, exposure, tolerance)
+        given = Detection(np.zeros((1, 1, 1)), TimeAxis(1, 1e-9), spad, exposure, tolerance)
         reduced = _applied(DETECTOR_EFFECTS, self.decisions, given)
         return reduced.spad, reduced.exposure, reduced.tolerance
 
@@ -90,52 +90,23 @@ class EffectDecisions:
 def decide_transport_effects(
     scene: Scene, capture: Capture, accuracy: Accuracy, settings: EffectsConfig | None = None, seed: int = 0
 ) -> EffectDecisions:
-    """Decide for the effects of the transport; the same arguments give the same decisions.
-
-    Parameters
-    ----------
-    accuracy : what the transport is to simulate.
-    settings : tolerance, and `on`, `off` or `auto` for each effect; left out, all are `auto`.
-    seed : of the trial run.
-    """
-    settings = settings or EffectsConfig()
-    given = SceneFigures(scene, capture, accuracy, seed)
-    return EffectDecisions(decide(TRANSPORT_EFFECTS, given, settings.of, settings.tolerance), settings.tolerance)
+    """Decide for the effects of the transport; parameters as of `plan_effects`."""
+    return _decided(TRANSPORT_EFFECTS, SceneFigures(scene, capture, accuracy, seed), settings)
 
 
 def decide_detector_effects(
-    transient: NDArray[np.float64],
-    time: TimeAxis,
-    spad: Spad,
-    exposure: Exposure,
-    settings: EffectsConfig | None = None,
-    tolerance: float = DEFAULT_TOLERANCE,
-) -> EffectDecisions:
-    """Decide for the effects of the detector.
-
-    Parameters
-    ----------
-    transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
-    settings : tolerance, and `on`, `off` or `auto` for each effect; left out, all are `auto`.
-    tolerance : `detector.tolerance`, the relative bias that a cheaper sampler may cause.
-    """
-    settings = settings or EffectsConfig()
-    given = Detection(transient, time, spad, exposure, tolerance)
-    return EffectDecisions(decide(DETECTOR_EFFECTS, given, settings.of, settings.tolerance), settings.tolerance)
+    transient: NDArray[np.float64], time: TimeAxis, spad: Spad, exposure: Exposure,
+    settings: EffectsConfig | None = None, tolerance: float = DEFAULT_TOLERANCE,
+) -> EffectDecisions:  # fmt: skip
+    """Decide for the effects of the detector; parameters as of `plan_effects` (transient: laser, pixel, bin)."""
+    return _decided(DETECTOR_EFFECTS, Detection(transient, time, spad, exposure, tolerance), settings)
 
 
 def plan_effects(
-    scene: Scene,
-    capture: Capture,
-    accuracy: Accuracy | None = None,
-    spad: Spad | None = None,
-    exposure: Exposure | None = None,
-    *,
-    settings: EffectsConfig | None = None,
-    transient: Transient | None = None,
-    tolerance: float = DEFAULT_TOLERANCE,
-    seed: int = 0,
-) -> EffectDecisions:
+    scene: Scene, capture: Capture, accuracy: Accuracy | None = None, spad: Spad | None = None,
+    exposure: Exposure | None = None, *, settings: EffectsConfig | None = None, transient: Transient | None = None,
+    tolerance: float = DEFAULT_TOLERANCE, seed: int = 0,
+) -> EffectDecisions:  # fmt: skip
     """Which effects a scene calls for (DESIGN, sec. 6): what changes the answer too little to matter is left out.
 
     What an effect changes is bounded, or measured by a trial run (twice the transport at about a hundredth of its
@@ -161,11 +132,7 @@ def plan_effects(
         return decided
     if transient is None:
         reduced_scene, reduced = decided.apply_transport(scene, capture, accuracy)
-        few = Accuracy(
-            lookins=FORESEEN_LOOKINS, fov_samples=1, replicates=1, max_bounces=reduced.max_bounces,
-            direct=reduced.direct, secondary="none" if reduced.secondary == "none" else "all",
-            occlusion=reduced.occlusion,
-        )  # fmt: skip
+        few = few_samples(reduced, FORESEEN_LOOKINS)
         transient = simulate(reduced_scene, capture, few, seed=seed, split_parts=False)
     seen = (transient.total, capture.time, spad, exposure or Exposure())
     return decided + decide_detector_effects(*seen, settings, tolerance)
@@ -183,17 +150,20 @@ def decision_lines(decided: EffectDecisions) -> list[str]:
     return lines
 
 
+def _decided(rows: Sequence[Effect[Any]], given: Any, settings: EffectsConfig | None) -> EffectDecisions:
+    settings = settings or EffectsConfig()
+    return EffectDecisions(decide(rows, given, settings.of, settings.tolerance), settings.tolerance)
+
+
 def _applied(rows: Sequence[Effect[Any]], decisions: Sequence[Decision], given: Any) -> Any:
     """What is given, with what was decided. Backwards through the table: dead time across cycles before pile-up."""
     made = {decision.effect: decision for decision in decisions}
     for row in reversed(rows):
         decision = made.get(row.name)
-        if decision is None or decision.kind == "absent":
-            continue
-        if not decision.simulated:
-            given = row.without(given)
-        elif decision.setting != "auto":
-            given = row.always(given, decision.setting)
-        else:
-            given = row.cheapest(given)
+        if decision is not None and decision.kind != "absent":
+            if not decision.simulated:
+                given = row.without(given)
+            else:
+                forced = decision.setting != "auto"
+                given = row.always(given, decision.setting) if forced else row.cheapest(given)
     return given

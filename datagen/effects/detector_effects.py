@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from datagen.detector import Exposure, Spad
 from datagen.detector.flux import cycle_of, dark_count_rates
 from datagen.detector.irf import response_kernel
+from datagen.detector.sampler_choice import caused
 from datagen.effects.rule import Change, Effect
 from datagen.records import TimeAxis
 
@@ -74,10 +75,8 @@ class Detection:
     @property
     def caused(self) -> float:
         """Avalanches that one causes at most by afterpulsing and crosstalk, those caused by these included."""
-        spad = self.spad
-        load = sum(spad.trap_loads) if spad.afterpulse_probability > 0 else 0.0
-        shared = min(4.0 * spad.crosstalk_probability, 0.99) if self.transient.shape[1] > 1 else 0.0
-        return 0.0 if self.counts_all else load / (1.0 - load) + shared / (1.0 - shared)
+        by_traps, by_neighbours = caused(self.spad)
+        return 0.0 if self.counts_all else by_traps + (by_neighbours if self.transient.shape[1] > 1 else 0.0)
 
 
 def _timing(given: Detection) -> Change:
@@ -144,68 +143,52 @@ def _exactly(given: Detection, setting: str | int) -> Detection:
 
 DETECTOR_EFFECTS: tuple[Effect[Detection], ...] = (
     Effect(
-        "timing_response", "laser pulse and jitter (IRF)", "detector",
-        "a pulse, tail or jitter of some width",
-        "Young's inequality: ‖w * h − h‖ ≤ 2 (1 − w₀) ‖h‖ for the bin-integrated response w",
-        0.4,
+        "timing_response", "laser pulse and jitter (IRF)", "detector", "a pulse, tail or jitter of some width",
+        "Young's inequality: ‖w * h − h‖ ≤ 2 (1 − w₀) ‖h‖ for the bin-integrated response w", 0.4,
         lambda d: d.exposure.pulse_fwhm_s > 0 or d.spad.jitter_fwhm_s > 0
-        or d.spad.jitter_tail_s * d.spad.jitter_tail_fraction > 0,
-        _timing,
+        or d.spad.jitter_tail_s * d.spad.jitter_tail_fraction > 0, _timing,
         lambda d: d.with_spad(jitter_fwhm_s=0.0, jitter_tail_s=0.0).with_exposure(pulse_fwhm_s=0.0),
     ),
     Effect(
-        "ambient_light", "ambient light", "detector",
-        "`detector.ambient_rate_hz` > 0",
-        "A constant flux (DETECTOR, λ)",
-        0.0, lambda d: d.spad.pde * d.exposure.ambient_rate_hz > 0, _ONE_OPERATION,
+        "ambient_light", "ambient light", "detector", "`detector.ambient_rate_hz` > 0",
+        "A constant flux (DETECTOR, λ)", 0.0, lambda d: d.spad.pde * d.exposure.ambient_rate_hz > 0, _ONE_OPERATION,
         lambda d: d.with_exposure(ambient_rate_hz=0.0),
     ),
     Effect(
-        "dark_counts", "dark counts", "detector",
-        "`detector.dark_count_rate_hz` > 0",
-        "A constant flux (DETECTOR, λ)",
-        0.0, lambda d: d.spad.dark_count_rate_hz > 0, _ONE_OPERATION,
+        "dark_counts", "dark counts", "detector", "`detector.dark_count_rate_hz` > 0",
+        "A constant flux (DETECTOR, λ)", 0.0, lambda d: d.spad.dark_count_rate_hz > 0, _ONE_OPERATION,
         lambda d: d.with_spad(dark_count_rate_hz=0.0),
     ),
     Effect(
-        "pile_up", "pile-up", "detector",
-        "a dead time, and a mode other than `ideal`",
+        "pile_up", "pile-up", "detector", "a dead time, and a mode other than `ideal`",
         "DETECTOR, When Poisson is enough (`detector/sampler_choice.py`)",
         0.0, lambda d: d.has_dead_time, _SAMPLER, _without_pile_up, _exactly,
     ),
     Effect(
-        "dead_time_across_cycles", "dead time across cycles", "detector",
-        "mode `free_running` with a dead time",
-        "DETECTOR, case c",
-        0.0, lambda d: d.has_dead_time and d.spad.mode == "free_running", _SAMPLER,
+        "dead_time_across_cycles", "dead time across cycles", "detector", "mode `free_running` with a dead time",
+        "DETECTOR, case c", 0.0, lambda d: d.has_dead_time and d.spad.mode == "free_running", _SAMPLER,
         lambda d: d.with_spad(mode="synchronous"), _exactly,
     ),
     Effect(
         "afterpulsing", "afterpulsing", "detector",
-        "`detector.afterpulse_probability` > 0, and a mode other than `ideal`",
-        "DETECTOR, case e",
+        "`detector.afterpulse_probability` > 0, and a mode other than `ideal`", "DETECTOR, case e",
         0.0, lambda d: d.spad.afterpulse_probability > 0 and not d.counts_all, _SAMPLER,
         lambda d: d.with_spad(afterpulse_probability=0.0), _exactly,
     ),
     Effect(
         "crosstalk", "crosstalk", "detector",
-        "`detector.crosstalk_probability` > 0, several pixels, and a mode other than `ideal`",
-        "DETECTOR, case e",
+        "`detector.crosstalk_probability` > 0, several pixels, and a mode other than `ideal`", "DETECTOR, case e",
         0.0, lambda d: d.spad.crosstalk_probability > 0 and d.transient.shape[1] > 1 and not d.counts_all, _SAMPLER,
         lambda d: d.with_spad(crosstalk_probability=0.0), _exactly,
     ),
     Effect(
-        "gate", "gate", "detector",
-        "`detector.gate`",
-        "A factor of the flux (DETECTOR, λ)",
+        "gate", "gate", "detector", "`detector.gate`", "A factor of the flux (DETECTOR, λ)",
         0.0, lambda d: d.spad.gate_start_s is not None, _ONE_OPERATION,
         lambda d: d.with_spad(gate_start_s=None, gate_width_s=None, gate_rise_s=0.0),
     ),
     Effect(
-        "tdc_saturation", "TDC saturation", "detector",
-        "`detector.counter_max`",
+        "tdc_saturation", "TDC saturation", "detector", "`detector.counter_max`",
         "min(n, c) of counts n (`detector/expected.py`)",
-        0.0, lambda d: d.spad.counter_max is not None, _ONE_OPERATION,
-        lambda d: d.with_spad(counter_max=None),
+        0.0, lambda d: d.spad.counter_max is not None, _ONE_OPERATION, lambda d: d.with_spad(counter_max=None),
     ),
 )  # fmt: skip

@@ -65,10 +65,8 @@ class Decision:
     Attributes
     ----------
     setting : what the configuration says: auto, on, off (or a number of strongest paths).
-    simulated : whether it is; an effect that is absent is not.
-    estimate : how much leaving it out can change, relative L2; None where nobody asked, or nothing bounds it.
-    kind : `bound` or `trial`: where the estimate is from; `always`: leaving it out saves nothing; `forced` by the
-        setting; `absent`: nothing to simulate.
+    estimate : `Change.value`; None where nobody asked, too.
+    kind : of `Change`; or `always`: leaving it out saves nothing; `forced` by the setting; `absent`: there is none.
     allowance : what was left of the tolerance when it was this effect's turn.
     """
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datagen.effects.lobes import is_lambertian, lambertian_of
 from datagen.effects.trial import Trial, affordable, run_trial
-from datagen.records import Accuracy, Capture, Lambertian, Material, Scene
+from datagen.records import Accuracy, Capture, Lambertian, Scene
 from datagen.transport.fov import PixelCones
 from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.raycast import Raycaster
@@ -23,12 +23,7 @@ PAIRS_CHECKED = 1 << 22
 
 @dataclass(frozen=True)
 class SceneFigures:
-    """A transport to be simulated, and figures of it; all follow from these four.
-
-    Attributes
-    ----------
-    seed : of the trial run.
-    """
+    """A transport to be simulated, and figures of it; all follow from these four (`seed`: of the trial run)."""
 
     scene: Scene
     capture: Capture
@@ -39,13 +34,9 @@ class SceneFigures:
         """The same with other values of some fields of `Accuracy`."""
         return replace(self, accuracy=replace(self.accuracy, **changes))  # type: ignore[arg-type]
 
-    def with_materials(self, materials: tuple[Material, ...]) -> SceneFigures:
-        """The same with other materials, one for each part."""
-        return replace(self, scene=replace(self.scene, materials=materials))
-
-    def with_attenuation(self, attenuation_per_m: float) -> SceneFigures:
-        """The same in other air."""
-        return replace(self, scene=replace(self.scene, attenuation_per_m=attenuation_per_m))
+    def with_scene(self, **changes: object) -> SceneFigures:
+        """The same with other values of some fields of `Scene`."""
+        return replace(self, scene=replace(self.scene, **changes))  # type: ignore[arg-type]
 
     @property
     def highest_order(self) -> float:
@@ -62,15 +53,15 @@ class SceneFigures:
     @property
     def all_lambertian(self) -> SceneFigures:
         """The same with Lambertian surfaces of the same mean albedo in place of all others."""
-        return self.with_materials(tuple(m if is_lambertian(m) else lambertian_of(m) for m in self.scene.materials))
+        alike = tuple(m if is_lambertian(m) else lambertian_of(m) for m in self.scene.materials)
+        return self.with_scene(materials=alike)
 
     @property
     def without_structure(self) -> SceneFigures:
         """The same with walls, floor and ceiling black."""
         dark = set(self.hidden_structure)
-        return self.with_materials(
-            tuple(Lambertian(0.0) if k in dark else m for k, m in enumerate(self.scene.materials))
-        )
+        kept = tuple(Lambertian(0.0) if k in dark else m for k, m in enumerate(self.scene.materials))
+        return self.with_scene(materials=kept)
 
     @cached_property
     def laser_points(self) -> LaserPoints:

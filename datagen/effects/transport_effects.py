@@ -37,14 +37,6 @@ def _without_needless_proofs(given: SceneFigures) -> SceneFigures:
     return given.with_accuracy(occlusion="on") if few and given.accuracy.occlusion == "auto" else given
 
 
-def _secondary(given: SceneFigures) -> Change:
-    return _measured(given, "secondary", "four bounces")
-
-
-def _higher(given: SceneFigures) -> Change:
-    return _measured(given, "higher", "five bounces and more")
-
-
 def _attenuation(given: SceneFigures) -> Change:
     value = math.expm1(min(given.scene.attenuation_per_m * given.longest_path_m, 700.0))
     return Change(value, "bound", f"the longest path recorded, {given.longest_path_m:.3g} m, loses ≤ {value:.2g}")
@@ -56,63 +48,47 @@ def _without_secondary(given: SceneFigures) -> SceneFigures:
     return given.with_accuracy(secondary="none")
 
 
-def _without_higher(given: SceneFigures) -> SceneFigures:
-    return given.with_accuracy(max_bounces=3 if given.accuracy.secondary == "none" else 4)
-
-
-def _always_secondary(given: SceneFigures, setting: str | int) -> SceneFigures:
-    return given if setting == "on" else given.with_accuracy(secondary=setting)
-
-
 TRANSPORT_EFFECTS: tuple[Effect[SceneFigures], ...] = (
     Effect(
-        "direct_return", "direct return", "transport",
-        "`transport.direct`",
+        "direct_return", "direct return", "transport", "`transport.direct`",
         "Radiometry of one and two bounces (DESIGN, sec. 2); coplanar surfaces do not light each other",
         0.3, lambda g: g.accuracy.direct, _direct_return, lambda g: g.with_accuracy(direct=False),
     ),
     Effect(
-        "occlusion", "occlusion", "transport",
-        "surfaces",
-        "Separating planes (`transport/visibility/clearance.py`)",
+        "occlusion", "occlusion", "transport", "surfaces", "Separating planes (`transport/visibility/clearance.py`)",
         0.0, lambda g: True, "exact: a shadow ray wherever no proof makes it needless",
         lambda g: g.with_accuracy(occlusion="off"),
         lambda g, setting: g.with_accuracy(occlusion="on"), _without_needless_proofs,
     ),
     Effect(
-        "secondary_bounce", "secondary bounce", "transport",
-        "`transport.max_bounces` ≥ 4 and `transport.secondary`",
+        "secondary_bounce", "secondary bounce", "transport", "`transport.max_bounces` ≥ 4 and `transport.secondary`",
         "Scholes & Leach, Sensors 24, 6522 (2024), Eq. 8",
-        0.7, lambda g: g.highest_order >= 4 and g.accuracy.secondary != "none", _secondary, _without_secondary,
-        _always_secondary,
+        0.7, lambda g: g.highest_order >= 4 and g.accuracy.secondary != "none",
+        lambda g: _measured(g, "secondary", "four bounces"), _without_secondary,
+        lambda g, setting: g if setting == "on" else g.with_accuracy(secondary=setting),
     ),
     Effect(
-        "higher_bounces", "higher bounces", "transport",
-        "`transport.max_bounces` ≥ 5, or none",
+        "higher_bounces", "higher bounces", "transport", "`transport.max_bounces` ≥ 5, or none",
         "The same, continued",
-        0.8, lambda g: g.highest_order >= 5, _higher, _without_higher,
+        0.8, lambda g: g.highest_order >= 5, lambda g: _measured(g, "higher", "five bounces and more"),
+        lambda g: g.with_accuracy(max_bounces=3 if g.accuracy.secondary == "none" else 4),
     ),
     Effect(
-        "brdf", "non-Lambertian BRDF", "transport",
-        "a surface that is not Lambertian",
+        "brdf", "non-Lambertian BRDF", "transport", "a surface that is not Lambertian",
         "`transport/brdf`; left out, the Lambertian surface of the same mean albedo (`effects/lobes.py`)",
         0.0, lambda g: not all(is_lambertian(material) for material in g.scene.materials),
         "as quick as Lambertian surfaces, and it takes a trial run of its own to show that a lobe does not matter",
         lambda g: g.all_lambertian,
     ),
     Effect(
-        "attenuation", "atmospheric attenuation", "transport",
-        "`attenuation_per_m` > 0",
+        "attenuation", "atmospheric attenuation", "transport", "`attenuation_per_m` > 0",
         "Beer & Lambert: exp(−a R), R at most what the time window holds",
-        0.1, lambda g: g.scene.attenuation_per_m > 0, _attenuation,
-        lambda g: g.with_attenuation(0.0),
+        0.1, lambda g: g.scene.attenuation_per_m > 0, _attenuation, lambda g: g.with_scene(attenuation_per_m=0.0),
     ),
     Effect(
         "extended_surfaces", "extended surfaces", "transport",
-        "walls, floor or ceiling out of view that return light",
-        "Eq. 6 split by the part that holds the lookin",
-        0.0, lambda g: bool(g.hidden_structure),
-        "of 100 random rooms none had walls that could be left out",
+        "walls, floor or ceiling out of view that return light", "Eq. 6 split by the part that holds the lookin",
+        0.0, lambda g: bool(g.hidden_structure), "of 100 random rooms none had walls that could be left out",
         lambda g: g.without_structure,
     ),
 )  # fmt: skip

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,12 +46,7 @@ VALUES = 1 << 22
 
 @dataclass(frozen=True)
 class Trial:
-    """Two runs.
-
-    Attributes
-    ----------
-    components : name → (2, channel, bin) photons per emitted photon.
-    """
+    """Two runs: name of a component → (2, channel, bin) photons per emitted photon."""
 
     components: Mapping[str, NDArray[np.float64]]
 
@@ -136,15 +132,7 @@ def run_trial(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> 
     if accuracy.target is None:
         budget = int(SHARE * _cost(capture, accuracy) / (2 * (RAY + min(capture.shape[1], PIXELS))))
     size = _Size.of(capture, int(np.clip(budget, FEWEST_WALKS, MOST_WALKS)))
-    few = Accuracy(
-        lookins=max(size.walks // size.lasers, 1),
-        fov_samples=1,
-        max_bounces=accuracy.max_bounces,
-        replicates=1,
-        direct=accuracy.direct,
-        secondary="none" if accuracy.secondary == "none" else "all",
-        occlusion=accuracy.occlusion,
-    )
+    few = few_samples(accuracy, max(size.walks // size.lasers, 1))
     lasers, pixels = _spread(len(capture.laser.targets), size.lasers), _spread(capture.shape[1], size.pixels)
     copies = 2 if size.at_once else 1
     twice = _excerpt(capture, np.tile(lasers, copies), np.tile(pixels, copies))
@@ -155,6 +143,13 @@ def run_trial(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> 
         made.append(simulate(scene, once, few, seed=(seed + 1) % 2**64, split_parts=False))
     shape = _excerpt(capture, lasers, pixels).shape[:2]
     return Trial(_paired([run.components for run in made], shape))
+
+
+def few_samples(accuracy: Accuracy, lookins: int) -> Accuracy:
+    """The same effects with so many lookins, and one of all other samples."""
+    secondary: Literal["none", "all"] = "none" if accuracy.secondary == "none" else "all"
+    kept = {"max_bounces": accuracy.max_bounces, "direct": accuracy.direct, "occlusion": accuracy.occlusion}
+    return Accuracy(lookins=lookins, fov_samples=1, replicates=1, secondary=secondary, **kept)  # type: ignore[arg-type]
 
 
 def _paired(runs: list[Mapping[str, NDArray[np.float64]]], shape: tuple[int, int]) -> dict[str, NDArray[np.float64]]:

@@ -9,22 +9,7 @@ from datagen.store.shard import discard_shard, write_shard
 from datagen.store.verify import Verification, committed, finish, verify
 
 __all__ = [
-    "Field",
-    "Manifest",
-    "Schema",
-    "ShardRecord",
-    "Verification",
-    "check_output",
-    "check_writable",
-    "committed",
-    "discard_shard",
-    "finish",
-    "is_fresh",
-    "prepare",
-    "read_manifest",
-    "running_path",
-    "schema_of",
-    "verify",
-    "write_card",
-    "write_shard",
-]
+    "Field", "Manifest", "Schema", "ShardRecord", "Verification", "check_output", "check_writable", "committed",
+    "discard_shard", "finish", "is_fresh", "prepare", "read_manifest", "running_path", "schema_of", "verify",
+    "write_card", "write_shard",
+]  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +11,6 @@ import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec
 from zarr.storage import MemoryStore
 
-from datagen.store.files import write_if_changed
 from datagen.store.schema import Field, Schema
 
 GROUP = "data.zarr"
@@ -32,19 +30,6 @@ def metadata_files(schema: Schema) -> dict[str, bytes]:
     return {f"{GROUP}/{key}": store._store_dict[key].to_bytes() for key in sorted(store._store_dict)}
 
 
-def write_metadata(root: Path, files: dict[str, bytes]) -> None:
-    """Put metadata files that are missing or differ in their place, each in one step."""
-    for name, content in files.items():
-        path = root / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_if_changed(path, content)
-
-
-def metadata_digests(files: dict[str, bytes]) -> dict[str, str]:
-    """Path → hex SHA-256 of its content."""
-    return {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
-
-
 def open_array(root: Path, name: str, mode: Literal["r", "r+"] = "r") -> zarr.Array[Any]:
     """One array of a dataset. Writing keeps empty chunks: a chunk left out would read as zeros when it is lost."""
     array = zarr.open_array(root / GROUP / name, mode=mode)
@@ -58,6 +43,7 @@ def shard_shape(field: Field, scenes_per_shard: int) -> tuple[int, ...]:
 
 def _create(group: zarr.Group, field: Field, schema: Schema) -> None:
     k, dtype = schema.scenes_per_shard, np.dtype(field.dtype)
+    blosc = BloscCodec(cname="zstd", clevel=5, shuffle="bitshuffle", typesize=dtype.itemsize)
     group.create_array(
         field.name,
         shape=(schema.scenes, *field.shape),
@@ -65,10 +51,7 @@ def _create(group: zarr.Group, field: Field, schema: Schema) -> None:
         chunks=(1, *field.chunk) if field.sharded else (k, *field.shape),
         shards=shard_shape(field, k) if field.sharded else None,
         # crc32c comes last, over the compressed bytes: without it most flipped bits go unnoticed.
-        compressors=[
-            BloscCodec(cname="zstd", clevel=5, shuffle="bitshuffle", typesize=dtype.itemsize),
-            Crc32cCodec(),
-        ],
+        compressors=[blosc, Crc32cCodec()],
         fill_value=float("nan") if dtype.kind == "f" else 0,
         dimension_names=field.dims,
         attributes={"unit": field.unit, "meaning": field.meaning}

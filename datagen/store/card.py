@@ -98,33 +98,28 @@ def _failure_lines(failures: dict[int, str]) -> list[str]:
     if not failures:
         return []
     shown = [f"- scene {scene}: {reason}" for scene, reason in sorted(failures.items())[:20]]
-    more = [f"- and {len(failures) - 20} more, see `{TABLE}`"] if len(failures) > 20 else []
-    return [f"{len(failures)} scenes could not be made; their values are fill values:", "", *shown, *more, ""]
+    shown += [f"- and {len(failures) - 20} more, see `{TABLE}`"] if len(failures) > 20 else []
+    return [f"{len(failures)} scenes could not be made; their values are fill values:", "", *shown, ""]
 
 
 def _class_lines(schema: Schema) -> list[str]:
     """What numbers stand for, where they are classes."""
-    return [
-        line
-        for field in schema.fields
-        if field.classes
-        for line in (
-            f"Classes of `{field.name}`: {', '.join(f'{k} {name}' for k, name in enumerate(field.classes))}.",
-            "",
-        )
-    ]
+    lines: list[str] = []
+    for field in schema.fields:
+        if field.classes:
+            names = ", ".join(f"{k} {name}" for k, name in enumerate(field.classes))
+            lines += [f"Classes of `{field.name}`: {names}.", ""]
+    return lines
 
 
 def _time_lines(capture: dict[str, Any]) -> list[str]:
-    axis = capture["time"]
+    axis, pairing = capture["time"], capture["pairing"]
+    start, width = f"{axis['start_ns']:g}", f"{axis['bin_width_ps'] / 1000:g}"
     origin = "laser emission" if axis["origin"] == "source" else "the laser point (device legs left out)"
+    pixels = " (pixel i looks at laser point i, so `pixel` has length 1)" if pairing == "confocal" else ""
     return [
-        f"Bin `i` covers [{axis['start_ns']:g} + i · {axis['bin_width_ps'] / 1000:g}, "
-        f"{axis['start_ns']:g} + (i + 1) · {axis['bin_width_ps'] / 1000:g}) ns, counted from {origin}. "
-        f"Pairing: {capture['pairing']}"
-        + (
-            " (pixel i looks at laser point i, so `pixel` has length 1)." if capture["pairing"] == "confocal" else "."
-        ),
+        f"Bin `i` covers [{start} + i · {width}, {start} + (i + 1) · {width}) ns, counted from {origin}. "
+        f"Pairing: {pairing}{pixels}.",
         "Lengths are metres, z up, right-handed.",
         "",
     ]
@@ -165,49 +160,31 @@ def croissant(root: Path, manifest: Manifest) -> dict[str, Any]:
     """The Croissant 1.0 description: files, and a record set with the columns of the table."""
     import pyarrow.parquet as pq
 
-    columns = pq.read_schema(root / TABLE)
+    fields = "; ".join(f"{f.name} ({', '.join(f.dims)}) {f.dtype} {f.unit}" for f in manifest.schema.fields)
+    columns = [
+        {
+            "@type": "cr:Field", "@id": f"scenes/{column.name}", "name": column.name,
+            "dataType": _CROISSANT_TYPES.get(str(column.type), "sc:Integer"),
+            "source": {"fileObject": {"@id": TABLE}, "extract": {"column": column.name}},
+        }
+        for column in pq.read_schema(root / TABLE)
+    ]  # fmt: skip
+    table = {
+        "@type": "cr:FileObject", "@id": TABLE, "name": TABLE, "contentUrl": TABLE,
+        "encodingFormat": "application/vnd.apache.parquet", "sha256": sha256_of(root / TABLE),
+    }  # fmt: skip
+    group = {
+        "@type": "cr:FileSet", "@id": GROUP, "name": GROUP, "description": f"Zarr v3 group: {fields}",
+        "encodingFormat": "application/vnd.zarr", "includes": f"{GROUP}/**",
+    }  # fmt: skip
+    scenes = {
+        "@type": "cr:RecordSet", "@id": "scenes", "name": "scenes",
+        "description": "One record a scene: what was drawn, error estimates, SHA-256 of the decoded fields.",
+        "field": columns,
+    }  # fmt: skip
     return {
-        "@context": _CROISSANT_CONTEXT,
-        "@type": "sc:Dataset",
-        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        "@context": _CROISSANT_CONTEXT, "@type": "sc:Dataset", "conformsTo": "http://mlcommons.org/croissant/1.0",
         "name": manifest.config["name"],
         "description": manifest.config["description"] or "Simulated non-line-of-sight single-photon measurements.",
-        "version": manifest.fingerprint[:12],
-        "distribution": [
-            {
-                "@type": "cr:FileObject",
-                "@id": TABLE,
-                "name": TABLE,
-                "contentUrl": TABLE,
-                "encodingFormat": "application/vnd.apache.parquet",
-                "sha256": sha256_of(root / TABLE),
-            },
-            {
-                "@type": "cr:FileSet",
-                "@id": GROUP,
-                "name": GROUP,
-                "description": "Zarr v3 group: "
-                + "; ".join(f"{f.name} ({', '.join(f.dims)}) {f.dtype} {f.unit}" for f in manifest.schema.fields),
-                "encodingFormat": "application/vnd.zarr",
-                "includes": f"{GROUP}/**",
-            },
-        ],
-        "recordSet": [
-            {
-                "@type": "cr:RecordSet",
-                "@id": "scenes",
-                "name": "scenes",
-                "description": "One record a scene: what was drawn, error estimates, SHA-256 of the decoded fields.",
-                "field": [
-                    {
-                        "@type": "cr:Field",
-                        "@id": f"scenes/{column.name}",
-                        "name": column.name,
-                        "dataType": _CROISSANT_TYPES.get(str(column.type), "sc:Integer"),
-                        "source": {"fileObject": {"@id": TABLE}, "extract": {"column": column.name}},
-                    }
-                    for column in columns
-                ],
-            }
-        ],
-    }
+        "version": manifest.fingerprint[:12], "distribution": [table, group], "recordSet": [scenes],
+    }  # fmt: skip

@@ -50,12 +50,6 @@ def read_json(path: Path) -> Any:
         raise InputError(f"{path}: cannot be read as JSON ({error})") from None
 
 
-def sync_file(path: Path) -> None:
-    """Have the disk hold what `path` holds."""
-    with path.open("rb") as file:
-        os.fsync(file.fileno())
-
-
 def sync_folder(path: Path) -> None:
     """Have the disk hold the names in a folder; file systems that cannot are left to themselves."""
     with contextlib.suppress(OSError):
@@ -81,10 +75,8 @@ def check_writable(path: Path) -> None:
     while not os.path.lexists(existing) and existing != existing.parent:
         existing = existing.parent
     if not existing.is_dir():
-        what = (
-            "is a file, not a folder" if existing == path else f"cannot be made: {existing} is a file, not a folder"
-        )
-        raise InputError(f"output {path}: {what}; name a new folder, or a dataset to resume")
+        what = "is a file" if existing == path else f"cannot be made: {existing} is a file"
+        raise InputError(f"output {path}: {what}, not a folder; name a new folder, or a dataset to resume")
     try:
         os.rmdir(tempfile.mkdtemp(prefix=".datagen-", dir=existing))
     except OSError as error:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import statistics
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from datagen.store.card import readable
 from datagen.store.manifest import read_manifest
-from datagen.store.record import ShardRecord
+from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.verify import committed
 
 STAGES = ("scene", "effects", "transport", "detector", "labels", "store")
@@ -45,19 +46,16 @@ def info(path: str | Path) -> str:
             f"{field.name:20}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
         )
     lines += [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
-    lines += [
-        "",
-        *_times(records),
-        *_accuracy(records),
-        *_decisions(records),
-        *_effects(records),
-        *_failures(records),
-    ]
-    return "\n".join(lines)
+    parts = (_times, _accuracy, _decisions, _effects, _failures)
+    return "\n".join([*lines, "", *(line for part in parts for line in part(records))])
+
+
+def _made(records: Sequence[ShardRecord]) -> list[SceneRecord]:
+    return [scene for record in records for scene in record.scenes if scene.failure is None]
 
 
 def _times(records: Sequence[ShardRecord]) -> Iterator[str]:
-    made = [scene for record in records for scene in record.scenes if scene.failure is None]
+    made = _made(records)
     if not made:
         return
     yield "seconds per scene (median; store: shard's share)"
@@ -83,7 +81,7 @@ def _covered(intervals: list[tuple[float, float]]) -> float:
 
 def _accuracy(records: Sequence[ShardRecord]) -> Iterator[str]:
     """The transients' relative L2 errors, whether their target was met, and where the work went."""
-    made = [scene.parameters for record in records for scene in record.scenes if scene.failure is None]
+    made = [scene.parameters for scene in _made(records)]
     errors = [float(of["transient.relative_error"]) for of in made if "transient.relative_error" in of]
     if not errors:
         return
@@ -104,13 +102,11 @@ def _accuracy(records: Sequence[ShardRecord]) -> Iterator[str]:
 
 def _decisions(records: Sequence[ShardRecord]) -> Iterator[str]:
     """What was decided for each scene: parameters under `decision.`, and how many scenes have each value."""
-    counted: dict[str, dict[str, int]] = {}
-    for record in records:
-        for scene in record.scenes:
-            for name, value in scene.parameters.items():
-                if name.startswith("decision."):
-                    values = counted.setdefault(name.removeprefix("decision."), {})
-                    values[str(value)] = values.get(str(value), 0) + 1
+    counted: dict[str, Counter[str]] = {}
+    for scene in (scene for record in records for scene in record.scenes):
+        for name, value in scene.parameters.items():
+            if name.startswith("decision."):
+                counted.setdefault(name.removeprefix("decision."), Counter())[str(value)] += 1
     if counted:
         yield "decisions (scenes)"
         for name, values in counted.items():
@@ -120,7 +116,7 @@ def _decisions(records: Sequence[ShardRecord]) -> Iterator[str]:
 
 def _effects(records: Sequence[ShardRecord]) -> Iterator[str]:
     """Of each effect that any scene has: in how many it was simulated or left out, and the range of estimates."""
-    made = [scene.parameters for record in records for scene in record.scenes if scene.failure is None]
+    made = [scene.parameters for scene in _made(records)]
     names = dict.fromkeys(name.split(".")[1] for of in made for name in of if name.startswith("effect."))
     lines = []
     for name in names:

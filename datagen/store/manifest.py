@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.config.scene_contents import Mesh
 from datagen.errors import InputError
-from datagen.store.arrays import metadata_digests, metadata_files, shard_shape, write_metadata
+from datagen.store.arrays import metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import PARTIAL, json_bytes, read_json, write_if_changed
 from datagen.store.record import BUILD
@@ -22,6 +23,10 @@ WHEN_COMPLETE = ("samples.parquet", "croissant.json")
 """Files that are there only when all shards are."""
 _RENAMED_SINCE = {1: (("transport", "scramblings", "replicates"),)}
 """Schema version → (section, key then, key now) of its stored configuration."""
+_KEPT = (
+    "config", "meshes", "mesh_folder", "metadata", "versions", "commit", "hardware", "fingerprint", "schema_version",
+)  # fmt: skip
+"""Fields of `Manifest` that stand in the file as they are."""
 
 
 @dataclass(frozen=True)
@@ -66,43 +71,19 @@ class Manifest:
 
     def to_bytes(self) -> bytes:
         """The file `dataset.json`."""
-        schema = self.schema
-        return json_bytes(
-            {
-                "format": FORMAT,
-                "schema_version": self.schema_version,
-                "name": self.config["name"],
-                "description": self.config["description"],
-                "seed": self.seed,
-                "scenes": schema.scenes,
-                "scenes_per_shard": schema.scenes_per_shard,
-                "shards": schema.shards,
-                "fingerprint": self.fingerprint,
-                "fields": [_field_row(field, schema) for field in schema.fields],
-                "config": self.config,
-                "meshes": self.meshes,
-                "mesh_folder": self.mesh_folder,
-                "metadata": self.metadata,
-                "versions": self.versions,
-                "commit": self.commit,
-                "hardware": self.hardware,
-            }
-        )
+        schema, config = self.schema, self.config
+        values = {"format": FORMAT, "schema_version": self.schema_version}
+        values |= {key: config[key] for key in ("name", "description")} | {"seed": self.seed}
+        values |= {key: getattr(schema, key) for key in ("scenes", "scenes_per_shard", "shards")}
+        values |= {"fingerprint": self.fingerprint, "fields": [_field_row(field, schema) for field in schema.fields]}
+        return json_bytes(values | {key: getattr(self, key) for key in _KEPT if key not in values})
 
 
 def describe(config: DatasetConfig, schema: Schema) -> Manifest:
     """The manifest of a new dataset."""
-    return Manifest(
-        config=config.model_dump(mode="json"),
-        meshes=config.scene.mesh_digests(),
-        mesh_folder=_mesh_folder(config),
-        fingerprint=config.fingerprint(),
-        schema=schema,
-        metadata=metadata_digests(metadata_files(schema)),
-        versions=environment(),
-        commit=commit(),
-        hardware=hardware(),
-    )
+    values, meshes, metadata = config.model_dump(mode="json"), config.scene.mesh_digests(), _metadata(schema)
+    made_by = environment(), commit(), hardware()
+    return Manifest(values, meshes, _mesh_folder(config), config.fingerprint(), schema, metadata, *made_by)
 
 
 def read_manifest(root: str | Path) -> Manifest:
@@ -125,12 +106,8 @@ def read_manifest(root: str | Path) -> Manifest:
         )
     try:
         fields = tuple(_field_of(row) for row in values["fields"])
-        kept = (
-            "config", "meshes", "mesh_folder", "fingerprint", "metadata", "versions", "commit", "hardware",
-            "schema_version",
-        )  # fmt: skip
         schema = Schema(fields, int(values["scenes"]), int(values["scenes_per_shard"]))
-        return Manifest(schema=schema, **{key: values[key] for key in kept})
+        return Manifest(schema=schema, **{key: values[key] for key in _KEPT})
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: damaged, {type(error).__name__}: {error}; build the dataset again") from None
 
@@ -157,7 +134,10 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
         for name in WHEN_COMPLETE:
             (root / name).unlink(missing_ok=True)
     write_if_changed(root / MANIFEST, manifest.to_bytes())
-    write_metadata(root, metadata_files(manifest.schema))
+    for name, content in metadata_files(manifest.schema).items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_if_changed(path, content)
     (root / BUILD).mkdir(exist_ok=True)
     return manifest
 
@@ -187,14 +167,14 @@ def _taken_up(root: Path, config: DatasetConfig) -> Manifest:
             "a dataset may only grow: ask for at least as many, or name another folder"
         )
     schema = schema_of(config, old.schema.scenes_per_shard)
-    same_arrays = schema == old.schema
-    return replace(
-        old,
-        config=config.model_dump(mode="json"),
-        mesh_folder=_mesh_folder(config),
-        schema=schema,
-        metadata=old.metadata if same_arrays else metadata_digests(metadata_files(schema)),
-    )
+    metadata = old.metadata if schema == old.schema else _metadata(schema)
+    values = config.model_dump(mode="json")
+    return replace(old, config=values, mesh_folder=_mesh_folder(config), schema=schema, metadata=metadata)
+
+
+def _metadata(schema: Schema) -> dict[str, str]:
+    """`zarr.json` file → hex SHA-256 of its content."""
+    return {name: hashlib.sha256(content).hexdigest() for name, content in metadata_files(schema).items()}
 
 
 def _mesh_folder(config: DatasetConfig) -> str | None:
@@ -248,29 +228,21 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
+_TEXTS = ("dtype", "unit", "meaning")
+
+
 def _field_row(field: Field, schema: Schema) -> dict[str, Any]:
     k = schema.scenes_per_shard
-    return {
-        "name": field.name,
-        "dims": list(field.dims),
-        "shape": [schema.scenes, *field.shape],
-        "dtype": field.dtype,
-        "unit": field.unit,
-        "meaning": field.meaning,
-        "chunk": [1, *field.chunk] if field.sharded else [k, *field.shape],
-        "shard": list(shard_shape(field, k)) if field.sharded else None,
-        **({"classes": list(field.classes)} if field.classes else {}),
-    }
+    row: dict[str, Any] = {"name": field.name, "dims": list(field.dims), "shape": [schema.scenes, *field.shape]}
+    row |= {key: getattr(field, key) for key in _TEXTS}
+    row["chunk"] = [1, *field.chunk] if field.sharded else [k, *field.shape]
+    row["shard"] = list(shard_shape(field, k)) if field.sharded else None
+    return row | ({"classes": list(field.classes)} if field.classes else {})
 
 
 def _field_of(row: dict[str, Any]) -> Field:
+    texts, is_sharded = {key: row[key] for key in _TEXTS}, row["shard"] is not None
     return Field(
-        row["name"],
-        tuple(row["dims"]),
-        tuple(row["shape"][1:]),
-        row["dtype"],
-        row["unit"],
-        row["meaning"],
-        sharded=row["shard"] is not None,
-        classes=tuple(row.get("classes", ())),
-    )
+        row["name"], tuple(row["dims"]), tuple(row["shape"][1:]), sharded=is_sharded,
+        classes=tuple(row.get("classes", ())), **texts,
+    )  # fmt: skip

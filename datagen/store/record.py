@@ -100,13 +100,9 @@ def read_record(root: Path, shard: int) -> ShardRecord | None:
         return None
     values = read_json(path)
     try:
-        return ShardRecord(
-            **{
-                **values,
-                "files": {name: FileRecord(**known) for name, known in values["files"].items()},
-                "scenes": tuple(SceneRecord(**scene) for scene in values["scenes"]),
-            }
-        )
+        files = {name: FileRecord(**known) for name, known in values["files"].items()}
+        scenes = tuple(SceneRecord(**scene) for scene in values["scenes"])
+        return ShardRecord(**{**values, "files": files, "scenes": scenes})
     except (TypeError, KeyError, AttributeError) as error:
         raise InputError(f"{path}: is not a commit record ({error}); delete it and build again") from None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -14,7 +15,7 @@ from datagen.errors import InputError
 from datagen.records import Sample, Scalar
 from datagen.store.arrays import open_array, shard_file
 from datagen.store.environment import environment
-from datagen.store.files import PARTIAL, sha256_of, sync_file, sync_folder, write_atomically
+from datagen.store.files import PARTIAL, sha256_of, sync_folder, write_atomically
 from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, record_path
 from datagen.store.schema import Field, Schema
 
@@ -42,9 +43,8 @@ def encoded(field: Field, value: NDArray[np.generic]) -> NDArray[np.generic]:
     """
     value = np.asarray(value)
     if value.shape != field.shape:
-        raise InputError(
-            f"field {field.name!r}: shape {value.shape} made, {field.shape} follows from the configuration"
-        )
+        due = f"{field.shape} follows from the configuration"
+        raise InputError(f"field {field.name!r}: shape {value.shape} made, {due}")
     target = np.dtype(field.dtype)
     if target.kind in "ui":
         _check_range(field, value, np.iinfo(target))
@@ -62,11 +62,10 @@ def _check_range(field: Field, value: NDArray[np.generic], limits: np.iinfo) -> 
         raise InputError(f"field {field.name!r}: {value.dtype} made where whole numbers are stored")
     if value.size and (int(value.min()) < limits.min or int(value.max()) > limits.max):
         worst = int(value.max()) if int(value.max()) > limits.max else int(value.min())
-        remedy = (
-            "; set store.histogram_dtype to a wider type or shorten the exposure" if field.name == "histogram" else ""
-        )
+        wider = "; set store.histogram_dtype to a wider type or shorten the exposure"
         raise InputError(
-            f"field {field.name!r}: {worst} lies outside {limits.min} … {limits.max} of {field.dtype}{remedy}"
+            f"field {field.name!r}: {worst} lies outside {limits.min} … {limits.max} of {field.dtype}"
+            f"{wider if field.name == 'histogram' else ''}"
         )
 
 
@@ -94,17 +93,9 @@ def write_shard(
     _sync(root, names)
     files = {name: FileRecord(sha256_of(root / name), (root / name).stat().st_size) for name in names}
     now = time.time()
+    seconds = {"store": time.perf_counter() - begun_storing, "total": now - started}
     record = ShardRecord(
-        shard=shard,
-        first_scene=scenes.start,
-        last_scene=scenes.stop - 1,
-        fingerprint=fingerprint,
-        files=files,
-        scenes=tuple(records),
-        seconds={"store": time.perf_counter() - begun_storing, "total": now - started},
-        started=started,
-        finished=now,
-        environment=environment(),
+        shard, scenes.start, scenes.stop - 1, fingerprint, files, tuple(records), seconds, started, now, environment()
     )
     (root / BUILD).mkdir(exist_ok=True)
     write_atomically(record_path(root, shard), record.to_bytes())
@@ -143,7 +134,8 @@ def _sync(root: Path, names: Iterable[str]) -> None:
     folders: dict[Path, None] = {}
     for name in names:
         path = root / name
-        sync_file(path)
+        with path.open("rb") as file:
+            os.fsync(file.fileno())
         folders |= dict.fromkeys(folder for folder in path.parents if folder.is_relative_to(root))
     for folder in folders:
         sync_folder(folder)

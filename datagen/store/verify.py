@@ -91,10 +91,7 @@ def verify(path: str | Path) -> Verification:
 
 
 def _metadata_problems(root: Path, manifest: Manifest) -> Iterator[str]:
-    for name in manifest.metadata:
-        problem = _metadata_problem(root, manifest, name)
-        if problem is not None:
-            yield problem
+    yield from filter(None, (_metadata_problem(root, manifest, name) for name in manifest.metadata))
     if fingerprint_of(manifest.config, manifest.meshes) != manifest.fingerprint:
         yield "dataset.json: its configuration is not the one its fingerprint was taken of"
 
