@@ -56,7 +56,7 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
         slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
         labels = make_labels(config.labels, scene, wanted, slots)
     measured = {"histogram": counts, "transient": transient.total, "transient_stderr": transient.stderr}
-    arrays: dict[str, NDArray[Any]] = {
+    arrays: dict[str, NDArray[np.generic]] = {
         name: values for name, values in measured.items() if name in config.store.fields
     }
     arrays |= labels | _geometry(scene, capture, transient)
