@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,14 +53,11 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
         )  # fmt: skip
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
-        labels = make_labels(config.labels, scene, wanted, _slots(config))
-    measured: dict[str, NDArray[Any]] = {
-        "histogram": counts,
-        "transient": transient.total,
-        "transient_stderr": transient.stderr,
-    }
+        slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
+        labels = make_labels(config.labels, scene, wanted, slots)
+    measured = {"histogram": counts, "transient": transient.total, "transient_stderr": transient.stderr}
     arrays: dict[str, NDArray[np.generic]] = {
-        name: measured[name] for name in measured if name in config.store.fields
+        name: values for name, values in measured.items() if name in config.store.fields
     }
     arrays |= labels | _geometry(scene, capture, transient)
     return Sample(index, arrays, _parameters(scene, spad, exposure, effects, sampler, transient, counts), seconds)
@@ -77,10 +73,6 @@ def detector_effects(config: DatasetConfig, transient: Transient, spad: Spad, ex
     """What the detector is to simulate for a transient, and why."""
     seen = (transient.total, transient.time, spad, exposure)
     return decide_detector_effects(*seen, config.effects, config.detector.tolerance)
-
-
-def _slots(config: DatasetConfig) -> ObjectSlots:
-    return ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
 
 
 SCENES_TRIED = 16
@@ -139,14 +131,9 @@ def _vectors(rectangle: Rectangle | None) -> NDArray[np.float64]:
 
 
 def _parameters(
-    scene: Scene,
-    spad: Spad,
-    exposure: Exposure,
-    effects: EffectDecisions,
-    sampler: SamplerChoice,
-    transient: Transient,
-    counts: NDArray[np.integer],
-) -> dict[str, Scalar]:
+    scene: Scene, spad: Spad, exposure: Exposure, effects: EffectDecisions, sampler: SamplerChoice,
+    transient: Transient, counts: NDArray[np.integer],
+) -> dict[str, Scalar]:  # fmt: skip
     inside, outside = float(transient.total.sum()), float(transient.overflow.sum())
     return {
         **scene.parameters,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.capture.in_sight import check_hidden, check_in_sight, pixel_points
 from datagen.capture.scans import flood_targets, rectangle_on, scan_targets
@@ -12,6 +11,7 @@ from datagen.config.capture import CaptureConfig, FieldOfView
 from datagen.config.scans import GridScan, PointsScan
 from datagen.errors import InputError
 from datagen.records import Capture, Laser, Rectangle, Scene, Sensor
+from datagen.records.arrays import Floats
 from datagen.seeding import Purpose, generator
 
 CONFOCAL_PIXEL_M = 0.05
@@ -57,7 +57,7 @@ def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, in
     return capture
 
 
-def _targets(settings: CaptureConfig, wall: Rectangle, rng: np.random.Generator) -> NDArray[np.float64]:
+def _targets(settings: CaptureConfig, wall: Rectangle, rng: np.random.Generator) -> Floats:
     scan, view = settings.scan, settings.field_of_view
     if settings.illumination != "flood" or not isinstance(scan, GridScan):
         return scan_targets(scan, wall, rng)
@@ -73,7 +73,7 @@ def _position(
     configured: tuple[float, float, float] | None,
     offset: tuple[float, float, float] | None,
     scene: Scene,
-) -> NDArray[np.float64]:
+) -> Floats:
     if configured is not None:
         return np.asarray(configured, np.float64)
     if scene.device_position is None:
@@ -81,9 +81,7 @@ def _position(
     return scene.device_position if offset is None else scene.device_position + np.asarray(offset, np.float64)
 
 
-def _sensor(
-    settings: CaptureConfig, position: NDArray[np.float64], wall: Rectangle, targets: NDArray[np.float64]
-) -> Sensor:
+def _sensor(settings: CaptureConfig, position: Floats, wall: Rectangle, targets: Floats) -> Sensor:
     view: FieldOfView = settings.field_of_view
     radius = view.aperture_radius_mm * 1e-3
     if settings.pairing == "exhaustive":
@@ -104,21 +102,19 @@ def _check_sight(settings: CaptureConfig, scene: Scene, capture: Capture) -> Non
     """
     if scene.device_position is None:
         return
-    elsewhere = {
-        device: float(np.linalg.norm(place - scene.device_position)) > SAME_PLACE_M
-        for device, place in (("laser", capture.laser.position), ("sensor", capture.sensor.position))
-    }
-    scan = settings.scan
+    places = {"laser": capture.laser.position, "sensor": capture.sensor.position}
+    elsewhere = {name: np.linalg.norm(place - scene.device_position) > SAME_PLACE_M for name, place in places.items()}
+    scan, pixels, confocal = settings.scan, capture.sensor.pixels, settings.pairing == "confocal"
     anywhere = isinstance(scan, PointsScan) and any(len(point) == 3 for point in scan.points_m)
-    if elsewhere["laser"] or anywhere:
-        key = _key(settings, "laser") if elsewhere["laser"] else "scan.points_m"
-        check_in_sight(key, "laser points", scene, capture.laser.position, capture.laser.targets)
-    if elsewhere["sensor"] or (anywhere and settings.pairing == "confocal"):
-        key = _key(settings, "sensor") if elsewhere["sensor"] else "scan.points_m"
-        pixels = capture.sensor.pixels
-        points = pixels.mean(axis=1) if settings.pairing == "confocal" else pixel_points(pixels)
-        check_in_sight(key, "points of pixels", scene, capture.sensor.position, points)
-    for device, place in (("laser", capture.laser.position), ("sensor", capture.sensor.position)):
+    points = pixels.mean(axis=1) if confocal else pixel_points(pixels)
+    for device, aimed, what, seen in (
+        ("laser", anywhere, "laser points", capture.laser.targets),
+        ("sensor", anywhere and confocal, "points of pixels", points),
+    ):
+        if elsewhere[device] or aimed:
+            key = _key(settings, device) if elsewhere[device] else "scan.points_m"
+            check_in_sight(key, what, scene, places[device], seen)
+    for device, place in places.items():
         if elsewhere[device]:
             check_hidden(_key(settings, device), scene, place)
 

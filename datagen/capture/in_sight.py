@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records import Scene
+from datagen.records.arrays import Floats
 from scene_library.sightlines import first_faces, lattice_points
 
 INWARD = 0.02
@@ -15,7 +15,7 @@ ON_A_WALL = 1e-5
 """Share of the way to an object within which single precision cannot say which of it and a wall comes first."""
 
 
-def check_in_sight(key: str, what: str, scene: Scene, eye: NDArray[np.float64], points: NDArray[np.float64]) -> None:
+def check_in_sight(key: str, what: str, scene: Scene, eye: Floats, points: Floats) -> None:
     """Raise `InputError` naming `capture.<key>` when something other than the relay wall hides one of `points` (n, 3)
     from `eye`.
     """
@@ -36,7 +36,7 @@ def check_in_sight(key: str, what: str, scene: Scene, eye: NDArray[np.float64], 
         )
 
 
-def check_hidden(key: str, scene: Scene, eye: NDArray[np.float64]) -> None:
+def check_hidden(key: str, scene: Scene, eye: Floats) -> None:
     """Raise `InputError` naming `capture.<key>` when `eye` sees an object, which has to lie around the corner.
 
     Objects do not count as hidden by each other: one of them would be seen.
@@ -52,12 +52,12 @@ def check_hidden(key: str, scene: Scene, eye: NDArray[np.float64]) -> None:
             )
 
 
-def pixel_points(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+def pixel_points(pixels: Floats) -> Floats:
     """(5 P, 3) middle and corners, a little inward, of pixels (P, 4, 3)."""
     middle = pixels.mean(axis=1, keepdims=True)
     inner = pixels + INWARD * (middle - pixels)
     return np.concatenate([middle, inner], axis=1).reshape(-1, 3)
 
 
-def _place(point: NDArray[np.float64]) -> str:
+def _place(point: Floats) -> str:
     return "(" + ", ".join(f"{x:.3g}" for x in point) + ")"

@@ -5,21 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config.scans import AnyScan, CircleScan, GridScan, PointsScan, RandomScan, SubsetScan
 from datagen.errors import InputError
 from datagen.records import Rectangle
+from datagen.records.arrays import Floats
 
 DEFAULT_FILL = 0.8
 """Share of the visible wall that a scan or a field of view covers when no size is configured."""
 ON_THE_WALL_M = 0.01
 """A place given as (x, y, z) may be so far off the wall's plane."""
 
-Vector = NDArray[np.float64]
 
-
-def scan_targets(scan: AnyScan, wall: Rectangle, rng: np.random.Generator) -> Vector:
+def scan_targets(scan: AnyScan, wall: Rectangle, rng: np.random.Generator) -> Floats:
     """(L, 3) laser targets, metres, in the scan's order.
 
     Grids go row by row from the top left as the device sees them. `rng` serves the kinds drawn anew for every scene;
@@ -43,7 +41,7 @@ def scan_targets(scan: AnyScan, wall: Rectangle, rng: np.random.Generator) -> Ve
     raise TypeError(f"no pattern is known for {type(scan).__name__}")
 
 
-def flood_targets(scan: GridScan, center: Vector, right: Vector, up: Vector) -> Vector:
+def flood_targets(scan: GridScan, center: Floats, right: Floats, up: Floats) -> Floats:
     """(L, 3) midpoints of rows × columns equal cells of a rectangle, row by row from the top left: a quadrature with
     equal weights.
     """
@@ -53,7 +51,7 @@ def flood_targets(scan: GridScan, center: Vector, right: Vector, up: Vector) -> 
 
 def rectangle_on(
     key: str, wall: Rectangle, center_m: Sequence[float] | None, width_m: float | None, height_m: float | None
-) -> tuple[Vector, Vector, Vector]:
+) -> tuple[Floats, Floats, Floats]:
     """Centre and half-extent vectors right and up of a rectangle on the wall.
 
     A size left out takes `DEFAULT_FILL` of what the wall leaves around the centre. Raises `InputError`, with keys
@@ -78,13 +76,13 @@ def rectangle_on(
     return _at(wall, *middle), halves[0], halves[1]
 
 
-def _grid(scan: GridScan | SubsetScan, center: Vector, right: Vector, up: Vector) -> Vector:
+def _grid(scan: GridScan | SubsetScan, center: Floats, right: Floats, up: Floats) -> Floats:
     across = np.linspace(-1, 1, scan.columns) if scan.columns > 1 else np.zeros(1)
     upward = np.linspace(1, -1, scan.rows) if scan.rows > 1 else np.zeros(1)
     return np.asarray(center + across[None, :, None] * right + upward[:, None, None] * up).reshape(-1, 3)
 
 
-def _circle(scan: CircleScan, wall: Rectangle) -> Vector:
+def _circle(scan: CircleScan, wall: Rectangle) -> Floats:
     middle = _in_plane("scan.center_m", scan.center_m, wall)
     room = np.linalg.norm([wall.right, wall.up], axis=1) - np.abs(middle)
     largest = float(room.min())
@@ -100,7 +98,7 @@ def _circle(scan: CircleScan, wall: Rectangle) -> Vector:
     return np.stack([_at(wall, *(middle + radius * np.array([np.cos(a), np.sin(a)]))) for a in angle])
 
 
-def _listed(key: str, place: Sequence[float], wall: Rectangle) -> Vector:
+def _listed(key: str, place: Sequence[float], wall: Rectangle) -> Floats:
     """A point in the room as it is, or one on the visible wall."""
     if len(place) == 3:
         return np.asarray(place, np.float64)
@@ -111,7 +109,7 @@ def _listed(key: str, place: Sequence[float], wall: Rectangle) -> Vector:
     return _at(wall, right, up)
 
 
-def _in_plane(key: str, place: Sequence[float] | None, wall: Rectangle) -> Vector:
+def _in_plane(key: str, place: Sequence[float] | None, wall: Rectangle) -> Floats:
     """(2,) metres right and up of the wall's centre."""
     if place is None:
         return np.zeros(2)
@@ -128,7 +126,7 @@ def _in_plane(key: str, place: Sequence[float] | None, wall: Rectangle) -> Vecto
     return np.array([from_center @ right, from_center @ up])
 
 
-def _at(wall: Rectangle, right_m: float, up_m: float) -> Vector:
+def _at(wall: Rectangle, right_m: float, up_m: float) -> Floats:
     right, up = (axis / np.linalg.norm(axis) for axis in (wall.right, wall.up))
     return np.asarray(wall.center + right_m * right + up_m * up)
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.labels.frame import ViewFrame
 from datagen.records import Scene
+from datagen.records.arrays import Floats
 
 OBJECT_TABLES = (
     "object_count",
@@ -83,7 +84,7 @@ class ObjectBoxes:
         values = (np.int32(self.count), self.label, self.part, self.center, self.size, self.rotation)
         return {name: np.asarray(value) for name, value in zip(OBJECT_TABLES, values, strict=True)}
 
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Floats:
         """(count, 8, 3) corners along (right, up, depth); corner k lies on the positive side of the box's width,
         depth or height where bit 0, 1 or 2 of k is set."""
         sides = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) - 0.5

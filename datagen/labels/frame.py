@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records import Scene
+from datagen.records.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class ViewFrame:
     half_width_m, half_height_m : half extents of the rectangle.
     """
 
-    center: NDArray[np.float64]
-    axes: NDArray[np.float64]
+    center: Floats
+    axes: Floats
     half_width_m: float
     half_height_m: float
 
@@ -51,15 +51,15 @@ class ViewFrame:
         axes = np.stack([right, up, normal / np.linalg.norm(normal)])
         return cls(np.asarray(view.center, np.float64), axes, width, height)
 
-    def to_view(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_view(self, points: Floats) -> Floats:
         """(..., 3) world points → (..., 3) metres along right, up and depth, from the centre of the rectangle."""
         return (points - self.center) @ self.axes.T
 
-    def to_world(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_world(self, points: Floats) -> Floats:
         """The inverse of `to_view`."""
         return points @ self.axes + self.center
 
-    def to_pixels(self, in_view: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.float64]:
+    def to_pixels(self, in_view: Floats, rows: int, columns: int) -> Floats:
         """(..., 3) view coordinates → (..., 3): column, row (both in pixels, centres at +½) and depth in metres."""
         column = (in_view[..., 0] + self.half_width_m) * (columns / (2 * self.half_width_m))
         row = (self.half_height_m - in_view[..., 1]) * (rows / (2 * self.half_height_m))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from datagen.labels.frame import ViewFrame
 from datagen.labels.raster import first_hits
 from datagen.records import Scene
+from datagen.records.arrays import Floats, Ints
 
 # Walls within this share of the view's size behind the wall's plane count as lying in it.
 _FLAT = 1e-6
@@ -30,8 +31,8 @@ class HiddenSurface:
 
     scene: Scene
     frame: ViewFrame
-    face: NDArray[np.int64]
-    depth: NDArray[np.float64]
+    face: Ints
+    depth: Floats
 
 
 def hidden_surface(scene: Scene, rows: int, columns: int) -> HiddenSurface:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from datagen.records.arrays import Bools, Floats, Ints
 
 
 @njit(cache=True)
@@ -25,7 +26,7 @@ def _side(x0: float, y0: float, x1: float, y1: float, px: float, py: float) -> b
 
 
 @njit(cache=True)
-def _contains(t: NDArray[np.float64], px: float, py: float) -> bool:
+def _contains(t: Floats, px: float, py: float) -> bool:
     first = _side(t[0, 0], t[0, 1], t[1, 0], t[1, 1], px, py)
     return (
         _side(t[1, 0], t[1, 1], t[2, 0], t[2, 1], px, py) == first
@@ -40,7 +41,7 @@ def _covered(low: float, high: float, count: int) -> tuple[int, int]:
 
 
 @njit(cache=True)
-def _rows_and_columns(t: NDArray[np.float64], rows: int, columns: int) -> tuple[int, int, int, int]:
+def _rows_and_columns(t: Floats, rows: int, columns: int) -> tuple[int, int, int, int]:
     """The block of pixels that the triangle's bounding rectangle covers: top, bottom, left, right (ends excluded)."""
     top, bottom = _covered(min(t[0, 1], t[1, 1], t[2, 1]), max(t[0, 1], t[1, 1], t[2, 1]), rows)
     left, right = _covered(min(t[0, 0], t[1, 0], t[2, 0]), max(t[0, 0], t[1, 0], t[2, 0]), columns)
@@ -48,7 +49,7 @@ def _rows_and_columns(t: NDArray[np.float64], rows: int, columns: int) -> tuple[
 
 
 @njit(cache=True)
-def _depth(triangle: NDArray[np.float64], px: float, py: float) -> float:
+def _depth(triangle: Floats, px: float, py: float) -> float:
     """Depth of the triangle's plane over (px, py), kept within the triangle's own depths."""
     ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
     vx, vy, vz = triangle[2, 0] - triangle[0, 0], triangle[2, 1] - triangle[0, 1], triangle[2, 2] - triangle[0, 2]
@@ -63,9 +64,7 @@ def _depth(triangle: NDArray[np.float64], px: float, py: float) -> float:
 
 
 @njit(cache=True)
-def first_hits(
-    triangles: NDArray[np.float64], rows: int, columns: int, near: float
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def first_hits(triangles: Floats, rows: int, columns: int, near: float) -> tuple[Ints, Floats]:
     """The nearest triangle at or beyond depth `near` for every pixel centre.
 
     Parameters
@@ -96,7 +95,7 @@ def first_hits(
 
 
 @njit(cache=True)
-def hidden_pixels(triangles: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[np.int64]:
+def hidden_pixels(triangles: Floats, depth: Floats) -> Ints:
     """(F,): the number of pixels at which each triangle lies in front of a finite `depth` (rows, columns)."""
     rows, columns = depth.shape
     counts = np.zeros(len(triangles), np.int64)
@@ -115,7 +114,7 @@ def hidden_pixels(triangles: NDArray[np.float64], depth: NDArray[np.float64]) ->
     return counts
 
 
-def inside_columns(triangles: NDArray[np.float64], shape: tuple[int, int, int]) -> NDArray[np.bool_]:
+def inside_columns(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
     """(depth, row, column) voxels whose centres a closed surface encloses, by the parity of crossings along depth.
 
     `triangles` (F, 3, 3) hold column, row and depth in voxels (centres at +½). The result does not depend on how the
@@ -125,7 +124,7 @@ def inside_columns(triangles: NDArray[np.float64], shape: tuple[int, int, int]) 
 
 
 @njit(cache=True)
-def _odd_crossings(triangles: NDArray[np.float64], shape: tuple[int, int, int]) -> NDArray[np.bool_]:
+def _odd_crossings(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
     """(depth, row, column): whether an odd number of crossings lies between a voxel's centre and the one before."""
     layers, rows, columns = shape
     crossed = np.zeros((layers, rows, columns), np.bool_)
@@ -145,7 +144,7 @@ def _odd_crossings(triangles: NDArray[np.float64], shape: tuple[int, int, int]) 
 
 
 @njit(cache=True)
-def cut_voxels(triangles: NDArray[np.float64], shape: tuple[int, int, int]) -> NDArray[np.bool_]:
+def cut_voxels(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
     """(depth, row, column) voxels that a triangle touches: the separating-axis test for a box and a triangle.
 
     Source: Akenine-Möller, "Fast 3D triangle-box overlap testing", Journal of Graphics Tools 6 (2001), 29–33.
@@ -169,7 +168,7 @@ def cut_voxels(triangles: NDArray[np.float64], shape: tuple[int, int, int]) -> N
 
 
 @njit(cache=True)
-def _touches(t: NDArray[np.float64], cx: float, cy: float, cz: float) -> bool:
+def _touches(t: Floats, cx: float, cy: float, cz: float) -> bool:
     """Whether the triangle meets the unit cube around (cx, cy, cz); its bounding box already does."""
     v = np.empty((3, 3))
     for k in range(3):

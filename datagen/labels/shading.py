@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.labels.images import HiddenSurface, albedo_image, normal_image
 from datagen.records import Rectangle
+from datagen.records.arrays import Floats
 from scene_library.sightlines import blocked, even_points
 
 AMBIENT_RADIANCE = 0.15
@@ -60,13 +61,7 @@ def shaded_image(surface: HiddenSurface) -> NDArray[np.float32]:
     return (image * albedo_image(surface)).astype(np.float32)
 
 
-def _lit(
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    lamp: Rectangle,
-    occluders: NDArray[np.float64],
-    lift_m: float,
-) -> NDArray[np.float64]:
+def _lit(points: Floats, normals: Floats, lamp: Rectangle, occluders: Floats, lift_m: float) -> Floats:
     """(n,) form factor to what each point (n, 3) sees of the lamp.
 
     The exact form factor of the whole lamp times the seen share of it, lamp points weighted by what they would send.
@@ -87,9 +82,7 @@ def _lit(
 
 
 @njit(cache=True)
-def form_factors(
-    points: NDArray[np.float64], normals: NDArray[np.float64], corners: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
     """(n,) form factor from small patches at `points` with unit `normals` (n, 3) to the whole convex polygon
     `corners` (m, 3), of which only what lies before the patch counts.
 

@@ -12,7 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from datagen.records.arrays import Floats, Ints
 
 LARGEST_HOLE_SHARE = 0.05
 """Area of the bridged holes over area of the surface, up to which a surface counts as closed."""
@@ -30,8 +31,8 @@ class ConnectedSurface:
     closed : whether it encloses a volume.
     """
 
-    corners: NDArray[np.float64]
-    lid: NDArray[np.float64]
+    corners: Floats
+    lid: Floats
     closed: bool
 
     @property
@@ -45,23 +46,29 @@ class ConnectedSurface:
         return 2 * volume / float(_areas(whole).sum())
 
 
-def connected_surfaces(corners: NDArray[np.float64]) -> list[ConnectedSurface]:
+def connected_surfaces(corners: Floats) -> list[ConnectedSurface]:
     """Take triangles (F, 3, 3), metres, apart into connected surfaces."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     if len(corners) == 0:
         return []
     triangles, count = _merged(corners)
     links = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
-    graph = coo_array((np.ones(len(links), np.int8), (links[:, 0], links[:, 1])), shape=(count, count))
-    label = connected_components(graph, directed=False)[1][triangles[:, 0]]
+    label = _connected(links, count)[1][triangles[:, 0]]
     order = np.argsort(label, kind="stable")
     cuts = np.flatnonzero(np.diff(label[order])) + 1
     return [_surface(corners[faces], triangles[faces]) for faces in np.split(order, cuts)]
 
 
-def _merged(corners: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
+def _connected(links: Ints, count: int) -> tuple[int, Ints]:
+    """How many connected sets `links` (n, 2) make of `count` vertices, and the set of each."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(links), np.int8), (links[:, 0], links[:, 1])), shape=(count, count))
+    sets, label = connected_components(graph, directed=False)
+    return sets, label
+
+
+def _merged(corners: Floats) -> tuple[Ints, int]:
     """(F, 3) vertex numbers, the same for corners at the same place, and how many there are."""
     points = corners.reshape(-1, 3)
     low = points.min(axis=0)
@@ -72,7 +79,7 @@ def _merged(corners: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
     return number.reshape(-1, 3), len(places)
 
 
-def _surface(corners: NDArray[np.float64], triangles: NDArray[np.int64]) -> ConnectedSurface:
+def _surface(corners: Floats, triangles: Ints) -> ConnectedSurface:
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     ends = corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
     key = edges[:, 0] * (int(edges.max()) + 1) + edges[:, 1]
@@ -86,16 +93,11 @@ def _surface(corners: NDArray[np.float64], triangles: NDArray[np.int64]) -> Conn
     )
 
 
-def _fans(edges: NDArray[np.int64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
+def _fans(edges: Ints, ends: Floats) -> Floats:
     """One triangle for each edge (E, 2) of a rim, from the edge's `ends` (E, 2, 3) to the centroid of its rim."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     _, nodes = np.unique(edges, return_inverse=True)
     nodes = nodes.reshape(-1, 2)
-    count = int(nodes.max()) + 1
-    graph = coo_array((np.ones(len(nodes), np.int8), (nodes[:, 0], nodes[:, 1])), shape=(count, count))
-    rims, label = connected_components(graph, directed=False)
+    rims, label = _connected(nodes, int(nodes.max()) + 1)
     label = label[nodes[:, 0]]
     total = np.zeros((rims, 3))
     np.add.at(total, label, ends.mean(axis=1))
@@ -104,6 +106,6 @@ def _fans(edges: NDArray[np.int64], ends: NDArray[np.float64]) -> NDArray[np.flo
     return np.concatenate([ends[:, ::-1], centers[label][:, None]], axis=1)
 
 
-def _areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _areas(corners: Floats) -> Floats:
     sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(0.5 * np.linalg.norm(sides, axis=1))

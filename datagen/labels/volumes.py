@@ -12,6 +12,7 @@ from datagen.labels.frame import ViewFrame
 from datagen.labels.raster import cut_voxels, inside_columns
 from datagen.labels.solids import ConnectedSurface, connected_surfaces
 from datagen.records import Scene
+from datagen.records.arrays import Bools, Floats
 
 OPEN3D_SYSTEM_PACKAGES = ("libusb-1.0-0", "libgl1", "libegl1", "libx11-6", "libgomp1")
 """What open3d needs of a bare Debian or Ubuntu; the same list as docker/system-packages.txt."""
@@ -29,8 +30,8 @@ class VoxelGrid:
     """
 
     frame: ViewFrame
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    low: Floats
+    high: Floats
     shape: tuple[int, int, int]
 
     @classmethod
@@ -52,18 +53,18 @@ class VoxelGrid:
         return cls(frame, low, high, voxels)
 
     @property
-    def voxel_m(self) -> NDArray[np.float64]:
+    def voxel_m(self) -> Floats:
         """(3,) size of a voxel along (depth, row, column), metres."""
         return (self.high - self.low)[[2, 1, 0]] / self.shape
 
-    def to_voxels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_voxels(self, points: Floats) -> Floats:
         """(..., 3) world points → (..., 3) column, row, depth in voxels; centres at +½."""
         layers, rows, columns = self.shape
         share = (self.frame.to_view(points) - self.low) / (self.high - self.low)
         return np.stack([share[..., 0] * columns, (1 - share[..., 1]) * rows, share[..., 2] * layers], axis=-1)
 
     @property
-    def centers(self) -> NDArray[np.float64]:
+    def centers(self) -> Floats:
         """(depth, row, column, 3) world positions of the voxel centres, metres."""
         depth, row, column = ((np.arange(n) + 0.5) / n for n in self.shape)
         z, y, x = np.meshgrid(depth, 1 - row, column, indexing="ij")
@@ -116,13 +117,13 @@ def signed_distance(grid: VoxelGrid, found: list[ConnectedSurface]) -> NDArray[n
     return smallest.astype(np.float32)
 
 
-def _inside(grid: VoxelGrid, surface: ConnectedSurface) -> NDArray[np.bool_]:
+def _inside(grid: VoxelGrid, surface: ConnectedSurface) -> Bools:
     return inside_columns(grid.to_voxels(np.concatenate([surface.corners, surface.lid])), grid.shape)
 
 
 def _apart(found: list[ConnectedSurface]) -> list[list[ConnectedSurface]]:
     """Groups of surfaces whose bounding boxes do not meet: within one, no surface is inside another."""
-    groups: list[list[tuple[ConnectedSurface, NDArray[np.float64]]]] = []
+    groups: list[list[tuple[ConnectedSurface, Floats]]] = []
     for surface in found:
         box = np.stack([surface.corners.min(axis=(0, 1)), surface.corners.max(axis=(0, 1))])
         for group in groups:
@@ -134,7 +135,7 @@ def _apart(found: list[ConnectedSurface]) -> list[list[ConnectedSurface]]:
     return [[surface for surface, _ in group] for group in groups]
 
 
-def _distance(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _distance(points: Floats, corners: Floats) -> Floats:
     """Metres from each point (..., 3) to the nearest of the triangles (F, 3, 3), by open3d's closest-point tree."""
     try:
         # Two seconds and a graphics library: only for those who ask for signed distances.

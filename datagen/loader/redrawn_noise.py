@@ -35,14 +35,9 @@ class NoiseSource:
         stream = seed_sequence(seed, scene, Purpose.LOADER, attempt=epoch)
         noise_seed = int(stream.generate_state(1, np.uint64)[0])
         return detect(
-            transient.astype(np.float64),
-            self._time,
-            spad,
-            exposure,
-            seed=noise_seed,
-            tolerance=tolerance,
+            transient.astype(np.float64), self._time, spad, exposure, seed=noise_seed, tolerance=tolerance,
             approximate=self._detector.approximate,
-        )
+        )  # fmt: skip
 
     def _detector_of(self, scene: int, transient: NDArray[np.generic]) -> tuple[Spad, Exposure, float]:
         """The detector of a scene with the effects that its transient calls for, decided once."""

@@ -6,17 +6,18 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from datagen.errors import InputError
+from datagen.records.arrays import Floats
 
 Origin = Literal["source", "wall"]
 Pairing = Literal["exhaustive", "confocal"]
 Illumination = Literal["scan", "flood"]
 
 
-def _points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    array = np.asarray(value, np.float64)
+def _points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Floats:
+    array = np.array(value, np.float64)
     fits = array.ndim == len(shape) and all(w is None or w == g for g, w in zip(array.shape, shape, strict=False))
     if not fits or array.size == 0:
         wanted = ", ".join("n" if s is None else str(s) for s in shape)
@@ -25,6 +26,11 @@ def _points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArr
         raise InputError(f"{name}: contains NaN or infinity; all coordinates must be finite metres")
     array.setflags(write=False)
     return array
+
+
+def _check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise InputError(f"{name} = {value!r}: must be one of {', '.join(allowed)}")
 
 
 @dataclass(frozen=True, init=False)
@@ -44,12 +50,12 @@ class Laser:
     (2, 3)
     """
 
-    position: NDArray[np.float64]
-    targets: NDArray[np.float64]
+    position: Floats
+    targets: Floats
 
     def __init__(self, position: ArrayLike, targets: ArrayLike) -> None:
-        object.__setattr__(self, "position", _points("Laser.position", np.array(position, np.float64), (3,)))
-        object.__setattr__(self, "targets", _points("Laser.targets", np.array(targets, np.float64), (None, 3)))
+        object.__setattr__(self, "position", _points("Laser.position", position, (3,)))
+        object.__setattr__(self, "targets", _points("Laser.targets", targets, (None, 3)))
         if (np.linalg.norm(self.targets - self.position, axis=1) == 0).any():
             raise InputError("Laser.targets: a target equals the laser position; it gives no direction")
 
@@ -68,16 +74,16 @@ class Sensor:
         within some ten radii of the wall; False is the small-aperture limit a²/R².
     """
 
-    position: NDArray[np.float64]
-    pixels: NDArray[np.float64]
+    position: Floats
+    pixels: Floats
     aperture_radius_m: float
     finite_aperture: bool
 
     def __init__(
         self, position: ArrayLike, pixels: ArrayLike, aperture_radius_m: float = 0.02, finite_aperture: bool = False
     ) -> None:
-        object.__setattr__(self, "position", _points("Sensor.position", np.array(position, np.float64), (3,)))
-        object.__setattr__(self, "pixels", _points("Sensor.pixels", np.array(pixels, np.float64), (None, 4, 3)))
+        object.__setattr__(self, "position", _points("Sensor.position", position, (3,)))
+        object.__setattr__(self, "pixels", _points("Sensor.pixels", pixels, (None, 4, 3)))
         if not 0 < aperture_radius_m < np.inf:
             raise InputError(f"Sensor.aperture_radius_m = {aperture_radius_m}: must be a positive length in metres")
         object.__setattr__(self, "aperture_radius_m", float(aperture_radius_m))
@@ -85,15 +91,9 @@ class Sensor:
 
     @classmethod
     def grid(
-        cls,
-        position: ArrayLike,
-        center: ArrayLike,
-        right: ArrayLike,
-        up: ArrayLike,
-        rows: int,
-        cols: int,
+        cls, position: ArrayLike, center: ArrayLike, right: ArrayLike, up: ArrayLike, rows: int, cols: int,
         aperture_radius_m: float = 0.02,
-    ) -> Sensor:
+    ) -> Sensor:  # fmt: skip
         """rows × cols pixels that tile the rectangle `center ± right ± up`; row 0 at the top, column 0 at −right.
 
         Raises `InputError` for fewer than one row or column.
@@ -152,16 +152,15 @@ class TimeAxis:
             raise InputError(f"TimeAxis.width_s = {self.width_s}: must be a positive time in seconds")
         if not np.isfinite(self.start_s):
             raise InputError(f"TimeAxis.start_s = {self.start_s}: must be finite")
-        if self.origin not in get_args(Origin):
-            raise InputError(f"TimeAxis.origin = {self.origin!r}: must be one of {', '.join(get_args(Origin))}")
+        _check_choice("TimeAxis.origin", self.origin, get_args(Origin))
 
     @property
-    def edges_s(self) -> NDArray[np.float64]:
+    def edges_s(self) -> Floats:
         """(bins + 1,) bin edges, seconds."""
         return self.start_s + self.width_s * np.arange(self.bins + 1, dtype=np.float64)
 
     @property
-    def centers_s(self) -> NDArray[np.float64]:
+    def centers_s(self) -> Floats:
         """(bins,) bin centres, seconds."""
         return self.start_s + self.width_s * (np.arange(self.bins, dtype=np.float64) + 0.5)
 
@@ -197,11 +196,8 @@ class Capture:
     illumination: Illumination = "scan"
 
     def __post_init__(self) -> None:
-        if self.pairing not in get_args(Pairing):
-            raise InputError(f"Capture.pairing = {self.pairing!r}: must be one of {', '.join(get_args(Pairing))}")
-        if self.illumination not in get_args(Illumination):
-            allowed = ", ".join(get_args(Illumination))
-            raise InputError(f"Capture.illumination = {self.illumination!r}: must be one of {allowed}")
+        _check_choice("Capture.pairing", self.pairing, get_args(Pairing))
+        _check_choice("Capture.illumination", self.illumination, get_args(Illumination))
         if self.illumination == "flood" and self.pairing == "confocal":
             raise InputError(
                 "Capture.illumination = 'flood' with pairing = 'confocal': a flood lights all points at once; "

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats
 from datagen.records.capture import TimeAxis
 
 Scalar = float | int | str | bool
@@ -70,11 +71,11 @@ class Transient:
     """
 
     time: TimeAxis
-    components: Mapping[str, NDArray[np.float64]]
-    parts: Mapping[str, NDArray[np.float64]]
-    stderr: NDArray[np.float64]
-    overflow: NDArray[np.float64]
-    laser_points: NDArray[np.float64]
+    components: Mapping[str, Floats]
+    parts: Mapping[str, Floats]
+    stderr: Floats
+    overflow: Floats
+    laser_points: Floats
     seconds: Mapping[str, float] = field(default_factory=dict)
     rays: Mapping[str, int] = field(default_factory=dict)
     spend: Spend | None = None
@@ -82,7 +83,7 @@ class Transient:
     met_target: bool | None = None
 
     @cached_property
-    def total(self) -> NDArray[np.float64]:
+    def total(self) -> Floats:
         """(L, P, T): the sum of the components."""
         first, *rest = self.components.values()
         return sum(rest, start=first) if rest else first

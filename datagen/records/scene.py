@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.errors import InputError
+from datagen.records.arrays import Floats, Ints
 from datagen.records.materials import Material
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ class Pose:
     """
 
     label: str
-    axes: NDArray[np.float64]
+    axes: Floats
 
     @classmethod
     def upright(cls, label: str, rotation_deg: float = 0.0) -> Pose:
@@ -74,9 +75,9 @@ class Part:
 class Rectangle:
     """A rectangle in space: `center ± right ± up` (half-extent vectors, metres), each (3,)."""
 
-    center: NDArray[np.float64]
-    right: NDArray[np.float64]
-    up: NDArray[np.float64]
+    center: Floats
+    right: Floats
+    up: Floats
 
     @classmethod
     def of(cls, center: ArrayLike, right: ArrayLike, up: ArrayLike) -> Rectangle:
@@ -87,13 +88,13 @@ class Rectangle:
         return cls(c, r, u)
 
     @property
-    def normal(self) -> NDArray[np.float64]:
+    def normal(self) -> Floats:
         """Unit normal right × up; for a relay wall it points into the room. Shape (3,)."""
         n = np.cross(self.right, self.up)
         return n / np.linalg.norm(n)
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Floats:
         """The four corners in order (−−, +−, ++, −+) of (right, up). Shape (4, 3), metres."""
         signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
         return self.center + signs[:, :1] * self.right + signs[:, 1:] * self.up
@@ -124,7 +125,7 @@ class Scene:
     poses : object part → its class and axes; a part without one stands along the scene's axes, named by its part.
     """
 
-    vertices: NDArray[np.float64]
+    vertices: Floats
     triangles: NDArray[np.int32]
     face_part: NDArray[np.int32]
     part_names: tuple[str, ...]
@@ -132,8 +133,8 @@ class Scene:
     roles: tuple[Role, ...]
     relay_wall: Rectangle | None = None
     hidden_view: Rectangle | None = None
-    hidden_bounds: NDArray[np.float64] | None = None
-    device_position: NDArray[np.float64] | None = None
+    hidden_bounds: Floats | None = None
+    device_position: Floats | None = None
     parameters: Mapping[str, float | int | str | bool] = field(default_factory=dict)
     attenuation_per_m: float = 0.0
     poses: Mapping[str, Pose] = field(default_factory=dict)
@@ -144,16 +145,10 @@ class Scene:
 
     @classmethod
     def from_parts(
-        cls,
-        parts: Iterable[Part],
-        *,
-        relay_wall: Rectangle | None = None,
-        hidden_view: Rectangle | None = None,
-        hidden_bounds: ArrayLike | None = None,
-        device_position: ArrayLike | None = None,
-        parameters: Mapping[str, float | int | str | bool] | None = None,
-        attenuation_per_m: float = 0.0,
-    ) -> Scene:
+        cls, parts: Iterable[Part], *, relay_wall: Rectangle | None = None, hidden_view: Rectangle | None = None,
+        hidden_bounds: ArrayLike | None = None, device_position: ArrayLike | None = None,
+        parameters: Mapping[str, float | int | str | bool] | None = None, attenuation_per_m: float = 0.0,
+    ) -> Scene:  # fmt: skip
         """Join parts into one scene. Zero-area triangles are dropped; parts keep their order.
 
         Raises `InputError` for no parts, a repeated name, vertices that are not finite, indices out of range,
@@ -183,31 +178,25 @@ class Scene:
             face_part.append(np.full(len(f), index, np.int32))
             offset += len(v)
         return cls(
-            vertices=np.concatenate(vertices),
-            triangles=np.concatenate(triangles).astype(np.int32),
-            face_part=np.concatenate(face_part),
-            part_names=names,
-            materials=tuple(p.material for p in parts),
-            roles=tuple(p.role for p in parts),
-            relay_wall=relay_wall,
-            hidden_view=hidden_view,
+            vertices=np.concatenate(vertices), triangles=np.concatenate(triangles).astype(np.int32),
+            face_part=np.concatenate(face_part), part_names=names, materials=tuple(p.material for p in parts),
+            roles=tuple(p.role for p in parts), relay_wall=relay_wall, hidden_view=hidden_view,
             hidden_bounds=None if hidden_bounds is None else np.asarray(hidden_bounds, np.float64),
             device_position=None if device_position is None else np.asarray(device_position, np.float64),
-            parameters=dict(parameters or {}),
-            attenuation_per_m=attenuation_per_m,
+            parameters=dict(parameters or {}), attenuation_per_m=attenuation_per_m,
             poses={part.name: part.pose for part in parts if part.pose is not None},
-        )
+        )  # fmt: skip
 
     def pose_of(self, part: str) -> Pose:
         """Class and axes of a part."""
         return self.poses.get(part) or Pose.upright(part)
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Floats:
         """(F, 3, 3): the three corners of every triangle, metres."""
         return self.vertices[self.triangles]
 
-    def faces_of(self, *names: str) -> NDArray[np.int64]:
+    def faces_of(self, *names: str) -> Ints:
         """Indices of the triangles of the named parts, ascending."""
         unknown = [n for n in names if n not in self.part_names]
         if unknown:
@@ -215,7 +204,7 @@ class Scene:
         return np.flatnonzero(np.isin(self.face_part, [self.part_names.index(n) for n in names]))
 
 
-def _checked_triangles(part: Part) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _checked_triangles(part: Part) -> tuple[Floats, Ints]:
     vertices = np.asarray(part.mesh.vertices, np.float64)
     faces = np.asarray(part.mesh.faces, np.int64)
     if part.pose is not None and not np.allclose(part.pose.axes @ part.pose.axes.T, np.eye(3), atol=1e-6):

@@ -10,13 +10,13 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config.distributions import draw
 from datagen.config.scene import SceneConfig
 from datagen.config.scene_contents import Mesh, MeshFolder
 from datagen.errors import InputError
 from datagen.records import Pose, Rectangle, Role, Scalar, Scene
+from datagen.records.arrays import Floats
 from datagen.scene.draws import DrawnRoom, draw_room, load_mesh
 from datagen.scene.placing import Unmet, place
 from datagen.scene.refusals import explain
@@ -88,7 +88,7 @@ def placings(max_attempts: int, draw_number: int) -> int:
 class _View:
     """What the device sees: `fan` (n, 3, 2) in plan, and the part of the relay wall in it."""
 
-    fan: NDArray[np.float64]
+    fan: Floats
     relay_wall: Rectangle
 
     @classmethod
@@ -99,13 +99,9 @@ class _View:
 
 
 def _furnished(
-    spec: SceneConfig,
-    room: DrawnRoom,
-    view: _View,
-    rng: np.random.Generator,
-    counted: dict[str, Scalar],
+    spec: SceneConfig, room: DrawnRoom, view: _View, rng: np.random.Generator, counted: dict[str, Scalar],
     rotate_anew: bool,
-) -> Scene:
+) -> Scene:  # fmt: skip
     """Place every object and check what is seen of it. Raises `Unmet`.
 
     rotate_anew : draw rotations afresh too, since an object may only fit at another one.
@@ -134,20 +130,12 @@ def _furnished(
             parameters[f"{thing.name}.seen_fraction"] = float(fraction)
     parameters["attenuation_per_m"] = attenuation_per_m = draw(spec.attenuation_per_m, rng)
     return Scene(
-        vertices=vertices,
-        triangles=triangles.astype(np.int32),
-        face_part=face_part,
-        part_names=tuple(surfaces),
-        materials=tuple(materials[name] for name in surfaces),
-        roles=tuple(_role(name, room) for name in surfaces),
-        relay_wall=view.relay_wall,
-        hidden_view=_hidden_view(plan),
+        vertices=vertices, triangles=triangles.astype(np.int32), face_part=face_part, part_names=tuple(surfaces),
+        materials=tuple(materials[name] for name in surfaces), roles=tuple(_role(name, room) for name in surfaces),
+        relay_wall=view.relay_wall, hidden_view=_hidden_view(plan),
         hidden_bounds=np.array([[*plan.hidden[0], 0.0], [*plan.hidden[1], plan.height_m]]),
-        device_position=plan.device,
-        parameters=parameters,
-        poses=poses,
-        attenuation_per_m=attenuation_per_m,
-    )
+        device_position=plan.device, parameters=parameters, poses=poses, attenuation_per_m=attenuation_per_m,
+    )  # fmt: skip
 
 
 def _role(name: str, room: DrawnRoom) -> Role:
@@ -157,7 +145,7 @@ def _role(name: str, room: DrawnRoom) -> Role:
     return "relay_wall" if name == "relay_wall" or name in room.clutter else "structure"
 
 
-def _visible_relay_wall(plan: FloorPlan, fan: NDArray[np.float64]) -> Rectangle:
+def _visible_relay_wall(plan: FloorPlan, fan: Floats) -> Rectangle:
     start, end = plan.relay_segment
     seen = visible_interval(fan, start, end)
     if seen is None or seen[1] - seen[0] < SMALLEST_VIEW_M:
@@ -172,7 +160,7 @@ def _hidden_view(plan: FloorPlan) -> Rectangle:
     return _upright(np.array([x, plan.hidden[0, 1]]), np.array([x, plan.hidden[1, 1]]), plan.height_m)
 
 
-def _upright(right_end: NDArray[np.float64], left_end: NDArray[np.float64], height_m: float) -> Rectangle:
+def _upright(right_end: Floats, left_end: Floats, height_m: float) -> Rectangle:
     """The rectangle above a plan segment given from right to left as seen from the room; its normal points there."""
     center = np.array([*(right_end + left_end) / 2, height_m / 2])
     return Rectangle.of(center, [*(right_end - left_end) / 2, 0.0], [0.0, 0.0, height_m / 2])

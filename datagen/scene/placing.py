@@ -6,10 +6,10 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config.distributions import draw
 from datagen.config.scene_contents import Standing
+from datagen.records.arrays import Floats
 from datagen.scene.draws import Thing
 from scene_library.placement import FreeSpace, Occupied, WallSpots
 from scene_library.rooms import FloorPlan
@@ -48,7 +48,7 @@ class Spot:
     along: float
     across: float
 
-    def vertices(self, solid: Solid) -> NDArray[np.float64]:
+    def vertices(self, solid: Solid) -> Floats:
         """(V, 3) the solid's vertices in this pose, metres."""
         return solid.placed(self.x_m, self.y_m, self.z_m, self.rotation_deg)
 

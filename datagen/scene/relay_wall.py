@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config.distributions import draw, draw_count
 from datagen.config.scene_relay import RelayWall
 from datagen.records import Scalar
+from datagen.records.arrays import Floats
 from scene_library.clutter import CLUTTER
 from scene_library.placement import Occupied
 from scene_library.polygons import boundary_distance, contains
@@ -108,15 +108,13 @@ def draw_clutter(
     return placed
 
 
-def _before_wall(
-    piece: Surface, along_m: float, start: NDArray[np.float64], end: NDArray[np.float64]
-) -> tuple[Surface, Occupied]:
+def _before_wall(piece: Surface, along_m: float, start: Floats, end: Floats) -> tuple[Surface, Occupied]:
     """A piece (x along the wall, y out of it, z up) before the wall, its middle `along_m` from the wall's start."""
     vertices, faces = piece
     along = (end - start) / np.linalg.norm(end - start)
     inward = np.array([-along[1], along[0]])
 
-    def in_plan(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def in_plan(places: Floats) -> Floats:
         return np.asarray(start + (along_m + places[:, :1]) * along + (CLUTTER_GAP_M + places[:, 1:2]) * inward)
 
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -126,7 +124,7 @@ def _before_wall(
 
 
 def _is_free(
-    candidate: Occupied, placed: list[PlacedClutter], plan: FloorPlan, walls: NDArray[np.float64], clearance_m: float
+    candidate: Occupied, placed: list[PlacedClutter], plan: FloorPlan, walls: Floats, clearance_m: float
 ) -> bool:
     footprint = candidate.footprint
     if not plan.open_air and not contains(plan.outline, footprint).all():

@@ -6,24 +6,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.records import Spend
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.connections import Tally
 from datagen.transport.cost import Work
 from datagen.transport.fov import FovPool
 from datagen.transport.sampling import Streams
 from datagen.transport.spread import Sketch, standard_error
 from datagen.transport.vertices import runs_of
-from datagen.transport.walk import (
-    FOV_POINTS_PER_POOL,
-    Splits,
-    WalkTask,
-    blocks_for,
-    part_of,
-    pool_for,
-    trace_chunk,
-)
+from datagen.transport.walk import FOV_POINTS_PER_POOL, Splits, WalkTask, blocks_for, part_of, pool_for, trace_chunk
 
 LOOKINS_PER_CHUNK = 1 << 17
 """Lookins traced at once, over as many laser points as fit."""
@@ -45,32 +37,26 @@ class Average:
     work : what was done.
     """
 
-    rows: list[NDArray[np.float64]]
-    stderr: NDArray[np.float64]
-    overflow: NDArray[np.float64]
+    rows: list[Floats]
+    stderr: Floats
+    overflow: Floats
     work: Work
-
-    def split(self, splits: Splits) -> tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]:
-        """The rows as components, and as parts of the primary."""
-        return split_rows(self.rows, splits)
 
 
 @dataclass(frozen=True)
 class Estimate:
     """What a way of estimating hands to the solver; the fields are those of `Transient`."""
 
-    components: dict[str, NDArray[np.float64]]
-    parts: dict[str, NDArray[np.float64]]
-    stderr: NDArray[np.float64]
-    overflow: NDArray[np.float64]
+    components: dict[str, Floats]
+    parts: dict[str, Floats]
+    stderr: Floats
+    overflow: Floats
     spend: Spend
     error_bound: float | None = None
     met_target: bool | None = None
 
 
-def split_rows(
-    rows: list[NDArray[np.float64]], splits: Splits
-) -> tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]:
+def split_rows(rows: list[Floats], splits: Splits) -> tuple[dict[str, Floats], dict[str, Floats]]:
     """One array for each split → arrays by component, and the primary's by part."""
     components = dict(zip(splits.others, rows[splits.primary :], strict=True))
     if splits.primary:
@@ -112,7 +98,7 @@ def walk_average(task: WalkTask, sketch: Sketch | None = None) -> Average:
     return Average(rows, standard_error(rows, squares, replicates), overflow / replicates, work)
 
 
-def _traced(task: WalkTask, count: int, replicates: NDArray[np.int64]) -> Iterator[tuple[int, int, Tally, Work]]:
+def _traced(task: WalkTask, count: int, replicates: Ints) -> Iterator[tuple[int, int, Tally, Work]]:
     """Trace `count` lookins of each laser point in each replicate: (replicate, first laser point, its light and
     that of those after it, work) for one piece after the other.
 
@@ -151,7 +137,7 @@ def _traced(task: WalkTask, count: int, replicates: NDArray[np.int64]) -> Iterat
                 done = drawn = Work(calls=0)
 
 
-def _shared_pool(task: WalkTask, count: int, replicates: NDArray[np.int64]) -> FovPool:
+def _shared_pool(task: WalkTask, count: int, replicates: Ints) -> FovPool:
     """FoV points that all laser points share, a set for each replicate."""
     pixels = np.arange(task.capture.shape[1])
     streams = Streams.of(task.seed, replicates, pixels)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from datagen.records.arrays import Floats
 
 
 @njit(cache=True, inline="always")
-def splat(histogram: NDArray[np.float64], position: float, energy: float) -> float:
+def splat(histogram: Floats, position: float, energy: float) -> float:
     """Add `energy` at fractional bin `position` (bin i spans i … i + 1) and return what fell outside the window.
 
     With weights linear in the distance to the two nearest bin centres, the first moment is kept exactly. Nothing is

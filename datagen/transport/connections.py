@@ -17,9 +17,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.records import Scene, Sensor
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches
 from datagen.transport.kernels import deposit, gather, inside_pixels, laser_points_in_pixels, near_a_pixel
@@ -43,7 +43,7 @@ class Clock:
 
     per_metre: float
     start: float
-    device_leg: NDArray[np.float64]
+    device_leg: Floats
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ class Rows:
 class Tally:
     """Where energy goes: histogram (row, bin) and overflow (row,)."""
 
-    histogram: NDArray[np.float64]
-    overflow: NDArray[np.float64]
+    histogram: Floats
+    overflow: Floats
 
     def apart(self, pieces: int) -> list[Tally]:
         """As many equal runs of rows."""
@@ -94,7 +94,7 @@ class Receiver:
     rows: Rows
     tally: Tally
     sight: ClearSight = field(default_factory=ClearSight.asking)
-    pool_set: NDArray[np.int64] | None = None
+    pool_set: Ints | None = None
     """(laser,) the set of the pool that each of the chunk's laser points is joined to; None where there is one."""
 
     @property
@@ -102,7 +102,7 @@ class Receiver:
         """What a finite aperture adds to R² (see `fov.py`), m²."""
         return self.sensor.aperture_radius_m**2 if self.sensor.finite_aperture else 0.0
 
-    def connect(self, vertices: Vertices, choice: NDArray[np.float64], split_of_part: NDArray[np.int64]) -> None:
+    def connect(self, vertices: Vertices, choice: Floats, split_of_part: Ints) -> None:
         """Join every vertex to a block of FoV points of each of its pixels, and add what nothing hides.
 
         choice : (n,) in 0 … 1 picks the block; split_of_part : (K,) the split for a vertex on each part.
@@ -139,7 +139,7 @@ class Receiver:
             hidden = self.caster.occluded_scaled(origins[:found], spans[:found])
             deposit(row[:found], position[:found], energy[:found], hidden, tally.histogram, tally.overflow)
 
-    def near(self, vertices: Vertices) -> NDArray[np.int64]:
+    def near(self, vertices: Vertices) -> Ints:
         """The vertices whose followed rays count: those near any of their pixels."""
         return np.asarray(
             near_a_pixel(
@@ -149,12 +149,7 @@ class Receiver:
         )  # fmt: skip
 
     def follow(
-        self,
-        vertices: Vertices,
-        hits: Hits,
-        directions: NDArray[np.float64],
-        throughput: NDArray[np.float64],
-        split_of_part: NDArray[np.int64],
+        self, vertices: Vertices, hits: Hits, directions: Floats, throughput: Floats, split_of_part: Ints
     ) -> None:
         """Add those of the vertices' own rays (with their throughput f cosθ / pdf) that land inside a pixel."""
         part = np.where(hits.valid, self.scene.face_part[hits.face], -1).astype(np.int64)
@@ -169,7 +164,7 @@ class Receiver:
         )  # fmt: skip
         self._add_if_seen(hits.position[owner] + self.caster.offset_m * hits.normal[owner], row, position, energy)
 
-    def add_laser_points(self, points: LaserPoints, lasers: NDArray[np.int64], split: int) -> None:
+    def add_laser_points(self, points: LaserPoints, lasers: Ints, split: int) -> None:
         """Add the laser points themselves where a pixel looks at them: the direct return of one bounce."""
         rows = self.rows
         owner, row, position, energy = laser_points_in_pixels(
@@ -180,12 +175,6 @@ class Receiver:
         )  # fmt: skip
         self._add_if_seen(points.position[owner] + self.caster.offset_m * points.normal[owner], row, position, energy)
 
-    def _add_if_seen(
-        self,
-        lifted: NDArray[np.float64],
-        row: NDArray[np.int64],
-        position: NDArray[np.float64],
-        energy: NDArray[np.float64],
-    ) -> None:
+    def _add_if_seen(self, lifted: Floats, row: Ints, position: Floats, energy: Floats) -> None:
         hidden = self.caster.occluded(self.sensor.position, lifted)
         deposit(row, position, energy, hidden, self.tally.histogram, self.tally.overflow)

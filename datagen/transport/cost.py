@@ -8,7 +8,7 @@ about 0.1 µs; only their ratios matter, and a factor of two in one of them chan
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 RAY = 4.0
 """A vertex of a walk, or a FoV point: its random numbers, ray and refined hit."""
@@ -44,12 +44,7 @@ class Work:
     calls: float = 1.0
 
     def __add__(self, other: Work) -> Work:
-        return Work(
-            self.rays + other.rays,
-            self.connections + other.connections,
-            self.entries + other.entries,
-            self.calls + other.calls,
-        )
+        return Work(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     @property
     def growing(self) -> float:

@@ -16,9 +16,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.records import Transient
+from datagen.records.arrays import Floats
 
 
 def flooded(transient: Transient) -> Transient:
@@ -27,7 +27,7 @@ def flooded(transient: Transient) -> Transient:
     `stderr` takes the laser points' errors as independent, which they are but for the FoV points they share.
     """
 
-    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mean(values: Floats) -> Floats:
         return np.asarray(values.mean(axis=0, keepdims=True))
 
     return replace(

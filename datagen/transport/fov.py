@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records import Scene, Sensor
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import scrambled_sobol
@@ -34,13 +35,13 @@ class FovPool:
     last_leg : (P, Q) distance to the sensor, m.
     """
 
-    position: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    to_sensor: NDArray[np.float64]
-    part: NDArray[np.int64]
-    weight: NDArray[np.float64]
-    footprint: NDArray[np.float64]
-    last_leg: NDArray[np.float64]
+    position: Floats
+    normal: Floats
+    to_sensor: Floats
+    part: Ints
+    weight: Floats
+    footprint: Floats
+    last_leg: Floats
     sets: int = 1
 
     def side_by_side(self, sets: int) -> FovPool:
@@ -63,8 +64,8 @@ class PixelCones:
     solid_angle : (P,) sr.
     """
 
-    planes: NDArray[np.float64]
-    solid_angle: NDArray[np.float64]
+    planes: Floats
+    solid_angle: Floats
 
     @classmethod
     def of(cls, sensor: Sensor) -> PixelCones:
@@ -98,7 +99,7 @@ class PixelCones:
                     )
         return cls(planes, np.abs(solid_angle))
 
-    def take(self, pixels: NDArray[np.int64]) -> PixelCones:
+    def take(self, pixels: Ints) -> PixelCones:
         """Those of some pixels."""
         return PixelCones(self.planes[pixels], self.solid_angle[pixels])
 
@@ -116,9 +117,9 @@ class PixelPatches:
         rule of position alone: whatever it says, the mean is the same.
     """
 
-    center: NDArray[np.float64]
-    radius: NDArray[np.float64]
-    reach: NDArray[np.float64]
+    center: Floats
+    radius: Floats
+    reach: Floats
 
     @classmethod
     def of(cls, caster: Raycaster, sensor: Sensor, cones: PixelCones, points_per_vertex: int) -> PixelPatches:
@@ -141,14 +142,12 @@ class PixelPatches:
             np.where(complete, reach, np.inf),
         )
 
-    def take(self, pixels: NDArray[np.int64]) -> PixelPatches:
+    def take(self, pixels: Ints) -> PixelPatches:
         """Those of some pixels."""
         return PixelPatches(self.center[pixels], self.radius[pixels], self.reach[pixels])
 
 
-def _triangle_solid_angle(
-    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _triangle_solid_angle(a: Floats, b: Floats, c: Floats) -> Floats:
     """Signed solid angle of triangles of unit vectors (van Oosterom & Strackee, IEEE TBME 30 (1983)).
 
     The triple product is taken of differences, which keeps its digits for a pixel far smaller than its distance.
@@ -159,15 +158,9 @@ def _triangle_solid_angle(
 
 
 def fov_pool(
-    caster: Raycaster,
-    scene: Scene,
-    sensor: Sensor,
-    cones: PixelCones,
-    pixels: NDArray[np.int64],
-    points_per_vertex: int,
-    blocks: int,
-    seeds: NDArray[np.uint64],
-) -> FovPool:
+    caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones, pixels: Ints, points_per_vertex: int,
+    blocks: int, seeds: NDArray[np.uint64],
+) -> FovPool:  # fmt: skip
     """Draw `blocks` × `points_per_vertex` FoV points for each of `pixels`, with one seed of scrambling a pixel."""
     uv = scrambled_sobol(seeds, blocks * points_per_vertex, 2)
     direction, jacobian = _lines_of_sight(uv, sensor.pixels[pixels] - sensor.position)
@@ -185,9 +178,7 @@ def fov_pool(
 
 
 @njit(cache=True)
-def _lines_of_sight(
-    uv: NDArray[np.float64], corner: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _lines_of_sight(uv: Floats, corner: Floats) -> tuple[Floats, Floats]:
     """Unit directions (P, Q, 3) through the points uv (P, Q, 2) of quadrilaterals (P, 4, 3) about the sensor, and the
     solid angle for each unit of uv (P, Q)."""
     direction, jacobian = np.empty((uv.shape[0], uv.shape[1], 3)), np.empty(uv.shape[:2])
@@ -216,17 +207,9 @@ def _lines_of_sight(
 
 @njit(cache=True)
 def _seen_points(
-    found: NDArray[np.float64],
-    normal: NDArray[np.float64],
-    part: NDArray[np.int64],
-    direction: NDArray[np.float64],
-    jacobian: NDArray[np.float64],
-    sensor: NDArray[np.float64],
-    solid_angle: NDArray[np.float64],
-    aperture_area: float,
-    aperture_square: float,
-    points_per_vertex: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    found: Floats, normal: Floats, part: Ints, direction: Floats, jacobian: Floats, sensor: Floats,
+    solid_angle: Floats, aperture_area: float, aperture_square: float, points_per_vertex: int,
+) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
     """Position, weight, footprint and distance of each FoV point, as in `FovPool`; `part` loses what faces away.
 
     The effective aperture area A in f₃ E₃ A dΩ is that of a small aperture, or of a near disc that faces the point

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.records import Sensor
+from datagen.records.arrays import Bools, Floats
 from datagen.transport.raycast import Hits, Raycaster
 
 INWARD = 1e-3
@@ -34,17 +34,17 @@ class LinesOfSight:
     met : what those met, P · n² hits.
     """
 
-    position: NDArray[np.float64]
-    inner: NDArray[np.float64]
+    position: Floats
+    inner: Floats
     met: Hits
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> Bools:
         """(P, n²) whether there is a surface."""
         return self.met.valid.reshape(self.inner.shape[:2])
 
     @property
-    def normal(self) -> NDArray[np.float64]:
+    def normal(self) -> Floats:
         """(P, n², 3) unit normals that face the sensor."""
         return self.met.normal.reshape(self.inner.shape)
 
@@ -70,5 +70,5 @@ def lines_of_sight(caster: Raycaster, sensor: Sensor, along: int) -> LinesOfSigh
     return LinesOfSight(position, inner, met)
 
 
-def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _length(vectors: Floats) -> Floats:
     return np.asarray(np.linalg.norm(vectors, axis=-1), np.float64)

@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from datagen.records import Scene
+from datagen.records.arrays import Bools, Floats, Ints
 
 RAYS_PER_BATCH = 1 << 19
 """Rays handed to embree at once: enough to hide the call, little enough to stay in memory."""
@@ -36,15 +37,15 @@ class Hits:
     """
 
     face: NDArray[np.int32]
-    position: NDArray[np.float64]
-    normal: NDArray[np.float64]
+    position: Floats
+    normal: Floats
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> Bools:
         """(n,) whether anything was met."""
         return self.face >= 0
 
-    def take(self, rows: NDArray[np.int64]) -> Hits:
+    def take(self, rows: Ints) -> Hits:
         """Those of some rays."""
         return Hits(self.face[rows], self.position[rows], self.normal[rows])
 
@@ -54,13 +55,13 @@ class Raycaster:
 
     def __init__(self, scene: Scene) -> None:
         low, high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
-        self.center: NDArray[np.float64] = (low + high) / 2
+        self.center: Floats = (low + high) / 2
         self.half_extent_m = float((high - low).max()) / 2
-        self.corners: NDArray[np.float64] = scene.corners
+        self.corners: Floats = scene.corners
         doubled = np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0])
         length = np.linalg.norm(doubled, axis=1)
-        self.face_area_m2: NDArray[np.float64] = length / 2
-        self.face_normal: NDArray[np.float64] = doubled / length[:, None]
+        self.face_area_m2: Floats = length / 2
+        self.face_normal: Floats = doubled / length[:, None]
         self._embree = EmbreeScene()
         TriangleMesh(self._embree, self._scaled(scene.vertices), scene.triangles.astype(np.int32))
 
@@ -69,15 +70,13 @@ class Raycaster:
         """How far ray ends are lifted off their surfaces, metres."""
         return SURFACE_OFFSET * self.half_extent_m
 
-    def closest(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> Hits:
+    def closest(self, origins: Floats, directions: Floats) -> Hits:
         """First surface along each ray: origins (n, 3) metres, off any surface; directions (n, 3) of any length."""
         origins = np.broadcast_to(origins, directions.shape)
         face = self._met(origins, directions)
         return Hits(face, *_refine(face, origins, directions, self.corners, self.face_normal))
 
-    def leaving(
-        self, positions: NDArray[np.float64], normals: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> Hits:
+    def leaving(self, positions: Floats, normals: Floats, directions: Floats) -> Hits:
         """First surface along rays that leave a surface: positions (n, 3) on it, unit normals and directions (n, 3).
 
         Only the question of which triangle is met is asked a little above the surface; where, is found from
@@ -87,7 +86,7 @@ class Raycaster:
         face = self._met(positions + self.offset_m * normals, directions)
         return Hits(face, *_refine(face, positions, directions, self.corners, self.face_normal))
 
-    def _met(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.int32]:
+    def _met(self, origins: Floats, directions: Floats) -> NDArray[np.int32]:
         face = np.empty(len(directions), np.int32)
         for batch in _batches(len(directions)):
             face[batch] = self._embree.run(
@@ -99,7 +98,7 @@ class Raycaster:
         """First triangle along rays already in embree's unit frame, −1 for none; origins, directions (n, 3)."""
         return np.asarray(self._embree.run(origins, directions, query="INTERSECT"), np.int32)
 
-    def occluded(self, origins: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def occluded(self, origins: Floats, targets: Floats) -> Bools:
         """Whether anything stands between each origin and target, (n, 3) metres, both off their surfaces."""
         hidden = np.empty(len(targets), np.bool_)
         origins = np.broadcast_to(origins, targets.shape)
@@ -108,13 +107,23 @@ class Raycaster:
             hidden[batch] = self.occluded_scaled(o, self._scaled(targets[batch]) - o)
         return hidden
 
-    def occluded_scaled(self, origins: NDArray[np.float32], spans: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def occluded_scaled(self, origins: NDArray[np.float32], spans: NDArray[np.float32]) -> Bools:
         """Occlusion along spans already in embree's unit frame: from `origins` to `origins + spans`, (n, 3)."""
         reach = np.ones(len(origins), np.float32)
         return np.asarray(self._embree.run(origins, spans, dists=reach, query="OCCLUDED") >= 0)
 
-    def _scaled(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _scaled(self, points: Floats) -> NDArray[np.float32]:
         return ((points - self.center) / self.half_extent_m).astype(np.float32)
+
+
+@njit(cache=True)
+def lifted_and_scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
+    """Point p, lifted along n, in embree's frame; scale : its centre and half extent."""
+    return (
+        np.float32((p[0] + offset * n[0] - scale[0]) / scale[3]),
+        np.float32((p[1] + offset * n[1] - scale[1]) / scale[3]),
+        np.float32((p[2] + offset * n[2] - scale[2]) / scale[3]),
+    )
 
 
 def _batches(rays: int) -> Iterator[slice]:
@@ -123,12 +132,8 @@ def _batches(rays: int) -> Iterator[slice]:
 
 @njit(cache=True)
 def _refine(
-    face: NDArray[np.int32],
-    origins: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    corners: NDArray[np.float64],
-    face_normal: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    face: NDArray[np.int32], origins: Floats, directions: Floats, corners: Floats, face_normal: Floats
+) -> tuple[Floats, Floats]:
     """Positions and facing normals in double; a hit edge-on, where the plane gives no distance, becomes no hit."""
     position = np.empty((len(face), 3))
     normal = np.empty((len(face), 3))

@@ -15,6 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats, Ints
+
 BITS = 32
 
 
@@ -92,7 +94,7 @@ def _owen(x: np.uint64, seed: np.uint64) -> np.uint64:
 
 
 @njit(cache=True)
-def _fill(numbers: NDArray[np.uint64], first: int, seeds: NDArray[np.uint64], out: NDArray[np.float64]) -> None:
+def _fill(numbers: NDArray[np.uint64], first: int, seeds: NDArray[np.uint64], out: Floats) -> None:
     streams, count, dimensions = out.shape
     for s in range(streams):
         for d in range(dimensions):
@@ -108,9 +110,7 @@ def _fill(numbers: NDArray[np.uint64], first: int, seeds: NDArray[np.uint64], ou
                 x ^= numbers[first + d, bit]
 
 
-def scrambled_sobol(
-    seeds: NDArray[np.uint64], count: int, dimensions: int, first_dimension: int = 0
-) -> NDArray[np.float64]:
+def scrambled_sobol(seeds: NDArray[np.uint64], count: int, dimensions: int, first_dimension: int = 0) -> Floats:
     """Independent scramblings of a Sobol' sequence.
 
     seeds : (s,) one a scrambling. Returns (s, count, dimensions) in the open interval (0, 1); dimension k
@@ -133,15 +133,15 @@ class Streams:
     """
 
     seed: int
-    replicate: NDArray[np.int64]
-    index: NDArray[np.int64]
+    replicate: Ints
+    index: Ints
 
     @classmethod
-    def of(cls, seed: int, replicates: NDArray[np.int64], index: NDArray[np.int64]) -> Streams:
+    def of(cls, seed: int, replicates: Ints, index: Ints) -> Streams:
         """Each replicate of each of some laser points, replicate by replicate."""
         return cls(seed, np.repeat(replicates, len(index)), np.tile(index, len(replicates)))
 
-    def seeds(self, purpose: int, rows: NDArray[np.int64], *more: NDArray[np.integer]) -> NDArray[np.uint64]:
+    def seeds(self, purpose: int, rows: Ints, *more: NDArray[np.integer]) -> NDArray[np.uint64]:
         """(m,) a seed for each of m rows, each purpose, and each of what else tells them apart."""
         return stream_seeds(self.seed, purpose, self.replicate[rows], self.index[rows], *more)
 

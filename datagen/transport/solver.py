@@ -6,17 +6,16 @@ import time as clock_time
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scene, Spend, Transient
-from datagen.transport.averages import Average, Estimate, walk_average
+from datagen.records.arrays import Bools
+from datagen.transport.averages import Average, Estimate, split_rows, walk_average
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.factorised.secondary import factorising, secondary_transient
 from datagen.transport.flood import flooded
 from datagen.transport.fov import PixelCones, PixelPatches
 from datagen.transport.raycast import Raycaster
-from datagen.transport.spread import Sketch
 from datagen.transport.surroundings import CONTACT, surroundings
 from datagen.transport.target.adaptive import meet_target
 from datagen.transport.vertices import AreaTarget, LaserPoints
@@ -85,20 +84,11 @@ def simulate(
     else:
         average = walk_average(task)
         traced = clock_time.perf_counter()
-        estimate = _with_factorised(task, average, None)
+        estimate = _with_factorised(task, average)
     finished = clock_time.perf_counter()
+    seconds = {"prepare": ready - began, "trace": traced - ready, "secondary": finished - traced}
     return Transient(
-        time=capture.time,
-        components=estimate.components,
-        parts=estimate.parts,
-        stderr=estimate.stderr,
-        overflow=estimate.overflow,
-        laser_points=task.points.position,
-        seconds={"prepare": ready - began, "trace": traced - ready, "secondary": finished - traced},
-        spend=estimate.spend,
-        error_bound=estimate.error_bound,
-        met_target=estimate.met_target,
-        rays=task.sight.rays,
+        time=capture.time, laser_points=task.points.position, seconds=seconds, rays=task.sight.rays, **vars(estimate)
     )
 
 
@@ -121,14 +111,6 @@ def prepared(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, s
     return task
 
 
-def with_fixed_counts(task: WalkTask, sketch: Sketch | None = None) -> Estimate:
-    """The estimate with the sample counts of `WalkTask.accuracy`; its target is not looked at.
-
-    sketch : gets each replicate's transient too.
-    """
-    return _with_factorised(task, walk_average(task, sketch), sketch)
-
-
 def _needs_to_look_around(task: WalkTask) -> bool:
     """Whether the walk asked for would seldom meet the surfaces that give the field of view its secondary."""
     accuracy = task.accuracy
@@ -146,28 +128,23 @@ def _connections(capture: Capture, accuracy: Accuracy) -> tuple[int, int]:
     return each, 0 if accuracy.target is not None else lasers * accuracy.lookins * each * orders
 
 
-def _walked(accuracy: Accuracy, materials: MaterialTable) -> NDArray[np.bool_]:
+def _walked(accuracy: Accuracy, materials: MaterialTable) -> Bools:
     if accuracy.secondary == "none":
         return np.zeros(len(materials.kind), np.bool_)
     return np.ones(len(materials.kind), np.bool_) if accuracy.observed is None else ~factorising(materials)
 
 
-def _with_factorised(task: WalkTask, average: Average, sketch: Sketch | None) -> Estimate:
+def _with_factorised(task: WalkTask, average: Average) -> Estimate:
     """The walk's average, with what the factorised form gives of the secondary; its error is independent."""
     accuracy, splits = task.accuracy, task.splits
-    components, parts = average.split(splits)
+    components, parts = split_rows(average.rows, splits)
     stderr, overflow = average.stderr, average.overflow
     costs = dict.fromkeys(components, average.work.cost / len(components))
     way = dict.fromkeys(components, "walk")
     if "secondary" in components and not task.walked.all():
         assert accuracy.observed is not None
-        more = secondary_transient(
-            task.caster, task.scene, task.materials, task.capture, task.points, task.cones, task.patches,
-            lookins=accuracy.lookins, observed=accuracy.observed, fov_samples=accuracy.fov_samples,
-            replicates=accuracy.replicates, strongest=accuracy.strongest, seed=task.seed, carriers=~task.walked,
-            sketch=sketch,
-        )  # fmt: skip
-        components["secondary"] += more.mean
+        more = secondary_transient(task, accuracy.observed, ~task.walked)
+        components["secondary"] += more.rows[0]
         np.hypot(stderr, more.stderr, out=stderr)
         overflow += more.overflow
         way["secondary"] = "walk + factorised" if task.walked.any() else "factorised"
@@ -175,11 +152,8 @@ def _with_factorised(task: WalkTask, average: Average, sketch: Sketch | None) ->
     total = sum(costs.values())
     spend = Spend(
         lookins=dict.fromkeys(components, float(accuracy.lookins)),
-        share={name: value / total if total > 0 else 0.0 for name, value in costs.items()},
-        way=way,
-        fov_samples=dict.fromkeys(components, int(accuracy.fov_samples)),
-        rounds=1,
-        cost=total,
+        share={name: value / total if total > 0 else 0.0 for name, value in costs.items()}, way=way,
+        fov_samples=dict.fromkeys(components, int(accuracy.fov_samples)), rounds=1, cost=total,
         outcome="sample counts as given",
-    )
+    )  # fmt: skip
     return Estimate(components, parts, stderr, overflow, spend)

@@ -7,16 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats
 from datagen.transport.sampling import mix
 
 SKETCH_SIZE = 4096
 
 
-def standard_error(
-    means: Sequence[NDArray[np.float64]], squares: NDArray[np.float64], replicates: int
-) -> NDArray[np.float64]:
+def standard_error(means: Sequence[Floats], squares: Floats, replicates: int) -> Floats:
     """Standard error of the sum of `means` from the replicates' sum of squares, which it overwrites.
 
     Laser point by laser point, so that no further array of a scan's full size is needed.
@@ -40,7 +38,7 @@ class Sketch:
     def __init__(self, replicates: int) -> None:
         self.folded = np.zeros((replicates, SKETCH_SIZE))
 
-    def add(self, replicate: int, transient: NDArray[np.float64], first: int) -> None:
+    def add(self, replicate: int, transient: Floats, first: int) -> None:
         """Add a piece of a replicate's transient whose first entry has the flat index `first` in the whole."""
         _fold(transient.reshape(-1), first, self.folded[replicate])
 
@@ -63,7 +61,7 @@ class Sketch:
 
 
 @njit(cache=True)
-def _fold(values: NDArray[np.float64], first: int, out: NDArray[np.float64]) -> None:
+def _fold(values: Floats, first: int, out: Floats) -> None:
     for i in range(len(values)):
         if values[i] != 0.0:
             word = mix(np.uint64(first + i), np.uint64(1))

@@ -11,12 +11,13 @@ Every later vertex is where a ray drawn by the BRDF of the one before it lands.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Laser, Scene
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.kernels import light_lookins, random_numbers, scatter
 from datagen.transport.raycast import Hits, Raycaster
@@ -37,11 +38,11 @@ class LaserPoints:
     part : (L,) part index, −1 for none. leg : (L,) metres from the laser.
     """
 
-    position: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    to_laser: NDArray[np.float64]
-    part: NDArray[np.int64]
-    leg: NDArray[np.float64]
+    position: Floats
+    normal: Floats
+    to_laser: Floats
+    part: Ints
+    leg: Floats
 
     @classmethod
     def of(cls, caster: Raycaster, scene: Scene, laser: Laser) -> LaserPoints:
@@ -67,24 +68,24 @@ class Vertices:
     stream : (n,) seed of each path's independent numbers.
     """
 
-    laser: NDArray[np.int64]
-    position: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    to_previous: NDArray[np.float64]
-    part: NDArray[np.int64]
-    power: NDArray[np.float64]
-    path: NDArray[np.float64]
-    choices: NDArray[np.float64]
+    laser: Ints
+    position: Floats
+    normal: Floats
+    to_previous: Floats
+    part: Ints
+    power: Floats
+    path: Floats
+    choices: Floats
     stream: NDArray[np.uint64]
 
     def __len__(self) -> int:
         return len(self.laser)
 
-    def take(self, rows: NDArray[np.int64]) -> Vertices:
+    def take(self, rows: Ints) -> Vertices:
         """Some of them."""
         return Vertices(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
-    def numbers(self, step: int) -> NDArray[np.float64]:
+    def numbers(self, step: int) -> Floats:
         """(n, CHOICES) numbers in 0 … 1 for the choices at step 0 (lookins), 1, 2 …"""
         if (step + 1) * CHOICES <= self.choices.shape[1]:
             return self.choices[:, step * CHOICES : (step + 1) * CHOICES]
@@ -105,10 +106,10 @@ class AreaTarget:
     """
 
     share: float
-    faces: NDArray[np.int64]
-    cumulative: NDArray[np.float64]
+    faces: Ints
+    cumulative: Floats
     area_m2: float
-    contains: NDArray[np.bool_]
+    contains: Bools
 
     @classmethod
     def choose(
@@ -138,49 +139,35 @@ class AreaTarget:
         cumulative = np.cumsum(caster.face_area_m2[faces])
         elsewhere = frequency.sum() - frequency[chosen].sum()
         return cls(
-            share=0.875 if elsewhere < 0.01 else 0.25,
-            faces=faces,
-            cumulative=cumulative / cumulative[-1],
-            area_m2=float(cumulative[-1]),
-            contains=contains,
-        )
+            share=0.875 if elsewhere < 0.01 else 0.25, faces=faces, cumulative=cumulative / cumulative[-1],
+            area_m2=float(cumulative[-1]), contains=contains,
+        )  # fmt: skip
 
 
-def runs_of(lasers: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
+def runs_of(lasers: Ints, size: int) -> list[Ints]:
     """Runs of consecutive laser points, at most `size` in each; a laser ray that met nothing ends a run."""
     runs = np.split(lasers, np.flatnonzero(np.diff(lasers) != 1) + 1)
     return [run[k : k + size] for run in runs for k in range(0, len(run), size)]
 
 
 def laser_point_vertices(
-    points: LaserPoints, lasers: NDArray[np.int64], count: int, streams: Streams, attenuation_per_m: float
+    points: LaserPoints, lasers: Ints, count: int, streams: Streams, attenuation_per_m: float
 ) -> Vertices:
     """The laser points themselves as vertices, `count` copies of each that share the emitted photon."""
     owner = np.repeat(lasers, count)
     return Vertices(
-        laser=owner,
-        position=points.position[owner],
-        normal=points.normal[owner],
-        to_previous=points.to_laser[owner],
-        part=points.part[owner],
-        power=np.exp(-attenuation_per_m * points.leg[owner]) / count,
+        laser=owner, position=points.position[owner], normal=points.normal[owner], to_previous=points.to_laser[owner],
+        part=points.part[owner], power=np.exp(-attenuation_per_m * points.leg[owner]) / count,
         path=np.zeros(len(owner)),
         choices=scrambled_sobol(streams.seeds(LASER_POINT_STREAM, lasers), count, CHOICES).reshape(-1, CHOICES),
         stream=np.zeros(len(owner), np.uint64),
-    )
+    )  # fmt: skip
 
 
 def draw_lookins(
-    caster: Raycaster,
-    scene: Scene,
-    materials: MaterialTable,
-    points: LaserPoints,
-    lasers: NDArray[np.int64],
-    count: int,
-    target: AreaTarget,
-    streams: Streams,
-    steps: int,
-) -> Vertices:
+    caster: Raycaster, scene: Scene, materials: MaterialTable, points: LaserPoints, lasers: Ints, count: int,
+    target: AreaTarget, streams: Streams, steps: int,
+) -> Vertices:  # fmt: skip
     """`count` lookins for each of `lasers` (indices of laser points that exist).
 
     `path` counts from the laser point; `steps` is how many steps of the walk will want Sobol' coordinates.
@@ -215,42 +202,28 @@ def draw_lookins(
     own = np.where(kept < rays, kept % by_ray, by_ray + (kept - rays) % max(by_area, 1))
     power *= np.exp(-scene.attenuation_per_m * (points.leg[owner] + distance))
     return Vertices(
-        laser=owner,
-        position=position[kept],
-        normal=normal,
-        to_previous=to_previous,
-        part=scene.face_part[face[kept]].astype(np.int64),
-        power=power,
-        path=distance,
-        choices=sobol[kept, 2:],
-        stream=streams.seeds(WALK_STREAM, owner, own) if steps > SOBOL_STEPS else _no_stream(owner),
-    )
+        laser=owner, position=position[kept], normal=normal, to_previous=to_previous,
+        part=scene.face_part[face[kept]].astype(np.int64), power=power, path=distance, choices=sobol[kept, 2:],
+        stream=streams.seeds(WALK_STREAM, owner, own) if steps > SOBOL_STEPS else np.zeros(len(owner), np.uint64),
+    )  # fmt: skip
 
 
-def continued(
-    scene: Scene, vertices: Vertices, hits: Hits, directions: NDArray[np.float64], throughput: NDArray[np.float64]
-) -> Vertices:
+def continued(scene: Scene, vertices: Vertices, hits: Hits, directions: Floats, throughput: Floats) -> Vertices:
     """Where each vertex's light goes next: the end of its ray, with the share of power that the BRDF passes on."""
     going = np.flatnonzero(hits.valid & (throughput > 0))
     last = vertices.take(going)
     position = hits.position[going]
     distance = np.linalg.norm(position - last.position, axis=1)
-    return Vertices(
-        laser=last.laser,
-        position=position,
-        normal=hits.normal[going],
-        to_previous=-directions[going],
+    return replace(
+        last, position=position, normal=hits.normal[going], to_previous=-directions[going],
         part=scene.face_part[hits.face[going]].astype(np.int64),
-        power=last.power * throughput[going] * np.exp(-scene.attenuation_per_m * distance),
-        path=last.path + distance,
-        choices=last.choices,
-        stream=last.stream,
-    )
+        power=last.power * throughput[going] * np.exp(-scene.attenuation_per_m * distance), path=last.path + distance,
+    )  # fmt: skip
 
 
 def scattered_rays(
-    caster: Raycaster, materials: MaterialTable, vertices: Vertices, numbers: NDArray[np.float64]
-) -> tuple[Hits, NDArray[np.float64], NDArray[np.float64]]:
+    caster: Raycaster, materials: MaterialTable, vertices: Vertices, numbers: Floats
+) -> tuple[Hits, Floats, Floats]:
     """One ray from each vertex drawn by its BRDF: hits, unit directions (n, 3), throughput f cosθ / pdf (n,)."""
     directions, throughput = scatter(
         materials.kind, materials.values, vertices.part, vertices.normal, vertices.to_previous, numbers[:, 1:3]
@@ -258,25 +231,13 @@ def scattered_rays(
     return caster.leaving(vertices.position, vertices.normal, directions), directions, throughput
 
 
-def _rays(
-    caster: Raycaster,
-    materials: MaterialTable,
-    points: LaserPoints,
-    owner: NDArray[np.int64],
-    uv: NDArray[np.float64],
-) -> Hits:
+def _rays(caster: Raycaster, materials: MaterialTable, points: LaserPoints, owner: Ints, uv: Floats) -> Hits:
     normals = points.normal[owner]
     directions, _ = scatter(materials.kind, materials.values, points.part[owner], normals, points.to_laser[owner], uv)
     return caster.leaving(points.position[owner], normals, directions)
 
 
-def _no_stream(owner: NDArray[np.int64]) -> NDArray[np.uint64]:
-    return np.zeros(len(owner), np.uint64)
-
-
-def _points_on_area(
-    caster: Raycaster, target: AreaTarget, sobol: NDArray[np.float64]
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def _points_on_area(caster: Raycaster, target: AreaTarget, sobol: Floats) -> tuple[NDArray[np.int32], Floats]:
     """Faces (n,) and points (n, 3) uniform on the target's area, from the first two of Sobol' coordinates (n, …)."""
     # The first coordinate picks the triangle and, stretched back to 0 … 1, serves once more within it.
     pick = np.minimum(np.searchsorted(target.cumulative, sobol[:, 0], side="right"), len(target.faces) - 1)

@@ -9,25 +9,18 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.records import Accuracy, Capture, Laser, Scene, Sensor
+from datagen.records.arrays import Bools, Ints
 from datagen.transport import cost
+from datagen.transport import vertices as ends
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.connections import Clock, Receiver, Rows, Tally
 from datagen.transport.cost import Work
 from datagen.transport.fov import FovPool, PixelCones, PixelPatches, fov_pool
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import Streams
-from datagen.transport.vertices import (
-    SOBOL_STEPS,
-    AreaTarget,
-    LaserPoints,
-    continued,
-    draw_lookins,
-    laser_point_vertices,
-    scattered_rays,
-)
+from datagen.transport.vertices import SOBOL_STEPS, AreaTarget, LaserPoints
 from datagen.transport.visibility.clear_sight import ClearSight
 from datagen.units import path_from_time
 
@@ -93,7 +86,7 @@ class Splits:
         """Rows for each laser point and pixel."""
         return self.primary + len(self.others)
 
-    def of_part(self, order: int) -> NDArray[np.int64]:
+    def of_part(self, order: int) -> Ints:
         """(K,) the row of a contribution of `order` bounces that comes from a vertex on each part."""
         name = _component_of(order)
         if name == "primary":
@@ -121,7 +114,7 @@ class WalkTask:
     seed: int
     splits: Splits
     sight: ClearSight
-    walked: NDArray[np.bool_]
+    walked: Bools
     """(K,) parts whose vertices the walk joins to the FoV in fourth-bounce paths; the others are left out, or left to
     the factorised form of `secondary.py`."""
 
@@ -133,14 +126,14 @@ class WalkTask:
             return self.accuracy.max_bounces
         return 4 if "secondary" in asked and self.walked.any() else 3
 
-    def patch_detail(self, pixels: NDArray[np.int64]) -> float:
+    def patch_detail(self, pixels: Ints) -> float:
         """How many details the largest patch of some pixels is across: arrival times vary by the bin, amplitudes by
         some hundredth of the scene."""
         detail_m = min(float(path_from_time(self.capture.time.width_s)), self.caster.half_extent_m / 50)
         return 2 * float(self.patches.radius[pixels].max()) / detail_m
 
 
-def part_of(task: WalkTask, lasers: NDArray[np.int64]) -> WalkTask:
+def part_of(task: WalkTask, lasers: Ints) -> WalkTask:
     """The same task for some of its laser points (confocally, and their pixels), or for several copies of them."""
     points = LaserPoints(**{f.name: getattr(task.points, f.name)[lasers] for f in fields(task.points)})
     sensor, cones, patches, sight = task.capture.sensor, task.cones, task.patches, task.sight
@@ -152,9 +145,7 @@ def part_of(task: WalkTask, lasers: NDArray[np.int64]) -> WalkTask:
     return replace(task, capture=capture, cones=cones, patches=patches, points=points, sight=sight)
 
 
-def trace_chunk(
-    task: WalkTask, chunk: NDArray[np.int64], pool: FovPool, count: int, streams: Streams
-) -> tuple[Tally, Work]:
+def trace_chunk(task: WalkTask, chunk: Ints, pool: FovPool, count: int, streams: Streams) -> tuple[Tally, Work]:
     """The light from a run of consecutive laser points, and the work of finding it.
 
     streams : the random numbers of each of the task's laser points. pool : as many sets of FoV points as the run has
@@ -170,7 +161,7 @@ def trace_chunk(
         connections += count * len(chunk) * per_vertex
     if asked == ("direct",):
         return receiver.tally, Work(rays, connections, receiver.tally.histogram.size)
-    vertices = draw_lookins(
+    vertices = ends.draw_lookins(
         task.caster, task.scene, task.materials, task.points, chunk, count, task.target, streams,
         SOBOL_STEPS + 1 if last is None else last - 2,
     )  # fmt: skip
@@ -191,7 +182,7 @@ def trace_chunk(
         if order == last:
             joined = joined[receiver.near(vertices.take(joined))]
             vertices, numbers, joined = vertices.take(joined), numbers[joined], np.arange(len(joined))
-        hits, directions, throughput = scattered_rays(task.caster, task.materials, vertices, numbers)
+        hits, directions, throughput = ends.scattered_rays(task.caster, task.materials, vertices, numbers)
         rays += len(vertices)
         if len(joined):
             receiver.follow(
@@ -208,25 +199,25 @@ def trace_chunk(
             )
             survival = np.clip(throughput * stays, SURVIVAL_AT_LEAST, 1.0)
             throughput = np.where(numbers[:, 3] < survival, throughput / survival, 0.0)
-        vertices = continued(task.scene, vertices, hits, directions, throughput)
+        vertices = ends.continued(task.scene, vertices, hits, directions, throughput)
         order += 1
     return receiver.tally, Work(rays, connections, receiver.tally.histogram.size, 1 + cost.ORDER_CALL * (order - 3))
 
 
-def _add_direct(task: WalkTask, receiver: Receiver, chunk: NDArray[np.int64], count: int, streams: Streams) -> None:
+def _add_direct(task: WalkTask, receiver: Receiver, chunk: Ints, count: int, streams: Streams) -> None:
     """One bounce: the laser point seen by a pixel. Two: a surface in the FoV that the laser point lights."""
     split_of_part = task.splits.of_part(2)
     receiver.add_laser_points(task.points, chunk, int(split_of_part[0]))
-    vertices = laser_point_vertices(task.points, chunk, count, streams, task.scene.attenuation_per_m)
+    vertices = ends.laser_point_vertices(task.points, chunk, count, streams, task.scene.attenuation_per_m)
     numbers = vertices.numbers(0)
     receiver.connect(vertices, numbers[:, 0], split_of_part)
     near = receiver.near(vertices)
     vertices, numbers = vertices.take(near), numbers[near]
-    hits, directions, throughput = scattered_rays(task.caster, task.materials, vertices, numbers)
+    hits, directions, throughput = ends.scattered_rays(task.caster, task.materials, vertices, numbers)
     receiver.follow(vertices, hits, directions, throughput, split_of_part)
 
 
-def _receiver(task: WalkTask, chunk: NDArray[np.int64], pool: FovPool, streams: Streams) -> Receiver:
+def _receiver(task: WalkTask, chunk: Ints, pool: FovPool, streams: Streams) -> Receiver:
     _, pixels, bins = task.capture.shape
     confocal = task.capture.pairing == "confocal"
     axis = task.capture.time
@@ -243,7 +234,7 @@ def _receiver(task: WalkTask, chunk: NDArray[np.int64], pool: FovPool, streams: 
     )  # fmt: skip
 
 
-def blocks_for(task: WalkTask, pixels: NDArray[np.int64], count: int) -> int:
+def blocks_for(task: WalkTask, pixels: Ints, count: int) -> int:
     """Enough blocks of FoV points for what varies across the pixel, never more than lookins to use them or memory to
     hold them; a power of two, so that they cover the pixel evenly."""
     samples = task.accuracy.fov_samples
@@ -253,7 +244,7 @@ def blocks_for(task: WalkTask, pixels: NDArray[np.int64], count: int) -> int:
     return 1 << max(0, int(min(count, affordable, useful)).bit_length() - 1)
 
 
-def pool_for(task: WalkTask, pixels: NDArray[np.int64], blocks: int, streams: Streams) -> FovPool:
+def pool_for(task: WalkTask, pixels: Ints, blocks: int, streams: Streams) -> FovPool:
     """So many blocks of FoV points for each of `pixels`, which may repeat; `streams` has a row for each."""
     return fov_pool(
         task.caster, task.scene, task.capture.sensor, task.cones, pixels, task.accuracy.fov_samples, blocks,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -15,33 +15,39 @@ from rooms import bins_of_path, demonstration_room, furnished_box, one_point_cap
 from scipy import stats
 from secondary_by_walk import PLACES, RUNS, coarse, walked
 
-from datagen import Capture, Lambertian, Laser, Part, Scene, Sensor
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.errors import InputError
 from datagen.records.materials import Phong
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.factorised import convolution, secondary
 from datagen.transport.factorised.convolution import Histograms, Paths, Sums
-from datagen.transport.fov import PixelCones, PixelPatches, fov_pool
+from datagen.transport.fov import PixelCones, fov_pool
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import Streams, stream_seeds
+from datagen.transport.solver import prepared
 from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
 
 DEVICE = (1.5, 0.1, 1.3)
 
 
-def secondary_of(scene: Scene, capture: Capture, **changes: Any) -> secondary.SecondaryEstimate:
-    settings: dict[str, Any] = {
-        "lookins": 256, "observed": 64, "fov_samples": 32, "replicates": 1, "strongest": None, "seed": 0,
-    } | changes  # fmt: skip
-    caster, cones = Raycaster(scene), PixelCones.of(capture.sensor)
-    points = LaserPoints.of(caster, scene, capture.laser)
-    return secondary.secondary_transient(
-        caster, scene, MaterialTable.of(scene.materials), capture, points, cones,
-        PixelPatches.of(caster, capture.sensor, cones, settings["fov_samples"]), **settings,
-    )  # fmt: skip
+class Found(NamedTuple):
+    mean: NDArray[np.float64]
+    stderr: NDArray[np.float64]
+    overflow: NDArray[np.float64]
 
 
-def energies(estimates: list[secondary.SecondaryEstimate]) -> NDArray[np.float64]:
+def secondary_of(
+    scene: Scene, capture: Capture, seed: int = 0, observed: int = 64, strongest: int | None = None,
+    lookins: int = 256, fov_samples: int = 32, replicates: int = 1, **changes: Any,
+) -> Found:  # fmt: skip
+    kept = "all" if strongest is None else strongest
+    accuracy = Accuracy(lookins, fov_samples, 4, replicates, observed=observed, secondary=kept)
+    task = prepared(scene, capture, accuracy, seed, split_parts=False)
+    got = secondary.secondary_transient(task, observed, **changes)
+    return Found(got.rows[0], got.stderr, got.overflow)
+
+
+def energies(estimates: list[Found]) -> NDArray[np.float64]:
     return np.array([e.mean.sum() + e.overflow.sum() for e in estimates])
 
 
@@ -254,7 +260,7 @@ def test_lookins_by_part_add_up_and_other_materials_are_refused() -> None:
     )
     with pytest.raises(InputError, match=r"gloss.*does not factorise"):
         secondary_of(other, capture)
-    with pytest.raises(InputError, match="strongest = 0"):
+    with pytest.raises(InputError, match="secondary = 0"):
         secondary_of(scene, capture, strongest=0)
 
 

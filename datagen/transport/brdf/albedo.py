@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from datagen.errors import InputError
+from datagen.records.arrays import Floats
 from datagen.records.materials import GGX, Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
 from datagen.transport.brdf import ggx, retroreflector
 from datagen.transport.brdf.table import MaterialTable
@@ -16,7 +17,7 @@ GRAZING = 1e-9
 """Cosine that stands for edge-on incidence where a closed form would divide by it."""
 
 
-def albedo(material: Material, cos_in: ArrayLike, azimuth_rad: ArrayLike = math.pi / 2) -> NDArray[np.float64]:
+def albedo(material: Material, cos_in: ArrayLike, azimuth_rad: ArrayLike = math.pi / 2) -> Floats:
     """Directional-hemispherical reflectance ∫ f cosθ_out dω_out of a material, dimensionless.
 
     Closed forms for Lambertian, OrenNayar (the albedo itself, at every incidence) and SinLobe; for Phong and
@@ -58,14 +59,14 @@ def albedo(material: Material, cos_in: ArrayLike, azimuth_rad: ArrayLike = math.
     return material.albedo * share
 
 
-def _positive_part_over_azimuth(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def _positive_part_over_azimuth(a: Floats, b: Floats) -> Floats:
     """∫ max(a + b cosφ, 0) dφ over a full turn, b ≥ 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         edge = np.arccos(np.clip(np.where(b > 0, -a / b, np.where(a > 0, -1.0, 1.0)), -1.0, 1.0))
     return np.asarray(2 * (a * edge + b * np.sin(edge)))
 
 
-def _phong_lobe(exponent: float, cosine: NDArray[np.float64]) -> NDArray[np.float64]:
+def _phong_lobe(exponent: float, cosine: Floats) -> Floats:
     """(n + 2)/(2π) ∫ cosⁿα cosθ dω, split where part of the lobe begins to dip below the surface."""
     nodes, weights = ggx.unit_gauss(96)
     sine = np.sqrt(1 - cosine**2)
@@ -81,7 +82,7 @@ def _phong_lobe(exponent: float, cosine: NDArray[np.float64]) -> NDArray[np.floa
     return (exponent + 2) / (exponent + 1) / (2 * np.pi) * total
 
 
-def _retro_lobe(half_width_rad: float, cosine: NDArray[np.float64]) -> NDArray[np.float64]:
+def _retro_lobe(half_width_rad: float, cosine: Floats) -> Floats:
     """∫ D min(1, cosθ_out / cosθ_in) dω: the difference of two positive parts."""
     kappa = retroreflector.concentration(half_width_rad)
     cosine = np.maximum(cosine, GRAZING)
@@ -96,7 +97,7 @@ def _retro_lobe(half_width_rad: float, cosine: NDArray[np.float64]) -> NDArray[n
     return total
 
 
-def _ggx(material: GGX, cosine: NDArray[np.float64]) -> NDArray[np.float64]:
+def _ggx(material: GGX, cosine: Floats) -> Floats:
     """Single scattering by quadrature, multiple scattering in closed form of its table."""
     row = MaterialTable.of((material,)).values[0]
     gauss = ggx.unit_gauss(64)

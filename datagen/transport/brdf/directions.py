@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from datagen.records.arrays import Floats
 
 Vector = tuple[float, float, float]
 
@@ -52,7 +53,7 @@ def around(axis: Vector, one_minus_cos: float, revolutions: float) -> Vector:
 
 
 @njit(cache=True)
-def cosine_directions(normals: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def cosine_directions(normals: Floats, points: Floats) -> Floats:
     """(n, 3) directions about (n, 3) normals from (n, ≥ 2) points, of which the first two coordinates are used."""
     out = np.empty((len(points), 3))
     for i in range(len(points)):

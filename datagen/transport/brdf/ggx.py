@@ -18,8 +18,8 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, around, dot, in_frame_of
 
 PANELS = 32
@@ -90,7 +90,7 @@ def _cosine_at(alpha: float, place: float) -> float:
 
 
 @njit(cache=True)
-def tabulated(values: NDArray[np.float64], cosine: float) -> float:
+def tabulated(values: Floats, cosine: float) -> float:
     """E between the nodes: a parabola over each panel."""
     position = place(values[1], cosine)
     panel = min(int(position), PANELS - 1)
@@ -102,7 +102,7 @@ def tabulated(values: NDArray[np.float64], cosine: float) -> float:
 
 
 @njit(cache=True)
-def _multiple_pdf(values: NDArray[np.float64], cos_out: float) -> float:
+def _multiple_pdf(values: Floats, cos_out: float) -> float:
     """Density of the directions drawn for multiple scattering: even in the table's coordinate within each panel."""
     alpha = values[1]
     position = place(alpha, cos_out)
@@ -114,7 +114,7 @@ def _multiple_pdf(values: NDArray[np.float64], cos_out: float) -> float:
 
 
 @njit(cache=True)
-def _multiple_cosine(values: NDArray[np.float64], u: float) -> float:
+def _multiple_cosine(values: Floats, u: float) -> float:
     panel, below = 0, 0.0
     while panel < PANELS - 1 and u >= values[FIRST_SHARE + panel]:
         below = values[FIRST_SHARE + panel]
@@ -131,7 +131,7 @@ def multiple_share(f0: float, mean: float) -> float:
 
 
 @njit(cache=True)
-def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     alpha, f0, mean = values[1], values[2], values[3]
     to_facet, facets = _facet_and_density(alpha, w_in, w_out, cos_in, cos_out)
@@ -142,7 +142,7 @@ def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: f
 
 
 @njit(cache=True)
-def _facet_share(values: NDArray[np.float64], cos_in: float) -> float:
+def _facet_share(values: Floats, cos_in: float) -> float:
     """How often `sample` draws a facet rather than a direction of multiple scattering."""
     f0, once = values[2], tabulated(values, cos_in)
     single = max(_schlick(f0, cos_in), (1.0 + 20.0 * f0) / 21.0) * once
@@ -150,7 +150,7 @@ def _facet_share(values: NDArray[np.float64], cos_in: float) -> float:
 
 
 @njit(cache=True)
-def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     alpha, share = values[1], _facet_share(values, cos_in)
     _, facets = _facet_and_density(alpha, w_in, w_out, cos_in, cos_out)
@@ -159,7 +159,7 @@ def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float,
 
 
 @njit(cache=True)
-def sample(values: NDArray[np.float64], n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
+def sample(values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     share = _facet_share(values, cos_in)
     if u >= share and share < 1.0:
@@ -173,7 +173,7 @@ def sample(values: NDArray[np.float64], n: Vector, w_in: Vector, cos_in: float, 
 
 
 @njit(cache=True)
-def single_albedo(alpha: float, f0: float, cos_in: float, gauss: NDArray[np.float64]) -> float:
+def single_albedo(alpha: float, f0: float, cos_in: float, gauss: Floats) -> float:
     """Directional albedo of single scattering, ∫ F D G₂ / (4 cosθ_in) dω_out, over facets rather than directions.
 
     Facets of slope t = tanθ_h weigh D cosθ_h dω = du dφ/(2π) with u = t²/(α² + t²); the azimuths at which they send
@@ -209,7 +209,7 @@ def single_albedo(alpha: float, f0: float, cos_in: float, gauss: NDArray[np.floa
     return total
 
 
-def unit_gauss(count: int) -> NDArray[np.float64]:
+def unit_gauss(count: int) -> Floats:
     """(2, count): Gauss–Legendre nodes on 0 … 1 and weights that sum to 1."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return np.stack([0.5 * (nodes + 1), 0.5 * weights])

@@ -9,20 +9,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
-import numpy as np
 from numba import njit, types
 from numba.extending import overload
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats
 from datagen.transport.brdf import ggx, oren_nayar, phong, retroreflector, sin_lobe
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
 from datagen.transport.brdf.table import GGX_LOBE, LAMBERTIAN, OREN_NAYAR, PHONG, SIN_LOBE
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
 
 @njit(cache=True, inline="always")
-def evaluate(kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, w_out: Vector) -> float:
+def evaluate(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
     """BRDF in 1/sr for light that comes from `w_in` and leaves along `w_out`; 0 where either is below the surface."""
     cos_in, cos_out = dot(n, w_in), dot(n, w_out)
     if cos_in <= 0.0 or cos_out <= 0.0:
@@ -33,7 +35,7 @@ def evaluate(kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, w_
 
 
 @njit(cache=True, inline="always")
-def pdf(kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, w_out: Vector) -> float:
+def pdf(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
     """Density per solid angle with which `sample` draws `w_out` given `w_in`, 1/sr; 0 below the surface.
 
     The integral over the hemisphere is less than 1 by the share of draws that `sample` loses below the surface.
@@ -47,7 +49,7 @@ def pdf(kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, w_out: 
 
 
 @njit(cache=True)
-def sample(kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, u: float, v: float) -> Vector:
+def sample(kind: int, values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vector:
     """Draw `w_out` with density `pdf` from a point (u, v) of the unit square; it may lie below the surface, where
     `evaluate` is 0."""
     if kind == LAMBERTIAN:
@@ -57,7 +59,7 @@ def sample(kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, u: f
 
 @njit(cache=True)
 def _evaluate_other(
-    kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
+    kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
 ) -> float:
     if kind == SIN_LOBE:
         return sin_lobe.evaluate(values, n, w_in, w_out)
@@ -72,7 +74,7 @@ def _evaluate_other(
 
 @njit(cache=True)
 def _pdf_other(
-    kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
+    kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
 ) -> float:
     # Light edge-on by rounding: nothing is reflected, and `sample` answers likewise.
     if cos_in <= 0.0:
@@ -89,9 +91,7 @@ def _pdf_other(
 
 
 @njit(cache=True)
-def _sample_other(
-    kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, cos_in: float, u: float, v: float
-) -> Vector:
+def _sample_other(kind: int, values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     if cos_in <= 0.0:
         return sample_cosine(n, u, v)
     if kind == SIN_LOBE:
@@ -105,53 +105,19 @@ def _sample_other(
     return retroreflector.sample(values, n, w_in, u, v)
 
 
-def _other_brdf(
-    kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
-) -> float:
-    """`_evaluate_other`, or 0 where `kind` is of the type that says there is no other model."""
-    raise NotImplementedError("compiled code only")
+def _unless_lambertian(answer: Callable[P, R], otherwise: Callable[..., R]) -> Callable[P, R]:
+    """For compiled code: `answer`, or `otherwise` where the type of `kind` says that there is no other model."""
+
+    def chosen(*arguments: P.args, **_: P.kwargs) -> R:
+        raise NotImplementedError("compiled code only")
+
+    @overload(chosen, strict=False)
+    def choose(kind: Any, *arguments: Any) -> Callable[..., Any]:
+        return otherwise if kind == types.uint8 else lambda kind, *arguments: answer(kind, *arguments)  # type: ignore[call-arg]
+
+    return chosen
 
 
-def _other_pdf(
-    kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
-) -> float:
-    raise NotImplementedError("compiled code only")
-
-
-def _other_sample(
-    kind: int, values: NDArray[np.float64], n: Vector, w_in: Vector, cos_in: float, u: float, v: float
-) -> Vector:
-    raise NotImplementedError("compiled code only")
-
-
-def _is_lambertian_type(kind: Any) -> bool:
-    return bool(kind == types.uint8)
-
-
-@overload(_other_brdf, strict=False)
-def _choose_brdf(
-    kind: Any, values: Any, n: Any, w_in: Any, w_out: Any, cos_in: Any, cos_out: Any
-) -> Callable[..., Any]:
-    if _is_lambertian_type(kind):
-        return lambda kind, values, n, w_in, w_out, cos_in, cos_out: 0.0
-    return lambda kind, values, n, w_in, w_out, cos_in, cos_out: _evaluate_other(
-        kind, values, n, w_in, w_out, cos_in, cos_out
-    )
-
-
-@overload(_other_pdf, strict=False)
-def _choose_pdf(
-    kind: Any, values: Any, n: Any, w_in: Any, w_out: Any, cos_in: Any, cos_out: Any
-) -> Callable[..., Any]:
-    if _is_lambertian_type(kind):
-        return lambda kind, values, n, w_in, w_out, cos_in, cos_out: 0.0
-    return lambda kind, values, n, w_in, w_out, cos_in, cos_out: _pdf_other(
-        kind, values, n, w_in, w_out, cos_in, cos_out
-    )
-
-
-@overload(_other_sample, strict=False)
-def _choose_sample(kind: Any, values: Any, n: Any, w_in: Any, cos_in: Any, u: Any, v: Any) -> Callable[..., Any]:
-    if _is_lambertian_type(kind):
-        return lambda kind, values, n, w_in, cos_in, u, v: n
-    return lambda kind, values, n, w_in, cos_in, u, v: _sample_other(kind, values, n, w_in, cos_in, u, v)
+_other_brdf = _unless_lambertian(_evaluate_other, lambda kind, *arguments: 0.0)
+_other_pdf = _unless_lambertian(_pdf_other, lambda kind, *arguments: 0.0)
+_other_sample = _unless_lambertian(_sample_other, lambda kind, values, n, *arguments: n)

@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
 
 LOSS = 0.5 - 2.0 / (3.0 * math.pi)
@@ -40,7 +39,7 @@ def single_albedo(r: float, cosine: float) -> float:
 
 
 @njit(cache=True)
-def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     r = values[1]
     s = dot(w_in, w_out) - cos_in * cos_out
@@ -57,14 +56,14 @@ def _uniform_share(r: float, cos_in: float) -> float:
 
 
 @njit(cache=True)
-def pdf(values: NDArray[np.float64], cos_in: float, cos_out: float) -> float:
+def pdf(values: Floats, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     share = _uniform_share(values[1], cos_in)
     return share / (2.0 * math.pi) + (1.0 - share) * cos_out / math.pi
 
 
 @njit(cache=True)
-def sample(values: NDArray[np.float64], n: Vector, cos_in: float, u: float, v: float) -> Vector:
+def sample(values: Floats, n: Vector, cos_in: float, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     share = _uniform_share(values[1], cos_in)
     if u < share:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
 
 
 @njit(cache=True)
-def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     exponent, specular = values[1], values[2]
     from_mirror = 2.0 * cos_in * cos_out - dot(w_in, w_out)
@@ -21,7 +20,7 @@ def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: f
 
 
 @njit(cache=True)
-def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     exponent, specular = values[1], values[2]
     from_mirror = 2.0 * cos_in * cos_out - dot(w_in, w_out)
@@ -30,7 +29,7 @@ def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float,
 
 
 @njit(cache=True)
-def sample(values: NDArray[np.float64], n: Vector, w_in: Vector, u: float, v: float) -> Vector:
+def sample(values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     exponent, specular = values[1], values[2]
     if u >= specular and specular < 1.0:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, around, sample_cosine
 
 
@@ -26,7 +25,7 @@ def density(kappa: float, w_in: Vector, w_out: Vector) -> float:
 
 
 @njit(cache=True)
-def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     retro = values[2]
     lobe = density(values[1], w_in, w_out) / max(cos_in, cos_out)
@@ -34,14 +33,14 @@ def evaluate(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_in: f
 
 
 @njit(cache=True)
-def pdf(values: NDArray[np.float64], w_in: Vector, w_out: Vector, cos_out: float) -> float:
+def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     retro = values[2]
     return float(retro * density(values[1], w_in, w_out) + (1.0 - retro) * cos_out / math.pi)
 
 
 @njit(cache=True)
-def sample(values: NDArray[np.float64], n: Vector, w_in: Vector, u: float, v: float) -> Vector:
+def sample(values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     kappa, retro = values[1], values[2]
     if u >= retro and retro < 1.0:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
 
 MEAN_SINE = 2.0 / math.pi
@@ -30,20 +29,20 @@ def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
 
 
 @njit(cache=True)
-def evaluate(values: NDArray[np.float64], n: Vector, w_in: Vector, w_out: Vector) -> float:
+def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     axis = (values[1], values[2], values[3])
     return float(0.5 * values[0] * azimuth_sine(axis, n, w_in) * azimuth_sine(axis, n, w_out))
 
 
 @njit(cache=True)
-def pdf(values: NDArray[np.float64], n: Vector, cos_out: float, w_out: Vector) -> float:
+def pdf(values: Floats, n: Vector, cos_out: float, w_out: Vector) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     return 0.5 * cos_out * azimuth_sine((values[1], values[2], values[3]), n, w_out)
 
 
 @njit(cache=True)
-def sample(values: NDArray[np.float64], n: Vector, u: float, v: float) -> Vector:
+def sample(values: Floats, n: Vector, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     axis = (values[1], values[2], values[3])
     along = dot(axis, n)

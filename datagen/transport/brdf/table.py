@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
+from datagen.records.arrays import Floats, Ints
 from datagen.records.materials import GGX, Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
 from datagen.transport.brdf import ggx, oren_nayar, retroreflector
 
@@ -23,8 +24,8 @@ class MaterialTable:
     values : (K, ≥ 4) float64, the albedo first, then what the kind needs.
     """
 
-    kind: NDArray[np.int64] | NDArray[np.uint8]
-    values: NDArray[np.float64]
+    kind: Ints | NDArray[np.uint8]
+    values: Floats
 
     @classmethod
     def of(cls, materials: tuple[Material, ...]) -> MaterialTable:

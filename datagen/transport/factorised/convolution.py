@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.fft
 from numba import njit
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.binning import splat
 
 VALUES_AT_ONCE = 1 << 22
@@ -37,9 +37,9 @@ class Paths(NamedTuple):
     first : (rows + 1,); position : (n,) length in bins; energy : (n,), 0 for a path that something hides.
     """
 
-    first: NDArray[np.int64]
-    position: NDArray[np.float64]
-    energy: NDArray[np.float64]
+    first: Ints
+    position: Floats
+    energy: Floats
 
 
 class Histograms(NamedTuple):
@@ -50,28 +50,28 @@ class Histograms(NamedTuple):
     paths that can reach no bin of the window.
     """
 
-    base: NDArray[np.int64]
-    first: NDArray[np.int64]
-    values: NDArray[np.float64]
-    total: NDArray[np.float64]
-    moment: NDArray[np.float64]
-    outside: NDArray[np.float64]
+    base: Ints
+    first: Ints
+    values: Floats
+    total: Floats
+    moment: Floats
+    outside: Floats
 
 
 class Sums(NamedTuple):
     """transient (L, P, T); overflow, energy (in all) and moment (L, P), as in `Histograms`."""
 
-    transient: NDArray[np.float64]
-    overflow: NDArray[np.float64]
-    energy: NDArray[np.float64]
-    moment: NDArray[np.float64]
+    transient: Floats
+    overflow: Floats
+    energy: Floats
+    moment: Floats
 
     @classmethod
     def zeros(cls, lasers: int, pixels: int, bins: int) -> Sums:
         """Nothing yet."""
         return cls(np.zeros((lasers, pixels, bins)), *(np.zeros((lasers, pixels)) for _ in range(3)))
 
-    def take(self, lasers: NDArray[np.int64]) -> Sums:
+    def take(self, lasers: Ints) -> Sums:
         """A view of some consecutive laser points."""
         rows = slice(lasers[0], lasers[-1] + 1)
         return Sums(*(array[rows] for array in self))
@@ -82,9 +82,7 @@ class Sums(NamedTuple):
 
 
 @njit(cache=True)
-def histograms(
-    paths: Paths, displacement: NDArray[np.float64], low: NDArray[np.int64], high: NDArray[np.int64]
-) -> Histograms:
+def histograms(paths: Paths, displacement: Floats, low: Ints, high: Ints) -> Histograms:
     """Put every path into bin floor(position + displacement); only bins low … high of each row are kept."""
     rows = len(paths.first) - 1
     base, first = np.zeros(rows, np.int64), np.zeros(rows + 1, np.int64)
@@ -114,7 +112,7 @@ def histograms(
 
 
 @njit(cache=True)
-def reachable(outs: Histograms, lookins: int, pixels: int, bins: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def reachable(outs: Histograms, lookins: int, pixels: int, bins: int) -> tuple[Ints, Ints]:
     """(lookins,) first and last arriving bin from which some pixel's leaving histogram reaches the window."""
     low, high = np.full(lookins, np.iinfo(np.int64).max), np.full(lookins, np.iinfo(np.int64).min)
     for b in range(lookins):
@@ -248,7 +246,7 @@ def convolve_spectrally(ins: list[Histograms], outs: Histograms, sums: Sums) -> 
 
 
 @njit(cache=True)
-def _dense(rows: Histograms, start: int, stop: int, base: int, size: int) -> NDArray[np.float64]:
+def _dense(rows: Histograms, start: int, stop: int, base: int, size: int) -> Floats:
     """(size, rows) with every histogram from bin `base` on."""
     out = np.zeros((size, stop - start))
     for r in range(start, stop):
@@ -301,7 +299,7 @@ def double_sum(ins: Paths, outs: Paths, sums: Sums) -> None:
                         sums.overflow[p] += splat(sums.transient[p], position, energy)
 
 
-def take_rows(rows: Histograms, kept: NDArray[np.bool_]) -> Histograms:
+def take_rows(rows: Histograms, kept: Bools) -> Histograms:
     """The rows for which `kept` (rows,) is true."""
     spans = np.diff(rows.first)
     first = np.concatenate([[0], np.cumsum(spans[kept])])

@@ -19,53 +19,27 @@ Scholes & Leach, Sensors 24, 6522 (2024), sec. 4.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.records import Capture, Scene
+from datagen.records.arrays import Bools, Floats, Ints
+from datagen.transport.averages import Average
 from datagen.transport.brdf import LAMBERTIAN, MaterialTable
 from datagen.transport.connections import Clock, Receiver, Rows, Tally
 from datagen.transport.cost import Work, factorised_work
+from datagen.transport.factorised import convolution
 from datagen.transport.factorised import secondary_kernels as kernels
-from datagen.transport.factorised.convolution import (
-    Histograms,
-    Paths,
-    Sums,
-    convolve,
-    double_sum,
-    histograms,
-    keep_strongest,
-    reachable,
-    recentre,
-    take_rows,
-)
+from datagen.transport.factorised import secondary_samples as samples
+from datagen.transport.factorised.convolution import Histograms, Paths, Sums
 from datagen.transport.factorised.secondary_kernels import FovPoints, Frame, LaserVicinity, Lookins, Pace, Surfaces
-from datagen.transport.factorised.secondary_samples import (
-    OBSERVED_STREAM,
-    WALK_STREAM,
-    Placement,
-    SecondaryTask,
-    density_from,
-    fov_points,
-    laser_vicinities,
-    place_lookins,
-)
-from datagen.transport.fov import FovPool, PixelCones, PixelPatches
-from datagen.transport.raycast import Raycaster
+from datagen.transport.factorised.secondary_samples import Placement, SecondaryTask
+from datagen.transport.fov import FovPool
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 from datagen.transport.spread import Sketch, standard_error
-from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, runs_of, scattered_rays
-from datagen.transport.visibility.clearance import (
-    LightBuffer,
-    flat_patch,
-    light_buffer,
-    no_light_buffer,
-    plane_of_faces,
-    pyramids_clear,
-)
+from datagen.transport.vertices import AreaTarget, continued, draw_lookins, runs_of, scattered_rays
+from datagen.transport.visibility import clearance
+from datagen.transport.visibility.clearance import LightBuffer
+from datagen.transport.walk import WalkTask
 from datagen.units import path_from_time
 
 RAYS_PER_CHUNK = 1 << 17
@@ -81,69 +55,38 @@ BUFFERS_AT_MOST = 256
 EVERY_BIN = 1 << 60
 
 
-@dataclass(frozen=True)
-class SecondaryEstimate:
-    """mean, stderr : (L, P, T) photons at the aperture per emitted photon and bin (stderr NaN for one replicate);
-    overflow : (L, P) energy outside the time window. work : what was done."""
-
-    mean: NDArray[np.float64]
-    stderr: NDArray[np.float64]
-    overflow: NDArray[np.float64]
-    work: Work
-
-
-def factorising(materials: MaterialTable) -> NDArray[np.bool_]:
+def factorising(materials: MaterialTable) -> Bools:
     """(K,) the parts whose lookins factorise: where light goes does not depend on where it came from (Lambert)."""
     return np.asarray(materials.kind == LAMBERTIAN)
 
 
 def secondary_transient(
-    caster: Raycaster,
-    scene: Scene,
-    materials: MaterialTable,
-    capture: Capture,
-    points: LaserPoints,
-    cones: PixelCones,
-    patches: PixelPatches,
-    *,
-    lookins: int,
-    observed: int,
-    fov_samples: int,
-    replicates: int,
-    strongest: int | None,
-    seed: int,
-    placement: Placement = "fov",
-    carriers: NDArray[np.bool_] | None = None,
-    plain: bool = False,
-    sketch: Sketch | None = None,
-) -> SecondaryEstimate:
-    """The four-bounce transient, every path from `observed` observed points through `fov_samples` FoV points.
+    task: WalkTask, observed: int, carriers: Bools | None = None, *, placement: Placement = "fov",
+    plain: bool = False, sketch: Sketch | None = None,
+) -> Average:  # fmt: skip
+    """The four-bounce transient, every path from `observed` observed points through all FoV points of a lookin.
 
         L = ∫∫∫ f₁ cosθ₁cosθₒ V/R₁ₒ² · fₒ · cosθₒ′cosθ_b V/Rₒ_b² · (ρ_b/π) cosθ_b′cosθ₄ V/R_b4² · f₄ · A dΩ dA_b dAₒ
 
     Parameters
     ----------
-    lookins : over all replicates. observed : for each lookin. fov_samples : for each lookin and pixel.
-    strongest : None for all paths; k for only the k strongest arriving paths of each lookin (the paper's optimised
-        scheme has k = 1), which leaves out energy: it is biased, and the fewer of its paths the more so.
-    placement : `fov` draws lookins from FoV points, unbiased. `laser` draws them from the laser point as the paper
-        does: biased low, as it misses all paths whose lookin (the third vertex) the laser point does not see, and
-        without bound where lookins far from the laser point are close to the field of view.
+    task : its accuracy gives the lookins, the FoV points for each of them, the replicates, and how many of the
+        strongest arriving paths are kept (the paper's optimised scheme has 1); fewer than all leaves out energy.
+    observed : points for each lookin.
     carriers : (K,) parts that may carry lookins, all of them Lambertian (`factorising`); paths whose lookin lies on
         another part are left out, for another method to add. None: all parts, which then must all be Lambertian.
         The other vertices may have any BRDF.
+    placement : `fov` draws lookins from FoV points, unbiased. `laser` draws them from the laser point as the paper
+        does: biased low, as it misses all paths whose lookin (the third vertex) the laser point does not see, and
+        without bound where lookins far from the laser point are close to the field of view.
     plain : form Eq. 8's double sum as it is written, O(Ñ²), over the very same points: what tests compare with.
     sketch : gets each replicate's transient too, for the correlations between bins.
 
     Raises
     ------
-    InputError : for a lookin's material that does not factorise, or a count under 1.
+    InputError : for a lookin's material that does not factorise.
     """
-    for name, value in (("lookins", lookins), ("observed", observed), ("fov_samples", fov_samples)):
-        if value < 1:
-            raise InputError(f"{name} = {value}: must be an integer ≥ 1")
-    if strongest is not None and strongest < 1:
-        raise InputError(f"strongest = {strongest}: must be an integer ≥ 1, or None for all paths")
+    scene, capture, caster, materials = task.scene, task.capture, task.caster, task.materials
     allowed = np.ones(len(materials.kind), np.bool_) if carriers is None else carriers
     wrong = np.flatnonzero(allowed & ~factorising(materials))
     if len(wrong):
@@ -152,26 +95,29 @@ def secondary_transient(
             "only Lambertian lookins do: follow this part's light by the walk instead"
         )
     axis = capture.time
-    task = SecondaryTask(
-        caster, scene, materials, capture, points, cones, patches, observed, fov_samples, strongest, seed, placement,
-        plain, allowed & (materials.values[:, 0] > 0),
-        Surfaces(caster.corners[:, 0].copy(), caster.face_normal, scene.face_part, materials.kind, materials.values),
-        Pace(
+    own = SecondaryTask(
+        **vars(task), observed=observed, placement=placement, plain=plain,
+        carries=allowed & (materials.values[:, 0] > 0),
+        surfaces=Surfaces(
+            caster.corners[:, 0].copy(), caster.face_normal, scene.face_part, materials.kind, materials.values
+        ),
+        pace=Pace(
             1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s + 0.5,
             float(axis.origin == "source"), scene.attenuation_per_m,
         ),
-        Frame(caster.center, caster.half_extent_m, caster.offset_m), plane_of_faces(caster),
+        frame=Frame(caster.center, caster.half_extent_m, caster.offset_m),
+        face_plane=clearance.plane_of_faces(caster),
     )  # fmt: skip
-    total, squares = np.zeros(capture.shape), np.zeros(capture.shape)
-    overflow = np.zeros(capture.shape[:2])
+    total, squares, overflow = np.zeros(capture.shape), np.zeros(capture.shape), np.zeros(capture.shape[:2])
     sums = Sums.zeros(*capture.shape)
-    replicates = min(replicates, lookins)
+    lookins, fov_samples = task.accuracy.lookins, task.accuracy.fov_samples
+    replicates = min(task.accuracy.replicates, lookins)
     for replicate in range(replicates):
         count = lookins // replicates + (replicate < lookins % replicates)
         for array in sums:
             array.fill(0.0)
-        for lasers, pixels in task.groups():
-            _add_group(task, lasers, pixels, count, replicate, sums.take(lasers))
+        for lasers, pixels in own.groups():
+            _add_group(own, lasers, pixels, count, replicate, sums.take(lasers))
         total += sums.transient
         overflow += sums.overflow
         if sketch is not None:
@@ -179,32 +125,30 @@ def secondary_transient(
         squares += np.square(sums.transient, out=sums.transient)
     total /= replicates
     work = Work(0, 0, total.size * replicates, 0)
-    for lasers, pixels in task.groups():
+    for lasers, pixels in own.groups():
         work += factorised_work(lookins, observed, len(lasers), len(pixels), fov_samples, axis.bins, replicates)
-    return SecondaryEstimate(total, standard_error([total], squares, replicates), overflow / replicates, work)
+    return Average([total], standard_error([total], squares, replicates), overflow / replicates, work)
 
 
-def _add_group(
-    task: SecondaryTask, lasers: NDArray[np.int64], pixels: NDArray[np.int64], count: int, replicate: int, sums: Sums
-) -> None:
+def _add_group(task: SecondaryTask, lasers: Ints, pixels: Ints, count: int, replicate: int, sums: Sums) -> None:
     """Add `count` lookins' worth of paths from `lasers` to `pixels`; `sums` begins with the first of `lasers`."""
-    pool, fov, blocks = fov_points(task, pixels, count, replicate)
+    pool, fov, blocks = samples.fov_points(task, pixels, count, replicate)
     if not fov.share.any():
         return
     patch = None
     if len(task.caster.corners) < 5 * fov.weight.size // blocks:
         used = fov.weight > 0
-        patch = flat_patch(fov.position[used], fov.normal[used], task.caster.offset_m)
-    lookins = place_lookins(task, fov, blocks, lasers, pixels, count, replicate)
-    vicinities = laser_vicinities(task, lasers, count, replicate)
+        patch = clearance.flat_patch(fov.position[used], fov.normal[used], task.caster.offset_m)
+    lookins = samples.place_lookins(task, fov, blocks, lasers, pixels, count, replicate)
+    vicinities = samples.laser_vicinities(task, lasers, count, replicate)
     worth = count * task.observed > max(RAYS_WORTH_A_BUFFER, RAYS_WORTH_A_TRIANGLE * len(task.caster.corners))
     buffers = [
-        light_buffer(task.caster, task.face_plane, vicinity.position, vicinity.normal)
+        clearance.light_buffer(task.caster, task.face_plane, vicinity.position, vicinity.normal)
         if worth and len(lasers) <= BUFFERS_AT_MOST
-        else no_light_buffer()
+        else clearance.no_light_buffer()
         for vicinity in vicinities
     ]
-    seeds = stream_seeds(task.seed, OBSERVED_STREAM, replicate, int(lasers[0]))
+    seeds = stream_seeds(task.seed, samples.OBSERVED_STREAM, replicate, int(lasers[0]))
     base = scrambled_sobol(seeds, task.observed, 2)[0]
     size = max(
         1, RAYS_PER_CHUNK // max(task.observed + max(len(s.lit_part) for s in vicinities), fov.weight.size // blocks)
@@ -212,24 +156,18 @@ def _add_group(
     for start in range(0, len(lookins.part), size):
         chunk = lookins.take(slice(start, start + size))
         _add_lookins(task, fov, patch, chunk, base, count, lasers, vicinities, buffers, sums)
-    recentre(sums)
+    convolution.recentre(sums)
     if vicinities[0].near_square > 0:
         _walk_near(task, lasers, pixels, pool, count, replicate, sums)
 
 
 def _walk_near(
-    task: SecondaryTask,
-    lasers: NDArray[np.int64],
-    pixels: NDArray[np.int64],
-    pool: FovPool,
-    count: int,
-    replicate: int,
-    sums: Sums,
+    task: SecondaryTask, lasers: Ints, pixels: Ints, pool: FovPool, count: int, replicate: int, sums: Sums
 ) -> None:
     """Add the paths whose lookin is near the laser point, by walks from it."""
     bins = sums.transient.shape[2]
     nothing = AreaTarget(0.0, np.empty(0, np.int64), np.empty(0), 1.0, np.zeros(len(task.caster.corners), np.bool_))
-    seed = int(stream_seeds(task.seed, WALK_STREAM)[0])
+    seed = int(stream_seeds(task.seed, samples.WALK_STREAM)[0])
     streams = Streams.of(seed, np.array([replicate]), np.arange(len(task.points.part)))
     splits = np.zeros(len(task.materials.kind), np.int64)
     axis, walks = task.capture.time, WALKS_PER_LOOKIN * count
@@ -243,7 +181,7 @@ def _walk_near(
         device_leg = task.points.leg[run] if axis.origin == "source" else np.full(len(run), -1.0)
         receiver = Receiver(
             task.caster, task.scene, task.materials, task.capture.sensor, pool, task.cones.take(pixels),
-            task.patches.take(pixels), task.fov_samples,
+            task.patches.take(pixels), task.accuracy.fov_samples,
             Clock(task.pace.per_metre, task.pace.start - 0.5, device_leg),
             Rows(int(run[0]), task.capture.pairing == "confocal", len(pixels), 1),
             Tally(np.zeros((len(run) * len(pixels), bins)), np.zeros(len(run) * len(pixels))),
@@ -257,63 +195,53 @@ def _walk_near(
 
 
 def _add_lookins(
-    task: SecondaryTask,
-    fov: FovPoints,
-    patch: NDArray[np.float64] | None,
-    lookins: Lookins,
-    base: NDArray[np.float64],
-    count: int,
-    lasers: NDArray[np.int64],
-    vicinities: list[LaserVicinity],
-    buffers: list[LightBuffer],
-    sums: Sums,
-) -> None:
+    task: SecondaryTask, fov: FovPoints, patch: Floats | None, lookins: Lookins, base: Floats, count: int,
+    lasers: Ints, vicinities: list[LaserVicinity], buffers: list[LightBuffer], sums: Sums,
+) -> None:  # fmt: skip
     leaving_paths, density = _leaving(task, fov, patch, lookins)
     pixels = fov.weight.shape[0]
     displacement = np.repeat(1.0 - lookins.displacement, pixels)
     every = np.full(len(displacement), EVERY_BIN)
-    leaving = histograms(leaving_paths, displacement, -every, every)
+    leaving = convolution.histograms(leaving_paths, displacement, -every, every)
     if task.placement == "laser":
-        density = density_from(vicinities[0], lookins)
+        density = samples.density_from(vicinities[0], lookins)
     alive = (leaving.total.reshape(-1, pixels).sum(axis=1) > 0) & (density > 0)
     if not alive.any():
         return
     if not alive.all() and not task.plain:
         lookins, density = lookins.take(alive), density[alive]
-        leaving = take_rows(leaving, np.repeat(alive, pixels))
+        leaving = convolution.take_rows(leaving, np.repeat(alive, pixels))
     origin, direction = kernels.observing_rays(lookins, base, task.frame)
     face = task.caster.closest_scaled(origin, direction)
-    low, high = reachable(leaving, len(lookins.part), pixels, sums.transient.shape[2])
+    low, high = convolution.reachable(leaving, len(lookins.part), pixels, sums.transient.shape[2])
     arriving: list[Histograms] = []
     for k, (vicinity, buffer) in enumerate(zip(vicinities, buffers, strict=True)):
         paths, rays = kernels.arriving_paths(
             lookins, density * count, face, direction, vicinity, buffer, task.surfaces, task.pace, task.frame
         )
         kernels.drop_hidden(rays, task.caster.occluded_scaled(rays.origin, rays.span), paths.energy)
-        if task.strongest is not None:
-            keep_strongest(paths, task.strongest)
+        if task.accuracy.strongest is not None:
+            convolution.keep_strongest(paths, task.accuracy.strongest)
         if task.plain:
-            double_sum(paths, leaving_paths, sums.of_laser(lasers[k] - lasers[0]))
+            convolution.double_sum(paths, leaving_paths, sums.of_laser(lasers[k] - lasers[0]))
             continue
-        arriving.append(histograms(paths, lookins.displacement, low, high))
+        arriving.append(convolution.histograms(paths, lookins.displacement, low, high))
         # A laser ray that met nothing leaves a gap in the rows.
         ends_run = k + 1 == len(vicinities) or lasers[k + 1] != lasers[k] + 1
         if ends_run or len(arriving) == LASERS_AT_ONCE:
             rows = np.arange(lasers[k] + 1 - len(arriving), lasers[k] + 1) - lasers[0]
-            convolve(arriving, leaving, sums.take(rows))
+            convolution.convolve(arriving, leaving, sums.take(rows))
             arriving = []
 
 
-def _leaving(
-    task: SecondaryTask, fov: FovPoints, patch: NDArray[np.float64] | None, lookins: Lookins
-) -> tuple[Paths, NDArray[np.float64]]:
+def _leaving(task: SecondaryTask, fov: FovPoints, patch: Floats | None, lookins: Lookins) -> tuple[Paths, Floats]:
     """Paths out of the lookins, rows (lookin, pixel), and the density with which each lookin is drawn, per area."""
     clear = np.zeros(len(lookins.part), np.bool_)
     if patch is not None:
         caster = task.caster
-        clear = pyramids_clear(lookins.position, patch, caster.corners, caster.face_normal, caster.offset_m)
+        clear = clearance.pyramids_clear(lookins.position, patch, caster.corners, caster.face_normal, caster.offset_m)
     paths, each, rays = kernels.leaving_paths(
-        lookins, clear, fov, task.fov_samples, task.surfaces, task.pace, task.frame
+        lookins, clear, fov, task.accuracy.fov_samples, task.surfaces, task.pace, task.frame
     )
     hidden = task.caster.occluded_scaled(rays.origin, rays.span)
     kernels.drop_hidden(rays, hidden, paths.energy)

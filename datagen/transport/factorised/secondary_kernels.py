@@ -14,15 +14,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from datagen.transport.brdf import LAMBERTIAN, evaluate, in_frame_of
+from datagen.records.arrays import Bools, Floats, Ints
+from datagen.transport.brdf import LAMBERTIAN, Vector, dot, evaluate, in_frame_of
 from datagen.transport.factorised.convolution import Paths
+from datagen.transport.raycast import lifted_and_scaled
 from datagen.transport.visibility.clearance import LightBuffer, lit_for_certain
 
 
 class Frame(NamedTuple):
     """Embree's unit frame: scaled = (point − center) / half_extent; ray ends are lifted by `offset` metres."""
 
-    center: NDArray[np.float64]
+    center: Floats
     half_extent: float
     offset: float
 
@@ -38,11 +40,11 @@ class Surfaces(NamedTuple):
     kind, values : (K,), (K, n) materials, as in `MaterialTable`.
     """
 
-    corner: NDArray[np.float64]
-    normal: NDArray[np.float64]
+    corner: Floats
+    normal: Floats
     part: NDArray[np.int32]
-    kind: NDArray[np.int64] | NDArray[np.uint8]
-    values: NDArray[np.float64]
+    kind: Ints | NDArray[np.uint8]
+    values: Floats
 
 
 class Pace(NamedTuple):
@@ -74,31 +76,28 @@ class Lookins(NamedTuple):
     shift : (n, 2) of its observed points, in revolutions and in cos²θ.
     """
 
-    position: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    part: NDArray[np.int64]
-    block: NDArray[np.int64]
-    displacement: NDArray[np.float64]
-    shift: NDArray[np.float64]
+    position: Floats
+    normal: Floats
+    part: Ints
+    block: Ints
+    displacement: Floats
+    shift: Floats
 
-    def take(self, rows: slice | NDArray[np.bool_]) -> Lookins:
+    def take(self, rows: slice | Bools) -> Lookins:
         """Some of them."""
-        return Lookins(
-            self.position[rows], self.normal[rows], self.part[rows], self.block[rows], self.displacement[rows],
-            self.shift[rows],
-        )  # fmt: skip
+        return Lookins._make(array[rows] for array in self)
 
 
 class FovPoints(NamedTuple):
     """As in `fov.FovPool`, (P, Q, …); share (P, Q): probability with which a block draws lookins from each point."""
 
-    position: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    to_sensor: NDArray[np.float64]
-    part: NDArray[np.int64]
-    weight: NDArray[np.float64]
-    last_leg: NDArray[np.float64]
-    share: NDArray[np.float64]
+    position: Floats
+    normal: Floats
+    to_sensor: Floats
+    part: Ints
+    weight: Floats
+    last_leg: Floats
+    share: Floats
 
 
 class LaserVicinity(NamedTuple):
@@ -115,16 +114,16 @@ class LaserVicinity(NamedTuple):
     lit_part : (m,) on which parts.
     """
 
-    position: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    to_laser: NDArray[np.float64]
+    position: Floats
+    normal: Floats
+    to_laser: Floats
     part: int
     leg: float
     rays: int
     near_square: float
-    lit_position: NDArray[np.float64]
-    lit_normal: NDArray[np.float64]
-    lit_part: NDArray[np.int64]
+    lit_position: Floats
+    lit_normal: Floats
+    lit_part: Ints
 
 
 class Rays(NamedTuple):
@@ -132,7 +131,7 @@ class Rays(NamedTuple):
 
     origin: NDArray[np.float32]
     span: NDArray[np.float32]
-    path: NDArray[np.int64]
+    path: Ints
 
 
 @njit(cache=True)
@@ -141,20 +140,20 @@ def _vector(a, i):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
-    """Point p, lifted along n, in embree's frame; scale : its centre and half extent."""
-    return (
-        np.float32((p[0] + offset * n[0] - scale[0]) / scale[3]),
-        np.float32((p[1] + offset * n[1] - scale[1]) / scale[3]),
-        np.float32((p[2] + offset * n[2] - scale[2]) / scale[3]),
-    )
+def _send(rays, number, at, to, path):  # type: ignore[no-untyped-def]
+    """Note the ray `number` from `at` to `to` for the given path."""
+    origin, span, path_of = rays
+    for axis in range(3):
+        origin[number, axis] = at[axis]
+        span[number, axis] = to[axis] - at[axis]
+    path_of[number] = path
 
 
 @njit(cache=True)
 def leaving_paths(
-    lookins: Lookins, clear: NDArray[np.bool_], fov: FovPoints, points: int, surfaces: Surfaces, pace: Pace,
+    lookins: Lookins, clear: Bools, fov: FovPoints, points: int, surfaces: Surfaces, pace: Pace,
     frame: Frame,
-) -> tuple[Paths, NDArray[np.float64], Rays]:  # fmt: skip
+) -> tuple[Paths, Floats, Rays]:  # fmt: skip
     """Paths from each lookin through its block of `points` FoV points into the aperture, rows (lookin, pixel).
 
     With them the density, per area at the lookin, with which each FoV point draws it. Hidden ones are still in.
@@ -175,7 +174,7 @@ def leaving_paths(
     found, sent = 0, 0
     for n in range(count):
         b, normal_b = _vector(lookins.position, n), _vector(lookins.normal, n)
-        at = _scaled(b, normal_b, offset, scale)
+        at = lifted_and_scaled(b, normal_b, offset, scale)
         for p in range(pixels):
             for q in range(lookins.block[n] * points, (lookins.block[n] + 1) * points):
                 if weight[p, q] == 0.0:
@@ -183,10 +182,10 @@ def leaving_paths(
                 x = (fov_position[p, q, 0], fov_position[p, q, 1], fov_position[p, q, 2])
                 normal_4 = (fov_normal[p, q, 0], fov_normal[p, q, 1], fov_normal[p, q, 2])
                 u = _difference(x, b)
-                cos_b, cos_4 = _product(u, normal_b), -_product(u, normal_4)
+                cos_b, cos_4 = dot(u, normal_b), -dot(u, normal_4)
                 if cos_b <= 0.0 or cos_4 <= 0.0:
                     continue
-                square = _product(u, u)
+                square = dot(u, u)
                 distance = math.sqrt(square)
                 form = cos_b * cos_4 / (square * square)
                 part = fov_part[p, q]
@@ -202,11 +201,7 @@ def leaving_paths(
                 density[found] = share[p, q] * form / math.pi
                 position[found] = (distance + device_legs * last_leg[p, q]) * per_metre - start
                 if not clear[n]:
-                    to = _scaled(x, normal_4, offset, scale)
-                    for axis in range(3):
-                        origin[sent, axis] = at[axis]
-                        span[sent, axis] = to[axis] - at[axis]
-                    path[sent] = found
+                    _send((origin, span, path), sent, at, lifted_and_scaled(x, normal_4, offset, scale), found)
                     sent += 1
                 found += 1
             first[n * pixels + p + 1] = found
@@ -215,7 +210,7 @@ def leaving_paths(
 
 
 @njit(cache=True)
-def drop_hidden(rays: Rays, hidden: NDArray[np.bool_], values: NDArray[np.float64]) -> None:
+def drop_hidden(rays: Rays, hidden: Bools, values: Floats) -> None:
     """Clear the values of paths whose ray is hidden."""
     for k in range(len(rays.path)):
         if hidden[k]:
@@ -223,7 +218,7 @@ def drop_hidden(rays: Rays, hidden: NDArray[np.bool_], values: NDArray[np.float6
 
 
 @njit(cache=True)
-def sum_rows(first: NDArray[np.int64], values: NDArray[np.float64], rows_together: int) -> NDArray[np.float64]:
+def sum_rows(first: Ints, values: Floats, rows_together: int) -> Floats:
     """Sum of `values` over each run of `rows_together` rows."""
     out = np.zeros((len(first) - 1) // rows_together)
     for r in range(len(out)):
@@ -233,9 +228,7 @@ def sum_rows(first: NDArray[np.int64], values: NDArray[np.float64], rows_togethe
 
 
 @njit(cache=True)
-def observing_rays(
-    lookins: Lookins, points: NDArray[np.float64], frame: Frame
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def observing_rays(lookins: Lookins, points: Floats, frame: Frame) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Origins and directions (n · Ñ, 3) of cosine rays from each lookin through its own shift of `points` (Ñ, 2).
 
     A shift on the unit torus keeps each point uniform, and the first coordinate, being an angle, closes upon itself.
@@ -246,7 +239,7 @@ def observing_rays(
     scale = (frame.center[0], frame.center[1], frame.center[2], frame.half_extent)
     for n in range(count):
         normal = _vector(lookins.normal, n)
-        lifted = _scaled(_vector(lookins.position, n), normal, frame.offset, scale)
+        lifted = lifted_and_scaled(_vector(lookins.position, n), normal, frame.offset, scale)
         along, across = in_frame_of(normal, 1.0, 0.0, 0.0), in_frame_of(normal, 0.0, 1.0, 0.0)
         c, s = math.cos(2 * math.pi * lookins.shift[n, 0]), math.sin(2 * math.pi * lookins.shift[n, 0])
         for k in range(size):
@@ -267,7 +260,7 @@ def _scattering(u, v, normal_1, to_laser, part_1, normal_o, part_o, kind, values
     """f₁ · fₒ of light that travels u from the laser point to o and v on from there."""
     if kind[part_1] == LAMBERTIAN and kind[part_o] == LAMBERTIAN:
         return values[part_1, 0] * values[part_o, 0] / (math.pi * math.pi)
-    r1, rb = math.sqrt(_product(u, u)), math.sqrt(_product(v, v))
+    r1, rb = math.sqrt(dot(u, u)), math.sqrt(dot(v, v))
     onward = (u[0] / r1, u[1] / r1, u[2] / r1)
     back = (-onward[0], -onward[1], -onward[2])
     f1 = evaluate(kind[part_1], values[part_1], normal_1, to_laser, onward)
@@ -275,12 +268,7 @@ def _scattering(u, v, normal_1, to_laser, part_1, normal_o, part_o, kind, values
 
 
 @njit(cache=True)
-def _product(a, b):  # type: ignore[no-untyped-def]
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(cache=True)
-def _difference(a, b):  # type: ignore[no-untyped-def]
+def _difference(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
@@ -292,11 +280,11 @@ def _weight(u, v, normal_1, normal_o, normal_b, samples, near_square):  # type: 
     Expected are Ñ density form_b/π, and rays · density form₁/π where o is near the laser point. Numerator and
     denominator are multiplied by R₁ₒ⁴ Rₒ_b⁴.
     """
-    cos_1, cos_o = _product(u, normal_1), -_product(u, normal_o)
-    cos_o_out, cos_b = _product(v, normal_o), -_product(v, normal_b)
+    cos_1, cos_o = dot(u, normal_1), -dot(u, normal_o)
+    cos_o_out, cos_b = dot(v, normal_o), -dot(v, normal_b)
     if cos_1 <= 0.0 or cos_o <= 0.0 or cos_o_out <= 0.0 or cos_b <= 0.0:
         return 0.0
-    square_1, square_b = _product(u, u), _product(v, v)
+    square_1, square_b = dot(u, u), dot(v, v)
     pair_1, pair_b = cos_1 * cos_o, cos_o_out * cos_b
     expected = samples[0] * pair_b * square_1 * square_1
     if square_1 < near_square:
@@ -306,7 +294,7 @@ def _weight(u, v, normal_1, normal_o, normal_b, samples, near_square):  # type: 
 
 @njit(cache=True)
 def arriving_paths(
-    lookins: Lookins, density: NDArray[np.float64], face: NDArray[np.int32], direction: NDArray[np.float32],
+    lookins: Lookins, density: Floats, face: NDArray[np.int32], direction: NDArray[np.float32],
     vicinity: LaserVicinity, buffer: LightBuffer, surfaces: Surfaces, pace: Pace, frame: Frame,
 ) -> tuple[Paths, Rays]:  # fmt: skip
     """Paths from one laser point through its observed points, and through the lit points near it, into each lookin.
@@ -336,17 +324,17 @@ def arriving_paths(
     counted_leg = pace.device_legs * leg
     center, half_extent, offset = frame.center, frame.half_extent, frame.offset
     scale = (center[0], center[1], center[2], half_extent)
-    from_1 = _scaled(x1, n1, offset, scale)
+    from_1 = lifted_and_scaled(x1, n1, offset, scale)
     found, sent = 0, 0
     for n in range(count):
         b, normal_b = _vector(lookins.position, n), _vector(lookins.normal, n)
         apart = _difference(b, x1)
-        if _product(apart, apart) < near_square:
+        if dot(apart, apart) < near_square:
             first[n + 1] = found
             continue
         samples = (density[n] * observed, density[n] * rays)
         albedo = values[lookins.part[n], 0] / math.pi
-        from_b = _scaled(b, normal_b, offset, scale)
+        from_b = lifted_and_scaled(b, normal_b, offset, scale)
         start = (b[0] + offset * normal_b[0], b[1] + offset * normal_b[1], b[2] + offset * normal_b[2])
         for k in range(observed + lit):
             if k < observed:
@@ -356,10 +344,10 @@ def arriving_paths(
                     continue
                 w = (float(direction[i, 0]), float(direction[i, 1]), float(direction[i, 2]))
                 normal_o = _vector(face_normal, f)
-                approach = _product(w, normal_o)
+                approach = dot(w, normal_o)
                 if approach == 0.0:
                     continue
-                distance = _product(_difference(_vector(corner, f), start), normal_o) / approach
+                distance = dot(_difference(_vector(corner, f), start), normal_o) / approach
                 if not 0.0 < distance < math.inf:
                     continue
                 o = (start[0] + distance * w[0], start[1] + distance * w[1], start[2] + distance * w[2])
@@ -376,16 +364,13 @@ def arriving_paths(
             value *= albedo * _scattering(u, v, n1, to_laser, part_1, normal_o, part_o, kind, values)
             if value <= 0.0:
                 continue
-            length = math.sqrt(_product(u, u)) + math.sqrt(_product(v, v))
+            length = math.sqrt(dot(u, u)) + math.sqrt(dot(v, v))
             if attenuation > 0.0:
                 value *= math.exp(-attenuation * (leg + length))
             energy[found], position[found] = value, (length + counted_leg) * per_metre
             if k >= observed or not lit_for_certain(cells, face_plane, f, u[0], u[1], u[2]):
-                at, to = from_1 if k < observed else from_b, _scaled(o, normal_o, offset, scale)
-                for axis in range(3):
-                    origin[sent, axis] = at[axis]
-                    span[sent, axis] = to[axis] - at[axis]
-                path[sent] = found
+                at, to = from_1 if k < observed else from_b, lifted_and_scaled(o, normal_o, offset, scale)
+                _send((origin, span, path), sent, at, to, found)
                 sent += 1
             found += 1
         first[n + 1] = found

@@ -8,13 +8,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.records import Capture, Scene
-from datagen.transport.brdf import MaterialTable, cosine_directions
+from datagen.records.arrays import Bools, Floats, Ints
+from datagen.transport.brdf import cosine_directions
 from datagen.transport.factorised.secondary_kernels import FovPoints, Frame, LaserVicinity, Lookins, Pace, Surfaces
-from datagen.transport.fov import FovPool, PixelCones, PixelPatches, fov_pool
-from datagen.transport.raycast import Raycaster
+from datagen.transport.fov import FovPool, fov_pool
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
-from datagen.transport.vertices import LaserPoints
+from datagen.transport.walk import WalkTask
 
 FOV_STREAM, LOOKIN_STREAM, OBSERVED_STREAM, LIT_STREAM, WALK_STREAM = range(32, 37)
 FOV_POINTS_PER_POOL = 1 << 16
@@ -27,29 +26,19 @@ Placement = Literal["fov", "laser"]
 
 
 @dataclass(frozen=True)
-class SecondaryTask:
-    """A secondary to compute: what is looked at, sample counts, and the scene as the kernels want it."""
+class SecondaryTask(WalkTask):
+    """A secondary to compute: what is looked at, and the scene as the kernels want it."""
 
-    caster: Raycaster
-    scene: Scene
-    materials: MaterialTable
-    capture: Capture
-    points: LaserPoints
-    cones: PixelCones
-    patches: PixelPatches
     observed: int
-    fov_samples: int
-    strongest: int | None
-    seed: int
     placement: Placement
     plain: bool
-    carries: NDArray[np.bool_]
+    carries: Bools
     surfaces: Surfaces
     pace: Pace
     frame: Frame
     face_plane: NDArray[np.int32]
 
-    def groups(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    def groups(self) -> list[tuple[Ints, Ints]]:
         """Runs of laser points that share their lookins, with the pixels they are seen by."""
         existing = np.flatnonzero(self.points.part >= 0)
         pixels = np.arange(len(self.capture.sensor.pixels))
@@ -62,35 +51,27 @@ class SecondaryTask:
     @property
     def near_square(self) -> float:
         """Square of the distance that is near a laser point, m²; nothing is where the scheme is the paper's own."""
-        own = self.placement == "laser" or self.strongest is not None
+        own = self.placement == "laser" or self.accuracy.strongest is not None
         return 0.0 if own else (NEAR * self.caster.half_extent_m) ** 2
 
 
-def fov_points(
-    task: SecondaryTask, pixels: NDArray[np.int64], count: int, replicate: int
-) -> tuple[FovPool, FovPoints, int]:
+def fov_points(task: SecondaryTask, pixels: Ints, count: int, replicate: int) -> tuple[FovPool, FovPoints, int]:
     """Blocks of FoV points (their number a power of two, so that they cover the pixel evenly) and how many."""
-    affordable = FOV_POINTS_PER_POOL // (len(pixels) * task.fov_samples)
+    affordable = FOV_POINTS_PER_POOL // (len(pixels) * task.accuracy.fov_samples)
     blocks = 1 << max(0, min(count, affordable).bit_length() - 1)
     pool = fov_pool(
-        task.caster, task.scene, task.capture.sensor, task.cones, pixels, task.fov_samples, blocks,
+        task.caster, task.scene, task.capture.sensor, task.cones, pixels, task.accuracy.fov_samples, blocks,
         stream_seeds(task.seed, FOV_STREAM, replicate, pixels),
     )  # fmt: skip
     worth = np.where(pool.weight > 0, pool.weight * task.materials.values[pool.part, 0], 0.0)
     of_block = worth.reshape(len(pixels), blocks, -1).sum(axis=(0, 2))
-    share = worth / np.where(of_block > 0, of_block, 1.0).repeat(task.fov_samples)
+    share = worth / np.where(of_block > 0, of_block, 1.0).repeat(task.accuracy.fov_samples)
     arrays = pool.position, pool.normal, pool.to_sensor, pool.part, pool.weight, pool.last_leg
     return pool, FovPoints(*arrays, share), blocks
 
 
 def place_lookins(
-    task: SecondaryTask,
-    fov: FovPoints,
-    blocks: int,
-    lasers: NDArray[np.int64],
-    pixels: NDArray[np.int64],
-    count: int,
-    replicate: int,
+    task: SecondaryTask, fov: FovPoints, blocks: int, lasers: Ints, pixels: Ints, count: int, replicate: int
 ) -> Lookins:
     """Lookins by cosine rays from FoV points, or from the laser point; those that cannot carry light are left out."""
     sobol = scrambled_sobol(stream_seeds(task.seed, LOOKIN_STREAM, replicate, int(lasers[0])), count, 6)[0]
@@ -103,12 +84,12 @@ def place_lookins(
     else:
         share = fov.share.reshape(len(pixels), blocks, -1).transpose(1, 0, 2).reshape(blocks, -1)
         running = np.cumsum(share, axis=1)
-        drawn = running[block, -1] > 0
+        drawn, points = running[block, -1] > 0, task.accuracy.fov_samples
         # One search serves all blocks: block k's running shares fill k … k + 1.
         shares = (running / np.where(running[:, -1:] > 0, running[:, -1:], 1.0) + np.arange(blocks)[:, None]).ravel()
         pick = np.searchsorted(shares, block + np.clip(scaled - block, 0.0, 1.0), side="left")
         pick = np.clip(pick - block * share.shape[1], 0, share.shape[1] - 1)
-        pixel, point = pick // task.fov_samples, block * task.fov_samples + pick % task.fov_samples
+        pixel, point = pick // points, block * points + pick % points
         position, normal = fov.position[pixel, point], fov.normal[pixel, point]
     hits = task.caster.closest(position + task.caster.offset_m * normal, cosine_directions(normal, sobol[:, 1:3]))
     part = np.where(hits.valid, task.scene.face_part[hits.face], 0).astype(np.int64)
@@ -116,9 +97,7 @@ def place_lookins(
     return Lookins(hits.position[kept], hits.normal[kept], part[kept], block[kept], sobol[kept, 3], sobol[kept, 4:])
 
 
-def laser_vicinities(
-    task: SecondaryTask, lasers: NDArray[np.int64], count: int, replicate: int
-) -> list[LaserVicinity]:
+def laser_vicinities(task: SecondaryTask, lasers: Ints, count: int, replicate: int) -> list[LaserVicinity]:
     """The laser points, with where cosine rays from each land near it."""
     rays = int(np.ceil(max(count, task.observed) * RAYS_FROM_LASER_POINT)) if task.near_square > 0 else 0
     uv = scrambled_sobol(stream_seeds(task.seed, LIT_STREAM, replicate, lasers), rays, 2).reshape(-1, 2)
@@ -130,24 +109,16 @@ def laser_vicinities(
     vicinities = []
     for k, laser in enumerate(lasers):
         near = np.flatnonzero(is_lit[k * rays : (k + 1) * rays]) + k * rays
-        vicinities.append(
-            LaserVicinity(
-                task.points.position[laser],
-                task.points.normal[laser],
-                task.points.to_laser[laser],
-                int(task.points.part[laser]),
-                float(task.points.leg[laser]),
-                rays,
-                task.near_square,
-                hits.position[near],
-                hits.normal[near],
-                part[near],
-            )
-        )
+        vicinity = LaserVicinity(
+            task.points.position[laser], task.points.normal[laser], task.points.to_laser[laser],
+            int(task.points.part[laser]), float(task.points.leg[laser]), rays, task.near_square, hits.position[near],
+            hits.normal[near], part[near],
+        )  # fmt: skip
+        vicinities.append(vicinity)
     return vicinities
 
 
-def density_from(vicinity: LaserVicinity, lookins: Lookins) -> NDArray[np.float64]:
+def density_from(vicinity: LaserVicinity, lookins: Lookins) -> Floats:
     """Density per area with which cosine rays from the laser point meet each lookin."""
     u = lookins.position - vicinity.position
     cosines = (u @ vicinity.normal) * -np.einsum("nk,nk->n", u, lookins.normal)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.records import Spend
+from datagen.records.arrays import Floats
 from datagen.transport.averages import Estimate, split_rows
 from datagen.transport.target.allocation import REPLICATES, Allotment, next_allotments, one_more
-from datagen.transport.target.confidence import Scatter, bound_factor, total_variance
+from datagen.transport.target.confidence import bound_factor, total_variance
 from datagen.transport.target.strata import Stratum, square_norm
 from datagen.transport.target.strategies import Seeds, first_rounds
 from datagen.transport.walk import WalkTask
@@ -47,7 +47,7 @@ def meet_target(task: WalkTask) -> Estimate:
     budget = float(task.accuracy.max_lookins) * lasers
     bound, outcome, rounds = np.inf, "", 1
     while not outcome:
-        variance, factor = _uncertainty(strata)
+        variance, factor, factor_to_come = _uncertainty(strata)
         seen = square_norm(strata)
         if seen == 0.0:
             bound = 0.0
@@ -62,7 +62,7 @@ def meet_target(task: WalkTask) -> Estimate:
             allotments = one_more(strata, once)
         elif bound > target and rounds < ROUNDS_AT_MOST:
             spent = sum(float(s.weight.sum()) * s.rays_per_lookin for s in strata)
-            allotments = next_allotments(strata, MARGIN * target**2 * truth / _factor_to_come(strata), budget - spent)
+            allotments = next_allotments(strata, MARGIN * target**2 * truth / factor_to_come, budget - spent)
         if allotments is None:
             outcome = "target met" if bound <= target else f"target not met in {rounds} rounds within max_lookins"
             break
@@ -73,22 +73,13 @@ def meet_target(task: WalkTask) -> Estimate:
     return _estimate(task, strata, tried, rounds, bound, outcome)
 
 
-def _uncertainty(strata: list[Stratum]) -> tuple[float, float]:
-    """The variance of the whole transient, summed over all bins, and what bounds the squared error when multiplied
-    with it."""
-    scatters = [
-        Scatter(one.variance * stratum.excess, one.freedom, one.replicates)
-        for stratum in strata
-        for one in stratum.scatters()
-    ]
-    return total_variance(scatters), bound_factor(scatters)
-
-
-def _factor_to_come(strata: list[Stratum]) -> float:
-    """The bound's factor after one more round, which makes the variance better known."""
-    return bound_factor(
-        [replace(one, replicates=2 * one.replicates) for stratum in strata for one in stratum.scatters()]
-    )
+def _uncertainty(strata: list[Stratum]) -> tuple[float, float, float]:
+    """The variance of the whole transient, summed over all bins, what bounds the squared error when multiplied with
+    it, and that factor after one more round, which makes the variance better known."""
+    kept = [(one, stratum.excess) for stratum in strata for one in stratum.scatters()]
+    scatters = [replace(one, variance=one.variance * excess) for one, excess in kept]
+    doubled = [replace(one, replicates=2 * one.replicates) for one, _ in kept]
+    return total_variance(scatters), bound_factor(scatters), bound_factor(doubled)
 
 
 def _seen_once(strata: list[Stratum]) -> list[int]:
@@ -119,8 +110,8 @@ def _search(strata: list[Stratum], seeds: Seeds, budget: float) -> str:
 def _estimate(
     task: WalkTask, strata: list[Stratum], tried: float, rounds: int, bound: float, outcome: str
 ) -> Estimate:
-    components: dict[str, NDArray[np.float64]] = {}
-    parts: dict[str, NDArray[np.float64]] = {}
+    components: dict[str, Floats] = {}
+    parts: dict[str, Floats] = {}
     variance, overflow = np.zeros(task.capture.shape), np.zeros(task.capture.shape[:2])
     lookins: dict[str, float] = {}
     costs: dict[str, float] = {}
@@ -142,14 +133,10 @@ def _estimate(
     total = sum(costs.values())
     asked = task.splits.components
     spend = Spend(
-        lookins={name: lookins[name] for name in asked},
-        share={name: costs[name] / total for name in asked},
-        way={name: ways[name] for name in asked},
-        fov_samples={name: points[name] for name in asked},
-        rounds=rounds,
-        cost=total + tried,
-        outcome=outcome,
-    )
+        lookins={name: lookins[name] for name in asked}, share={name: costs[name] / total for name in asked},
+        way={name: ways[name] for name in asked}, fov_samples={name: points[name] for name in asked}, rounds=rounds,
+        cost=total + tried, outcome=outcome,
+    )  # fmt: skip
     target = task.accuracy.target
     ordered = {name: components[name] for name in asked}
     return Estimate(ordered, parts, np.sqrt(variance), overflow, spend, bound, target is not None and bound <= target)

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.target.confidence import total_variance
 from datagen.transport.target.strata import Stratum
 
@@ -34,7 +34,7 @@ TOO_FEW = 0.05
 class Allotment:
     """Lookins for each laser point (L,) in each of so many replicates; nothing where all are 0."""
 
-    points: NDArray[np.int64]
+    points: Ints
     replicates: int
 
     @property
@@ -43,7 +43,7 @@ class Allotment:
         return float(self.points.sum()) * self.replicates
 
 
-def levels(stratum: Stratum) -> NDArray[np.float64]:
+def levels(stratum: Stratum) -> Floats:
     """(L,) share of lookins of each laser point, a power of two, relative to the mean; 1 where it is not worth it."""
     even = np.ones(len(stratum.weight))
     seen = stratum.task.points.part >= 0
@@ -62,7 +62,7 @@ def _per_lookin(stratum: Stratum) -> float:
     return float(np.sqrt(stratum.scale * stratum.points)[seen].mean())
 
 
-def _allotment_up_to(stratum: Stratum, level: NDArray[np.float64], base: float) -> Allotment:
+def _allotment_up_to(stratum: Stratum, level: Floats, base: float) -> Allotment:
     """The allotment that brings a stratum to about `base` lookins a laser point (of level 1) in all."""
     new = base - float((stratum.weight / level).mean())
     if new <= TOO_FEW * float(stratum.weight.mean()) or new <= 0:
@@ -86,13 +86,6 @@ def _predicted_variance(stratum: Stratum, allotment: Allotment) -> float:
     return stratum.excess * float(((old + new**2 * fresh) / (weight + new) ** 2).sum())
 
 
-def _cost_of(strata: Sequence[Stratum], allotments: Sequence[Allotment]) -> float:
-    return sum(
-        stratum.growing * allotment.lookins + stratum.standing * allotment.replicates * (allotment.lookins > 0)
-        for stratum, allotment in zip(strata, allotments, strict=True)
-    )
-
-
 def next_allotments(strata: Sequence[Stratum], goal: float, lookins_left: float) -> list[Allotment] | None:
     """The cheapest allotments predicted to bring the variance down to `goal`, or as far towards it as a round may go;
     None where the lookins that are left allow nothing.
@@ -113,8 +106,12 @@ def next_allotments(strata: Sequence[Stratum], goal: float, lookins_left: float)
         return sum(_predicted_variance(*of) for of in zip(strata, allotments, strict=True)) <= goal
 
     def too_much(allotments: list[Allotment]) -> bool:
+        cost = sum(
+            s.growing * o.lookins + s.standing * o.replicates * (o.lookins > 0)
+            for s, o in zip(strata, allotments, strict=True)
+        )
         rays = sum(s.rays_per_lookin * o.lookins for s, o in zip(strata, allotments, strict=True))
-        return _cost_of(strata, allotments) > GROWTH * spent or rays > lookins_left
+        return cost > GROWTH * spent or rays > lookins_left
 
     if not any(worth):
         return None

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.averages import Average, walk_average
 from datagen.transport.cost import Work
 from datagen.transport.factorised.secondary import secondary_transient
@@ -33,8 +33,8 @@ class Round:
     freedom, replicates : as in `Scatter`.
     """
 
-    weight: NDArray[np.float64]
-    variance: NDArray[np.float64]
+    weight: Floats
+    variance: Floats
     freedom: float
     replicates: int
 
@@ -63,13 +63,13 @@ class Stratum:
 
     task: WalkTask
     observed: int | None = None
-    carriers: NDArray[np.bool_] | None = None
-    rows: list[NDArray[np.float64]] = field(init=False)
-    variance: NDArray[np.float64] = field(init=False)
-    overflow: NDArray[np.float64] = field(init=False)
-    weight: NDArray[np.float64] = field(init=False)
-    scale: NDArray[np.float64] = field(init=False)
-    points: NDArray[np.float64] = field(init=False)
+    carriers: Bools | None = None
+    rows: list[Floats] = field(init=False)
+    variance: Floats = field(init=False)
+    overflow: Floats = field(init=False)
+    weight: Floats = field(init=False)
+    scale: Floats = field(init=False)
+    points: Floats = field(init=False)
     rounds: list[Round] = field(default_factory=list)
     work: Work = field(default_factory=lambda: Work(calls=0))
     replicates: int = 0
@@ -107,7 +107,7 @@ class Stratum:
         """Cost of one replicate, whatever its lookins."""
         return self.work.standing / max(self.replicates, 1)
 
-    def mean(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mean(self, row: Floats) -> Floats:
         """A sum over rounds (L, …) as their weighted mean."""
         return row / np.maximum(self.weight, 1.0).reshape(-1, *(1,) * (row.ndim - 1))
 
@@ -119,7 +119,7 @@ class Stratum:
             for one in self.rounds
         ]
 
-    def sample(self, points: NDArray[np.int64], replicates: int, seeds: list[int]) -> None:
+    def sample(self, points: Ints, replicates: int, seeds: list[int]) -> None:
         """One more round: `points` (L,) lookins in each of `replicates`, 0 for none; `seeds` one for each number."""
         square, expected, freedoms, before = 0.0, 0.0, [], self.scatters()
         weight, variance = np.zeros(len(points)), np.zeros(len(points))
@@ -156,20 +156,15 @@ class Stratum:
         task = replace(task, accuracy=counts, seed=seed)
         if self.observed is None:
             return walk_average(task, sketch)
-        got = secondary_transient(
-            task.caster, task.scene, task.materials, task.capture, task.points, task.cones, task.patches,
-            lookins=counts.lookins, observed=self.observed, fov_samples=counts.fov_samples, replicates=replicates,
-            strongest=counts.strongest, seed=seed, carriers=self.carriers, sketch=sketch,
-        )  # fmt: skip
-        return Average([got.mean], got.stderr, got.overflow, got.work)
+        return secondary_transient(task, self.observed, self.carriers, sketch=sketch)
 
-    def _add(self, lasers: NDArray[np.int64], weight: float, got: Average) -> None:
+    def _add(self, lasers: Ints, weight: float, got: Average) -> None:
         for row, more in zip(self.rows, got.rows, strict=True):
             row[lasers] += weight * more
         self.variance[lasers] += (weight * got.stderr) ** 2
         self.overflow[lasers] += weight * got.overflow
 
-    def _learn_exponent(self, points: NDArray[np.int64], scale: NDArray[np.float64]) -> None:
+    def _learn_exponent(self, points: Ints, scale: Floats) -> None:
         seen = (points > 0) & (self.scale > 0)
         was, now = float(self.scale[seen].sum()), float(scale[seen].sum())
         if not seen.any() or now <= 0:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Bools, Ints
 from datagen.transport.cost import RAY
 from datagen.transport.factorised.secondary import factorising
 from datagen.transport.sampling import stream_seeds
@@ -60,7 +60,7 @@ class Seeds:
         return [int(h) << 32 | int(w) for h, w in zip(high, low, strict=True)]
 
 
-def _first_points(task: WalkTask) -> NDArray[np.int64]:
+def _first_points(task: WalkTask) -> Ints:
     """(L,) lookins for each replicate of a first round."""
     lasers = len(task.points.part)
     wanted = FIRST_LOOKINS // (REPLICATES * lasers)
@@ -103,7 +103,8 @@ def first_rounds(task: WalkTask, target: float, seeds: Seeds) -> tuple[list[Stra
     if not contact and (len(orders) == 1 or short or to_go < WORTH_LOOKING * joint.work.cost):
         return [*strata, joint], tried
     apart = [_sampled(Stratum(_of_components(task, (name,), walked)), points, seeds) for name in orders]
-    if separable and (contact or _worth_trying(task)):
+    shared = task.capture.pairing == "exhaustive" or len(points) <= LASERS_AT_MOST
+    if separable and (contact or shared):
         apart, more = _with_better_secondary(task, apart, factor, points, seeds, contact)
         tried += more
     if contact:
@@ -112,7 +113,7 @@ def first_rounds(task: WalkTask, target: float, seeds: Seeds) -> tuple[list[Stra
     return [*strata, *found], tried + more
 
 
-def _sampled(stratum: Stratum, points: NDArray[np.int64], seeds: Seeds) -> Stratum:
+def _sampled(stratum: Stratum, points: Ints, seeds: Seeds) -> Stratum:
     """The stratum with its first round."""
     stratum.sample(points, REPLICATES, seeds.draw())
     return stratum
@@ -126,12 +127,12 @@ def _cost_to_go(joint: Stratum, strata: list[Stratum], target: float) -> float:
     return joint.work.growing * variance / wanted if wanted > 0 else 0.0
 
 
-def _of_components(task: WalkTask, components: tuple[str, ...], walked: NDArray[np.bool_]) -> WalkTask:
+def _of_components(task: WalkTask, components: tuple[str, ...], walked: Bools) -> WalkTask:
     parts = task.splits.parts if "primary" in components else ()
     return replace(task, splits=replace(task.splits, components=components, parts=parts), walked=walked)
 
 
-def _factorised(task: WalkTask, carriers: NDArray[np.bool_], observed: int) -> Stratum:
+def _factorised(task: WalkTask, carriers: Bools, observed: int) -> Stratum:
     return Stratum(_of_components(task, ("secondary",), ~carriers), observed, carriers)
 
 
@@ -167,18 +168,8 @@ def _with_best_fov_samples(task: WalkTask, seeds: Seeds) -> tuple[WalkTask, floa
     return (with_fov_samples(task, best) if worth else task), spent
 
 
-def _worth_trying(task: WalkTask) -> bool:
-    lasers = len(task.points.part)
-    return task.capture.pairing == "exhaustive" or lasers <= LASERS_AT_MOST
-
-
 def _with_better_secondary(
-    task: WalkTask,
-    strata: list[Stratum],
-    factor: NDArray[np.bool_],
-    points: NDArray[np.int64],
-    seeds: Seeds,
-    contact: bool,
+    task: WalkTask, strata: list[Stratum], factor: Bools, points: Ints, seeds: Seeds, contact: bool
 ) -> tuple[list[Stratum], float]:
     """The factorised form for the secondary of Lambertian lookins, where variance × cost is less than by the walk, or
     where the walk's own variance is not to be believed (`contact`)."""
@@ -200,7 +191,7 @@ def _price(strata: list[Stratum]) -> float:
 
 
 def _with_shared_walks(
-    task: WalkTask, joint: Stratum, apart: list[Stratum], points: NDArray[np.int64], seeds: Seeds
+    task: WalkTask, joint: Stratum, apart: list[Stratum], points: Ints, seeds: Seeds
 ) -> tuple[list[Stratum], float]:
     """The walk for all orders, or walks apart, or some orders joined: walks apart repeat each other's rays."""
     of_joint, of_apart = _price([joint]), _price(apart)

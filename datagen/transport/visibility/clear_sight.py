@@ -19,18 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Sensor
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.fov import FovPool
 from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.raycast import Raycaster
-from datagen.transport.visibility.clear_sight_kernels import (
-    Bodies,
-    Grid,
-    Tiles,
-    bodies_in_view,
-    cells_of,
-    prove,
-    tiles_of_points,
-)
+from datagen.transport.visibility import clear_sight_kernels as kernels
+from datagen.transport.visibility.clear_sight_kernels import Bodies, Grid, Tiles
 from datagen.transport.visibility.occluders import occluders
 
 CONNECTIONS_WORTH_PROVING = 1 << 16
@@ -93,7 +87,7 @@ class ClearSight:
     caster: Raycaster | None = None
     sensor: Sensor | None = None
     each: int = 1
-    pixels: NDArray[np.int64] | None = None
+    pixels: Ints | None = None
     _state: _State = field(default_factory=_State)
 
     @classmethod
@@ -108,7 +102,7 @@ class ClearSight:
         """One that proves nothing, so that every connection is asked by a ray."""
         return cls("on")
 
-    def take(self, pixels: NDArray[np.int64]) -> ClearSight:
+    def take(self, pixels: Ints) -> ClearSight:
         """The same, with some of the pixels numbered anew."""
         return replace(self, pixels=pixels if self.pixels is None else self.pixels[pixels])
 
@@ -124,7 +118,7 @@ class ClearSight:
         if state.proofs is None:
             state.worth_from = 4 * known
 
-    def tiles(self, pool: FovPool, pixels: NDArray[np.int64]) -> NDArray[np.int8]:
+    def tiles(self, pool: FovPool, pixels: Ints) -> NDArray[np.int8]:
         """(P, Q) the tile each FoV point of a pool lies in, −1 for none; `pixels` are those of the pool."""
         state = self._state
         if state.proofs is None:
@@ -134,9 +128,7 @@ class ClearSight:
             state.last = pool, state.proofs.tiles_of(pool, own)
         return state.last[1]
 
-    def clear(
-        self, position: NDArray[np.float64], normal: NDArray[np.float64], pixel: NDArray[np.int64] | None
-    ) -> NDArray[np.uint64]:
+    def clear(self, position: Floats, normal: Floats, pixel: Ints | None) -> NDArray[np.uint64]:
         """(n,) for each vertex a bit for each tile that it sees whole, for certain; or assumed, with occlusion off.
 
         position, normal : (n, 3) metres, unit normal. pixel : (n,) the one pixel a vertex is joined to; None for all.
@@ -176,9 +168,9 @@ class _Proofs:
     bodies: Bodies
     grid: Grid
     tiles: Tiles
-    frames: NDArray[np.float64]
-    first: NDArray[np.int64]
-    count: NDArray[np.int64]
+    frames: Floats
+    first: Ints
+    count: Ints
     members: NDArray[np.int32]
     known: NDArray[np.uint64]
     tests: int
@@ -207,7 +199,9 @@ class _Proofs:
         low, high = caster.corners.min(axis=(0, 1)), caster.corners.max(axis=(0, 1))
         side = float((high - low).max()) / along
         shape = np.maximum(1, np.ceil((high - low) / side)).astype(np.int64)
-        all_frames = np.array([*frames, _about(frames)])
+        # The last box is about all others, its axes those of the first.
+        whole = _bounds(np.concatenate([_corners(frame) for frame in frames]), frames[0, 1:4], 0.0)
+        all_frames = np.array([*frames, whole])
         boxes = np.array([_corners(frame) for frame in all_frames])
         heights = np.einsum("tck,nk->tnc", boxes, bodies.normal) - bodies.level[None, :, None]
         heights = np.stack([heights.min(axis=2), heights.max(axis=2)], axis=2)
@@ -220,23 +214,21 @@ class _Proofs:
             np.zeros(cells, np.uint64), TESTS_PER_CONNECTION * each,
         )  # fmt: skip
 
-    def tiles_of(self, pool: FovPool, pixels: NDArray[np.int64]) -> NDArray[np.int8]:
+    def tiles_of(self, pool: FovPool, pixels: Ints) -> NDArray[np.int8]:
         return np.asarray(
-            tiles_of_points(
+            kernels.tiles_of_points(
                 pool.position, pool.normal, pool.weight, pixels, self.tiles.of_pixel, self.frames, self.bodies.shell,
                 self.lift, self.own_gap, 1e-3 * self.lift,
             )
         )  # fmt: skip
 
-    def clear(
-        self, position: NDArray[np.float64], normal: NDArray[np.float64], pixel: NDArray[np.int64]
-    ) -> NDArray[np.uint64]:
-        cells = cells_of(position, self.grid)
+    def clear(self, position: Floats, normal: Floats, pixel: Ints) -> NDArray[np.uint64]:
+        cells = kernels.cells_of(position, self.grid)
         unknown = cells[self.first[cells] < 0]
         if len(unknown):
             unknown = np.unique(unknown)
             # A vertex is counted to a cell with rounding, and its end of the ray is lifted.
-            counts, members, known = bodies_in_view(
+            counts, members, known = kernels.bodies_in_view(
                 unknown, self.grid, 2 * self.lift, self.tiles.corners, self.bodies, self.gap
             )
             self.known[unknown] = known
@@ -244,14 +236,14 @@ class _Proofs:
             self.count[unknown] = counts
             self.members = np.concatenate([self.members, members])
         return np.asarray(
-            prove(
+            kernels.prove(
                 position, normal, pixel, cells, self.first, self.count, self.members, self.known, self.bodies,
                 self.tiles, self.lift, self.gap, self.own_gap, self.tests, self.tests >= THOROUGH_FROM,
             )
         )  # fmt: skip
 
 
-def _tiles(caster: Raycaster, sensor: Sensor, most: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _tiles(caster: Raycaster, sensor: Sensor, most: int) -> tuple[Floats, Ints]:
     """Boxes (T, 5, 3) about what groups of neighbouring pixels see, and the group (P,) of each pixel, −1 for none.
 
     A grid of lines of sight over each pixel, its corners included, finds where its FoV points lie; a point that a
@@ -275,7 +267,7 @@ def _tiles(caster: Raycaster, sensor: Sensor, most: int) -> tuple[NDArray[np.flo
     return np.array(frames), of_pixel
 
 
-def _halved(points: NDArray[np.float64], most: int) -> list[NDArray[np.int64]]:
+def _halved(points: Floats, most: int) -> list[Ints]:
     """Groups of neighbouring points (n, 3), halved across their longest side while there are fewer than `most`."""
     groups = [np.arange(len(points))]
     while 2 * len(groups) <= most and max(len(g) for g in groups) > 1:
@@ -287,7 +279,7 @@ def _halved(points: NDArray[np.float64], most: int) -> list[NDArray[np.int64]]:
     return groups
 
 
-def _box_about(points: NDArray[np.float64], normals: NDArray[np.float64], slack: float) -> NDArray[np.float64]:
+def _box_about(points: Floats, normals: Floats, slack: float) -> Floats:
     """The box (corner, three axes, extents) about points (n, 3), its third axis along the plane most of them lie in,
     or along their mean normal where there is none."""
     height = np.einsum("nk,nk->n", points, normals)
@@ -305,19 +297,13 @@ def _box_about(points: NDArray[np.float64], normals: NDArray[np.float64], slack:
     return _bounds(points, np.stack([across, np.cross(axis, across), axis]), slack)
 
 
-def _bounds(points: NDArray[np.float64], axes: NDArray[np.float64], slack: float) -> NDArray[np.float64]:
+def _bounds(points: Floats, axes: Floats, slack: float) -> Floats:
     local = (points - points[0]) @ axes.T
     low, high = local.min(axis=0) - slack, local.max(axis=0) + slack
     return np.concatenate([(points[0] + low @ axes)[None], axes, (high - low)[None]])
 
 
-def _about(frames: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The box about all boxes, its axes those of the first."""
-    corners = np.concatenate([_corners(frame) for frame in frames])
-    return _bounds(corners, frames[0, 1:4], 0.0)
-
-
-def _corners(frame: NDArray[np.float64]) -> NDArray[np.float64]:
+def _corners(frame: Floats) -> Floats:
     """(8, 3): the front face (the far end of the third axis) in order, then the back face."""
     steps = np.array([[i, j, k] for k in (1, 0) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
     return np.asarray(frame[0] + (steps * frame[4]) @ frame[1:4], np.float64)

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from datagen.records.arrays import Bools, Floats
 from datagen.transport.raycast import Raycaster
 
 CELLS = 64
@@ -45,9 +46,7 @@ def plane_of_faces(caster: Raycaster) -> NDArray[np.int32]:
     return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
 
 
-def light_buffer(
-    caster: Raycaster, face_plane: NDArray[np.int32], point: NDArray[np.float64], normal: NDArray[np.float64]
-) -> LightBuffer:
+def light_buffer(caster: Raycaster, face_plane: NDArray[np.int32], point: Floats, normal: Floats) -> LightBuffer:
     """The buffer of a point (3,) on a surface with unit normal (3,): only what lies above that surface is entered."""
     relative = caster.corners - point
     above = (relative @ normal > caster.offset_m).any(axis=1)
@@ -62,7 +61,7 @@ def no_light_buffer() -> LightBuffer:
 
 
 @njit(cache=True)
-def _enter(corners: NDArray[np.float64], plane: NDArray[np.int32], cells: NDArray[np.int32]) -> None:
+def _enter(corners: Floats, plane: NDArray[np.int32], cells: NDArray[np.int32]) -> None:
     n = cells.shape[1]
     # Cells are entered a little larger than they are, so that rounding in a look-up cannot leave its cell.
     margin = 1e-3
@@ -109,7 +108,7 @@ def _enter(corners: NDArray[np.float64], plane: NDArray[np.int32], cells: NDArra
 
 
 @njit(cache=True, inline="always")
-def _meets(local: NDArray[np.float64], edge: NDArray[np.float64], u0: float, u1: float, v0: float, v1: float) -> bool:
+def _meets(local: Floats, edge: Floats, u0: float, u1: float, v0: float, v1: float) -> bool:
     """Whether no side plane of the cell, and no plane through an edge of the triangle, separates the two."""
     left, right, below, over = True, True, True, True
     for i in range(3):
@@ -148,9 +147,7 @@ def lit_for_certain(
     return bool(cells[side, a, b] == face_plane[face])
 
 
-def flat_patch(
-    position: NDArray[np.float64], normal: NDArray[np.float64], tolerance: float
-) -> NDArray[np.float64] | None:
+def flat_patch(position: Floats, normal: Floats, tolerance: float) -> Floats | None:
     """Corners (4, 3) of a rectangle that holds all points (n, 3), or None where they do not lie in one plane."""
     if len(position) == 0:
         return None
@@ -167,14 +164,22 @@ def flat_patch(
     return np.asarray(position[0] + corners @ frame, np.float64)
 
 
+@njit(cache=True, inline="always")
+def height(point, base, normal):  # type: ignore[no-untyped-def]
+    """Of a point above the plane through `base`, in units of the normal's length."""
+    return (point[0] - base[0]) * normal[0] + (point[1] - base[1]) * normal[1] + (point[2] - base[2]) * normal[2]
+
+
+@njit(cache=True, inline="always")
+def _highest(triangle: Floats, base: Floats, normal: Floats) -> float:
+    most = -np.inf
+    for c in range(3):
+        most = max(most, height(triangle[c], base, normal))
+    return most
+
+
 @njit(cache=True)
-def pyramids_clear(
-    apexes: NDArray[np.float64],
-    patch: NDArray[np.float64],
-    corners: NDArray[np.float64],
-    face_normal: NDArray[np.float64],
-    tolerance: float,
-) -> NDArray[np.bool_]:
+def pyramids_clear(apexes: Floats, patch: Floats, corners: Floats, face_normal: Floats, tolerance: float) -> Bools:
     """Whether the pyramid from each apex (n, 3) to a flat patch (4, 3) is free of triangles (F, 3, 3)."""
     clear = np.ones(len(apexes), np.bool_)
     sides = np.empty((5, 3))
@@ -197,36 +202,15 @@ def pyramids_clear(
             sides[4] *= -1.0
         base = sides[4] / np.sqrt(np.dot(sides[4], sides[4]))
         for f in range(len(corners)):
-            low = high = 0.0
-            for k in range(3):
-                low += (apex[k] - corners[f, 0, k]) * face_normal[f, k]
-            high = low
+            low = high = height(apex, corners[f, 0], face_normal[f])
             for i in range(4):
-                s = 0.0
-                for k in range(3):
-                    s += (patch[i, k] - corners[f, 0, k]) * face_normal[f, k]
+                s = height(patch[i], corners[f, 0], face_normal[f])
                 low, high = min(low, s), max(high, s)
-            if low >= -tolerance or high <= tolerance:
+            if low >= -tolerance or high <= tolerance or _highest(corners[f], patch[0], base) <= tolerance:
                 continue
             apart = False
             for i in range(4):
-                most = -np.inf
-                for c in range(3):
-                    s = 0.0
-                    for k in range(3):
-                        s += (corners[f, c, k] - apex[k]) * sides[i, k]
-                    most = max(most, s)
-                if most < 0.0:
-                    apart = True
-                    break
-            if not apart:
-                most = -np.inf
-                for c in range(3):
-                    s = 0.0
-                    for k in range(3):
-                        s += (corners[f, c, k] - patch[0, k]) * base[k]
-                    most = max(most, s)
-                apart = most <= tolerance
+                apart = apart or _highest(corners[f], apex, sides[i]) < 0.0
             if not apart:
                 clear[n] = False
                 break

@@ -8,8 +8,8 @@ or, where they are many, boxes about neighbouring ones.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from datagen.records.arrays import Bools, Floats
 from datagen.transport.raycast import Raycaster
 from datagen.transport.visibility.clear_sight_kernels import Bodies
 
@@ -41,7 +41,7 @@ def occluders(caster: Raycaster) -> Bodies:
     return Bodies(shell, count, corners, normal, level, corners.min(axis=1), corners.max(axis=1))
 
 
-def _shell(caster: Raycaster) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _shell(caster: Raycaster) -> tuple[Floats, Bools]:
     """Planes that have the whole scene on one side, and which triangles (F,) lie in them."""
     points, slack = caster.corners.reshape(-1, 3), 1e-3 * caster.offset_m
     sampled = np.argsort(-caster.face_area_m2, kind="stable")
@@ -67,7 +67,7 @@ def _shell(caster: Raycaster) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     return np.array(walls).reshape(-1, 4), in_shell
 
 
-def _boxes(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _boxes(corners: Floats) -> Floats:
     """Corners (B, 8, 3) of boxes about groups of neighbouring triangles (F, 3, 3): runs along a Morton curve."""
     middles = corners.mean(axis=1)
     low = middles.min(axis=0)
