@@ -1,4 +1,4 @@
-"""The switchboard: only the effects a scene calls for are simulated (DESIGN, sec. 6)."""
+"""The switchboard: only the effects a scene calls for are simulated (docs/effects.md)."""
 
 from datagen.effects.decide import (
     EFFECTS,

@@ -51,7 +51,7 @@ def _without_secondary(given: SceneFigures) -> SceneFigures:
 TRANSPORT_EFFECTS: tuple[Effect[SceneFigures], ...] = (
     Effect(
         "direct_return", "direct return", "transport", "`transport.direct`",
-        "Radiometry of one and two bounces (DESIGN, sec. 2); coplanar surfaces do not light each other",
+        "Radiometry of one and two bounces (docs/physics.md); coplanar surfaces do not light each other",
         0.3, lambda g: g.accuracy.direct, _direct_return, lambda g: g.with_accuracy(direct=False),
     ),
     Effect(

@@ -1,7 +1,7 @@
 """FoV points: where a pixel's lines of sight first meet the scene, and what each is worth.
 
 A FoV point drawn uniformly on the pixel's quadrilateral stands for the solid angle J = dΩ/(du dv) of the sensor, so
-the photons it sends into an aperture of area A are f₃ E₃ · A J / M for M points a pixel (DESIGN, sec. 2).
+the photons it sends into an aperture of area A are f₃ E₃ · A J / M for M points a pixel (docs/physics.md).
 """
 
 from __future__ import annotations

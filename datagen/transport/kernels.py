@@ -13,7 +13,6 @@ from numba import njit
 
 from datagen.transport.binning import splat
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, pdf, sample
-from datagen.transport.raycast import lifted_and_scaled
 from datagen.transport.sampling import mix
 
 
@@ -129,12 +128,13 @@ def gather(
     Returns how many connections wait for their rays, and how many needed none.
     """
     found, added = 0, 0
-    scale = (center[0], center[1], center[2], half_extent)
     for i in range(start, stop):
         local = laser[i] - first_laser
         x2, n2, w_in = _at(position2, i), _at(normal2, i), _at(to_previous, i)
         k2, material2 = kind[part2[i]], values[part2[i]]
-        start_of_ray = lifted_and_scaled(x2, n2, offset, scale)
+        ox = np.float32((x2[0] + offset * n2[0] - center[0]) / half_extent)
+        oy = np.float32((x2[1] + offset * n2[1] - center[1]) / half_extent)
+        oz = np.float32((x2[2] + offset * n2[2] - center[2]) / half_extent)
         for p in range(local if confocal else 0, local + 1 if confocal else pixels):
             near = _is_near(position2[i], k2, patch_center[p], patch_reach[p])
             row = (local if confocal else local * pixels + p) * splits + split_of_part[part2[i]]
@@ -172,10 +172,11 @@ def gather(
                     overflow[row] += splat(histogram[row], at, energy)
                     added += 1
                     continue
-                end_of_ray = lifted_and_scaled(x3, n3, offset, scale)
-                for axis in range(3):
-                    origins[found, axis] = start_of_ray[axis]
-                    spans[found, axis] = end_of_ray[axis] - start_of_ray[axis]
+                tx = np.float32((x3[0] + offset * n3[0] - center[0]) / half_extent)
+                ty = np.float32((x3[1] + offset * n3[1] - center[1]) / half_extent)
+                tz = np.float32((x3[2] + offset * n3[2] - center[2]) / half_extent)
+                origins[found, 0], origins[found, 1], origins[found, 2] = ox, oy, oz
+                spans[found, 0], spans[found, 1], spans[found, 2] = tx - ox, ty - oy, tz - oz
                 rows[found], positions[found], energies[found] = row, at, energy
                 found += 1
     return found, added

@@ -31,7 +31,7 @@ def simulate(
     """Follow light from each laser point around the corner and back.
 
     The photons that reach the aperture per emitted photon; with f the BRDFs, V the visibility, x₁ the laser point,
-    x₂ a lookin and x₃ a FoV point, the primary (three bounces) is (DESIGN, sec. 2; the paths are those of Eq. 6 of
+    x₂ a lookin and x₃ a FoV point, the primary (three bounces) is (docs/physics.md; the paths are those of Eq. 6 of
     Scholes & Leach, Sensors 24, 6522 (2024), with radiometric weights)
 
         L = ∫∫ f₁ cosθ₁ cosθ₂ V₁₂/R₁₂² · f₂ · cosθ₂′ cosθ₃ V₂₃/R₂₃² · f₃ cosθ₃′ V₃ₛ A/R₃ₛ² dA₂ dA₃

@@ -3,7 +3,7 @@
 A lookin can be drawn in two ways, joined by the balance heuristic (Veach & Guibas, SIGGRAPH 1995), which is unbiased
 and never gives a lookin more than the rays alone would:
 
-- rays from the laser point drawn by its BRDF, which already carry the 1/R² of the geometry (DESIGN, sec. 2);
+- rays from the laser point drawn by its BRDF, which already carry the 1/R² of the geometry (docs/physics.md);
 - points uniform on the area of small parts, so that a small or distant object gets its share of samples.
 
 Every later vertex is where a ray drawn by the BRDF of the one before it lands.

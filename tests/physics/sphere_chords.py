@@ -1,7 +1,7 @@
 """The inside of a sphere of radius 1 m: shares of the light by path length, from chains of uniform points.
 
 `python tests/physics/sphere_chords.py` computes `data/sphere_chords.npz` anew (half a minute); a nightly test does so
-with other chains. After any bounce the next vertex is uniform on a Lambertian sphere (DESIGN, sec. 2).
+with other chains. After any bounce the next vertex is uniform on a Lambertian sphere (docs/physics.md).
 """
 
 from __future__ import annotations

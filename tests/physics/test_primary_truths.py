@@ -71,7 +71,7 @@ def plate_by_quadrature(points, center, right, up, normal, n, bins, start, width
 
 @pytest.mark.parametrize("side", [8, pytest.param(16, marks=pytest.mark.nightly)])
 def test_rectangle_against_quadrature_per_3_mm_bin(side: int) -> None:
-    """An unoccluded plate, confocal points, 300 bins of 3 mm: relative L1 under 1 % (DESIGN, sec. 2)."""
+    """An unoccluded plate, confocal points, 300 bins of 3 mm: relative L1 under 1 % (docs/physics.md)."""
     center, right, up = np.array([1, 0.1, 0.05]), np.array([0.05, 0.13, 0]), np.array([0, 0, 0.13])
     scene = wall_and(rectangle(center, right, up))
     knots = np.linspace(-0.35, 0.35, side)

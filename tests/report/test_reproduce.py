@@ -189,7 +189,7 @@ def _with_secondary(case: Simulation, factor: float) -> Simulation:
 
 def test_indirect_light_in_a_white_sphere_is_what_theory_says() -> None:
     """Inside a Lambertian sphere every bounce lights all of it evenly: indirect irradiance after one more bounce is
-    albedo times the direct, at every lookin (DESIGN's closed form)."""
+    albedo times the direct, at every lookin (a closed form)."""
     import trimesh
 
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=2.0)

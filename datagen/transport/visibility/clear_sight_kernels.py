@@ -12,10 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-
-from datagen.records.arrays import Floats, Ints
-from datagen.transport.brdf import dot
-from datagen.transport.visibility.clearance import height
+from numpy.typing import NDArray
 
 FEW = 16
 """Bodies in view of a cell with which it is still worth while to ask for each tile alone."""
@@ -35,12 +32,12 @@ class Tiles(NamedTuple):
     of_pixel : (P,) the tile of each pixel.
     """
 
-    corners: Floats
-    axis: Floats
-    low: Floats
-    high: Floats
-    heights: Floats
-    of_pixel: Ints
+    corners: NDArray[np.float64]
+    axis: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    of_pixel: NDArray[np.int64]
 
 
 class Bodies(NamedTuple):
@@ -55,21 +52,21 @@ class Bodies(NamedTuple):
     low, high : (N, 3) bounds along the axes.
     """
 
-    shell: Floats
-    size: Ints
-    corners: Floats
-    normal: Floats
-    level: Floats
-    low: Floats
-    high: Floats
+    shell: NDArray[np.float64]
+    size: NDArray[np.int64]
+    corners: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    level: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
 
 
 class Grid(NamedTuple):
     """Cubes of side `side` from `corner`, `shape` (3,) of them; a cell's number runs fastest along z."""
 
-    corner: Floats
+    corner: NDArray[np.float64]
     side: float
-    shape: Ints
+    shape: NDArray[np.int64]
 
 
 @njit(cache=True)
@@ -84,6 +81,13 @@ def cells_of(position, grid):
             number = number * shape[k] + min(max(along, 0), shape[k] - 1)
         out[i] = number
     return out
+
+
+@njit(cache=True, inline="always")
+def _height(point, normal, base):
+    return (
+        (point[0] - base[0]) * normal[0] + (point[1] - base[1]) * normal[1] + (point[2] - base[2]) * normal[2]
+    )  # fmt: skip
 
 
 @njit(cache=True)
@@ -188,11 +192,6 @@ def bodies_in_view(cells, grid, lift, tile_corners, bodies, gap):
 
 
 @njit(cache=True, inline="always")
-def _corner(corners, body, i):
-    return corners[body, i, 0], corners[body, i, 1], corners[body, i, 2]
-
-
-@njit(cache=True, inline="always")
 def _to_corner(apex, tile_corners, t, i):
     return tile_corners[t, i, 0] - apex[0], tile_corners[t, i, 1] - apex[1], tile_corners[t, i, 2] - apex[2]
 
@@ -213,16 +212,20 @@ def _face_pyramid(apex, t, tile_corners, tile_axis, gap, planes):
         j, opposite = (i + 1) % 4, (i + 2) % 4
         x, y, z = _cross(_to_corner(apex, tile_corners, t, i), _to_corner(apex, tile_corners, t, j))
         level = x * apex[0] + y * apex[1] + z * apex[2]
-        inner = dot((x, y, z), _corner(tile_corners, t, opposite))
+        inner = (
+            x * tile_corners[t, opposite, 0] + y * tile_corners[t, opposite, 1] + z * tile_corners[t, opposite, 2]
+        )  # fmt: skip
         if inner < level:
             x, y, z, level = -x, -y, -z, -level
         lowest = level
         for k in range(8):
-            lowest = min(lowest, dot((x, y, z), _corner(tile_corners, t, k)))
+            lowest = min(
+                lowest, x * tile_corners[t, k, 0] + y * tile_corners[t, k, 1] + z * tile_corners[t, k, 2]
+            )  # fmt: skip
         planes[i, 0], planes[i, 1], planes[i, 2] = x, y, z
         planes[i, 3] = lowest - gap * math.sqrt(x * x + y * y + z * z)
     for k in range(9):
-        x, y, z = apex if k == 8 else _corner(tile_corners, t, k)
+        x, y, z = apex if k == 8 else (tile_corners[t, k, 0], tile_corners[t, k, 1], tile_corners[t, k, 2])
         s = x * planes[4, 0] + y * planes[4, 1] + z * planes[4, 2]
         least, most = min(least, s), max(most, s)
     planes[4, 3], planes[5, 3] = least - gap, -most - gap
@@ -255,7 +258,10 @@ def _prove_one(
             for i in range(6):
                 apart = True
                 for k in range(count[f]):
-                    s = dot((planes[i, 0], planes[i, 1], planes[i, 2]), _corner(corners, f, k))
+                    s = (
+                        planes[i, 0] * corners[f, k, 0] + planes[i, 1] * corners[f, k, 1]
+                        + planes[i, 2] * corners[f, k, 2]
+                    )  # fmt: skip
                     if s >= planes[i, 3]:
                         apart = False
                         break
@@ -346,7 +352,7 @@ def tiles_of_points(position, normal, weight, pixel, tiles_of_pixel, frames, she
             z = position[p, q, 2] + lift * normal[p, q, 2]
             held = True
             for k in range(3):
-                s = height((x, y, z), frame[0], frame[1 + k])
+                s = _height((x, y, z), frame[1 + k], frame[0])
                 held = held and -slack <= s <= frame[4, k] + slack
             for h in range(len(shell)):
                 held = held and x * shell[h, 0] + y * shell[h, 1] + z * shell[h, 2] - shell[h, 3] >= own_gap
