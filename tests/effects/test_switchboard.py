@@ -92,7 +92,7 @@ def test_bounces_off_are_not_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = switched(secondary_bounce="off", higher_bounces="off")
     decided = decide_transport_effects(scene, capture, accuracy, settings)
     reduced_scene, reduced = decided.apply_transport(scene, capture, accuracy)
-    monkeypatch.setattr("datagen.transport.walk.continued", never)
+    monkeypatch.setattr("datagen.transport.vertices.continued", never)
     found = simulate(reduced_scene, capture, reduced, seed=1)
     assert set(found.components) == {"direct", "primary"}
 
