@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from datasets import write_dataset
+from store import fake_samples
 
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
@@ -26,16 +27,8 @@ NOISE = 20.0
 
 
 def small_config(**changes: object) -> DatasetConfig:
-    values = {
-        "name": "small",
-        "seed": 3,
-        "scenes": 12,
-        "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 16}},
-        "transport": {"lookins": 4096},
-        "labels": {"rows": 4, "columns": 5},
-        "store": {"fields": ["histogram", "transient", "depth"], "scenes_per_shard": 4},
-    }
-    return config_from_mapping(values | changes)
+    """The stores' small configuration, with the lookins that `Simulated` takes its time for."""
+    return fake_samples.small_config(**({"transport": {"lookins": 4096}} | changes))
 
 
 class Simulated:
