@@ -33,16 +33,20 @@ class TransportConfig(Settings):
     """Also the direct return (1 and 2 bounces), which a gated measurement keeps out."""
     target: Annotated[float, Field(ge=1e-4, le=1)] | None = None
     """Relative L2 error of each transient to be met: then the sample counts are chosen, and may not be given."""
+    part_target: Annotated[float, Field(ge=1e-4, le=1)] | None = None
+    """With `target`: relative L2 error of each object's own primary; left out: 2.5 times the target, at most 1."""
     max_lookins: Annotated[int, Field(ge=2048, le=2**40)] = 1 << 23
     """With `target`: give up before more rays than this leave each laser point, on average, in all."""
 
     def accuracy(self) -> Accuracy:
         """The same as the record that `simulate` takes."""
-        others = ("target", "max_lookins") if self.target is None else CHOSEN_BY_TARGET
+        others = ("target", "part_target", "max_lookins") if self.target is None else CHOSEN_BY_TARGET
         return Accuracy(**{name: getattr(self, name) for name in type(self).model_fields if name not in others})
 
     @model_validator(mode="after")
     def _consistent(self) -> TransportConfig:
+        if self.part_target is not None and self.target is None:
+            raise InputError(f"part_target = {self.part_target}: needs a target; set target, too")
         if self.target is not None:
             for name in CHOSEN_BY_TARGET:
                 if name in self.model_fields_set:

@@ -9,6 +9,8 @@ from datagen.errors import InputError
 
 MAX_BOUNCES = 64
 TARGETS = (1e-4, 1.0)
+PARTS_PER_TARGET = 2.5
+"""Error asked of each object's own light, relative to that of the whole, where nothing is said."""
 LEAST_MAX_LOOKINS = 2048
 """The first round of a target and one more need as many."""
 
@@ -47,6 +49,10 @@ class Accuracy:
         bins, 0.0001 … 1. Then the solver chooses lookins, fov_samples, replicates and the way of the secondary, and
         naming one of them too is refused (`observed` belongs to the k strongest paths and stays). What it is held to
         is the upper bound of its own error estimate; the bias of the k strongest paths is not part of it.
+    part_target : with a target: relative L2 error of each object's own primary (parts of role `object`), over all
+        laser points, pixels and bins, 0.0001 … 1; left out: 2.5 times the target, at most 1.
+    faint_part : with a target: photons, per emitted photon and over all histograms together, under which an object's
+        light is not held to `part_target`; ≥ 0.
     max_lookins : with a target: give up (`Transient.met_target` False) before more rays than this would leave each
         laser point, on average, over all components; ≥ 2048.
 
@@ -70,7 +76,15 @@ class Accuracy:
     secondary: Literal["all", "none", "strongest"] | int = "all"
     occlusion: Literal["auto", "on", "off"] = "auto"
     target: float | None = None
+    part_target: float | None = None
+    faint_part: float = 0.0
     max_lookins: int = 1 << 23
+
+    @property
+    def each_part(self) -> float:
+        """The relative L2 error asked of each object's own light, where a target is set."""
+        assert self.target is not None
+        return min(PARTS_PER_TARGET * self.target, 1.0) if self.part_target is None else self.part_target
 
     @property
     def strongest(self) -> int | None:
@@ -104,18 +118,28 @@ class Accuracy:
             raise InputError(
                 f"Accuracy.secondary = {self.secondary!r}: ranks observed points' paths; set observed, such as 3600"
             )
+        if not 0 <= self.faint_part < float("inf"):
+            raise InputError(f"Accuracy.faint_part = {self.faint_part!r}: must be a finite number ≥ 0 (photons)")
         if self.target is not None:
             self._check_target(self.target)
+        if self.part_target is not None:
+            if self.target is None:
+                raise InputError(f"Accuracy.part_target = {self.part_target!r}: needs a target; set target, too")
+            _check_error("part_target", self.part_target)
 
     def _check_target(self, target: float) -> None:
-        low, high = TARGETS
-        if not isinstance(target, (int, float)) or isinstance(target, bool) or not low <= target <= high:
-            raise InputError(f"Accuracy.target = {target!r}: must be a number in {low} … {high}")
+        _check_error("target", target)
         for name in ("lookins", "fov_samples", "replicates"):
             if not isinstance(getattr(self, name), _Default):
                 raise InputError(chosen_by_target("Accuracy.", name, getattr(self, name)))
         if self.observed is not None and self.strongest is None:
             raise InputError(chosen_by_target("Accuracy.", "observed", self.observed))
+
+
+def _check_error(name: str, value: object) -> None:
+    low, high = TARGETS
+    if not isinstance(value, (int, float)) or isinstance(value, bool) or not low <= value <= high:
+        raise InputError(f"Accuracy.{name} = {value!r}: must be a number in {low} … {high}")
 
 
 def chosen_by_target(prefix: str, name: str, value: object) -> str:

@@ -21,10 +21,11 @@ class Spend:
 
     Attributes
     ----------
-    lookins : component → lookins from each laser point, on average over the laser points, over all replicates.
+    lookins : component → lookins from each laser point, on average over the laser points, over all replicates; cells
+        where cells give it.
         Components that one walk finds together share its lookins.
     share : component → share of the cost, which adds to 1; those of a shared walk have equal parts of it.
-    way : component → "walk" or "factorised", and "walk + factorised" where both find a part of the secondary.
+    way : component → "cells", "walk", "factorised", or "walk + factorised" where both find a part of the secondary.
     fov_samples : component → FoV points for each vertex and pixel.
     rounds : passes over the scene; 1 for fixed sample counts.
     cost : all work in units of one connection with its shadow ray (`transport/cost.py`), a function of counts alone.
@@ -67,7 +68,9 @@ class Transient:
     spend : where the work went; None where nothing was counted.
     error_bound : with an accuracy target, the upper confidence bound of the relative L2 error that was held against
         it; None with fixed sample counts.
-    met_target : whether `error_bound` is within the target; None with fixed sample counts.
+    met_target : whether target and part target are met; None with fixed sample counts.
+    part_errors : with an accuracy target, object part → estimated relative L2 error of its own primary; only parts
+        whose light `Accuracy.faint_part` lets count, and none where the primary is sampled (narrow lobes).
     """
 
     time: TimeAxis
@@ -81,6 +84,7 @@ class Transient:
     spend: Spend | None = None
     error_bound: float | None = None
     met_target: bool | None = None
+    part_errors: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def total(self) -> Floats:

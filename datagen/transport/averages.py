@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -54,6 +54,7 @@ class Estimate:
     spend: Spend
     error_bound: float | None = None
     met_target: bool | None = None
+    part_errors: dict[str, float] = field(default_factory=dict)
 
 
 def split_rows(rows: list[Floats], splits: Splits) -> tuple[dict[str, Floats], dict[str, Floats]]:

@@ -163,6 +163,13 @@ def fov_pool(
 ) -> FovPool:  # fmt: skip
     """Draw `blocks` × `points_per_vertex` FoV points for each of `pixels`, with one seed of scrambling a pixel."""
     uv = scrambled_sobol(seeds, blocks * points_per_vertex, 2)
+    return fov_points(caster, scene, sensor, cones, pixels, uv, points_per_vertex)
+
+
+def fov_points(
+    caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones, pixels: Ints, uv: Floats, each: int
+) -> FovPool:
+    """The FoV points at the places uv (P, Q, 2) of `pixels`' quadrilaterals, each of which stands for 1/`each`."""
     direction, jacobian = _lines_of_sight(uv, sensor.pixels[pixels] - sensor.position)
     hits = caster.closest(sensor.position, direction.reshape(-1, 3))
     shape = jacobian.shape
@@ -171,7 +178,7 @@ def fov_pool(
     position, weight, footprint, distance = _seen_points(
         hits.position.reshape(*shape, 3), normal, part, direction, jacobian, sensor.position,
         cones.solid_angle[pixels], sensor.aperture_area_m2,
-        sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0, points_per_vertex,
+        sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0, each,
     )  # fmt: skip
     np.negative(direction, out=direction)
     return FovPool(position, normal, direction, part, weight, footprint, distance)

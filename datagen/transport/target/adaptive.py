@@ -9,9 +9,11 @@ import numpy as np
 from datagen.records import Spend
 from datagen.records.arrays import Floats
 from datagen.transport.averages import Estimate, split_rows
+from datagen.transport.cost import CELL, CELL_RAY
+from datagen.transport.primary import Primary, primary_by_cells, smooth
 from datagen.transport.target.allocation import REPLICATES, Allotment, next_allotments, one_more
 from datagen.transport.target.confidence import bound_factor, total_variance
-from datagen.transport.target.strata import Stratum, square_norm
+from datagen.transport.target.strata import Known, Stratum, square_norm
 from datagen.transport.target.strategies import Seeds, first_rounds
 from datagen.transport.walk import WalkTask
 
@@ -26,9 +28,61 @@ NOISE_AT_MOST = 0.9
 NOTHING_AFTER = 1 << 16
 """Lookins in all after which a component without any light is taken for dark."""
 SEARCH_GROWTH = 8
+PRIMARY_SHARE = 0.4
+"""Share of the target that the primary from cells may use where other components are sampled: it costs far less."""
+LEAST_LEFT = 0.1
+"""Share of the square of the target that is left to samples at least."""
 
 
 def meet_target(task: WalkTask) -> Estimate:
+    """A transient whose relative L2 error, in all and in each object's primary, is within what `Accuracy` asks.
+
+    The primary comes from cells, without noise (`primary.py`), where every BRDF is smooth; what it leaves of the
+    error is met by sampling the other components, or all of them where it is not.
+    """
+    accuracy, splits = task.accuracy, task.splits
+    assert accuracy.target is not None
+    if not (task.points.part >= 0).any():
+        return _nothing(task)
+    if not smooth(task):
+        return _sampled(task, None)
+    others = replace(task, splits=replace(splits, components=splits.others, parts=()))
+    share = PRIMARY_SHARE if others.splits.components else 1.0
+    primary = primary_by_cells(task, share * accuracy.target, accuracy.each_part, accuracy.faint_part)
+    whole = sum(primary.rows[1:], start=primary.rows[0])
+    known = Known(whole, primary.error * float(np.linalg.norm(whole)))
+    if others.splits.components:
+        rest = _sampled(others, known)
+    else:
+        bound, lit = primary.error, float(np.abs(whole).max()) > 0.0
+        outcome = "target met" if primary.met else "target not met with the finest cells"
+        spend = Spend({}, {}, {}, {}, 1, 0.0, outcome if lit else "nothing visible: no light reaches the pixels")
+        rest = Estimate({}, {}, np.zeros_like(whole), np.zeros(whole.shape[:2]), spend, bound, True)
+    return _joined(task, primary, whole, rest)
+
+
+def _joined(task: WalkTask, primary: Primary, whole: Floats, rest: Estimate) -> Estimate:
+    """The primary from cells with the other components from samples; its error is taken as the same share of every
+    bin."""
+    cost = CELL * primary.cells + CELL_RAY * primary.rays
+    total = cost + rest.spend.cost
+    lasers = max(int((task.points.part >= 0).sum()), 1)
+    components = {name: whole if name == "primary" else rest.components[name] for name in task.splits.components}
+    spend = Spend(
+        lookins=rest.spend.lookins | {"primary": primary.cells / lasers},
+        share={name: share * rest.spend.cost / total for name, share in rest.spend.share.items()}
+        | {"primary": cost / total if total > 0 else 0.0},
+        way=rest.spend.way | {"primary": "cells"}, fov_samples=rest.spend.fov_samples | {"primary": 1},
+        rounds=rest.spend.rounds, cost=total, outcome=rest.spend.outcome,
+    )  # fmt: skip
+    return Estimate(
+        components, dict(zip(task.splits.parts, primary.rows, strict=False)),
+        np.hypot(rest.stderr, primary.error * whole), rest.overflow + primary.overflow, spend, rest.error_bound,
+        bool(rest.met_target) and primary.met, dict(primary.part_errors),
+    )  # fmt: skip
+
+
+def _sampled(task: WalkTask, known: Known | None) -> Estimate:
     """Sample until an upper bound of the relative L2 error of the whole transient is within `Accuracy.target`.
 
     Each component is a stratum with samples of its own, unless a walk that finds several together is cheaper. A first
@@ -40,29 +94,28 @@ def meet_target(task: WalkTask) -> Estimate:
     target = task.accuracy.target
     assert target is not None
     lasers = int((task.points.part >= 0).sum())
-    if lasers == 0:
-        return _nothing(task)
-    seeds = Seeds(task.seed)
-    strata, tried = first_rounds(task, target, seeds)
+    seeds, of_known = Seeds(task.seed), 0.0 if known is None else known.error**2
+    strata, tried = first_rounds(task, target, seeds, known)
     budget = float(task.accuracy.max_lookins) * lasers
     bound, outcome, rounds = np.inf, "", 1
     while not outcome:
         variance, factor, factor_to_come = _uncertainty(strata)
-        seen = square_norm(strata)
+        seen = square_norm(strata, known)
         if seen == 0.0:
             bound = 0.0
             outcome = _search(strata, seeds, budget)
             rounds += not outcome
             continue
         truth = max(seen - variance, (1 - NOISE_AT_MOST) * seen)
-        bound = float(np.sqrt(variance * factor / truth))
+        bound = float(np.sqrt((variance * factor + of_known) / truth))
         once = _seen_once(strata)
         allotments: list[Allotment] | None = None
         if bound <= target and once:
             allotments = one_more(strata, once)
         elif bound > target and rounds < ROUNDS_AT_MOST:
             spent = sum(float(s.weight.sum()) * s.rays_per_lookin for s in strata)
-            allotments = next_allotments(strata, MARGIN * target**2 * truth / factor_to_come, budget - spent)
+            left = max(MARGIN * target**2 * truth - of_known, LEAST_LEFT * target**2 * truth)
+            allotments = next_allotments(strata, left / factor_to_come, budget - spent)
         if allotments is None:
             outcome = "target met" if bound <= target else f"target not met in {rounds} rounds within max_lookins"
             break

@@ -181,10 +181,21 @@ def with_fov_samples(task: WalkTask, fov_samples: int) -> WalkTask:
     return replace(task, accuracy=accuracy, patches=patches)
 
 
-def square_norm(strata: list[Stratum]) -> float:
-    """‖mean‖² of the sum of all strata, laser point by laser point to save memory."""
+@dataclass(frozen=True)
+class Known:
+    """A part of the transient (L, P, T) that needs no samples, and its L2 error."""
+
+    light: Floats
+    error: float
+
+
+def square_norm(strata: list[Stratum], known: Known | None = None) -> float:
+    """‖mean‖² of the sum of all strata and of what is known, laser point by laser point to save memory."""
     norm = 0.0
     for laser in range(len(strata[0].weight)):
-        total = sum(row[laser] / max(stratum.weight[laser], 1.0) for stratum in strata for row in stratum.rows)
+        total = 0.0 if known is None else known.light[laser]
+        total = total + sum(
+            row[laser] / max(stratum.weight[laser], 1.0) for stratum in strata for row in stratum.rows
+        )
         norm += float(np.sum(total**2))
     return norm

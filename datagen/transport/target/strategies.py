@@ -13,7 +13,7 @@ from datagen.transport.sampling import stream_seeds
 from datagen.transport.surroundings import CONTACT, surroundings
 from datagen.transport.target.allocation import REPLICATES
 from datagen.transport.target.confidence import total_variance
-from datagen.transport.target.strata import Stratum, square_norm, with_fov_samples
+from datagen.transport.target.strata import Known, Stratum, square_norm, with_fov_samples
 from datagen.transport.walk import WalkTask, part_of
 
 TARGET_STREAM = 48
@@ -68,7 +68,9 @@ def _first_points(task: WalkTask) -> Ints:
     return np.full(lasers, count)
 
 
-def first_rounds(task: WalkTask, target: float, seeds: Seeds) -> tuple[list[Stratum], float]:
+def first_rounds(
+    task: WalkTask, target: float, seeds: Seeds, known: Known | None = None
+) -> tuple[list[Stratum], float]:
     """The strata to work with, each with a first round, and the cost of what was tried and left.
 
     One walk for everything is the first thing tried. Only where meeting the target will cost more than looking around
@@ -87,7 +89,7 @@ def first_rounds(task: WalkTask, target: float, seeds: Seeds) -> tuple[list[Stra
     if ranked and "secondary" in asked and factor.any():
         ranking = _factorised(task, factor, task.accuracy.observed or OBSERVED)
         return [*strata, joint, _sampled(ranking, points, seeds)], tried
-    to_go = _cost_to_go(joint, [*strata, joint], target)
+    to_go = _cost_to_go(joint, [*strata, joint], target, known)
     if to_go > WORTH_TRYING_FOV * joint.work.cost:
         best, more = _with_best_fov_samples(task, seeds)
         tried += more
@@ -96,7 +98,7 @@ def first_rounds(task: WalkTask, target: float, seeds: Seeds) -> tuple[list[Stra
             if _price([other]) < _price([joint]):
                 task, joint, other = best, other, joint
             tried += other.work.cost
-            to_go = _cost_to_go(joint, [*strata, joint], target)
+            to_go = _cost_to_go(joint, [*strata, joint], target, known)
     short = task.accuracy.max_lookins < LOOKINS_WORTH_LOOKING
     separable = bool(factor.any()) and "secondary" in orders and not short
     contact = separable and surroundings(task, seeds.draw()[0]) > max(CONTACT, target)
@@ -119,11 +121,11 @@ def _sampled(stratum: Stratum, points: Ints, seeds: Seeds) -> Stratum:
     return stratum
 
 
-def _cost_to_go(joint: Stratum, strata: list[Stratum], target: float) -> float:
+def _cost_to_go(joint: Stratum, strata: list[Stratum], target: float, known: Known | None) -> float:
     """About what one walk for everything would cost to meet the target, its variance taken as ∝ 1/lookins."""
     variance = total_variance(joint.scatters())
-    norm = square_norm(strata)
-    wanted = target**2 * max(norm - variance, 0.1 * norm)
+    norm = square_norm(strata, known)
+    wanted = target**2 * max(norm - variance, 0.1 * norm) - (0.0 if known is None else known.error**2)
     return joint.work.growing * variance / wanted if wanted > 0 else 0.0
 
 
