@@ -89,11 +89,11 @@ hard-cases: setup
 bench: setup
 	$(BIN)/datagen bench stages $(CONFIG)
 	$(BIN)/datagen bench peers
-	$(BIN)/datagen bench scaling out/scaling
+	$(BIN)/datagen bench scaling
 	$(BIN)/datagen bench detector
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
 	$(BIN)/datagen bench plan configs/*.yaml
-	$(BIN)/python -m datagen.report.pileup configs/demonstration_room.yaml out/pileup
+	$(BIN)/python -m datagen.report.pileup configs/demonstration_room.yaml
 
 peers: setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[tests,peers]'

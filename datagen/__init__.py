@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         SinLobe,
         TimeAxis,
         Transient,
-    )  # fmt: skip
+    )
     from datagen.scene import generate_scene
     from datagen.transport import simulate
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Sequence
-from typing import ClassVar, NoReturn, cast
+from typing import Any, ClassVar, NoReturn, cast
 
 import click
 
@@ -49,30 +49,12 @@ def plan(
 @click.option("--engine", default="local", show_default=True, help="local or dask.")
 @click.option("--scheduler", help="Address of a Dask scheduler; left out: a cluster on this machine.")
 @click.option("--quiet", is_flag=True, help="No progress.")
-def build(
-    config: str,
-    out: str,
-    scenes: int | None,
-    workers: int,
-    shards: str | None,
-    engine: str,
-    scheduler: str | None,
-    quiet: bool,
-) -> None:
+def build(config: str, out: str, quiet: bool, **options: Any) -> None:
     """Build the dataset that CONFIG describes in the folder OUT. Running it again resumes."""
     from datagen.building.build import build as build_dataset
     from datagen.config import load_config
 
-    result = build_dataset(
-        load_config(config),
-        out,
-        workers,
-        scenes=scenes,
-        shards=shards,
-        engine=engine,
-        scheduler=scheduler,
-        progress=not quiet,
-    )
+    result = build_dataset(load_config(config), out, progress=not quiet, **options)
     click.echo(result.summary())
 
 

@@ -7,7 +7,7 @@ of a kernel, which loads them, comes later.
 
 from __future__ import annotations
 
-import os
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -17,27 +17,14 @@ def drop_stale_kernels(package: Path, *called: Path) -> int:
 
     Where they cannot be deleted (a read-only installation) nothing is done: such sources do not change either.
     """
-    caches: list[tuple[float, str]] = []
-    newest = max((_newest_source(folder) for folder in called), default=0.0)
-    for folder, _, names in os.walk(package):
-        for name in names:
-            path = os.path.join(folder, name)
-            if name.endswith(".py"):
-                newest = max(newest, os.stat(path).st_mtime)
-            elif name.endswith((".nbi", ".nbc")):
-                try:
-                    caches.append((os.stat(path).st_mtime, path))
-                except FileNotFoundError:
-                    continue
+    newest = max(map(_newest_source, (package, *called)))
     dropped = 0
-    for written, path in caches:
-        if written < newest:
-            try:
-                os.unlink(path)
+    for cache in [*package.rglob("*.nbi"), *package.rglob("*.nbc")]:
+        # Another process may be quicker, or the folder read-only.
+        with suppress(OSError):
+            if cache.stat().st_mtime < newest:
+                cache.unlink()
                 dropped += 1
-            except OSError:
-                # Another process was quicker, or the folder is read-only.
-                continue
     return dropped
 
 

@@ -66,11 +66,13 @@ class Truth:
 
     @classmethod
     def of(cls, one: NDArray[np.float64], two: NDArray[np.float64], lookins: int = 0) -> Truth:
+        """The truth from two independent halves of the same shape."""
         mean, error = (one + two) / 2, float(np.sum((one - two) ** 2)) / 4
         return cls(mean, error, max(float(np.sum(mean**2)) - error, 0.0), lookins)
 
     @property
     def relative_error(self) -> float:
+        """The truth's own relative L2 error; 0 without light."""
         return math.sqrt(self.square_error / self.square) if self.square > 0 else 0.0
 
     def error_of(self, transient: NDArray[np.float64]) -> float:
@@ -105,10 +107,8 @@ def run(
     problem = Problem(room, fewer_laser_points(whole, laser_points))
     configured = config.transport.accuracy()
     orders = None if configured.max_bounces is None else max(configured.max_bounces, 4)
-    wanted = Accuracy(
-        lookins=1 << round(math.log2(max(configured.lookins, FEWEST_LOOKINS))), fov_samples=configured.fov_samples,
-        max_bounces=orders, replicates=4, direct=configured.direct,
-    )  # fmt: skip
+    lookins = 1 << round(math.log2(max(configured.lookins, FEWEST_LOOKINS)))
+    wanted = Accuracy(lookins, configured.fov_samples, orders, replicates=4, direct=configured.direct)
     base = _base_lookins(wanted, problem, seconds / RUNS_IN_BUDGET)
     own = converge(problem, base, SHARE_OF_REFERENCE * seconds)
     every = replace(base, max_bounces=None)
@@ -175,10 +175,10 @@ def measure(setting: Setting, problem: Problem, truth: Truth, repeats: int, slow
         runs.append(problem.run(setting.accuracy, 1 + len(runs)))
     found = np.array([transient for transient, _ in runs])
     noise, bias = noise_and_bias(found, truth)
-    return Row(
-        setting.quantity, setting.value, setting.configured, len(runs), statistics.median(taken for _, taken in runs),
-        statistics.median(truth.error_of(transient) for transient in found), noise, bias, setting.complete,
-    )  # fmt: skip
+    seconds = statistics.median(taken for _, taken in runs)
+    error = statistics.median(truth.error_of(transient) for transient in found)
+    what = setting.quantity, setting.value, setting.configured
+    return Row(*what, len(runs), seconds, error, noise, bias, setting.complete)
 
 
 def noise_and_bias(runs: NDArray[np.float64], truth: Truth) -> tuple[float, float]:
@@ -195,11 +195,12 @@ def noise_and_bias(runs: NDArray[np.float64], truth: Truth) -> tuple[float, floa
 
 def with_front(rows: Sequence[Row]) -> list[Row]:
     """The rows with the Pareto front of each truth marked: nothing quicker has as little error."""
-    return [
-        replace(row, front=all(other.error > row.error for other in rows
-                               if other.complete == row.complete and other.seconds < row.seconds))
-        for row in rows
-    ]  # fmt: skip
+
+    def is_front(row: Row) -> bool:
+        quicker = (other for other in rows if other.complete == row.complete and other.seconds < row.seconds)
+        return all(other.error > row.error for other in quicker)
+
+    return [replace(row, front=is_front(row)) for row in rows]
 
 
 def report(outcome: Outcome) -> str:

@@ -31,11 +31,10 @@ _LOOKS = {
 def table(rows: Sequence[Row]) -> str:
     """Markdown, a row for each setting; the Pareto front is marked by ●."""
     head = ["swept", "value", "processor s", "error", "of it noise", "of it bias", "front"]
-    cells = [
-        [row.quantity, row.value, f"{row.seconds:.3g}", percent(row.error), percent(row.noise),
-         percent(row.bias) if row.bias > 0 else "–", "●" if row.front else ""]
-        for row in rows
-    ]  # fmt: skip
+    cells = []
+    for row in rows:
+        errors = percent(row.error), percent(row.noise), percent(row.bias) if row.bias > 0 else "–"
+        cells.append([row.quantity, row.value, f"{row.seconds:.3g}", *errors, "●" if row.front else ""])
     return markdown(head, cells, words=2)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datagen.records import Accuracy, Capture, Laser, Sensor
+from datagen.records import Accuracy, Capture
 
 OBSERVED = 1024
 """Observed points of the factorised secondary where they are not what is swept."""
@@ -89,7 +89,4 @@ def fewer_laser_points(capture: Capture, most: int | None) -> Capture:
     if most is None or count <= most:
         return capture
     kept = np.unique(np.round((np.arange(most) + 0.5) * count / most - 0.5).astype(int))
-    sensor = capture.sensor
-    if capture.pairing == "confocal":
-        sensor = Sensor(sensor.position, sensor.pixels[kept], sensor.aperture_radius_m, sensor.finite_aperture)
-    return replace(capture, laser=Laser(capture.laser.position, capture.laser.targets[kept]), sensor=sensor)
+    return capture.excerpt(kept)

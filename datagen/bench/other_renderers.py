@@ -247,10 +247,8 @@ def plate_quadrature(
     out = np.zeros((len(points), axis.bins))
     scale = albedos[0] ** 2 * albedos[1] / math.pi**3 * plate.area_m2 / knots**2
     per_metre = 1.0 / float(path_from_time(axis.width_s))
-    _quadrature(
-        points, wall_normal, plate.center, plate.right, plate.up, plate.normal, knots, scale, per_metre,
-        axis.start_s / axis.width_s, shared, out,
-    )  # fmt: skip
+    frame, start = (plate.center, plate.right, plate.up, plate.normal), axis.start_s / axis.width_s
+    _quadrature(points, wall_normal, *frame, knots, scale, per_metre, start, shared, out)
     return out
 
 

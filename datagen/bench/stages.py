@@ -6,7 +6,6 @@ kernels on disk, and each worker's first shard is left out of the rates.
 
 from __future__ import annotations
 
-import statistics
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from datagen.building.build import build
 from datagen.config import DatasetConfig, load_config
 from datagen.errors import InputError
 from datagen.store import ShardRecord, committed, read_manifest
-from datagen.store.info import STAGES
+from datagen.store.info import STAGES, seconds_by_stage
 
 SCENES_PER_SHARD = 2
 
@@ -30,13 +29,6 @@ def records_of_build(config: DatasetConfig, workers: int, scenes: int) -> list[S
         root = Path(folder) / "set"
         build(config.with_scenes(scenes).model_copy(update={"store": store}), root, workers, progress=False)
         return sorted(committed(root, read_manifest(root)), key=lambda record: record.finished)
-
-
-def seconds_by_stage(records: Sequence[ShardRecord]) -> dict[str, float]:
-    """Stage → median seconds per scene."""
-    scenes = [scene for record in records for scene in record.scenes]
-    own = {stage: statistics.median(scene.seconds[stage] for scene in scenes) for stage in STAGES if stage != "store"}
-    return {**own, "store": statistics.median(record.seconds["store"] / len(record.scenes) for record in records)}
 
 
 def scenes_per_second(records: Sequence[ShardRecord], workers: int) -> float:
@@ -60,7 +52,8 @@ def main(config: str, scenes: int, workers: str) -> None:
     rows = []
     for count in counts:
         records = records_of_build(loaded, count, scenes)
-        taken = [seconds_by_stage(records)[stage] for stage in STAGES]
+        medians = seconds_by_stage(records)
+        taken = [medians[stage] for stage in STAGES]
         rate = scenes_per_second(records, count)
         rows.append([str(count), *(f"{cell:.4f}" for cell in [*taken, sum(taken)]), f"{rate:.2f}"])
     click.echo(f"{loaded.name}, medians over {scenes} scenes; {machine()}\n")

@@ -73,6 +73,7 @@ class Outcome:
 
     @property
     def within(self) -> bool:
+        """Whether the true error is at most the target."""
         return self.error <= self.target
 
 
@@ -114,13 +115,10 @@ def outcomes_of(
     found = []
     for (target, run, seconds), fixed_cost in zip(runs, fixed, strict=True):
         assert run.spend is not None and run.error_bound is not None and run.met_target is not None
-        found.append(
-            Outcome(
-                case, f"{capture.pairing} {capture.shape[0]}x{capture.shape[1]}", base.max_bounces, capture.time.bins,
-                target, _error(run.total, truth.total, norm, noise), noise, run.error_bound, run.met_target,
-                run.spend.cost, fixed_cost, seconds,
-            )
-        )  # fmt: skip
+        what = case, "{} {}x{}".format(capture.pairing, *capture.shape), base.max_bounces, capture.time.bins, target
+        claimed = noise, run.error_bound, run.met_target
+        error = _error(run.total, truth.total, norm, noise)
+        found.append(Outcome(*what, error, *claimed, run.spend.cost, fixed_cost, seconds))
     return found
 
 
@@ -172,12 +170,11 @@ def table(found: Sequence[Outcome]) -> str:
         interval = stats.binomtest(good, len(some)).proportion_ci(0.95, "exact")
         share = np.array([one.error for one in some]) / target
         ratio = np.array([one.cost / one.fixed_cost for one in some if one.fixed_cost > 0] or [math.nan])
-        rows.append(
-            [f"{target:g}", str(len(some)), f"{good / len(some):.1%}", f"{interval.low:.1%} … {interval.high:.1%}",
-             *(f"{x:.2f}" for x in (np.median(share), np.quantile(share, 0.95), share.max())),
-             f"{np.median(ratio):.2f}", f"{np.quantile(ratio, 0.95):.2f}", f"{(ratio > FAIR).mean():.1%}",
-             f"{np.median([one.seconds for one in some]):.2f}"]
-        )  # fmt: skip
+        within = f"{good / len(some):.1%}", f"{interval.low:.1%} … {interval.high:.1%}"
+        errors = [f"{x:.2f}" for x in (np.median(share), np.quantile(share, 0.95), share.max())]
+        costs = f"{np.median(ratio):.2f}", f"{np.quantile(ratio, 0.95):.2f}", f"{(ratio > FAIR).mean():.1%}"
+        seconds = f"{np.median([one.seconds for one in some]):.2f}"
+        rows.append([f"{target:g}", str(len(some)), *within, *errors, *costs, seconds])
     return markdown(head, rows, words=0)
 
 

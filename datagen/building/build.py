@@ -67,6 +67,7 @@ def build(
 
     Parameters
     ----------
+    config, path : what to make, and the folder to make or to go on with.
     workers : processes, one core each. The bytes do not depend on it.
     scenes : instead of `config.scenes`. An existing dataset may grow: its scenes stay as they are.
     shards : only these, such as `"0-99"` or `"3,7-9"`, for job arrays; several such builds may run side by side.
@@ -74,6 +75,10 @@ def build(
     progress : report to standard error.
     sample_function, input_check : what makes a sample, and what examines the configuration before anything is
         created; left out, the whole simulation (`datagen.pipeline`). Must be importable by the workers.
+
+    Returns
+    -------
+    BuildResult; the dataset itself is read by `TransientDataset`.
 
     Raises
     ------

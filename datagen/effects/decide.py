@@ -13,7 +13,7 @@ from datagen.config.effects import EffectsConfig
 from datagen.detector import Exposure, Spad
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE
 from datagen.effects.detector_effects import DETECTOR_EFFECTS, Detection
-from datagen.effects.rule import Decision, Effect, Stage, decide
+from datagen.effects.rule import Decision, Effect, decide
 from datagen.effects.scene_figures import SceneFigures
 from datagen.effects.transport_effects import TRANSPORT_EFFECTS
 from datagen.effects.trial import few_samples
@@ -53,14 +53,6 @@ class EffectDecisions:
     def __add__(self, other: EffectDecisions) -> EffectDecisions:
         """Both stages' decisions together."""
         return EffectDecisions(self.decisions + other.decisions, max(self.tolerance, other.tolerance))
-
-    def change(self, stage: Stage) -> float:
-        """Bound on the relative change of a stage's answer by all that `auto` left out."""
-        product = 1.0
-        for decision in self.decisions:
-            if decision.stage == stage and decision.left_out and decision.estimate is not None:
-                product *= 1.0 + decision.estimate
-        return product - 1.0
 
     def apply_transport(self, scene: Scene, capture: Capture, accuracy: Accuracy) -> tuple[Scene, Accuracy]:
         """The scene and accuracy to simulate: what is left out is no part of them."""
@@ -115,6 +107,7 @@ def plan_effects(
 
     Parameters
     ----------
+    scene, capture : the scene, and how it is looked at.
     accuracy : what the transport is to simulate, default `Accuracy()`.
     spad, exposure : the detector; left out, only the transport is decided for.
     settings : tolerance, and `on`, `off` or `auto` for each effect; left out, all are `auto`.
@@ -125,6 +118,10 @@ def plan_effects(
     Returns
     -------
     EffectDecisions; its `apply_transport` and `apply_detector` give what to hand to `simulate` and `detect`.
+
+    Raises
+    ------
+    InputError : a scene or capture that `simulate` refuses.
     """
     accuracy = accuracy or Accuracy()
     decided = decide_transport_effects(scene, capture, accuracy, settings, seed)
@@ -139,9 +136,9 @@ def plan_effects(
 
 
 def decision_lines(decided: EffectDecisions) -> list[str]:
-    """A line for each decision, for people: effect, what was decided, by how much it counts, why."""
+    """A heading and a line for each decision, for people: effect, what was decided, by how much it counts, why."""
     titles = {row.name: row.title for row in EFFECTS}
-    lines = []
+    lines = [f"{'effect':30}{'is':5}{'from':8}{'change':>9}  why"]
     for decision in decided.decisions:
         state = "on" if decision.simulated else "off" if decision.left_out else "–"
         value = None if decision.kind == "absent" else decision.estimate

@@ -14,13 +14,13 @@ three standard errors (jackknife over channels).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.records import Accuracy, Capture, Laser, Scene, Sensor
+from datagen.records import Accuracy, Capture, Scene
 from datagen.transport import simulate
 from datagen.transport.cost import BIN, CALL, RAY
 
@@ -135,13 +135,13 @@ def run_trial(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> 
     few = few_samples(accuracy, max(size.walks // size.lasers, 1))
     lasers, pixels = _spread(len(capture.laser.targets), size.lasers), _spread(capture.shape[1], size.pixels)
     copies = 2 if size.at_once else 1
-    twice = _excerpt(capture, np.tile(lasers, copies), np.tile(pixels, copies))
+    twice = capture.excerpt(np.tile(lasers, copies), np.tile(pixels, copies))
     made = [simulate(scene, twice, few, seed=seed, split_parts=False)]
     # The factorised form shares its points between laser points, whose noise is then no longer their own.
     if not size.at_once or (made[0].spend is not None and "factorised" in "".join(made[0].spend.way.values())):
-        once = _excerpt(capture, lasers, pixels)
+        once = capture.excerpt(lasers, pixels)
         made.append(simulate(scene, once, few, seed=(seed + 1) % 2**64, split_parts=False))
-    shape = _excerpt(capture, lasers, pixels).shape[:2]
+    shape = capture.excerpt(lasers, pixels).shape[:2]
     return Trial(_paired([run.components for run in made], shape))
 
 
@@ -173,14 +173,3 @@ def _spread(total: int, count: int) -> NDArray[np.int64]:
     """`count` different numbers below `total`, evenly spread, or all of them."""
     count = min(count, total)
     return ((np.arange(count) + 0.5) * total / count).astype(np.int64)
-
-
-def _excerpt(capture: Capture, lasers: NDArray[np.int64], pixels: NDArray[np.int64]) -> Capture:
-    """The capture with only some laser points and pixels."""
-    sensor = capture.sensor
-    seen = lasers if capture.pairing == "confocal" else pixels
-    return replace(
-        capture,
-        laser=Laser(capture.laser.position, capture.laser.targets[lasers]),
-        sensor=Sensor(sensor.position, sensor.pixels[seen], sensor.aperture_radius_m, sensor.finite_aperture),
-    )

@@ -14,6 +14,7 @@ from datagen.config import DatasetConfig
 from datagen.errors import InputError
 from datagen.forecast.pilots import Pilots
 from datagen.store import Schema, ShardRecord, committed, read_manifest
+from datagen.store.files import finite
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class Forecast:
 
     @property
     def bytes_per_scene(self) -> float:
+        """Bytes on disk of one scene: all fields, its commit record and its row of the table."""
         return sum(self.stored.values())
 
     @property
@@ -66,7 +68,7 @@ class Forecast:
     def as_json(self) -> dict[str, Any]:
         """Plain values; NaN, which JSON has not, becomes None."""
         values = {**asdict(self), "bytes_per_scene": self.bytes_per_scene, "processor_share": self.processor_share}
-        return {key: _without_nan(value) for key, value in values.items()}
+        return dict(finite(values))
 
 
 def forecast(schema: Schema, pilots: Pilots, startup_s: float, workers: int, cores: int) -> Forecast:
@@ -107,12 +109,6 @@ def _spread(values: Sequence[float]) -> tuple[float, float, float]:
     return (min(values), statistics.median(values), max(values)) if values else (math.nan, math.nan, math.nan)
 
 
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, tuple | list):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
 @dataclass(frozen=True)
 class Outcome:
     """One number of a build: what was expected, and what it came to. unit : "s", "bytes" or "" for a share."""
@@ -126,9 +122,6 @@ class Outcome:
     def ratio(self) -> float:
         """Actual over predicted; NaN when either is unknown or nothing."""
         return self.actual / self.predicted if self.predicted > 0 and self.actual > 0 else math.nan
-
-    def as_json(self) -> dict[str, Any]:
-        return {key: _without_nan(value) for key, value in asdict(self).items()}
 
 
 def records_of(config: DatasetConfig, dataset: str | Path) -> list[ShardRecord]:

@@ -55,6 +55,7 @@ class Pilot:
 
     @property
     def total_s(self) -> float:
+        """Wall-clock seconds of all stages."""
         return sum(self.seconds.values())
 
     def at_full_effort(self) -> Pilot:

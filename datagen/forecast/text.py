@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
 
 from datagen.config import DatasetConfig
 from datagen.errors import InputError
@@ -15,10 +15,8 @@ from datagen.forecast.pilots import run_pilots, startup_seconds
 from datagen.store import Schema, schema_of
 from datagen.store.card import readable
 from datagen.store.environment import cores, environment, hardware
-from datagen.store.files import json_bytes, write_atomically
+from datagen.store.files import finite, json_bytes, write_atomically
 
-FEW_LOOKINS = 256
-"""Lookins of the transient from which the detector's flux is estimated."""
 BUDGET_S = 15.0
 BUSY = 0.8
 """Pilots that got a smaller share of a core than this were held up by other processes, which the plan then says."""
@@ -67,7 +65,7 @@ def plan(
             "name": config.name,
             "fingerprint": config.fingerprint(),
             "forecast": expected.as_json(),
-            "against": [row.as_json() for row in held],
+            "against": [finite(asdict(row)) for row in held],
             "machine": hardware(),
             "versions": environment(),
         }
@@ -126,8 +124,9 @@ def _decisions(config: DatasetConfig) -> list[str]:
     from datagen.capture import capture_for
     from datagen.detector import choose_sampler, detector_for
     from datagen.effects import EFFECTS, EffectDecisions, decision_lines
+    from datagen.effects.decide import FORESEEN_LOOKINS
+    from datagen.effects.trial import few_samples
     from datagen.pipeline import detector_effects, transport_effects
-    from datagen.records import Accuracy
     from datagen.scene import generate_scene
     from datagen.transport import simulate
 
@@ -135,12 +134,7 @@ def _decisions(config: DatasetConfig) -> list[str]:
     capture = capture_for(config, scene, config.seed, 0)
     effects = transport_effects(config, scene, capture, 0)
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
-    secondary: Literal["all", "none"] = "none" if accuracy.secondary == "none" else "all"
-    few = Accuracy(
-        lookins=FEW_LOOKINS, fov_samples=1, max_bounces=accuracy.max_bounces, replicates=1,
-        direct=accuracy.direct, secondary=secondary, occlusion=accuracy.occlusion,
-    )  # fmt: skip
-    transient = simulate(lit, capture, few, seed=0, split_parts=False)
+    transient = simulate(lit, capture, few_samples(accuracy, FORESEEN_LOOKINS), seed=0, split_parts=False)
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
     effects += detector_effects(config, transient, spad, exposure)
     used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
@@ -153,7 +147,6 @@ def _decisions(config: DatasetConfig) -> list[str]:
     return [
         f"decisions for scene 0 (each scene gets its own; all that is left out may change a result by "
         f"{_percent(effects.tolerance)})",
-        f"  {'effect':30}{'is':5}{'from':8}{'change':>9}  why",
         *(f"  {line}" for line in decision_lines(EffectDecisions(there, effects.tolerance))),
         f"  not there: {', '.join(absent)}",
         f"  sampler {decided.sampler}: {decided.reason}",

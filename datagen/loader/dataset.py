@@ -27,10 +27,14 @@ COUNT_TYPES = ("float32", "float64", "int32", "int64", "stored")
 
 
 class TransientDataset(Dataset[dict[str, torch.Tensor]]):
-    """A dataset on disk as a map-style torch `Dataset`; an item maps each field, and `"scene"`, to a tensor.
+    """A dataset on disk as a map-style torch `Dataset`.
+
+    An item maps each field, and `"scene"` (its index), to a tensor of the scene's shape (`data.shape(field)`):
+    histogram and transient (L, P, T), label images (row, column), volumes (depth, row, column).
 
     Parameters
     ----------
+    path : the folder that `build` made, complete.
     fields : any of the dataset's fields; `data.fields` lists all, and "objects" stands for those that begin with
         `object_` (the classes, poses and boxes of the objects; `data.classes` names the classes).
     counts : dtype that histograms are handed over in, since torch lacks most operations for uint16 and uint32.

@@ -5,7 +5,7 @@ Scholes & Leach, Sensors 24, 6522 (2024), sec. 3 and 4. Each function gives the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,11 +36,9 @@ class PrintedRoom:
     @classmethod
     def of(cls, scene: Scene, capture: Capture, unit_m: float) -> PrintedRoom:
         """Raises `InputError` for a BRDF that the paper does not have, or a pixel that is no convex quadrilateral."""
-        caster = Raycaster(scene)
-        return cls(
-            caster, scene, capture, PrintedMaterials.of(scene), PixelCones.of(capture.sensor),
-            LaserPoints.of(caster, scene, capture.laser), unit_m,
-        )  # fmt: skip
+        caster, materials, cones = Raycaster(scene), PrintedMaterials.of(scene), PixelCones.of(capture.sensor)
+        points = LaserPoints.of(caster, scene, capture.laser)
+        return cls(caster, scene, capture, materials, cones, points, unit_m)
 
     def loss(self, distance: Array, passes: int = 1) -> Array:
         """C_atm^(passes · R) / R² of legs R in metres, R² in the unit of length."""
@@ -78,10 +76,8 @@ class PrintedLookins:
 
     def take(self, rows: slice | NDArray[np.int64]) -> PrintedLookins:
         """Some of them; the normalisation α stays that of all."""
-        return PrintedLookins(
-            self.position[rows], self.normal[rows], self.face[rows], self.part[rows], self.distance[rows],
-            self.amplitude[rows], self.alpha,
-        )  # fmt: skip
+        each = ("position", "normal", "face", "part", "distance", "amplitude")
+        return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
 
 @dataclass(frozen=True)
@@ -123,10 +119,8 @@ def place_lookins(room: PrintedRoom, laser: int, directions: Array) -> PrintedLo
     distance = seen.distance[0, hit]
     gamma = room.materials.reflectivity[points.part[laser]]
     amplitude = gamma * seen.share[0, hit] * room.loss(distance)
-    return PrintedLookins(
-        seen.position[0, hit], seen.normal[0, hit], seen.face[0, hit], seen.part[0, hit], distance, amplitude,
-        float(seen.alpha[0]),
-    )  # fmt: skip
+    place, surface = (seen.position[0, hit], seen.normal[0, hit]), (seen.face[0, hit], seen.part[0, hit])
+    return PrintedLookins(*place, *surface, distance, amplitude, float(seen.alpha[0]))
 
 
 def observe(room: PrintedRoom, lookins: PrintedLookins, camera: Array) -> Seen:

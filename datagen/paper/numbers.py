@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from datagen.paper.measures import PEAKS_NS, SECONDS, mean_ns, peak_ns
+from datagen.paper.measures import PEAKS_NS, SECONDS
 from datagen.paper.runs import Runs, Simulation
 from datagen.paper.statements import Statement
 from datagen.store.environment import processor
+from datagen.store.files import finite
 
 MADE_BY = "datagen reproduce"
 
 
 def numbers(runs: Runs, statements: Sequence[Statement], command: str) -> dict[str, Any]:
-    """Statements, levels, peaks, seconds and curves; what is not a number becomes null."""
+    """Statements, levels, seconds and curves; what is not a number becomes null."""
     cases = {f"{kind}, {rays}, {scheme}": _case(case) for (kind, rays, scheme), case in runs.cases.items()}
     cases |= {f"as printed in metres, {rays}, all": _case(case) for rays, case in runs.in_metres.items()}
-    cases |= {f"as printed, {runs.sparse}, all, {grid}, α₁ over {conserved}": _case(case)
-              for (grid, conserved), case in runs.choices.items()}  # fmt: skip
+    cases |= {
+        f"as printed, {runs.sparse}, all, {grid}, α₁ over {conserved}": _case(case)
+        for (grid, conserved), case in runs.choices.items()
+    }
     found = {
         "made_by": MADE_BY,
         "command": command,
@@ -36,34 +39,20 @@ def numbers(runs: Runs, statements: Sequence[Statement], command: str) -> dict[s
         "levels_radiometric_by_rays": {str(rays): asdict(level) for rays, level in runs.radiometric_levels.items()},
         "levels_radiometric_lengths_times_1_and_1000": [asdict(level) for level in runs.rescaled],
         "converged_relative_standard_error": runs.case("converged").relative_error,
-        "time_ns": runs.time_ns,
+        "time_ns": _six_digits(runs.time_ns),
     }
-    plain: dict[str, Any] = _plain(found)
-    return plain
+    return dict(finite(found))
 
 
 def _case(case: Simulation) -> dict[str, Any]:
     curves = {**case.curves.parts, "secondary": case.secondary}
-    time = case.curves.time_ns
     return {
         "level": dict(case.level),
-        "secondary_over_primary": case.ratio,
-        "peaks_ns": {name: peak_ns(curve, time) for name, curve in curves.items()},
-        "heights": {name: curve.max() for name, curve in curves.items()},
-        "mean_arrival_ns": {"primary": mean_ns(case.primary, time), "secondary": mean_ns(case.secondary, time)},
         "seconds": case.seconds,
         "processor_s": case.processor_s,
-        "curves": curves,
+        "curves": {name: _six_digits(curve) for name, curve in curves.items()},
     }
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return [float(f"{number:.6g}") for number in value.tolist()]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value
+def _six_digits(curve: NDArray[np.float64]) -> list[float]:
+    return [float(f"{number:.6g}") for number in curve]

@@ -10,37 +10,13 @@ from datagen.paper.as_printed import AsPrinted
 from datagen.paper.envelope_figures import sigma_ps
 from datagen.paper.measures import PEAKS_NS, SECONDS, SIGMA_PS
 from datagen.paper.room_samples import FromLookin, Lit
-from datagen.paper.runs import CONSERVED, GRIDS, SCHEMES, Estimator, Runs, Simulation
+from datagen.paper.runs import SCHEMES, Estimator, Runs
 from datagen.paper.statements import Statement, Verdict, ratio
 from datagen.report.html import head, table
 from datagen.store.environment import processor
 
 _UNDEFINED = re.compile(r"[+-]?\bnan\b")
 _ESTIMATORS: tuple[Estimator, ...] = ("as printed", "radiometric")
-
-CHOICES = (
-    ("grid of rays",
-     "“a 10 × 10 grid of rays”, θ over 2π, φ over 0 … π/2 (sec. 3.1, Fig. 2b): taken as equal steps of both angles; "
-     "<code>AsPrinted(grid=\"solid_angle\")</code> takes equal solid angles"),
-    ("half cube map",
-     "a camera of 180° with 60 × 60 pixels: a face of 90° with 30 × 30 and four half faces with 30 × 15 pixels. "
-     "Unfolded they fill a cross in the 60 × 60 picture; its corners, 900 places, hold no direction, so Ñ is 2700 "
-     "and not 3600"),
-    ("α", "“a normalization constant, to ensure the conservation of energy”: 1/Σ B over the directions sampled"),
-    ("α₁ in Eq. 8",
-     "the same, over all lit observed points of all lookins; <code>conserved=\"lookin\"</code> (the set k runs over) "
-     "and <code>\"rays\"</code> (the α₁ of Eq. 6) are the other readings"),
-    ("β",
-     "“a modified normalization that accounts for the single input and output vectors”: a single direction has no "
-     "sum, so 1/∫ B dω over the hemisphere: 1/π for cosφ, 1/4 for |sinθ|"),
-    ("C_atm", "a transmission per unit length, raised to the length; 1 here as in the paper"),
-    ("field of view",
-     "an observed point is in it if the sensor sees it: within the square's cone, facing, not hidden"),
-    ("the room",
-     "no plan was published, and the peaks do not fix one: all sizes are ours, laid out so that radiometric weights "
-     "have the published peaks. With a ceiling of 3.00 m for 2.88 m, a box of 2.2 m for 2.6 m and the pillar a "
-     "little further in the printed weights have them. The paper's frame is left-handed, ours right-handed"),
-)  # fmt: skip
 
 
 def page(
@@ -72,10 +48,14 @@ def page(
         yield f"<h2>Fig. {number}</h2>{text}"
         yield f'<p><img alt="Fig. {number} of the paper, computed again" src="{images[number]}"></p>'
     yield from times(runs)
-    yield from _levels(runs)
-    yield "<h2>What the text leaves open, and what was taken</h2>"
-    yield table(("", "taken here"), CHOICES)
-    yield "</body></html>"
+    yield (
+        "<h2>Levels</h2><p>The light of all bins, and what it comes to with other grids of rays, units and readings "
+        "of α₁, stands in <code>numbers.json</code>. As printed, sums over B keep the levels from growing with the "
+        "number of rays itself; what remains is how near to a corner the rays reach, for 1/R² has no bound there, "
+        "and the secondary multiplies three of them. Radiometric weights carry cosines and areas that bound it.</p>"
+        "<h2>What the text leaves open</h2><p>What was taken, and the other readings: <code>docs/paper.md</code>, "
+        "and the docstrings of <code>dg.AsPrinted</code> and <code>dg.simulate_as_printed</code>.</p></body></html>"
+    )
 
 
 def _summary(statements: Sequence[Statement]) -> str:
@@ -84,18 +64,10 @@ def _summary(statements: Sequence[Statement]) -> str:
         decided = [v.holds for v in verdicts if v.holds is not None]
         return f"{sum(decided)} of {len(decided)}"
 
-    gone = [s.claim for s in statements if s.printed.holds and s.radiometric.holds is False]
-    won = [s.claim for s in statements if s.printed.holds is False and s.radiometric.holds]
-    text = (
+    return (
         f"<p>Of the statements that this room can decide, {count('printed')} hold as printed and "
         f"{count('radiometric')} with correct radiometry.</p>"
     )
-    for claims, one, other in ((gone, "as printed", "with correct radiometry"),
-                               (won, "with correct radiometry", "as printed")):  # fmt: skip
-        if claims:
-            listed = "".join(f"<li>{escape(claim)}</li>" for claim in claims)
-            text += f"<p>Hold {one}, but not {other}:</p><ul>{listed}</ul>"
-    return text
 
 
 def _verdict(verdict: Verdict) -> str:
@@ -117,22 +89,18 @@ def _deviations(runs: Runs, points: Lit, examples: Sequence[FromLookin]) -> dict
     without = [n for n in PEAKS_NS if n not in runs.case("converged").curves.parts]
     parts = f" This room has no {' and no '.join(without)}." if without else ""
     return {
-        "3": "<p>Described as: left the inverse square, centre the Lambertian distribution, right both, over N × Ñ = "
-        f"{counted:,} observed points. Differs: the corners of the unfolded picture hold no direction, so there are "
-        f"{len(points.position):,}; {100 * (1 - points.lit.mean()):.0f} % of them lie in shadow and carry no light; "
-        "the view and the colour scale are ours. The lower row has no counterpart in the paper.</p>",
-        "5": "<p>Described as: B alone, then with the inverse square, then close up on the field of view, (a) for a "
-        "lookin on the nearest wall with cosφ, (b) on the pillar with sinθ, most of whose energy goes into a plane "
-        "parallel to the floor and whose points fill a triangle, for the camera's 180° end at the tilted face. "
-        f"{level} Differs: the lookins are chosen by rule; sinθ is taken by its modulus, for it is negative on one "
-        f"side. Points within the field of view: {seen or 'none'}.</p>",
-        "7": "<p>Described as: total black and uppermost, room blue, box purple, pillar orange, secondary red, two "
-        "densities. Differs: the room is ours (its peaks stand in the table above); "
-        f"σ = {sigma:.0f} ps where the text has {SIGMA_PS:g} ps and the notebook 600 ps FWHM; c is exact where the "
-        "notebook has 2.99·10⁸ m/s (0.07 ns at 25 ns). How high the red curve lies in the upper row depends on the "
-        f"unit of length and on the reading of α₁ (below).{parts}</p>",
-        "9": "<p>Described as Fig. 7, with the strongest secondary path of each lookin alone: lower, narrower, its "
-        "peak in the same place. In the lower row the strongest of the observed points is one of "
+        "3": f"<p>Of N × Ñ = {counted:,} observed points {len(points.position):,} are there: the corners of the "
+        "unfolded picture hold no direction. View and colour scale are ours; the lower row has no counterpart in the "
+        "paper.</p>",
+        "5": "<p>In the paper, most of the energy of the pillar's lookin goes into a plane parallel to the floor, "
+        f"and its points fill a triangle, for the camera's 180° end at the tilted face. {level} Differs: the lookins "
+        "are chosen by rule; sinθ is taken by its modulus, for it is negative on one side. Points within the field "
+        f"of view: {seen or 'none'}.</p>",
+        "7": f"<p>The room is ours (its peaks stand in the table above); σ = {sigma:.0f} ps where the text has "
+        f"{SIGMA_PS:g} ps and the notebook 600 ps FWHM; c is exact where the notebook has 2.99·10⁸ m/s (0.07 ns at "
+        "25 ns). How high the red curve lies in the upper row depends on the unit of length and on the reading of α₁."
+        f"{parts}</p>",
+        "9": "<p>In the lower row the strongest of the observed points is one of "
         f"{runs.sizes.pixels**2:,}: with more of them it would carry less.</p>",
     }
 
@@ -160,38 +128,3 @@ def times(runs: Runs) -> Iterator[str]:
 def _saved(runs: Runs, estimator: Estimator, rays: int) -> str:
     every, strongest = (runs.case(estimator, rays, scheme).processor_s for scheme in SCHEMES)
     return f"{ratio(every, strongest):.1f} at {rays}×{rays}"
-
-
-def _levels(runs: Runs) -> Iterator[str]:
-    yield "<h2>Levels</h2><p>The light of all bins per emitted photon, or what stands for it as printed (mm⁻⁴).</p>"
-    rows = [
-        (f"as printed, {rays}×{rays}×{runs.sizes.pixels}×{runs.sizes.pixels}", *_level(runs.case("as printed", rays)))
-        for rays in runs.sizes.rays
-    ]
-    rows += [
-        (f"as printed, {rays}×{rays}×{runs.sizes.sweep_pixels}×{runs.sizes.sweep_pixels}",
-         f"{level.primary:.3e}", f"{level.secondary:.3e}", f"{level.secondary / level.primary:.2e}")
-        for rays, level in runs.sweep.items() if level.primary > 0
-    ]  # fmt: skip
-    rows.append((f"as printed in metres, {runs.sparse}×{runs.sparse}", *_level(runs.in_metres[runs.sparse])))
-    for grid in GRIDS:
-        for conserved in CONSERVED:
-            case = runs.choices[grid, conserved]
-            rows.append((f"as printed, {runs.sparse}×{runs.sparse}, grid {grid}, α₁ over {conserved}", *_level(case)))
-    rows += [
-        (f"radiometric, {rays}² lookins, {runs.sizes.seeds} seeds",
-         f"{level.primary:.4e} ± {level.primary_error:.0e}", f"{level.secondary:.4e} ± {level.secondary_error:.0e}",
-         f"{level.secondary / level.primary:.3f}")
-        for rays, level in runs.radiometric_levels.items() if level.primary > 0
-    ]  # fmt: skip
-    rows.append((f"radiometric, converged, {runs.sizes.reference} lookins", *_level(runs.case("converged"))))
-    yield table(("", "primary", "secondary", "secondary / primary"), rows)
-    yield (
-        "<p>As printed, sums over B keep the levels from growing with the number of rays itself; what remains is how "
-        "near to a corner the rays reach, for 1/R² has no bound there, and the secondary multiplies three of them. "
-        "Radiometric weights carry the cosines and areas that bound it.</p>"
-    )
-
-
-def _level(case: Simulation) -> tuple[str, str, str]:
-    return f"{case.level['primary']:.3e}", f"{case.level['secondary']:.3e}", f"{case.ratio:.3g}"

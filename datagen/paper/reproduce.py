@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,6 +19,7 @@ from datagen.paper.room_samples import example_lookins, lit_points
 from datagen.paper.runs import FULL, QUICK, ROOM_UNIT_M, Progress, run_all
 from datagen.paper.statements import statements_of
 from datagen.report.style import save_png
+from datagen.store.files import PARTIAL, json_bytes, read_json
 
 PAGE, NUMBERS = "index.html", "numbers.json"
 ROOM = Path(__file__).with_name("demonstration_room.yaml")
@@ -49,10 +48,7 @@ def reproduce(
         a BRDF that the paper does not have. Nothing is left behind then.
     """
     room = load_config(ROOM if config is None else config)
-    command = " ".join(
-        ["datagen reproduce", str(out), *(["--config", str(config)] if config is not None else []),
-         *(["--quick"] if quick else [])]
-    )  # fmt: skip
+    command = f"datagen reproduce {out}{'' if config is None else f' --config {config}'}{' --quick' if quick else ''}"
     with _written_at_once(Path(out)) as folder:
         runs = run_all(room, QUICK if quick else FULL, progress)
         balance = lookin_balance(runs.scene, runs.capture, runs.sparse, runs.sizes.pixels, ROOM_UNIT_M)
@@ -64,8 +60,7 @@ def reproduce(
         save_png(lookins_figure(runs, examples), folder / images["5"])
         save_png(envelope_figure(runs, "all", "7"), folder / images["7"])
         save_png(envelope_figure(runs, "strongest", "9"), folder / images["9"])
-        text = json.dumps(numbers(runs, statements, command), indent=1, ensure_ascii=False)
-        (folder / NUMBERS).write_text(text + "\n", encoding="utf-8")
+        (folder / NUMBERS).write_bytes(json_bytes(numbers(runs, statements, command)))
         html = "\n".join(page(runs, statements, points, examples, images, command))
         (folder / PAGE).write_text(html, encoding="utf-8")
     return Path(out) / PAGE
@@ -85,13 +80,11 @@ def _written_at_once(out: Path) -> Iterator[Path]:
     try:
         try:
             parent.mkdir(parents=True, exist_ok=True)
-            partial = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=parent))
+            partial = parent / f".{place.name}.{os.getpid()}{PARTIAL}"
+            partial.mkdir()
         except OSError as error:
             raise InputError(f"{out}: cannot be written ({error.strerror or error}); name another folder") from None
         yield partial
-        mask = os.umask(0)
-        os.umask(mask)
-        partial.chmod(0o777 & ~mask)
         if place.is_dir():
             shutil.rmtree(place)
         partial.replace(place)
@@ -106,6 +99,6 @@ def _written_at_once(out: Path) -> Iterator[Path]:
 
 def _is_ours(folder: Path) -> bool:
     try:
-        return bool(json.loads((folder / NUMBERS).read_text(encoding="utf-8"))["made_by"] == MADE_BY)
-    except (OSError, ValueError, KeyError, TypeError):
+        return bool(read_json(folder / NUMBERS)["made_by"] == MADE_BY)
+    except (InputError, KeyError, TypeError):
         return False

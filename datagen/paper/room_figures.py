@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from datagen.paper.room_samples import FromLookin, Lit
 from datagen.paper.runs import Runs
-from datagen.report.cutaway import Camera, Shaded, shaded
-from datagen.report.room_plots import best_view
-from datagen.report.style import LASER, captioned, house_style
+from datagen.report.room_plots import RoomPicture, draw_opened
+from datagen.report.style import FIELD_OF_VIEW, captioned, house_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +21,6 @@ _WIDTH_IN = 13.0
 _PANEL_IN = 3.4
 _DECADES = 3.0
 _MOST_POINTS = 60_000
-_GREEN = "#1B9E3A"
 _COLORS = "inferno"
 
 
@@ -40,7 +38,7 @@ def light_figure(runs: Runs, points: Lit) -> Figure:
     )
     with house_style():
         figure, grid = captioned(_WIDTH_IN, [_PANEL_IN] * 2, text, columns=3)
-        backdrop = _Backdrop.of(runs)
+        backdrop = _backdrop(runs)
         for row, (estimator, three) in enumerate(points.panels.items()):
             for column, (name, values) in enumerate(three):
                 axes = figure.add_subplot(grid[row, column])
@@ -54,7 +52,7 @@ def lookins_figure(runs: Runs, examples: list[FromLookin]) -> Figure:
     """Fig. 5: BRDF, inverse square and field of view for the example lookins, for both estimators."""
     text = (
         "As Fig. 5 of Scholes & Leach (2024): where a lookin (grey triangle) sends light. Left by its B alone, in "
-        "the middle with the inverse square, right the observed points within the field of view (green square), seen "
+        "the middle with the inverse square, right the observed points within the field of view (blue square), seen "
         f"from the sensor, with the final bounce; logarithmic over {_DECADES:g} decades (left: linear), each panel "
         "relative to its brightest point. As printed every camera pixel counts alike and surfaces receive whatever "
         "their tilt; radiometrically points receive by their own cosine. The paper names no lookins: these are, on "
@@ -62,7 +60,7 @@ def lookins_figure(runs: Runs, examples: list[FromLookin]) -> Figure:
     )
     with house_style():
         figure, grid = captioned(_WIDTH_IN, [_PANEL_IN] * (2 * len(examples)), text, columns=3)
-        backdrop = _Backdrop.of(runs)
+        backdrop = _backdrop(runs)
         for k, example in enumerate(examples):
             for line, (estimator, panels) in enumerate(example.panels.items()):
                 row, places = 2 * k + line, (example.position, example.face)
@@ -77,49 +75,19 @@ def lookins_figure(runs: Runs, examples: list[FromLookin]) -> Figure:
     return figure
 
 
-@dataclass(frozen=True)
-class _Backdrop:
-    """The opened room in pale colours. camera, faces : how it is seen, and which triangles stay."""
-
-    camera: Camera
-    faces: NDArray[np.int64]
-    outlines: NDArray[np.float64]
-    picture: Shaded
-    field_of_view: NDArray[np.float64]
-    beam: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, runs: Runs) -> _Backdrop:
-        camera, cut = best_view(runs.scene)
-        pale = {"relay_wall": "#DDE4EC", "structure": "#ECECEC", "object": "#D9D9D9"}
-        colors = {n: pale[role] for n, role in zip(runs.scene.part_names, runs.scene.roles, strict=True)}
-        colors |= {name: color for name, color in (("box", "#D9C7E8"), ("pillar", "#F7D9B5")) if name in colors}
-        corners = runs.capture.sensor.pixels[0]
-        return cls(
-            camera, cut.faces, cut.outlines, shaded(runs.scene, camera, cut.faces, colors, 420),
-            np.concatenate([corners, corners[:1]]), np.stack([runs.capture.laser.position, runs.laser_point]),
-        )  # fmt: skip
-
-    def draw(self, axes: Axes) -> None:
-        axes.imshow(self.picture[0], extent=self.picture[1], interpolation="bilinear", zorder=2)
-        for edge in self.camera.project(self.outlines):
-            axes.plot(edge[:, 0], edge[:, 1], color="#999999", linewidth=0.7, linestyle=(0, (4, 3)), zorder=3)
-        for points, color, width in ((self.field_of_view, _GREEN, 1.5), (self.beam, LASER, 0.7)):
-            at = self.camera.project(points)
-            axes.plot(at[:, 0], at[:, 1], color=color, linewidth=width, zorder=11)
-        axes.set_aspect("equal")
-        axes.margins(0.03)
-        axes.set_axis_off()
-
-    def mark(self, axes: Axes, place: NDArray[np.float64], marker: str, size: float, color: str) -> None:
-        at = self.camera.project(place)
-        axes.scatter(at[0], at[1], s=size, marker=marker, color=color, edgecolors="black", linewidths=0.7, zorder=13)
+def _backdrop(runs: Runs) -> RoomPicture:
+    """The opened room in pale colours, with device, laser point and field of view."""
+    pale = {"relay_wall": "#DDE4EC", "structure": "#ECECEC", "object": "#D9D9D9"}
+    colors = {name: pale[role] for name, role in zip(runs.scene.part_names, runs.scene.roles, strict=True)}
+    colors |= {name: color for name, color in (("box", "#D9C7E8"), ("pillar", "#F7D9B5")) if name in colors}
+    room = replace(runs.scene, hidden_view=None)
+    return RoomPicture(room, runs.capture, runs.laser_point[None], pixels=420, colors=colors)
 
 
 def _paint(
     figure: Figure,
     axes: Axes,
-    backdrop: _Backdrop,
+    backdrop: RoomPicture,
     position: NDArray[np.float64],
     face: NDArray[np.int32],
     values: NDArray[np.float64],
@@ -127,20 +95,23 @@ def _paint(
     lookin: NDArray[np.float64] | None = None,
 ) -> None:
     """Points over the opened room, coloured by value relative to the highest; those on removed walls left out."""
-    backdrop.draw(axes)
-    shown = np.flatnonzero(np.isin(face, backdrop.faces) & (values > 0))
+    draw_opened(axes, backdrop, arrows=False)
+    camera, cut, _ = backdrop.opened
+    shown = np.flatnonzero(np.isin(face, cut.faces) & (values > 0))
     if not len(shown):
         return
     highest = float(values[values > 0].max()) if linear else float(np.quantile(values[shown], 0.999))
     shown = shown[:: max(1, len(shown) // _MOST_POINTS)]
-    at = backdrop.camera.project(position[shown])
+    at = camera.project(position[shown])
     order = np.argsort(-at[:, 2])
     size = float(np.clip(25_000 / len(shown), 0.4, 9.0))
     relative = values[shown][order] / highest
     _scatter(figure, axes, at[order], relative, linear, s=size, linewidths=0, zorder=6)
-    backdrop.mark(axes, backdrop.beam[1], "o", 26, LASER)
     if lookin is not None:
-        backdrop.mark(axes, lookin, "^", 60, "#9A9A9A")
+        here = camera.project(lookin)
+        axes.scatter(
+            here[0], here[1], s=60, marker="^", color="#9A9A9A", edgecolors="black", linewidths=0.7, zorder=13
+        )
 
 
 def _close_up(figure: Figure, axes: Axes, runs: Runs, example: FromLookin, values: NDArray[np.float64]) -> None:
@@ -158,7 +129,7 @@ def _close_up(figure: Figure, axes: Axes, runs: Runs, example: FromLookin, value
     relative = values / highest if highest > 0 else np.zeros(len(values))
     size = float(np.clip(6000 / max(len(at), 1), 3.0, 60.0))
     _scatter(figure, axes, at, relative, False, s=size, edgecolors="#888888", linewidths=0.2)
-    axes.plot(square[:, 0], square[:, 1], color=_GREEN, linewidth=1.8)
+    axes.plot(square[:, 0], square[:, 1], color=FIELD_OF_VIEW, linewidth=1.8)
     axes.set_aspect("equal")
     axes.set(xlabel="right (m)", ylabel="up (m)")
 

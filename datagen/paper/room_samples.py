@@ -140,7 +140,9 @@ def _from_lookin(room: PrintedRoom, lookin: PrintedLookins, camera: Array, where
     panels = {
         "as printed": [("α B", share), ("α B / R²", share * spread), ("into the sensor", final)],
         "radiometric": [
-            ("per solid angle", lobe), ("irradiance", lobe * spread * received), ("into the sensor", final * gain),
+            ("per solid angle", lobe),
+            ("irradiance", lobe * spread * received),
+            ("into the sensor", final * gain),
         ],
-    }  # fmt: skip
+    }
     return FromLookin(where, lookin.position[0], position, seen.face[0, met], share, in_view, panels)

@@ -208,13 +208,10 @@ def _levels(runs: Runs) -> None:
         case = _printed(runs, AsPrinted(rays, sizes.sweep_pixels))
         runs.sweep[rays] = Level(case.level["primary"], case.level["secondary"])
     for rays in sizes.rays:
-        levels = [_radiometric(runs, rays, sizes.pixels, "all", seed).level for seed in range(1, sizes.seeds + 1)]
-        primary, secondary = (np.array([level[name] for level in levels]) for name in ("primary", "secondary"))
-        error = 1 / np.sqrt(len(levels))
-        runs.radiometric_levels[rays] = Level(
-            float(primary.mean()), float(secondary.mean()),
-            float(primary.std(ddof=1) * error), float(secondary.std(ddof=1) * error),
-        )  # fmt: skip
+        found = [_radiometric(runs, rays, sizes.pixels, "all", seed).level for seed in range(1, sizes.seeds + 1)]
+        levels = np.array([[level["primary"], level["secondary"]] for level in found])
+        error = levels.std(axis=0, ddof=1) / np.sqrt(len(levels))
+        runs.radiometric_levels[rays] = Level(*levels.mean(axis=0).tolist(), *error.tolist())
 
 
 def _printed(runs: Runs, settings: AsPrinted) -> Simulation:

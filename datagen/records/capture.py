@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from datagen.errors import InputError
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 
 Origin = Literal["source", "wall"]
 Pairing = Literal["exhaustive", "confocal"]
@@ -39,8 +39,12 @@ class Laser:
 
     Attributes
     ----------
-    position : (3,) metres.
-    targets : (L, 3) metres, none of them at `position`.
+    position : (3,) where the light comes from, metres.
+    targets : (L, 3) one for each laser point, metres: only its direction from `position` counts.
+
+    Raises
+    ------
+    InputError : another shape, coordinates that are not finite, or a target at `position`.
 
     Examples
     --------
@@ -72,6 +76,10 @@ class Sensor:
     aperture_radius_m : radius of the entrance aperture, > 0.
     finite_aperture : count what a disc of that radius receives, a²/(R² + a²), which matters when the sensor stands
         within some ten radii of the wall; False is the small-aperture limit a²/R².
+
+    Raises
+    ------
+    InputError : another shape, coordinates that are not finite, or a radius that is not positive.
     """
 
     position: Floats
@@ -123,7 +131,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """Bin `i` covers `[start + i·width, start + (i+1)·width)` seconds.
+    """The time bins of a transient: bin `i` covers `[start + i·width, start + (i+1)·width)` seconds.
 
     Attributes
     ----------
@@ -131,6 +139,10 @@ class TimeAxis:
     width_s, start_s : width of a bin and start of the first, seconds.
     origin : `source` counts from laser emission to detection (both device legs); `wall` counts from the laser point
         to the FoV point only.
+
+    Raises
+    ------
+    InputError : no bins, a width that is not positive, a start that is not finite.
 
     Examples
     --------
@@ -172,13 +184,18 @@ class TimeAxis:
 
 @dataclass(frozen=True)
 class Capture:
-    """Laser, sensor, time axis.
+    """How a scene is measured: L laser points, P pixels, T time bins, and which of them go together.
 
     Attributes
     ----------
+    laser, sensor, time : where light enters, where it is seen, and into which bins it falls by arrival time.
     pairing : `exhaustive`: every pixel for every laser point; `confocal`: pixel i for laser point i.
     illumination : `scan`: one laser point after the other; `flood`: all at once, each with an equal share of the
         light, as one wide beam: one histogram a pixel.
+
+    Raises
+    ------
+    InputError : a confocal capture whose laser points and pixels differ in number, or that is a flood.
 
     Examples
     --------
@@ -215,3 +232,13 @@ class Capture:
         """(laser, pixel, bin): the shape of a transient; confocal has pixel = 1, a flood laser = 1."""
         pixels = 1 if self.pairing == "confocal" else len(self.sensor.pixels)
         return 1 if self.illumination == "flood" else len(self.laser.targets), pixels, self.time.bins
+
+    def excerpt(self, lasers: Ints, pixels: Ints | slice = slice(None)) -> Capture:
+        """The capture of some laser points and pixels, by number; confocal pixels go with their laser points."""
+        laser, sensor = self.laser, self.sensor
+        seen = sensor.pixels[lasers if self.pairing == "confocal" else pixels]
+        return replace(
+            self,
+            laser=Laser(laser.position, laser.targets[lasers]),
+            sensor=Sensor(sensor.position, seen, sensor.aperture_radius_m, sensor.finite_aperture),
+        )

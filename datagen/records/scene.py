@@ -44,15 +44,15 @@ class Pose:
 
 @dataclass(frozen=True)
 class Part:
-    """A named surface with one material.
+    """A named surface with one material; `Scene.from_parts` checks it, and raises `InputError` for what it refuses.
 
     Attributes
     ----------
     name : unique in its scene.
-    mesh : a `trimesh.Trimesh` in metres, or anything with `vertices` (V, 3) and `faces` (F, 3); its triangles are
-        shaded on both sides, whichever way they are wound.
-    material : how it scatters.
-    role : what it is to capture and labels.
+    mesh : a `trimesh.Trimesh` in metres, or anything with `vertices` (V, 3), metres, and `faces` (F, 3), indices of
+        vertices; triangles scatter on both sides, whichever way they are wound.
+    material : how it scatters (`Lambertian`, `Phong`, `GGX` …).
+    role : "relay_wall", "structure" (other walls, floor, ceiling) or "object" (to be reconstructed).
     pose : class and axes for the label of boxes; left out: the part's name, and the scene's axes.
 
     Examples

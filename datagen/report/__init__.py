@@ -1,0 +1,1 @@
+"""Pictures and pages: scenes and datasets shown to people."""

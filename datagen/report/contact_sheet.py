@@ -29,6 +29,7 @@ MOST_ROOMS = 400
 MOST_LABELLED = 16
 IN_SIGHT = "#FFD75E"
 _CELL_IN = (3.1, 1.95)
+_PANEL_IN = (3.35, 2.5)
 _HEAD_IN = 0.4
 _NAME_LETTERS = 52
 _NOTE = (
@@ -99,23 +100,10 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
             labels = make_labels(config.labels, scene, fields)
             for axes, field in zip(panels[2:], fields, strict=True):
                 draw_label(figure, axes, scene, field, labels[field])
-                axes.set_title(_SHORT[field])
                 for bar in axes.child_axes:
                     bar.set_ylabel("")
         caption(figure, figure.add_axes((0.12 / width, 0.0, 1 - 0.24 / width, note / height)), _LABEL_NOTE)
         return save_png(figure, Path(out))
-
-
-_PANEL_IN = (3.35, 2.5)
-_SHORT = {
-    "depth": "Depth (m)",
-    "normal": "Surface normal",
-    "albedo": "Albedo",
-    "part_id": "Part",
-    "shaded": "Shaded view (wall: 1)",
-    "occupancy": "Occupancy (m)",
-    "sdf": "Signed distance (m)",
-}
 
 
 def first_scenes(configs: Sequence[DatasetConfig], count: int) -> list[tuple[DatasetConfig, int]]:
@@ -174,11 +162,11 @@ def sheet_figure(
     rows = -(-len(rooms) // columns)
     columns = min(columns, len(rooms))
     width = columns * _CELL_IN[0]
-    foot = 0.15 + 0.15 * len(textwrap.wrap(_NOTE, int(width * 15)))
+    note = textwrap.fill(_NOTE, int(width * 15))
+    foot = 0.15 + 0.15 * len(note.splitlines())
     height = rows * _CELL_IN[1] + _HEAD_IN + foot
     figure = new_figure(width, height, arranged=False)
     figure.text(0.12 / width, 1 - 0.15 / height, title, va="top", fontsize=11, fontweight="bold")
-    note = textwrap.fill(_NOTE, int(width * 15))
     figure.text(0.12 / width, 0.1 / height, note, fontsize=8, color="#444444", va="bottom")
     for k, (room, name) in enumerate(zip(rooms, names, strict=True)):
         row, column = divmod(k, columns)

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 TITLES = {
-    "depth": "Depth behind the relay wall's plane",
-    "normal": "Surface normal (colour = direction)",
+    "depth": "Depth (m)",
+    "normal": "Surface normal",
     "albedo": "Albedo",
     "part_id": "Part",
-    "shaded": "Shaded view (brightness = √radiance)",
-    "occupancy": "Occupancy: voxels taken along depth",
-    "sdf": "Signed distance, slice",
+    "shaded": "Shaded view (wall: 1)",
+    "occupancy": "Occupancy (m)",
+    "sdf": "Signed distance (m)",
 }
 
 
@@ -134,7 +134,7 @@ def _draw_sdf(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) ->
     if layer.min() < 0 < layer.max() and min(layer.shape) > 1:
         axes.contour(layer, levels=[0.0], extent=extent, colors="black", linewidths=0.9)
     up = grid.high[1] - (row + 0.5) * grid.voxel_m[1]
-    axes.set_title(f"{TITLES['sdf']} at {up:.2f} m up".replace("-", "\N{MINUS SIGN}"))
+    axes.set_title(f"Signed distance, {up:.2f} m up".replace("-", "\N{MINUS SIGN}"))
     axes.set(ylabel="depth (m)")
     _color_bar(figure, axes, image, "distance (m), inside negative")
 

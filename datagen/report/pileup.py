@@ -1,4 +1,4 @@
-"""How wrong Poisson is: `python -m datagen.report.pileup configs/demonstration_room.yaml OUT`.
+"""How wrong Poisson is: `python -m datagen.report.pileup configs/demonstration_room.yaml`.
 
 The bias of a Poisson detector (flux × cycles, no dead time) against the exact mean of a real one, over flux, with the
 direct return in view and gated out.
@@ -20,8 +20,6 @@ from datagen.detector import Exposure, Spad, detector_for, expected_histogram
 from datagen.errors import InputError
 from datagen.exit_status import guarded
 from datagen.records import Accuracy, TimeAxis
-from datagen.report.style import EXPECTED, INK, LASER, captioned, house_style, save_png
-from datagen.report.time_plots import busy_window
 from datagen.scene import generate_scene
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import simulate
@@ -36,8 +34,6 @@ DETECTORS: dict[str, Spad] = {
     "synchronous, 10 ns dead time": Spad(pde=1.0, mode="synchronous", dead_time_s=10e-9),
     "free running, 50 ns dead time": Spad(pde=1.0, dead_time_s=50e-9),
 }
-_LOOKS = dict(zip(DETECTORS, ((LASER, 3.4), (EXPECTED, 1.4), ("#882255", 1.2)), strict=True))
-"""Colour and line width; broad ones first, so that curves which coincide are all seen."""
 _LOOKINS = 16_384
 
 
@@ -93,21 +89,18 @@ def pileup_rows(
                 poisson = expected_histogram(shape, time, replace(spad, mode="ideal"), exposure)[seen]
                 middle = time.centers_s[seen]
                 delay = middle @ poisson / poisson.sum() - middle @ exact / exact.sum()
-                rows.append(
-                    PileupRow(name, gated, flux, float(poisson.sum() / exact.sum() - 1),
-                              float(np.max(np.abs(poisson / exact - 1))), float(delay) * 1e12)
-                )  # fmt: skip
+                bias, worst = poisson.sum() / exact.sum() - 1, np.max(np.abs(poisson / exact - 1))
+                rows.append(PileupRow(name, gated, flux, float(bias), float(worst), float(delay) * 1e12))
     return rows
 
 
 def table(rows: Sequence[PileupRow]) -> str:
     """Markdown, a line for each row."""
-    cells = [
-        [row.detector, "gated out" if row.gated else "in view", f"{row.flux:g}",
-         f"{_three_digits(100 * row.signal_bias, '+')} %", f"{_three_digits(100 * row.worst_bias)} %",
-         _three_digits(row.delay_ps, "+")]
-        for row in rows
-    ]  # fmt: skip
+    cells = []
+    for row in rows:
+        view, delay = "gated out" if row.gated else "in view", _three_digits(row.delay_ps, "+")
+        signal, worst = _three_digits(100 * row.signal_bias, "+"), _three_digits(100 * row.worst_bias)
+        cells.append([row.detector, view, f"{row.flux:g}", f"{signal} %", f"{worst} %", delay])
     head = ["detector", "direct return", "flux / cycle", "bias of signal", "worst bin", "delay (ps)"]
     return "\n".join(f"| {' | '.join(line)} |" for line in (head, ["---"] * 2 + ["---:"] * 4, *cells))
 
@@ -115,42 +108,6 @@ def table(rows: Sequence[PileupRow]) -> str:
 def _three_digits(value: float, sign: str = "") -> str:
     """Three significant digits, never with an exponent for large numbers."""
     return f"{value:{sign}.3g}" if abs(value) < 999.5 else f"{value:{sign}.0f}"
-
-
-def draw_pileup(
-    transient: ArrayLike, time: TimeAxis, direct_until_s: float, out: Path, repetition_rate_hz: float = 10e6
-) -> Path:
-    """Write the picture as PNG: histograms with and without dead time at one flux, and bias against flux."""
-    shape = np.asarray(transient, np.float64)
-    rows = pileup_rows(shape, time, direct_until_s, repetition_rate_hz, list(np.geomspace(1e-3, 10, 25)))
-    text = (
-        "Left: expected counts at one event per cycle, as Poisson counting has them and as detectors with dead time "
-        "do, divided by the same number of cycles; the direct return comes first. Right: how many counts too many "
-        "Poisson gives to what comes after the direct return, the direct return in view (solid) or gated out "
-        "(dashed; the flux is that without the gate). Above the dotted line Poisson is wrong by more than 5 %. "
-        "A dead time that ends before the signal begins would do what a gate does."
-    )
-    exposure = Exposure(repetition_rate_hz, 1, 1.0 / float(shape.sum()))
-    with house_style():
-        figure, grid = captioned(11, [4.4], text, columns=2, widths=[1.15, 1])
-        left, right = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
-        for name, spad in {"Poisson": Spad(pde=1.0, mode="ideal"), **DETECTORS}.items():
-            color, width = _LOOKS.get(name, (INK, 2.4))
-            counts = expected_histogram(shape, time, spad, exposure)
-            left.stairs(counts, time.edges_s * 1e9, color=color, label=name, linewidth=width)
-            for gated in (False, True) if name in DETECTORS else ():
-                mine = [row for row in rows if row.detector == name and row.gated is gated]
-                flux, bias = [row.flux for row in mine], [100 * row.signal_bias for row in mine]
-                label = None if gated else name
-                right.plot(flux, bias, "--" if gated else "-", color=color, label=label, linewidth=width)
-        left.set(yscale="log", ylim=(1e-6, 1), xlabel="time (ns)", ylabel="counts per cycle and bin")
-        left.set(xlim=busy_window(shape, time), title="One event per cycle, direct return in view")
-        left.legend(loc="upper right")
-        right.axhline(5, color="#777777", linestyle=":", linewidth=1)
-        right.set(xscale="log", yscale="log", xlabel="events per cycle, direct return included", ylabel="bias (%)")
-        right.set_title("Poisson over exact, after the direct return")
-        right.legend(loc="upper left")
-        return save_png(figure, out)
 
 
 def room_channel(config: DatasetConfig, index: int = 0) -> tuple[Array, TimeAxis, float]:
@@ -177,17 +134,15 @@ def room_channel(config: DatasetConfig, index: int = 0) -> tuple[Array, TimeAxis
 
 @click.command()
 @click.argument("config", type=click.Path(path_type=Path))
-@click.argument("out", type=click.Path(path_type=Path))
 @click.option("--index", default=0, show_default=True, help="Which scene of the configuration.")
-def main(config: Path, out: Path, index: int) -> None:
-    """Write OUT/pileup.png for a scene of CONFIG and print the table."""
+def main(config: Path, index: int) -> None:
+    """Print the bias of Poisson counting for a scene of CONFIG, over flux and detectors."""
     settings = load_config(config)
     transient, time, direct_until_s = room_channel(settings, index)
     rate_hz = detector_for(settings.detector, settings.seed, index, time)[1].repetition_rate_hz
     direct = transient[time.edges_s[:-1] < direct_until_s].sum() / transient.sum()
     click.echo(f"{settings.name}, scene {index}: the direct return carries {100 * direct:.3g} % of the light\n")
     click.echo(table(pileup_rows(transient, time, direct_until_s, rate_hz)))
-    click.echo(f"\n{draw_pileup(transient, time, direct_until_s, out / 'pileup.png', rate_hz)}")
 
 
 if __name__ == "__main__":

@@ -34,6 +34,7 @@ class RoomPicture:
     laser_points : (L, 3) where the laser rays met the scene; NaN where they met nothing.
     pixels : about how wide the shaded pictures are.
     boxes : of the objects, outlined in the plan.
+    colors : of all parts; left out: those of `part_colors`.
     """
 
     scene: Scene
@@ -41,12 +42,14 @@ class RoomPicture:
     laser_points: NDArray[np.float64] | None = None
     pixels: int = 560
     boxes: ObjectBoxes | None = None
+    colors: dict[str, str] | None = None
 
     @cached_property
     def opened(self) -> tuple[Camera, Cutaway, Shaded]:
         """Direction, what is left of the walls, and the shaded picture in 3D."""
         camera, cut = best_view(self.scene)
-        return camera, cut, shaded(self.scene, camera, cut.faces, part_colors(self.scene), self.pixels)
+        colors = self.colors or part_colors(self.scene)
+        return camera, cut, shaded(self.scene, camera, cut.faces, colors, self.pixels)
 
     @cached_property
     def plan(self) -> Shaded:

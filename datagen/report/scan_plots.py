@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,10 +103,9 @@ def draw_time_slice(
         return
     axes.set_facecolor("black")
     lowest = highest * 10.0**-_DECADES
-    image = axes.imshow(
-        np.maximum(scan[row].T, lowest), extent=(*across, edges[-1], edges[0]), aspect="auto", cmap=_COLORS,
-        interpolation="nearest", norm=LogNorm(lowest, highest),
-    )  # fmt: skip
+    style: dict[str, Any] = {"aspect": "auto", "cmap": _COLORS, "interpolation": "nearest"}
+    place, norm = (*across, edges[-1], edges[0]), LogNorm(lowest, highest)
+    image = axes.imshow(np.maximum(scan[row].T, lowest), extent=place, norm=norm, **style)
     axes.set_ylim(limits[::-1])
     figure.colorbar(image, ax=axes, pad=0.02, label="photons per emitted photon and bin")
 

@@ -40,9 +40,19 @@ def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
     objects, none to be seen from the device, and each seen from the visible part of the relay wall (`minimum_seen`).
     Where that fails the same objects are placed anew; only after many tries (`placings`) is the room given up and all
     of it drawn again, so that what is declared is what is found in the dataset, whether it is easy to place or not.
-    The same arguments give the same scene, whoever asks and when.
 
-    Raises `InputError` after `spec.max_attempts` placings in all, naming what failed how often and what to change.
+    Parameters
+    ----------
+    spec : the section `scene` of a configuration.
+    seed, index : of the dataset, and of the scene in it, ≥ 0; the same arguments give the same scene, whoever asks.
+
+    Returns
+    -------
+    Scene with relay wall, hidden view and bounds, the device's position, and every number drawn as `parameters`.
+
+    Raises
+    ------
+    InputError : after `spec.max_attempts` placings in all, naming what failed how often and what to change.
 
     >>> import datagen as dg
     >>> config = dg.load_config("configs/quickstart.yaml")

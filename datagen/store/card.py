@@ -125,8 +125,8 @@ def _time_lines(capture: dict[str, Any]) -> list[str]:
     ]
 
 
-def _parameter_lines(table: pa.Table) -> list[str]:
-    """What varies from scene to scene, and between which bounds."""
+def ranges(table: pa.Table) -> list[tuple[str, str, str, str]]:
+    """(name, least, median, most) of every number that varies from scene to scene, in the table's order."""
     rows = []
     for name in table.column_names:
         column = table[name].drop_null()
@@ -134,11 +134,15 @@ def _parameter_lines(table: pa.Table) -> list[str]:
             continue
         values = np.asarray(column.to_pylist(), np.float64)
         if len(values) and values.min() < values.max():
-            rows.append(f"| `{name}` | {values.min():.4g} | {np.median(values):.4g} | {values.max():.4g} |")
-    if not rows:
-        return []
+            rows.append((name, f"{values.min():.4g}", f"{np.median(values):.4g}", f"{values.max():.4g}"))
+    return rows
+
+
+def _parameter_lines(table: pa.Table) -> list[str]:
+    """What varies from scene to scene, and between which bounds."""
+    rows = [f"| `{name}` | {' | '.join(numbers)} |" for name, *numbers in ranges(table)]
     head = ["## What varies", "", f"From `{TABLE}`, which has a row for every scene.", ""]
-    return [*head, "| parameter | least | median | most |", "|---|---|---|---|", *rows, ""]
+    return [*head, "| parameter | least | median | most |", "|---|---|---|---|", *rows, ""] if rows else []
 
 
 def write_croissant(root: Path, manifest: Manifest) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 import os
 import tempfile
 from pathlib import Path
@@ -40,6 +41,15 @@ def write_if_changed(path: Path, content: bytes) -> None:
 def json_bytes(value: Any) -> bytes:
     """JSON as every file of a dataset holds it: keys in the order given, floats that round-trip, a final newline."""
     return (json.dumps(value, indent=2, ensure_ascii=False) + "\n").encode()
+
+
+def finite(value: Any) -> Any:
+    """Nested mappings, lists and tuples with None in place of NaN and infinities, which JSON has not."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def read_json(path: Path) -> Any:

@@ -50,20 +50,27 @@ def info(path: str | Path) -> str:
     return "\n".join([*lines, "", *(line for part in parts for line in part(records))])
 
 
-def _made(records: Sequence[ShardRecord]) -> list[SceneRecord]:
+def scenes_made(records: Sequence[ShardRecord]) -> list[SceneRecord]:
+    """The scenes of the shards that could be made."""
     return [scene for record in records for scene in record.scenes if scene.failure is None]
 
 
+def seconds_by_stage(records: Sequence[ShardRecord]) -> dict[str, float]:
+    """Stage → median seconds per scene; of writing, each scene's share of its shard. Stages not run are left out."""
+    taken = {
+        stage: [scene.seconds[stage] for scene in scenes_made(records) if stage in scene.seconds] for stage in STAGES
+    }
+    taken["store"] = [record.seconds["store"] / len(record.scenes) for record in records]
+    return {stage: statistics.median(values) for stage, values in taken.items() if values}
+
+
 def _times(records: Sequence[ShardRecord]) -> Iterator[str]:
-    made = _made(records)
+    made = scenes_made(records)
     if not made:
         return
     yield "seconds per scene (median; store: shard's share)"
-    store = statistics.median(record.seconds["store"] / len(record.scenes) for record in records)
-    for stage in STAGES:
-        taken = [scene.seconds[stage] for scene in made if stage in scene.seconds]
-        if stage == "store" or taken:
-            yield f"  {stage:11}{store if stage == 'store' else statistics.median(taken):9.4f}"
+    for stage, taken_s in seconds_by_stage(records).items():
+        yield f"  {stage:11}{taken_s:9.4f}"
     working = _covered([(record.started, record.finished) for record in records])
     at_once = sum(record.finished - record.started for record in records) / working if working > 0 else 0.0
     yield f"{len(made) / max(working, 1e-9):.2f} scenes/s, with {at_once:.1f} shards under way at a time"
@@ -81,7 +88,7 @@ def _covered(intervals: list[tuple[float, float]]) -> float:
 
 def _accuracy(records: Sequence[ShardRecord]) -> Iterator[str]:
     """The transients' relative L2 errors, whether their target was met, and where the work went."""
-    made = [scene.parameters for scene in _made(records)]
+    made = [scene.parameters for scene in scenes_made(records)]
     errors = [float(of["transient.relative_error"]) for of in made if "transient.relative_error" in of]
     if not errors:
         return
@@ -116,7 +123,7 @@ def _decisions(records: Sequence[ShardRecord]) -> Iterator[str]:
 
 def _effects(records: Sequence[ShardRecord]) -> Iterator[str]:
     """Of each effect that any scene has: in how many it was simulated or left out, and the range of estimates."""
-    made = [scene.parameters for scene in _made(records)]
+    made = [scene.parameters for scene in scenes_made(records)]
     names = dict.fromkeys(name.split(".")[1] for of in made for name in of if name.startswith("effect."))
     lines = []
     for name in names:

@@ -242,7 +242,5 @@ def _field_row(field: Field, schema: Schema) -> dict[str, Any]:
 
 def _field_of(row: dict[str, Any]) -> Field:
     texts, is_sharded = {key: row[key] for key in _TEXTS}, row["shard"] is not None
-    return Field(
-        row["name"], tuple(row["dims"]), tuple(row["shape"][1:]), sharded=is_sharded,
-        classes=tuple(row.get("classes", ())), **texts,
-    )  # fmt: skip
+    shape, classes = tuple(row["shape"][1:]), tuple(row.get("classes", ()))
+    return Field(row["name"], tuple(row["dims"]), shape, sharded=is_sharded, classes=classes, **texts)

@@ -6,7 +6,6 @@ Equal to zarr's own reading by test, and three times as fast: a scene is one chu
 from __future__ import annotations
 
 import os
-import struct
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
@@ -21,6 +20,8 @@ from datagen.errors import CheckError
 from datagen.store.arrays import shard_file, shard_shape
 from datagen.store.schema import Field, Schema
 
+MOST_OPEN = 256
+"""Open files at once for a field; processes are commonly allowed 1024."""
 _CRC_BYTES = 4
 _MISSING = 2**64 - 1
 
@@ -70,7 +71,9 @@ class ShardReader:
                 raise CheckError(f"{self._where(shard, scene)}: the chunk is missing from its shard")
             stored = os.pread(handle, size, offset)
             body = memoryview(stored)[:-_CRC_BYTES]
-            if len(stored) != size or google_crc32c.value(bytes(body)) != _checksum(stored):
+            if len(stored) != size or google_crc32c.value(bytes(body)) != int.from_bytes(
+                stored[-_CRC_BYTES:], "little"
+            ):
                 raise CheckError(f"{self._where(shard, scene)}: the checksum does not match; run datagen verify")
             if whole_scene:
                 blosc.decompress(body, out)
@@ -97,19 +100,12 @@ class ShardReader:
         except OSError as error:
             raise CheckError(f"{path}: cannot be opened ({error.strerror}); run datagen verify") from None
         stored = os.pread(handle, size + _CRC_BYTES, max(os.fstat(handle).st_size - size - _CRC_BYTES, 0))
-        if len(stored) != size + _CRC_BYTES or google_crc32c.value(stored[:-_CRC_BYTES]) != _checksum(stored):
+        if len(stored) != size + _CRC_BYTES or google_crc32c.value(stored[:-_CRC_BYTES]) != int.from_bytes(
+            stored[-_CRC_BYTES:], "little"
+        ):
             os.close(handle)
             raise CheckError(f"{path}: the shard's index is damaged; run datagen verify")
         return handle, np.frombuffer(stored, "<u8", count=size // 8).reshape(shape)
 
     def _where(self, shard: int, scene: int) -> str:
         return f"{self._root / shard_file(self.field, shard)}, scene {scene}"
-
-
-MOST_OPEN = 256
-"""Open files at once for a field; processes are commonly allowed 1024."""
-
-
-def _checksum(stored: bytes) -> int:
-    value: int = struct.unpack("<I", stored[-_CRC_BYTES:])[0]
-    return value

@@ -171,7 +171,7 @@ def test_decisions_are_repeatable_and_speak() -> None:
     decided = [decide_transport_effects(scene, capture, accuracy, config.effects, seed=7) for _ in range(2)]
     assert decided[0] == decided[1]
     lines = decision_lines(decided[0])
-    assert len(lines) == len(decided[0].decisions)
+    assert len(lines) == 1 + len(decided[0].decisions)
     assert any(line.startswith("occlusion") and "on" in line for line in lines)
     with pytest.raises(InputError, match="decided are direct_return"):
         decided[0]["fluorescence"]

@@ -141,8 +141,8 @@ def test_preview_is_one_well_formed_page_that_needs_nothing(dataset: Path) -> No
     page = _Page()
     page.feed(path.read_text(encoding="utf-8"))
     assert page.open == []
-    assert "small & <odd>" in page.words and "Incomplete" in page.words and "7 of 10" in page.words
-    assert "1 scenes could not be made, such as scene 3: the room is <too small>" in page.words
+    assert "small & <odd>" in page.words and "incomplete" in page.words and "8 of 10" in page.words
+    assert "1 scenes could not be made\n  scene 3: the room is <too small>" in page.words
     assert all(field in page.words for field in ("histogram", "transient", "depth", "laser_points"))
     assert "pillar.albedo" in page.words and "layout.height_m" in page.words
     assert len(page.sources) == 3
