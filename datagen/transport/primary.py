@@ -23,6 +23,7 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.materials import GGX, Material, Phong, Retroreflector
 from datagen.transport.cells.hierarchy import Hierarchy
 from datagen.transport.cells.light import COARSEST, Clock, Cutting, Lasers, gather
+from datagen.transport.cells.occlusion import Occluders
 from datagen.transport.cells.patches import Patches
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.walk import WalkTask
@@ -42,11 +43,11 @@ with from one cutting to the next, finer one; and the number of cuttings at most
 REST = 1.6
 """Error of a cutting, relative to its difference from the next: errors fall to about four tenths, and
 1 + 0.4 + 0.16 + … is this."""
-SETTLED = 0.05
-"""Share of the error to be met below which a finer cutting of a part is not tried again."""
+SETTLED = 0.3
+"""Share of the error to be met, for each of K parts over √K, under which a part is not cut further for the whole."""
 UNSEEN = 1e-4
 """Norm that a part is taken to have at least, relative to the whole, when it is cut."""
-PATCH_LEVELS, MOST_PATCHES = (1, 2, 3, 4, 5), 1 << 21
+PATCH_LEVELS, MOST_PATCHES = (2, 3, 4, 5), 1 << 21
 PATCHES_SHARE = 0.3
 """Share of the error to be met that patches of the pixels may make where they end."""
 
@@ -109,6 +110,7 @@ class _Gathering:
 
     task: WalkTask
     tree: Hierarchy
+    occluders: Occluders
     lasers: Lasers
     clock: Clock
     coarsest: Floats
@@ -127,7 +129,10 @@ class _Gathering:
         width = np.array([_width(material) for material in task.scene.materials])
         seen = width[np.unique(points.part[points.part >= 0])].min(initial=1.0)
         peak = task.materials.values[:, 0] / (math.pi * width**2)
-        return cls(task, Hierarchy.of(task.scene), lasers, clock, COARSEST * np.minimum(width, seen), peak)
+        tree = Hierarchy.of(task.scene)
+        return cls(
+            task, tree, Occluders.of(task.scene, tree), lasers, clock, COARSEST * np.minimum(width, seen), peak
+        )
 
     def patches(self, pixels: Ints, levels: int) -> Patches:
         task = self.task
@@ -139,9 +144,11 @@ class _Gathering:
         histogram = np.zeros((len(pairs) * rows, task.capture.time.bins))
         overflow, coarse = np.zeros(len(histogram)), np.zeros(len(error))
         seed = int(stream_seeds(task.seed, CLUSTER_STREAM, 0, np.zeros(1, np.int64))[0])
-        cutting = Cutting(error, self.coarsest, self.peak, task.accuracy.occlusion != "off", seed)
+        cutting = Cutting(
+            error, self.coarsest, self.peak, task.accuracy.occlusion != "off", task.accuracy.occlusion == "auto", seed
+        )
         cells, rays = gather(
-            pairs, np.arange(len(pairs)) * rows, self.tree, self.lasers, patches, task.materials.kind,
+            pairs, np.arange(len(pairs)) * rows, self.tree, self.occluders, self.lasers, patches, task.materials.kind,
             task.materials.values, cutting, self.clock, row_of_part, histogram, overflow, coarse,
         )  # fmt: skip
         of_pairs = histogram.reshape(len(pairs), rows, -1)
@@ -205,49 +212,59 @@ def _choose(gathering: _Gathering, pairs: Ints, patches: Patches, asked: _Asked)
     every, settled = np.arange(parts), np.zeros(parts, np.bool_)
     first = gathering.gathered(pairs, patches, np.full(parts, COARSE), every)
     runs, cuttings = [first.histogram], [np.full(parts, COARSE)]
-    cells, rays, coarse = first.cells, first.rays, first.coarse
+    cells, rays = first.cells, first.rays
     whole = float(np.linalg.norm(first.histogram.sum(axis=1)))
-    own = _norms(first.histogram)
     if whole == 0.0:
         return _Choice(cuttings[0], 0.0, {}, True, True, cells, rays)
-    scale = np.maximum(own, UNSEEN * whole) / math.sqrt(len(pairs))
+    scale = np.maximum(_norms(first.histogram), UNSEEN * whole) / math.sqrt(len(pairs))
+    finest = np.zeros(parts, np.int64)
     while True:
         cuttings.append(FIRST * FINER ** (len(runs) - 1) * scale)
         found = gathering.gathered(pairs, patches, np.where(settled, np.inf, cuttings[-1]), every)
-        cells, rays, coarse = cells + found.cells, rays + found.rays, found.coarse
+        cells, rays = cells + found.cells, rays + found.rays
         found.histogram[:, settled] = runs[-1][:, settled]
         runs.append(found.histogram)
+        finest[~settled] = len(runs) - 1
         whole, own = float(np.linalg.norm(runs[-1].sum(axis=1))), _norms(runs[-1])
         held = asked.objects & (own > 0) & (runs[-1].sum(axis=(0, 2)) >= asked.faint)
-        still = np.array([_norms(run - runs[-1]) for run in runs[:-1]])
-        still += (REST - 1) * still[-1]
         limit = np.where(held, asked.part_target * own, np.inf)
+        still = _still(runs, finest)
         level = np.argmax(np.vstack([still <= limit, np.ones(parts, np.bool_)]), axis=0)
-        error = _whole_error(runs, level)
-        while error > asked.target * whole and (level < len(runs) - 1).any():
-            worst = int(
-                np.argmax(np.where(level < len(runs) - 1, still[np.minimum(level, len(still) - 1), every], -1))
-            )
-            level[worst] += 1
-            error = _whole_error(runs, level)
-        met = bool((level < len(runs) - 1).all())
+        error = _whole_error(runs, level, finest)
+        while error > asked.target * whole and (level < finest).any():
+            level[np.argmax(np.where(level < finest, still[np.minimum(level, len(still) - 1), every], -1.0))] += 1
+            error = _whole_error(runs, level, finest)
+        met = bool((level < finest).all())
         if met or len(runs) > LEVELS:
             break
-        settled |= (still[-1] <= SETTLED * asked.target * whole) & (still[-1] <= SETTLED * limit)
-    level = np.minimum(level, len(still) - 1)
+        # What does already is not cut further, unless the whole still wants it.
+        waits = math.sqrt(parts) * still[finest - 1, every] > SETTLED * asked.target * whole
+        settled |= (level < finest) & ((error <= asked.target * whole) | ~waits)
+    level = np.minimum(level, finest - 1)
     errors = {int(k): float(still[level[k], k] / own[k]) for k in np.flatnonzero(held)}
     cutting = np.array(cuttings)[level, every]
-    patches_do = bool(math.sqrt(coarse.sum()) <= PATCHES_SHARE * asked.target * whole) and bool(
-        (np.sqrt(coarse) <= PATCHES_SHARE * limit).all()
+    coarse = gathering.gathered(pairs, patches, cutting, every).coarse
+    patches_do = bool(
+        math.sqrt(coarse.sum()) <= PATCHES_SHARE * asked.target * whole
+        and (np.sqrt(coarse) <= PATCHES_SHARE * limit).all()
     )
     return _Choice(cutting, error / whole, errors, met, patches_do, cells, rays)
 
 
-def _whole_error(runs: list[Floats], level: Ints) -> float:
+def _still(runs: list[Floats], finest: Ints) -> Floats:
+    """(n − 1, K) L2 error that each part still has in each run, whose finest one for a part is number `finest`."""
+    every = np.arange(len(finest))
+    last = runs[-1]
+    still = np.array([_norms(run - last) for run in runs[:-1]])
+    return np.asarray(still + (REST - 1) * still[finest - 1, every])
+
+
+def _whole_error(runs: list[Floats], level: Ints, finest: Ints) -> float:
     """L2 error of the sum over parts, each as it is in the run of its level."""
-    last, before = runs[-1], runs[-2]
+    last = runs[-1].sum(axis=1)
     chosen = sum(runs[n][:, k] for k, n in enumerate(level))
-    return float(np.linalg.norm(chosen - last.sum(axis=1)) + (REST - 1) * np.linalg.norm((before - last).sum(axis=1)))
+    before = sum(runs[n - 1][:, k] for k, n in enumerate(finest))
+    return float(np.linalg.norm(chosen - last) + (REST - 1) * np.linalg.norm(before - last))
 
 
 def _norms(histograms: Floats) -> Floats:

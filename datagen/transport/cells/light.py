@@ -20,8 +20,7 @@ from numba import njit
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.arrival import put, spread
-from datagen.transport.cells.hierarchy import ON_PLANE
-from datagen.transport.cells.occlusion import cross, hidden, less
+from datagen.transport.cells.occlusion import clear, cross, hidden, less
 from datagen.transport.sampling import mix
 
 COARSEST = 0.8
@@ -30,7 +29,8 @@ PARTLY, UNFOUND = 0.5, 0.05
 """Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
 SMALLEST = 1e-8
 """Smallest cell that is cut, relative to the scene."""
-CELL, BOX = 0, 1
+BOX, CELL, CLEAR = 0, 1, 2
+"""What waits to be looked at: a box, a cell, a cell of which nothing is hidden."""
 CLUSTER = 4
 """Triangles of a box up to which each is a cell of its own; not below `hierarchy.LEAF`."""
 
@@ -55,6 +55,7 @@ class Cutting(NamedTuple):
     coarsest : (K,) largest cell of each part, relative to its distance.
     peak : (K,) largest value of each part's BRDF, 1/sr.
     rays_on_last_leg : whether it is asked what stands between a cell and the pixel.
+    proofs : whether rays are saved where it is proven that nothing can stand in their way.
     seed : of the points that stand for clusters of small triangles.
     """
 
@@ -62,6 +63,7 @@ class Cutting(NamedTuple):
     coarsest: Floats
     peak: Floats
     rays_on_last_leg: bool
+    proofs: bool
     seed: int
 
 
@@ -119,9 +121,9 @@ def _above(box, k, x, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _push(tag, vertices, top, f, q, a, b, c):  # type: ignore[no-untyped-def]
+def _push(tag, vertices, top, what, f, q, a, b, c):  # type: ignore[no-untyped-def]
     """A cell of triangle f for patch q, to be looked at next; returns how many wait."""
-    tag[top, 0], tag[top, 1], tag[top, 2] = CELL, f, q
+    tag[top, 0], tag[top, 1], tag[top, 2] = what, f, q
     for j in range(3):
         vertices[top, j], vertices[top, 3 + j], vertices[top, 6 + j] = a[j], b[j], c[j]
     return top + 1
@@ -161,16 +163,25 @@ def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _seen(x, y, z, one_ray, f, root, box, children, span, blocks, hides, corners, waiting):  # type: ignore[no-untyped-def]
+def _seen(x, y, z, one_ray, f, obstacle, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
     """Whether the laser point x lights y on triangle f and the patch at z sees it."""
-    if hidden(x, y, f, root, box, children, span, blocks, hides, corners, waiting):
+    if hidden(x, y, f, obstacle, number, box, child, span, waiting):
         return False
-    return one_ray or not hidden(z, y, f, root, box, children, span, blocks, hides, corners, waiting)
+    return one_ray or not hidden(z, y, f, obstacle, number, box, child, span, waiting)
+
+
+@njit(cache=True)
+def _all_seen(x, a, b, c, z, one_ray, f, obstacle, number, box, child, span, flat, waiting):  # type: ignore[no-untyped-def]
+    """Whether that is proven for all of the cell a, b, c."""
+    if not clear(x, a, b, c, f, obstacle, number, box, child, span, flat, waiting):
+        return False
+    return one_ray or clear(z, a, b, c, f, obstacle, number, box, child, span, flat, waiting)
 
 
 @njit(cache=True, error_model="numpy")
 def gather(
-    pairs, row, tree, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow, coarse
+    pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
+    coarse,
 ):  # type: ignore[no-untyped-def]  # fmt: skip
     """Add the primary of laser points and pixels to their histograms.
 
@@ -183,10 +194,10 @@ def gather(
     waiting = np.empty(512, np.int64)
     cells, rays = 0, 0
     # Records are taken apart here: in the loops every look into one costs as much as what it is for.
-    corners, normal, area_before, hides, box = tree.corners, tree.normal, tree.area, tree.hides, tree.box
-    children, span, blocks, roots, root, extent = (
-        tree.children, tree.span, tree.blocks, tree.roots, tree.top, tree.extent
-    )  # fmt: skip
+    corners, normal, area_before, extent = tree.corners, tree.normal, tree.area, tree.extent
+    box, children, span, roots = tree.box, tree.children, tree.span, tree.roots
+    obstacle, number, flat = occluders.corners, occluders.number, occluders.flat
+    around, child, within = occluders.box, occluders.child, occluders.span
     position1, normal1, to_laser1, part1, power1, leg1 = (
         lasers.position, lasers.normal, lasers.to_laser, lasers.part, lasers.power, lasers.leg
     )  # fmt: skip
@@ -194,7 +205,8 @@ def gather(
         patches.position, patches.normal, patches.to_sensor, patches.part, patches.weight, patches.footprint
     )  # fmt: skip
     leg3, size3, uneven3, quarters3 = patches.leg, patches.size, patches.uneven, patches.quarters
-    allowed, coarsest, peak, last_leg = cutting.error, cutting.coarsest, cutting.peak, cutting.rays_on_last_leg
+    allowed, coarsest, peak = cutting.error, cutting.coarsest, cutting.peak
+    last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
     per_metre, clock_start, attenuation = clock.per_metre, clock.start, clock.attenuation
     for pair in range(len(pairs)):
         i, p = pairs[pair, 0], pairs[pair, 1]
@@ -215,8 +227,8 @@ def gather(
                 quarters = quarters3[q, 0] >= 0
                 if uneven3[p, q] and quarters:
                     for j in range(4):
-                        if what == CELL:
-                            top = _push(tag, vertices, top, at, quarters3[q, j], a, b, c)
+                        if what != BOX:
+                            top = _push(tag, vertices, top, CELL, at, quarters3[q, j], a, b, c)
                         else:
                             top = _push_box(tag, top, at, quarters3[q, j])
                     continue
@@ -266,23 +278,15 @@ def gather(
                         if w > 0.0:
                             rays += 1
                             cells += 1
-                            if _seen(x, y, z, one_ray, f, root, box, children, span, blocks, hides, corners, waiting):
+                            if _seen(x, y, z, one_ray, f, obstacle, number, around, child, within, waiting):
                                 air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
                                 overflow[into] += put(
                                     histogram[into], (path + device) * per_metre - clock_start, w * air * gain * area
                                 )
                         continue
                     for f in range(first, last):
-                        top = _push(
-                            tag,
-                            vertices,
-                            top,
-                            f,
-                            q,
-                            _point(corners, f, 0),
-                            _point(corners, f, 1),
-                            _point(corners, f, 2),
-                        )
+                        one, two, other = _point(corners, f, 0), _point(corners, f, 1), _point(corners, f, 2)
+                        top = _push(tag, vertices, top, CELL, f, q, one, two, other)
                     continue
                 f, n = at, _at(normal, at)
                 m = ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3)
@@ -291,7 +295,6 @@ def gather(
                 if max(dot(less(a, z), n3), dot(less(b, z), n3), dot(less(c, z), n3)) <= 0.0:
                     continue
                 height1, height3 = dot(less(x, a), n), dot(less(z, a), n)
-                flat = ON_PLANE * extent
                 if abs(height1) < flat:
                     continue
                 ab, bc, ca = less(b, a), less(c, b), less(a, c)
@@ -331,9 +334,17 @@ def gather(
                         quarter = quarters
                         if not quarter:
                             coarse[k] += (over * min(smeared, 1.0)) ** 2
-                    if not quarter:
+                    if not quarter and bright > 0.0:
+                        if (
+                            what == CELL
+                            and proofs
+                            and _all_seen(
+                                x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, flat, waiting
+                            )
+                        ):
+                            what = CLEAR
                         cut = error > allowed[k]
-                        if not cut and bright > 0.0:
+                        if not cut and what == CELL:
                             seen = 0
                             for corner in range(3):
                                 s = 2 / 3 if corner == 0 else 1 / 6
@@ -344,9 +355,7 @@ def gather(
                                     s * a[2] + t * b[2] + r * c[2],
                                 )  # fmt: skip
                                 rays += 1
-                                seen += _seen(
-                                    x, y, z, one_ray, f, root, box, children, span, blocks, hides, corners, waiting
-                                )
+                                seen += _seen(x, y, z, one_ray, f, obstacle, number, around, child, within, waiting)
                             vis = seen / 3
                             # What three rays do not find may still be there: it is cut a little less eagerly.
                             cut = seen < 3 and (PARTLY if seen > 0 else UNFOUND) * over > allowed[k]
@@ -354,7 +363,7 @@ def gather(
                                 continue
                 if quarter:
                     for j in range(4):
-                        top = _push(tag, vertices, top, f, quarters3[q, j], a, b, c)
+                        top = _push(tag, vertices, top, CELL, f, quarters3[q, j], a, b, c)
                     continue
                 if cut and h > SMALLEST * extent:
                     # Across the longest side.
@@ -365,8 +374,8 @@ def gather(
                     else:
                         one, two, other = c, a, b
                     half = (0.5 * (one[0] + two[0]), 0.5 * (one[1] + two[1]), 0.5 * (one[2] + two[2]))
-                    top = _push(tag, vertices, top, f, q, one, half, other)
-                    top = _push(tag, vertices, top, f, q, half, two, other)
+                    top = _push(tag, vertices, top, what, f, q, one, half, other)
+                    top = _push(tag, vertices, top, what, f, q, half, two, other)
                     continue
                 if cut or not energy > 0.0:
                     continue
