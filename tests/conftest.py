@@ -1,11 +1,14 @@
-"""How the tests run: one thread each, the long files first, and builds of one worker in the test's own process."""
+"""How the tests run: one thread each, the long files first, every kernel compiled once, and builds of one worker in
+the test's own process."""
 
 from __future__ import annotations
 
+import fcntl
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -32,7 +35,7 @@ FIRST = (
     "report/test_reproduce.py",
 )
 """A file goes to one process as a whole. While the first one compiles the transport's kernels, the second compiles
-those of the detector, and not both the same; and a long file begun last would leave the other process idle.
+those of the detector and does not wait for the first; a long file begun last would leave the other process idle.
 """
 
 
@@ -42,6 +45,42 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return FIRST.index(file) if file in FIRST else len(FIRST)
 
     items.sort(key=rank)
+
+
+@contextmanager
+def _held(lock: Path) -> Iterator[None]:
+    """Wait until no other process holds the lock; it goes with the process that holds it."""
+    with lock.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def a_kernel_is_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A kernel that another test process is compiling is waited for and then read from numba's cache: on a clean
+    clone two processes would otherwise both compile nearly all of them. A kernel's lock is taken before those of the
+    kernels it calls, and none calls itself, so no two processes wait for each other.
+    """
+    from numba.core.caching import NullCache
+    from numba.core.compiler_lock import global_compiler_lock
+    from numba.core.dispatcher import Dispatcher
+
+    base = tmp_path_factory.getbasetemp()
+    locks = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "kernels"
+    locks.mkdir(exist_ok=True)
+    alone = Dispatcher.compile
+
+    def compiled(kernel: Any, signature: Any) -> Any:
+        if isinstance(kernel._cache, NullCache):
+            return alone(kernel, signature)
+        name = f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}".replace("<", "").replace(">", "")
+        # The lock of this process's threads first: they wait for one another in the same order.
+        with global_compiler_lock, _held(locks / name):
+            return alone(kernel, signature)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Dispatcher, "compile", compiled)
+        yield
 
 
 class HereAndNow:

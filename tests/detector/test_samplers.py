@@ -20,6 +20,7 @@ from datagen.detector.renewal import pieces_of
 FLUXES = (0.01, 0.1, 1.0, 4.0)
 BINS, WIDTH = 20, 1e-9
 EDGES = np.append(WIDTH * np.arange(BINS), 19.4e-9)  # the last bin is a part of one, as periods are seldom whole
+EDGES.flags.writeable = False  # as those of a `Cycle` are, for which the kernels are compiled then
 PERIOD = EDGES[-1]
 DEAD_TIMES = {"shorter": 7.3e-9, "equal": PERIOD, "several": 2.71 * PERIOD}
 REPLICATES = 250
@@ -35,6 +36,7 @@ def shape_of(flux: float) -> np.ndarray:
 
 def cycle_of_test(gate: np.ndarray | None = None) -> Cycle:
     gate = np.ones(BINS) if gate is None else gate
+    gate.flags.writeable = False
     return Cycle(PERIOD, WIDTH, EDGES, gate, BINS, 0, BINS, BINS, IDENTITY, IDENTITY)
 
 

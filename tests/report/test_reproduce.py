@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,18 +56,30 @@ def test_measures_on_curves_with_known_answers() -> None:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A reproduction by the command, with still fewer rays than `--quick`."""
+def reproduction(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Runs]:
+    """By the command, with still fewer rays than `--quick`: its folder, and the runs that it made."""
+    made: list[Runs] = []
+
+    def recorded(*arguments: Any) -> Runs:
+        made.append(run_all(*arguments))
+        return made[-1]
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(command, "QUICK", TINY)
+        patch.setattr(command, "run_all", recorded)
         out = tmp_path_factory.mktemp("reproduce") / "new" / "paper"
         assert run(["reproduce", str(out), "--quick", "--quiet"]) == 0
-    return out
+    return out, made[0]
 
 
 @pytest.fixture(scope="module")
-def runs() -> Runs:
-    return run_all(load_config(CONFIG), TINY, lambda stage: None)
+def folder(reproduction: tuple[Path, Runs]) -> Path:
+    return reproduction[0]
+
+
+@pytest.fixture(scope="module")
+def runs(reproduction: tuple[Path, Runs]) -> Runs:
+    return reproduction[1]
 
 
 def statements(runs: Runs) -> dict[str, Statement]:

@@ -34,7 +34,8 @@ def occluders(caster: Raycaster) -> Bodies:
         faces = faces[np.argsort(-caster.face_area_m2[faces], kind="stable")]
         faces, small = faces[: TRIANGLES_AT_MOST // 2], faces[TRIANGLES_AT_MOST // 2 :]
         boxes = _boxes(caster.corners[small])
-    corners = np.concatenate([caster.corners[faces][:, [0, 1, 2, 0, 0, 0, 0, 0]], boxes])
+    # Numpy picks the order of the axes by the faces' index; the kernels are compiled for one order.
+    corners = np.ascontiguousarray(np.concatenate([caster.corners[faces][:, [0, 1, 2, 0, 0, 0, 0, 0]], boxes]))
     normal = np.concatenate([caster.face_normal[faces], np.zeros((len(boxes), 3))])
     count = np.repeat([3, 8], [len(faces), len(boxes)])
     level = np.einsum("nk,nk->n", corners[:, 0], normal)
