@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,12 +38,13 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
     with _timed(seconds, "effects"):
         whole = config if planned is None else config.model_copy(update={"transport": planned})
         effects = transport_effects(whole, scene, capture, index)
+    spad, exposure = detector_for(config.detector, seed, index, capture.time)
     with _timed(seconds, "transport"):
         own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
         lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
+        accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
         transient = simulate(lit, capture, accuracy, seed=own_seed, split_parts=False)
     with _timed(seconds, "effects"):
-        spad, exposure = detector_for(config.detector, seed, index, capture.time)
         effects += detector_effects(config, transient, spad, exposure)
     with _timed(seconds, "detector"):
         used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
@@ -61,6 +62,13 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
     }
     arrays |= labels | _geometry(scene, capture, transient)
     return Sample(index, arrays, _parameters(scene, spad, exposure, effects, sampler, transient, counts), seconds)
+
+
+def _one_detection(spad: Spad, exposure: Exposure) -> float:
+    """Photons at the aperture, per emitted photon and over a whole scan, that give one detection on average: an object
+    with less light than that is not held to an error of its own."""
+    counted = exposure.photons_per_pulse * exposure.cycles * spad.pde
+    return 1.0 / counted if counted > 0 else 0.0
 
 
 def transport_effects(config: DatasetConfig, scene: Scene, capture: Capture, index: int) -> EffectDecisions:
@@ -146,6 +154,7 @@ def _parameters(
         "transient.overflow": outside / (inside + outside) if inside + outside > 0 else 0.0,
         "transient.relative_error": transient.relative_error,
         **({} if transient.met_target is None else {"transient.target_met": transient.met_target}),
+        **_scalars("transient.part_error", transient.part_errors),
         **({} if transient.spend is None else _scalars("transport.spend", transient.spend.parameters())),
         "histogram.counts": int(counts.sum()),
     }

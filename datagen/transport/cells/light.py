@@ -163,7 +163,7 @@ def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _seen(x, y, z, one_ray, f, obstacle, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
+def _seen(y, x, z, one_ray, f, obstacle, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
     """Whether the laser point x lights y on triangle f and the patch at z sees it."""
     if hidden(x, y, f, obstacle, number, box, child, span, waiting):
         return False
@@ -278,7 +278,7 @@ def gather(
                         if w > 0.0:
                             rays += 1
                             cells += 1
-                            if _seen(x, y, z, one_ray, f, obstacle, number, around, child, within, waiting):
+                            if _seen(y, x, z, one_ray, f, obstacle, number, around, child, within, waiting):
                                 air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
                                 overflow[into] += put(
                                     histogram[into], (path + device) * per_metre - clock_start, w * air * gain * area
@@ -335,27 +335,27 @@ def gather(
                         if not quarter:
                             coarse[k] += (over * min(smeared, 1.0)) ** 2
                     if not quarter and bright > 0.0:
-                        if (
-                            what == CELL
-                            and proofs
-                            and _all_seen(
-                                x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, flat, waiting
-                            )
+                        faint = over <= allowed[k]
+                        if what == CELL and proofs and not faint and _all_seen(
+                            x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, flat, waiting
                         ):
                             what = CLEAR
                         cut = error > allowed[k]
-                        if not cut and what == CELL:
+                        if not cut and what == CELL and faint:
+                            # Seen or not, it can make no larger error than it may.
+                            rays += 1
+                            if not _seen(m, x, z, one_ray, f, obstacle, number, around, child, within, waiting):
+                                continue
+                        elif not cut and what == CELL:
                             seen = 0
-                            for corner in range(3):
-                                s = 2 / 3 if corner == 0 else 1 / 6
-                                t = 2 / 3 if corner == 1 else 1 / 6
-                                r = 1.0 - s - t
-                                y = (
-                                    s * a[0] + t * b[0] + r * c[0], s * a[1] + t * b[1] + r * c[1],
-                                    s * a[2] + t * b[2] + r * c[2],
-                                )  # fmt: skip
+                            for lone in range(3):
                                 rays += 1
-                                seen += _seen(x, y, z, one_ray, f, obstacle, number, around, child, within, waiting)
+                                y = (
+                                    (a[0] + b[0] + c[0] + 3 * v[3 * lone]) / 6,
+                                    (a[1] + b[1] + c[1] + 3 * v[3 * lone + 1]) / 6,
+                                    (a[2] + b[2] + c[2] + 3 * v[3 * lone + 2]) / 6,
+                                )
+                                seen += _seen(y, x, z, one_ray, f, obstacle, number, around, child, within, waiting)
                             vis = seen / 3
                             # What three rays do not find may still be there: it is cut a little less eagerly.
                             cut = seen < 3 and (PARTLY if seen > 0 else UNFOUND) * over > allowed[k]
