@@ -65,8 +65,10 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
 
 
 def _one_detection(spad: Spad, exposure: Exposure) -> float:
-    """Photons at the aperture, per emitted photon and over a whole scan, that give one detection on average: an object
-    with less light than that is not held to an error of its own."""
+    """Photons at the aperture, per emitted photon and over a whole scan, that give one detection on average.
+
+    An object with less light than that is not held to an error of its own.
+    """
     counted = exposure.photons_per_pulse * exposure.cycles * spad.pde
     return 1.0 / counted if counted > 0 else 0.0
 
