@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,9 +47,15 @@ SETTLED = 0.3
 """Share of the error to be met, for each of K parts over √K, under which a part is not cut further for the whole."""
 UNSEEN = 1e-4
 """Norm that a part is taken to have at least, relative to the whole, when it is cut."""
-PATCH_LEVELS, MOST_PATCHES = (2, 3, 4, 5), 1 << 21
-PATCHES_SHARE = 0.3
-"""Share of the error to be met that patches of the pixels may make where they end."""
+LOOKED_AT, EVENLY = 6, 0.5
+"""Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
+WITHIN = 0.75
+"""Share of an error to be met that the estimate may reach on the pairs tried: others may be worse."""
+PATCHES_TRIED, MOST_PATCHES = 1, 1 << 21
+"""How often pixels are quartered while the cutting is chosen, and patches of all pixels at most."""
+PATCHES_SHARE, FROM_QUARTERS = 0.25, 4 / 3
+"""Share of the error to be met that may come of the pixels' patches; and that error, relative to what quartering them
+once more changes, of second order in their size."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +100,10 @@ def _width(material: Material) -> float:
 
 @dataclass(frozen=True)
 class _Gathered:
-    """Histograms (pair, row, bin) and overflow (pair,) in photons; squared errors of what the patches were too coarse
-    for (K,); cells and rays."""
+    """Histograms (pair, row, bin) and overflow (pair,) in photons; cells and rays."""
 
     histogram: Floats
     overflow: Floats
-    coarse: Floats
     cells: int
     rays: int
 
@@ -142,17 +146,17 @@ class _Gathering:
         """The light of some pairs of laser point and pixel, with each part in its row."""
         task, rows = self.task, int(row_of_part.max()) + 1
         histogram = np.zeros((len(pairs) * rows, task.capture.time.bins))
-        overflow, coarse = np.zeros(len(histogram)), np.zeros(len(error))
+        overflow = np.zeros(len(histogram))
         seed = int(stream_seeds(task.seed, CLUSTER_STREAM, 0, np.zeros(1, np.int64))[0])
         cutting = Cutting(
             error, self.coarsest, self.peak, task.accuracy.occlusion != "off", task.accuracy.occlusion == "auto", seed
         )
         cells, rays = gather(
             pairs, np.arange(len(pairs)) * rows, self.tree, self.occluders, self.lasers, patches, task.materials.kind,
-            task.materials.values, cutting, self.clock, row_of_part, histogram, overflow, coarse,
+            task.materials.values, cutting, self.clock, row_of_part, histogram, overflow,
         )  # fmt: skip
         of_pairs = histogram.reshape(len(pairs), rows, -1)
-        return _Gathered(of_pairs, overflow.reshape(len(pairs), rows).sum(axis=1), coarse, cells, rays)
+        return _Gathered(of_pairs, overflow.reshape(len(pairs), rows).sum(axis=1), cells, rays)
 
 
 def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: float = 0.0) -> Primary:
@@ -161,25 +165,32 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
     faint : photons, per emitted photon and over all histograms, under which an object's light is not held to that.
     """
     gathering, pairs = _Gathering.of(task), _pairs(task)
-    lit = pairs[task.points.part[pairs[:, 0]] >= 0]
-    few = lit[_spread(len(lit), _trials(len(lit), len(task.scene.materials) * task.capture.time.bins))]
-    pixels, own = np.unique(few[:, 1], return_inverse=True)
-    tried = np.stack([few[:, 0], own.reshape(-1)], axis=1)
-    asked = _Asked(target, part_target, faint * len(few) / max(len(lit), 1), _objects(task))
-    all_pixels, cells, rays = np.unique(pairs[:, 1]), 0, 0
-    for levels in PATCH_LEVELS:
-        choice = _choose(gathering, tried, gathering.patches(pixels, levels), asked)
-        cells, rays = cells + choice.cells, rays + choice.rays
-        affordable = len(all_pixels) * 4 ** (levels + 2) // 3 <= MOST_PATCHES
-        if choice.patches_do or not affordable:
+    asked = _Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
+    trial = _Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
+    choice = _choose(trial, asked)
+    # The patches of a pixel are fine enough if their quarters give the same.
+    levels, met = 0, choice.met
+    coarser = trial.gathered(choice.cutting, levels)
+    while True:
+        finer = trial.gathered(choice.cutting, levels + 1)
+        change = finer.histogram - coarser.histogram
+        of_patches, of_parts = (
+            FROM_QUARTERS * float(np.linalg.norm(change.sum(axis=1))),
+            FROM_QUARTERS * _norms(change),
+        )
+        do = of_patches <= PATCHES_SHARE * target * choice.whole and (of_parts <= PATCHES_SHARE * choice.limit).all()
+        if do or len(pairs) * 4 ** (levels + 2) > MOST_PATCHES:
+            met = met and bool(do)
             break
+        levels, coarser = levels + 1, finer
     rows = np.arange(len(choice.cutting)) if task.splits.parts else np.zeros(len(choice.cutting), np.int64)
-    found = gathering.gathered(pairs, gathering.patches(all_pixels, levels), choice.cutting, rows)
-    shape = task.capture.shape
-    errors = {task.scene.part_names[k]: float(error) for k, error in choice.part_errors.items()}
+    found = gathering.gathered(pairs, gathering.patches(np.unique(pairs[:, 1]), levels), choice.cutting, rows)
+    shape, names = task.capture.shape, task.scene.part_names
+    errors = {names[k]: float((choice.still[k] + of_parts[k]) / choice.own[k]) for k in np.flatnonzero(choice.held)}
     return Primary(
         [np.ascontiguousarray(found.histogram[:, k]).reshape(shape) for k in range(rows.max() + 1)],
-        found.overflow.reshape(shape[:2]), choice.error, errors, choice.met, cells + found.cells, rays + found.rays,
+        found.overflow.reshape(shape[:2]), (choice.error + of_patches) / choice.whole if choice.whole > 0 else 0.0,
+        errors, met, trial.work.cells + found.cells, trial.work.rays + found.rays,
     )  # fmt: skip
 
 
@@ -193,62 +204,126 @@ class _Asked:
     objects: Bools
 
 
+@dataclass
+class _Work:
+    """Cells spread and rays asked so far."""
+
+    cells: int = 0
+    rays: int = 0
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Some pairs of laser point and pixel that stand for all, the brighter the more often.
+
+    Attributes
+    ----------
+    pairs : (n, 2).
+    weight : (n,) how many of all pairs each stands for.
+    """
+
+    gathering: _Gathering
+    pairs: Ints
+    weight: Floats
+    work: _Work
+
+    @classmethod
+    def of(cls, gathering: _Gathering, lit: Ints, asked: _Asked) -> _Trial:
+        """Drawn in equal steps along the running sum of what a rough look finds of the whole and of each object."""
+        task, parts = gathering.task, len(asked.objects)
+        wanted = _trials(len(lit), parts * task.capture.time.bins)
+        looked = lit[_spread(len(lit), LOOKED_AT * wanted)]
+        rough = cls(gathering, looked, np.full(len(looked), len(lit) / max(len(looked), 1)), _Work())
+        if len(looked) <= wanted:
+            return rough
+        seen = rough.gathered(np.full(parts, COARSE), 0).histogram
+        squares = np.column_stack([(seen.sum(axis=1) ** 2).sum(axis=1), (seen**2).sum(axis=2)[:, asked.objects]])
+        squares = squares[:, squares.sum(axis=0) > 0]
+        share = (squares / squares.sum(axis=0)).sum(axis=1) / max(squares.shape[1], 1)
+        share = (share + EVENLY / len(looked)) / (share + EVENLY / len(looked)).sum()
+        places, count = np.unique(
+            np.searchsorted(np.cumsum(share), (np.arange(wanted) + 0.5) / wanted * (1 - 1e-12)), return_counts=True
+        )
+        weight = count / (wanted * share[places]) * len(lit) / len(looked)
+        return cls(gathering, looked[places], weight, rough.work)
+
+    def gathered(self, cutting: Floats, levels: int) -> _Gathered:
+        """Their histograms with each part apart, such that squares add up to those of all pairs."""
+        pixels, own = np.unique(self.pairs[:, 1], return_inverse=True)
+        pairs = np.stack([self.pairs[:, 0], own.reshape(-1)], axis=1)
+        found = self.gathering.gathered(
+            pairs, self.gathering.patches(pixels, levels), cutting, np.arange(len(cutting))
+        )
+        self.work.cells += found.cells
+        self.work.rays += found.rays
+        return replace(found, histogram=found.histogram * np.sqrt(self.weight)[:, None, None])
+
+    def energy(self, histogram: Floats) -> Floats:
+        """(K,) photons of each part in all pairs."""
+        return np.asarray(np.einsum("nkt,n->k", histogram, np.sqrt(self.weight)))
+
+
 @dataclass(frozen=True)
 class _Choice:
-    """The error that a cell of each part may make (K,), and what error that leaves."""
+    """The error that a cell of each part may make, and what that leaves.
+
+    Attributes
+    ----------
+    cutting : (K,) L2 error of a cell.
+    error, whole : L2 error and norm of the whole.
+    still, own : (K,) of each part.
+    held : (K,) which are held to an error of their own; limit : (K,) that error, infinite for the others.
+    met : whether all of it is as asked.
+    """
 
     cutting: Floats
     error: float
-    part_errors: Mapping[int, float]
+    whole: float
+    still: Floats
+    own: Floats
+    held: Bools
+    limit: Floats
     met: bool
-    patches_do: bool
-    cells: int
-    rays: int
 
 
-def _choose(gathering: _Gathering, pairs: Ints, patches: Patches, asked: _Asked) -> _Choice:
-    """The coarsest cutting of each part that does, found on some laser points and pixels with ever finer ones."""
+def _choose(trial: _Trial, asked: _Asked) -> _Choice:
+    """The coarsest cutting of each part that does, found with ever finer ones."""
     parts = len(asked.objects)
     every, settled = np.arange(parts), np.zeros(parts, np.bool_)
-    first = gathering.gathered(pairs, patches, np.full(parts, COARSE), every)
-    runs, cuttings = [first.histogram], [np.full(parts, COARSE)]
-    cells, rays = first.cells, first.rays
-    whole = float(np.linalg.norm(first.histogram.sum(axis=1)))
+    runs, cuttings = [trial.gathered(np.full(parts, COARSE), PATCHES_TRIED).histogram], [np.full(parts, COARSE)]
+    whole, own = float(np.linalg.norm(runs[0].sum(axis=1))), _norms(runs[0])
     if whole == 0.0:
-        return _Choice(cuttings[0], 0.0, {}, True, True, cells, rays)
-    scale = np.maximum(_norms(first.histogram), UNSEEN * whole) / math.sqrt(len(pairs))
+        nothing = np.zeros(parts)
+        return _Choice(cuttings[0], 0.0, 0.0, nothing, own, settled, nothing + np.inf, True)
+    scale = np.maximum(own, UNSEEN * whole) / math.sqrt(trial.weight.sum())
     finest = np.zeros(parts, np.int64)
     while True:
         cuttings.append(FIRST * FINER ** (len(runs) - 1) * scale)
-        found = gathering.gathered(pairs, patches, np.where(settled, np.inf, cuttings[-1]), every)
-        cells, rays = cells + found.cells, rays + found.rays
-        found.histogram[:, settled] = runs[-1][:, settled]
-        runs.append(found.histogram)
+        before = trial.work.cells + trial.work.rays
+        found = trial.gathered(np.where(settled, np.inf, cuttings[-1]), PATCHES_TRIED).histogram
+        found[:, settled] = runs[-1][:, settled]
+        runs.append(found)
         finest[~settled] = len(runs) - 1
-        whole, own = float(np.linalg.norm(runs[-1].sum(axis=1))), _norms(runs[-1])
-        held = asked.objects & (own > 0) & (runs[-1].sum(axis=(0, 2)) >= asked.faint)
+        whole, own = float(np.linalg.norm(found.sum(axis=1))), _norms(found)
+        held = asked.objects & (own > 0) & (trial.energy(found) >= asked.faint)
         limit = np.where(held, asked.part_target * own, np.inf)
         still = _still(runs, finest)
-        level = np.argmax(np.vstack([still <= limit, np.ones(parts, np.bool_)]), axis=0)
+        level = np.argmax(np.vstack([still <= WITHIN * limit, np.ones(parts, np.bool_)]), axis=0)
         error = _whole_error(runs, level, finest)
-        while error > asked.target * whole and (level < finest).any():
+        while error > WITHIN * asked.target * whole and (level < finest).any():
             level[np.argmax(np.where(level < finest, still[np.minimum(level, len(still) - 1), every], -1.0))] += 1
             error = _whole_error(runs, level, finest)
         met = bool((level < finest).all())
-        if met or len(runs) > LEVELS:
+        work = trial.work.cells + trial.work.rays
+        beyond = work + (work - before) / FINER > trial.gathering.task.accuracy.max_lookins * len(trial.pairs)
+        if met or len(runs) > LEVELS or beyond:
             break
         # What does already is not cut further, unless the whole still wants it.
         waits = math.sqrt(parts) * still[finest - 1, every] > SETTLED * asked.target * whole
-        settled |= (level < finest) & ((error <= asked.target * whole) | ~waits)
+        settled |= (level < finest) & ((error <= WITHIN * asked.target * whole) | ~waits)
     level = np.minimum(level, finest - 1)
-    errors = {int(k): float(still[level[k], k] / own[k]) for k in np.flatnonzero(held)}
-    cutting = np.array(cuttings)[level, every]
-    coarse = gathering.gathered(pairs, patches, cutting, every).coarse
-    patches_do = bool(
-        math.sqrt(coarse.sum()) <= PATCHES_SHARE * asked.target * whole
-        and (np.sqrt(coarse) <= PATCHES_SHARE * limit).all()
-    )
-    return _Choice(cutting, error / whole, errors, met, patches_do, cells, rays)
+    error = _whole_error(runs, level, finest)
+    return _Choice(np.array(cuttings)[level, every], error, whole, still[level, every], own, held, limit, met)
 
 
 def _still(runs: list[Floats], finest: Ints) -> Floats:
@@ -270,10 +345,6 @@ def _whole_error(runs: list[Floats], level: Ints, finest: Ints) -> float:
 def _norms(histograms: Floats) -> Floats:
     """(K,) L2 norm over laser points, pixels and bins of (n, K, T)."""
     return np.asarray(np.sqrt((histograms**2).sum(axis=(0, 2))))
-
-
-def _objects(task: WalkTask) -> Bools:
-    return np.array([role == "object" for role in task.scene.roles])
 
 
 def _trials(pairs: int, values: int) -> int:

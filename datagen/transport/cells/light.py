@@ -180,14 +180,12 @@ def _all_seen(x, a, b, c, z, one_ray, f, obstacle, number, box, child, span, fla
 
 @njit(cache=True, error_model="numpy")
 def gather(
-    pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-    coarse,
+    pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow
 ):  # type: ignore[no-untyped-def]  # fmt: skip
     """Add the primary of laser points and pixels to their histograms.
 
     pairs : (n, 2) laser point and pixel of each. row : (n,) first row of each, to which `row_of_part` (K,) is added.
-    histogram (rows, T) and overflow (rows,) get the photons; coarse (K,) gets, for each part, the square of the L2
-    errors of cells that could not be cut as finely as asked, because the pixel's patches end.
+    histogram (rows, T) and overflow (rows,) get the photons.
     Returns the cells that were spread, and the rays asked.
     """
     vertices, tag = np.empty((1024, 9)), np.empty((1024, 3), np.int64)
@@ -332,12 +330,15 @@ def gather(
                     error = over * curved
                     if over * smeared > allowed[k]:
                         quarter = quarters
-                        if not quarter:
-                            coarse[k] += (over * min(smeared, 1.0)) ** 2
                     if not quarter and bright > 0.0:
                         faint = over <= allowed[k]
-                        if what == CELL and proofs and not faint and _all_seen(
-                            x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, flat, waiting
+                        if (
+                            what == CELL
+                            and proofs
+                            and not faint
+                            and _all_seen(
+                                x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, flat, waiting
+                            )
                         ):
                             what = CLEAR
                         cut = error > allowed[k]
