@@ -200,7 +200,8 @@ class MitransientPeer:
     def render(self, samples: int, seed: int) -> NDArray[np.float64]:
         """(pixel, bin) radiance of the points, 1/(m² sr), from `samples` paths a point."""
         _, image = self._scene.integrator().render(self._scene, seed=seed, spp=samples)
-        return np.array(image, np.float64)[..., 0].reshape(len(self.points), -1) / self._irradiance[:, None]
+        film = np.array(image, np.float64)[..., 0].reshape(len(self.points), -1)
+        return np.asarray(film / self._irradiance[:, None])
 
 
 def _frame(wall: Rectangle) -> NDArray[np.float64]:
