@@ -4,11 +4,9 @@ mitransient (Royo et al., "Non-line-of-sight transient rendering", Computers & G
 optional extra: `pip install '.[peers]'` and an LLVM of version 16 or later (Debian: libllvm19).
 
 Both answer with the radiance that leaves points of the relay wall towards the sensor, per emitted photon: what
-`photons_to_radiance` makes of our transient for pixels as small as points. mitransient's answer is brought to that:
-
-- its laser is a lamp of unit intensity, so its answer carries the irradiance cosθ/d² of the laser point;
-- it puts a path into the one bin that it falls in, ours shares it between two. Given bins `FINE` times finer,
-  `merge_bins` shares them out as ours does.
+`photons_to_radiance` makes of our transient for pixels as small as points; and both put a path into the bin that it
+falls in. mitransient's laser is a lamp of unit intensity, so its answer carries the irradiance cosθ/d² of the laser
+point, which is divided out.
 """
 
 from __future__ import annotations
@@ -27,11 +25,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from datagen.errors import InputError
 from datagen.records import Capture, Lambertian, Laser, Rectangle, Scene, Sensor, TimeAxis
-from datagen.transport.binning import splat
+from datagen.transport.binning import put
 from datagen.units import path_from_time
 
-FINE = 16
-"""Peer's bins to each of ours; even, so that the kinks of our sharing fall on its bin edges."""
 OLDEST_LLVM = 16
 VARIANT = "llvm_ad_mono"
 POINT_HALF_SIDE_M = 1e-4
@@ -108,17 +104,6 @@ def photons_to_radiance(photons: NDArray[np.float64], capture: Capture) -> NDArr
     return np.asarray(photons / (per_pixel[:, None, None] if capture.pairing == "confocal" else per_pixel[:, None]))
 
 
-def merge_bins(fine: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
-    """(…, FINE · bins) → (…, bins): each fine bin's energy shared between the two nearest coarse centres.
-
-    Exact for energy spread evenly within a fine bin, because the shares are linear within it.
-    """
-    per_bin = fine.shape[-1] // bins
-    position = (np.arange(fine.shape[-1]) + 0.5) / per_bin - 0.5
-    share = np.clip(1.0 - np.abs(position[:, None] - np.arange(bins)), 0.0, None)
-    return np.asarray(fine @ share)
-
-
 class MitransientPeer:
     """A scene rendered by mitransient, ready to be sampled again and again.
 
@@ -129,7 +114,6 @@ class MitransientPeer:
     device : (3,) laser and sensor. laser_point : (3,) on the wall; None for a confocal scan.
     columns, rows : the grid of points on the wall, powers of two (its grid lookup rounds in single precision).
     axis : of origin `wall`. bounces : highest order followed, ≥ 3; the lowest is 3 as long as the wall is flat.
-    fine : its bins to each of `axis`.
     aim_at_hidden : its hidden-geometry sampling. Only for scenes where nothing stands in front of anything: it
         divides by the density of the one point it aimed at, so a surface before that point is counted twice. It
         aims at front faces only, whatever the material.
@@ -139,14 +123,13 @@ class MitransientPeer:
 
     def __init__(
         self, scene: Scene, wall_name: str, wall: Rectangle, device: ArrayLike, laser_point: ArrayLike | None,
-        columns: int, rows: int, axis: TimeAxis, bounces: int, fine: int = FINE, aim_at_hidden: bool = False,
+        columns: int, rows: int, axis: TimeAxis, bounces: int, aim_at_hidden: bool = False,
     ) -> None:  # fmt: skip
         if columns & (columns - 1) or rows & (rows - 1):
             raise InputError(f"peer mitransient: {columns} × {rows} points; its grids need powers of two")
         if axis.origin != "wall":
             raise InputError("peer mitransient: time axis of origin 'source'; use origin='wall'")
         self._mi = _mitsuba()
-        self.axis, self.fine = axis, fine
         self.points = grid_points(wall, columns, rows)
         device = np.asarray(device, np.float64)
         lit = self.points if laser_point is None else np.asarray(laser_point, np.float64)[None]
@@ -179,7 +162,7 @@ class MitransientPeer:
                     "sampler": {"type": "independent"},
                     "film": {
                         "type": "transient_hdr_film", "width": columns, "height": rows,
-                        "temporal_bins": axis.bins * fine, "bin_width_opl": width / fine,
+                        "temporal_bins": axis.bins, "bin_width_opl": width,
                         "start_opl": width * (axis.start_s / axis.width_s), "rfilter": {"type": "box"},
                     },
                 },
@@ -215,10 +198,10 @@ class MitransientPeer:
         return mesh
 
     def render(self, samples: int, seed: int) -> NDArray[np.float64]:
-        """(pixel, bin) radiance of the points, 1/(m² sr), from `samples` paths a point; our bins, shared as ours."""
+        """(pixel, bin) radiance of the points, 1/(m² sr), from `samples` paths a point."""
         _, image = self._scene.integrator().render(self._scene, seed=seed, spp=samples)
-        film = np.array(image, np.float64)[..., 0].reshape(len(self.points), -1) / self._irradiance[:, None]
-        return merge_bins(film, self.axis.bins) if self.fine > 1 else film
+        film = np.array(image, np.float64)[..., 0].reshape(len(self.points), -1)
+        return np.asarray(film / self._irradiance[:, None])
 
 
 def _frame(wall: Rectangle) -> NDArray[np.float64]:
@@ -235,29 +218,26 @@ def plate_quadrature(
     albedos: tuple[float, float],
     axis: TimeAxis,
     knots: int,
-    shared: bool = True,
 ) -> NDArray[np.float64]:
     """Three-bounce radiance of confocal points (P, 3) from an unoccluded plate, by the midpoint rule.
 
         L = ρ₁²ρ₂/π³ ∫ (cosθ₁ cosθ₂)²/R⁴ dA₂   (wall albedo ρ₁, plate albedo ρ₂)
 
-    knots² midpoints a point; `shared` splits each between two bins as ours does, else it falls into one.
-    Returns (P, bins), 1/(m² sr).
+    knots² midpoints a point. Returns (P, bins), 1/(m² sr).
     """
     out = np.zeros((len(points), axis.bins))
     scale = albedos[0] ** 2 * albedos[1] / math.pi**3 * plate.area_m2 / knots**2
     per_metre = 1.0 / float(path_from_time(axis.width_s))
     frame, start = (plate.center, plate.right, plate.up, plate.normal), axis.start_s / axis.width_s
-    _quadrature(points, wall_normal, *frame, knots, scale, per_metre, start, shared, out)
+    _quadrature(points, wall_normal, *frame, knots, scale, per_metre, start, out)
     return out
 
 
 @njit(cache=True)
 def _quadrature(
     points: Any, wall_normal: Any, center: Any, right: Any, up: Any, normal: Any, knots: int, scale: float,
-    per_metre: float, start: float, shared: bool, out: Any,
+    per_metre: float, start: float, out: Any,
 ) -> None:  # fmt: skip
-    bins = out.shape[1]
     for p in range(len(points)):
         for i in range(knots):
             u = (2 * i + 1) / knots - 1.0
@@ -272,7 +252,4 @@ def _quadrature(
                 cosines = to_wall * to_plate
                 energy = scale * (cosines / (square * square)) ** 2
                 position = 2.0 * math.sqrt(square) * per_metre - start
-                if shared:
-                    splat(out[p], position, energy)
-                elif 0.0 <= position < bins:
-                    out[p, int(position)] += energy
+                put(out[p], position, energy)

@@ -127,11 +127,8 @@ def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
     ]
     if missing_for_mitransient() is None:
         sides = (points_a_side, points_a_side)
-        peer = others.MitransientPeer(
-            scene, "wall", scan, device, None, *sides, axis, bounces=3, fine=1, aim_at_hidden=True
-        )
-        own = others.plate_quadrature(points, scan.normal, plate, albedos, axis, reference_knots, shared=False)
-        contenders.append(Contender("mitransient", "paths a point", peer.render, (1 << 8, 1 << 10, 1 << 12), own))
+        peer = others.MitransientPeer(scene, "wall", scan, device, None, *sides, axis, bounces=3, aim_at_hidden=True)
+        contenders.append(Contender("mitransient", "paths a point", peer.render, (1 << 8, 1 << 10, 1 << 12), truth))
     title = f"Bare plate, {points_a_side} × {points_a_side} confocal points, 300 bins, 3 bounces"
     return Case(title, 1, 0.01, tuple(contenders))
 

@@ -18,7 +18,7 @@ from datagen.errors import InputError
 from datagen.paper.as_printed_paths import Lighting, PrintedRoom, arriving, leaving, lighting, observe, place_lookins
 from datagen.paper.as_printed_sampling import Grid, half_cube, ray_grid
 from datagen.records import Capture, Scene, Transient
-from datagen.transport.binning import splat
+from datagen.transport.binning import put
 from datagen.transport.factorised.convolution import Paths, Sums, double_sum, keep_strongest
 
 Array = NDArray[np.float64]
@@ -104,7 +104,7 @@ def simulate_as_printed(scene: Scene, capture: Capture, settings: AsPrinted | No
     input and output vectors", has no set of directions to sum over: taken here as 1/∫ B dω over the hemisphere, 1/π
     and 1/4. `AsPrinted` names the other choices. C^2R on the last leg includes the laser's way to the wall.
 
-    The light of one emitted photon, I = 1, falls into the capture's bins by arrival time, shared by the two nearest;
+    The light of one emitted photon, I = 1, falls into the capture's bins by arrival time;
     convolved with the Gaussian of width σ and times q it is the paper's L(t). Every pair (k, n) is formed by itself:
     O(Ñ²) for each lookin.
 
@@ -162,7 +162,7 @@ def _add_laser_point(
     start = float(room.bins(np.array(before))) - capture.time.start_s / capture.time.width_s
     camera = half_cube(settings.pixels)
     lookins = place_lookins(room, laser, ray_grid(settings.rays, settings.grid))
-    sums = Sums(np.zeros((count, bins)), np.zeros(count), np.zeros(count), np.zeros(count))
+    sums = Sums(np.zeros((count, bins)), np.zeros(count))
     total = 0.0
     at_once = max(1, POINTS_AT_ONCE // (len(camera) * max(1, len(pixels) // 8)))
     for first in range(0, len(lookins), at_once):
@@ -181,8 +181,7 @@ def _add_laser_point(
             into = _each_lookin_alike(into, light)
         if settings.secondary == "strongest":
             keep_strongest(into, 1)
-        # Positions count from bin centres there.
-        double_sum(_present(into), out._replace(position=out.position + (start - 0.5)), sums)
+        double_sum(_present(into), out._replace(position=out.position + start), sums)
         total += float(light.brdf.sum())
         seconds["secondary"] += clock_time.perf_counter() - traced
     alpha = {"room": 1.0 / total if total > 0 else 0.0, "lookin": 1.0, "rays": lookins.alpha}[settings.conserved]
@@ -213,6 +212,6 @@ def _add_primary(
     for row in range(len(out.first) - 1):
         lookin, pixel = row // pixels, row % pixels
         for n in range(out.first[row], out.first[row + 1]):
-            overflow[pixel] += splat(
+            overflow[pixel] += put(
                 parts[part[lookin], pixel], position[lookin] + out.position[n], amplitude[lookin] * out.energy[n]
             )

@@ -1,8 +1,6 @@
-"""A path's energy into the time bins: split between the two nearest bins so that its mean arrival time is exact."""
+"""A path's energy into the time bins. A bin is the integral of the flux between its edges, what a TDC counts."""
 
 from __future__ import annotations
-
-import math
 
 from numba import njit
 
@@ -10,25 +8,13 @@ from datagen.records.arrays import Floats
 
 
 @njit(cache=True, inline="always")
-def splat(histogram: Floats, position: float, energy: float) -> float:
-    """Add `energy` at fractional bin `position` (bin i spans i … i + 1) and return what fell outside the window.
+def put(histogram: Floats, position: float, energy: float) -> float:
+    """Add `energy` to the bin that holds `position` (bin i spans i … i + 1); returns what fell outside the window.
 
-    With weights linear in the distance to the two nearest bin centres, the first moment is kept exactly. Nothing is
-    wrapped or piled into an end bin: what lies beyond is returned, to be tallied as overflow.
+    Narrow bins thus add up to wide ones. Nothing is wrapped or piled into an end bin: what lies beyond is returned,
+    to be tallied as overflow.
     """
-    shifted = position - 0.5
-    bins = histogram.shape[0]
-    if not (-1.0 <= shifted < bins):
+    if not 0.0 <= position < len(histogram):
         return energy
-    lower = math.floor(shifted)
-    upper_share = shifted - lower
-    outside = 0.0
-    if lower >= 0:
-        histogram[lower] += energy * (1.0 - upper_share)
-    else:
-        outside += energy * (1.0 - upper_share)
-    if lower + 1 < bins:
-        histogram[lower + 1] += energy * upper_share
-    else:
-        outside += energy * upper_share
-    return outside
+    histogram[int(position)] += energy
+    return 0.0

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from datagen.transport.binning import splat
+from datagen.transport.binning import put
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, pdf, sample
 from datagen.transport.sampling import mix
 
@@ -169,7 +169,7 @@ def gather(
                 at = (path[i] + distance + device) * per_metre - clock_start
                 tile = tile3[p, q]
                 if tile >= 0 and (clear[i - start] >> np.uint64(tile)) & np.uint64(1):
-                    overflow[row] += splat(histogram[row], at, energy)
+                    overflow[row] += put(histogram[row], at, energy)
                     added += 1
                     continue
                 tx = np.float32((x3[0] + offset * n3[0] - center[0]) / half_extent)
@@ -187,7 +187,7 @@ def deposit(rows, positions, energies, hidden, histogram, overflow):
     """Add the contributions that nothing hides."""
     for k in range(len(rows)):
         if not hidden[k]:
-            overflow[rows[k]] += splat(histogram[rows[k]], positions[k], energies[k])
+            overflow[rows[k]] += put(histogram[rows[k]], positions[k], energies[k])
 
 
 @njit(cache=True)

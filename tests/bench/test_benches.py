@@ -16,7 +16,6 @@ from datagen.bench import detector, scaling, stages
 from datagen.bench.accuracy import Truth, noise_and_bias, with_front
 from datagen.bench.accuracy_report import advice, table
 from datagen.bench.accuracy_settings import Row, fewer_laser_points
-from datagen.bench.other_renderers import FINE, merge_bins
 from datagen.bench.peers import seconds_at
 from datagen.bench.plan import furthest_off
 from datagen.bench.scaling import exponent
@@ -184,17 +183,6 @@ def test_fewer_laser_points_keep_their_pixels() -> None:
     few = fewer_laser_points(whole, 10)
     assert few.shape == (10, 1, 512) and fewer_laser_points(whole, 1000) is whole
     assert np.allclose(few.sensor.pixels.mean(axis=1), few.laser.targets)
-
-
-def test_merged_bins_are_those_of_a_shared_path() -> None:
-    """Energy even within a fine bin, merged, equals the same energy split path by path between the coarse bins."""
-    fine = np.random.default_rng(3).random(8 * FINE)
-    paths = (np.arange(8 * FINE * 64) + 0.5) / (64 * FINE) - 0.5
-    lower, energy = np.floor(paths).astype(int), np.repeat(fine, 64) / 64
-    expected = np.zeros(10)
-    np.add.at(expected, lower + 1, energy * (1 - paths + lower))
-    np.add.at(expected, lower + 2, energy * (paths - lower))
-    np.testing.assert_allclose(merge_bins(fine, 8), expected[1:9], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -128,11 +128,9 @@ def plain(scene: dg.Scene, capture: dg.Capture, settings: dg.AsPrinted) -> dict[
         return math.exp(-scene.attenuation_per_m * metres)
 
     def add(row: NDArray[np.float64], path_m: float, energy: float) -> None:
-        place = (path_m / C_M_PER_S - capture.time.start_s) / capture.time.width_s - 0.5
-        low = math.floor(place)
-        for k, share in ((low, 1 - (place - low)), (low + 1, place - low)):
-            if 0 <= k < bins:
-                row[k] += share * energy
+        place = math.floor((path_m / C_M_PER_S - capture.time.start_s) / capture.time.width_s)
+        if 0 <= place < bins:
+            row[place] += energy
 
     def pixels_seeing(met: Met) -> list[int]:
         span = met.point - sensor

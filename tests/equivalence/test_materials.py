@@ -151,7 +151,7 @@ def plain_primary(
     omega = (2 * HALF_SIDE) ** 2 * (DEVICE - x3)[0] / np.linalg.norm(DEVICE - x3) ** 3
     parts = {}
     for part, name in enumerate(scene.part_names):
-        histogram = np.zeros(axis.bins + 2)
+        histogram = np.zeros(axis.bins)
         for a, b, c in scene.corners[scene.face_part == part] if only in ("", name) and name != "relay_wall" else ():
             k = max(1, math.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a)) / cell_m))
             i, j = (g.ravel() for g in np.meshgrid(np.arange(k), np.arange(k)))
@@ -175,11 +175,9 @@ def plain_primary(
                 * brdfs[name](n2, w1, w3) * dots(n2, w3) * dots(n1, -w3) / r3**2
                 * wall(n1, -w3, to_sensor) * APERTURE_M2 * omega * area
             )  # fmt: skip
-            position = (r1 + r3) / (axis.width_s * C) - axis.start_s / axis.width_s - 0.5
-            low = np.floor(position).astype(int)
-            np.add.at(histogram, low + 1, energy * (1 - position + low))
-            np.add.at(histogram, low + 2, energy * (position - low))
-        parts[name] = histogram[1:-1]
+            position = (r1 + r3) / (axis.width_s * C) - axis.start_s / axis.width_s
+            np.add.at(histogram, np.floor(position).astype(int), energy)
+        parts[name] = histogram
     return parts
 
 

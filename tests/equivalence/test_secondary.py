@@ -20,7 +20,7 @@ from datagen.errors import InputError
 from datagen.records.materials import Phong
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.factorised import convolution, secondary
-from datagen.transport.factorised.convolution import Histograms, Paths, Sums
+from datagen.transport.factorised.convolution import SUB_BINS, Histograms, Paths, Sums
 from datagen.transport.fov import PixelCones, fov_pool
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import Streams, stream_seeds
@@ -63,7 +63,7 @@ def random_histograms(rng: np.random.Generator, rows: int, paths: int, low: floa
 def test_direct_and_spectral_convolutions_are_the_same(pixels: int, shift: float) -> None:
     """Both against np.convolve, with windows that cut the start and the end."""
     rng = np.random.default_rng(1)
-    lookins, lasers, bins = 5, 4, 90
+    lookins, lasers, bins = 5, 4, 23
     ins = [random_histograms(rng, lookins, 30, 10.0, 45.0) for _ in range(lasers)]
     outs = random_histograms(rng, lookins * pixels, 20, shift, shift + 30.0)
     direct, spectral = Sums.zeros(lasers, pixels, bins), Sums.zeros(lasers, pixels, bins)
@@ -80,15 +80,13 @@ def test_direct_and_spectral_convolutions_are_the_same(pixels: int, shift: float
                 pairs = np.convolve(x, outs.values[outs.first[r] : outs.first[r + 1]])
                 start = ins[laser].base[b] + outs.base[r] + 150
                 truth[laser, p, start : start + len(pairs)] += pairs
-    inside = truth[..., 150 : 150 + bins]
+    inside = truth[..., 150 : 150 + bins * SUB_BINS].reshape(lasers, pixels, bins, SUB_BINS).sum(axis=3)
     peak = truth.max()
     for sums in (direct, spectral):
         np.testing.assert_allclose(sums.transient, inside, rtol=1e-12, atol=1e-13 * peak)
         np.testing.assert_allclose(sums.transient.sum(axis=2) + sums.overflow, truth.sum(axis=2), rtol=1e-12)
         assert (sums.transient >= 0).all()
-        np.testing.assert_allclose(sums.energy, truth.sum(axis=2), rtol=1e-12)
     assert (truth.sum() > inside.sum() * 1.01) or shift == 0.0
-    np.testing.assert_allclose(direct.moment, spectral.moment, rtol=1e-12, atol=1e-12 * peak)
 
 
 def scan(bins: int, width_m: float, origin: str = "wall") -> Capture:
@@ -104,8 +102,8 @@ def scan(bins: int, width_m: float, origin: str = "wall") -> Capture:
 @pytest.mark.parametrize("strongest", [None, 1, 5])
 @pytest.mark.parametrize("placement", ["fov", "laser"])
 def test_equals_the_plain_double_sum(strongest: int | None, placement: str) -> None:
-    """Over the very same points: energy and mean arrival time to rounding, each bin to binning; and smoothed over a
-    tenth of a metre the two are nearly one curve."""
+    """Over the very same points: energy to rounding, each bin but for the pairs near an edge that the displaced grids
+    put on its other side: as many on either, so that the mean arrival time stays."""
     scene, capture = furnished_box(), scan(400, 0.05, "source")
     settings = {"lookins": 200, "observed": 100, "fov_samples": 50, "strongest": strongest, "placement": placement}
     fast, plain = (secondary_of(scene, capture, plain=p, **settings) for p in (False, True))
@@ -113,10 +111,9 @@ def test_equals_the_plain_double_sum(strongest: int | None, placement: str) -> N
     assert plain.overflow.max() == fast.overflow.max() == 0.0
     centers = np.arange(400) + 0.5
     arrival = [(e.mean @ centers) / e.mean.sum(axis=2) for e in (fast, plain)]
-    np.testing.assert_allclose(arrival[0], arrival[1], atol=1e-9)
+    np.testing.assert_allclose(arrival[0], arrival[1], atol=0.02 if strongest is None else 0.1)
     difference = np.linalg.norm(fast.mean - plain.mean) / np.linalg.norm(plain.mean)
-    # A sixth or less of the sampling noise at these counts, which is what the displaced grids add in quadrature.
-    assert difference < (0.06 if strongest is None else 0.3)
+    assert difference < (0.03 if strongest is None else 0.1)
 
 
 def test_equals_the_plain_double_sum_in_a_window_that_cuts() -> None:
@@ -129,15 +126,42 @@ def test_equals_the_plain_double_sum_in_a_window_that_cuts() -> None:
     assert (plain.overflow > 0.05 * plain.mean.sum(axis=2)).all()
 
 
-def test_a_single_pair_of_paths_is_split_between_its_two_bins_exactly() -> None:
-    scene, capture = furnished_box(), one_point_capture()
+def test_a_single_pair_of_paths_falls_into_the_bin_that_holds_it() -> None:
+    """Or, within half a sub-bin of an edge, into that behind the edge. Where it falls: the plain sum in fine bins."""
+    scene, coarse, fine = (
+        furnished_box(),
+        one_point_capture(),
+        one_point_capture(time=bins_of_path(12_800, 0.1 / 64, 0)),
+    )
     found = 0
     for seed in range(40):
         settings = {"lookins": 1, "observed": 1, "fov_samples": 1, "strongest": 1, "seed": seed}
-        fast, plain = (secondary_of(scene, capture, plain=p, **settings).mean for p in (False, True))
-        np.testing.assert_allclose(fast, plain, rtol=1e-9, atol=1e-12 * plain.max())
-        found += plain.max() > 0
+        fast = secondary_of(scene, coarse, **settings).mean[0, 0]
+        place = secondary_of(scene, fine, plain=True, **settings).mean[0, 0]
+        assert np.count_nonzero(fast) == np.count_nonzero(place) <= 1
+        if place.any():
+            position = (place.argmax() + 0.5) / 64
+            assert fast.max() == pytest.approx(place.max(), rel=1e-12)
+            assert abs(fast.argmax() + 0.5 - position) <= 0.5 + 0.5 / SUB_BINS + 1 / 128
+            found += 1
     assert found > 15
+
+
+@pytest.mark.parametrize("after_edge", [-0.7, -0.4, -0.1, 0.0, 0.2, 0.49, 0.6])
+def test_pairs_near_an_edge_are_shared_by_its_two_sides_linearly(after_edge: float) -> None:
+    """In sub-bins: a pair at x behind an edge is counted behind it with probability ½ + x, and not beyond 0 … 1."""
+    count, bins = 1000, 10
+    edge = 6 * SUB_BINS
+    u = (np.arange(count) + 0.5) / count
+    rows, every = np.arange(count + 1), np.full(count, 1 << 60)
+    into, out = (
+        Paths(rows, np.full(count, position), np.ones(count)) for position in (7.3, edge + after_edge - 7.3 - 0.5)
+    )
+    sums = Sums.zeros(1, 1, bins)
+    ins, outs = convolution.histograms(into, u, -every, every), convolution.histograms(out, 1.0 - u, -every, every)
+    convolution.convolve([ins], outs, sums)
+    behind = min(max(0.5 + after_edge, 0.0), 1.0)
+    np.testing.assert_allclose(sums.transient[0, 0, 5:7] / count, [1.0 - behind, behind], atol=1.5 / count)
 
 
 def in_a_ball(albedo: float) -> tuple[Scene, Capture, float]:

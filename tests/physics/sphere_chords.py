@@ -58,11 +58,8 @@ def _shares(rng: np.random.Generator, chains: int) -> NDArray[np.float64]:
         point /= np.linalg.norm(point, axis=1, keepdims=True)
         path = path + np.linalg.norm(point - previous, axis=1)
         previous = point
-        position = (path + np.linalg.norm(end - point, axis=1)) / WIDTH_M - 0.5
-        low = np.floor(position).astype(int)
-        sums = np.bincount(low + 1, weight * (1 - position + low), BINS + 20)
-        sums += np.bincount(low + 2, weight * (position - low), BINS + 20)
-        row[:] = sums[1 : BINS + 1]
+        position = (path + np.linalg.norm(end - point, axis=1)) / WIDTH_M
+        row[:] = np.bincount(np.floor(position).astype(int), weight, BINS + 20)[:BINS]
     return shares
 
 

@@ -14,7 +14,8 @@ from datagen.detector.binomials import binomial
 from datagen.detector.equilibrium import equilibrium
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.irf import response_kernel, spread
-from datagen.transport.binning import splat
+from datagen.records.arrays import Floats
+from datagen.transport.binning import put
 
 TIME = TimeAxis(100, 1e-9)
 mpmath.mp.dps = 60
@@ -169,26 +170,31 @@ def rare_binomial() -> HardCase:
 
 
 def arrival_time() -> HardCase:
-    """Paths at random places of 1 ps bins, 10⁵ of them."""
-    bins = 100_000
-    rng = np.random.default_rng(1)
-    position = rng.uniform(1, bins - 1, 2000)
-    histogram = np.zeros(bins)
-    for x in position:
-        splat(histogram, float(x), 1.0)
-    centres = np.arange(bins) + 0.5
-    ours = abs(float((histogram * centres).sum() / histogram.sum()) - position.mean())
-    errors = np.abs(np.floor(position) + 0.5 - position)
+    """Paths at random places of 1 ps bins, and of bins four times as wide."""
+    bins, rng = 1024, np.random.default_rng(1)
+    positions = rng.uniform(4, bins - 4, 2000)
+    narrow, wide = np.zeros(bins), np.zeros(bins // 4)
+    for x in positions:
+        put(narrow, float(x), 1.0)
+        put(wide, float(x) / 4, 1.0)
+    split = [_shared(positions, bins).reshape(-1, 4).sum(axis=1), _shared(positions / 4, bins // 4)]
     return HardCase(
-        "Arrival time within a bin",
-        "a path put whole into its bin: largest error of its time, in bins",
-        float(errors.max()),
-        "shared linearly by the two nearest bins: error of the mean time, in bins of 10⁵",
-        ours,
-        "the path length itself",
-        allowed=1e-9,
-        where="test_small_patch_amplitude_and_arrival_time",
+        "Paths in bins of 1 ps, added up to bins of 4 ps",
+        "a path shared by the two nearest bins: photons in another bin than in bins of 4 ps at once",
+        float(np.abs(split[0] - split[1]).sum() / 2 / len(positions)),
+        "a path put into the bin that holds it: the same",
+        float(np.abs(narrow.reshape(-1, 4).sum(axis=1) - wide).sum() / 2 / len(positions)),
+        "bins are integrals: narrow ones add up to wide ones",
+        allowed=1e-12,
+        where="test_walks_add_up_exactly",
     )
+
+
+def _shared(positions: Floats, bins: int) -> Floats:
+    """Paths shared linearly by the two bins whose centres are nearest."""
+    lower = np.floor(positions - 0.5).astype(int)
+    share = positions - 0.5 - lower
+    return np.asarray(np.bincount(lower, 1 - share, bins) + np.bincount(lower + 1, share, bins))
 
 
 COUNTS = (

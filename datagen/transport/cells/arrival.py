@@ -12,15 +12,7 @@ import math
 from numba import njit
 
 from datagen.records.arrays import Floats
-
-
-@njit(cache=True, inline="always")
-def put(histogram: Floats, position: float, energy: float) -> float:
-    """Add `energy` to the bin that holds `position` (bin i spans i … i + 1); returns what fell outside the window."""
-    if not 0.0 <= position < len(histogram):
-        return energy
-    histogram[int(position)] += energy
-    return 0.0
+from datagen.transport.binning import put
 
 
 @njit(cache=True, inline="always")

@@ -18,8 +18,9 @@ import numpy as np
 from numba import njit
 
 from datagen.records.arrays import Floats, Ints
+from datagen.transport.binning import put
 from datagen.transport.brdf import dot, evaluate
-from datagen.transport.cells.arrival import put, spread
+from datagen.transport.cells.arrival import spread
 from datagen.transport.cells.occlusion import clear, cross, hidden, less
 from datagen.transport.sampling import mix
 

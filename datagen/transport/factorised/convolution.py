@@ -4,12 +4,13 @@ The paths into a Lambertian lookin and the paths out of it factorise: energies m
 sum over all pairs (Eq. 8 of Scholes & Leach, Sensors 24, 6522 (2024)) is a convolution of two histograms, O(Ñ) and
 not O(Ñ²).
 
-A pair should land in the two bins nearest to its length, shared linearly, and be seen nowhere else. Splitting both
-halves so and convolving would smear it over three bins. Instead each half is put whole into one bin of a grid that is
-displaced by u bins for the arriving and by −u for the leaving half, u stratified over the lookins: for u uniform in
-0 … 1 the pair then falls into one of its two nearest bins, with exactly the linear shares as probabilities. What the
-finite number of lookins leaves of the mean arrival time, of order 10⁻³ bins, is known exactly and put right by
-moving the whole sum that far (`recentre`).
+A pair belongs into the bin that holds its length, but of two binned halves only the sum to within a bin is known. So
+the halves are held in sub-bins, `SUB_BINS` to each bin of the window, and only their convolution is added up into
+bins. Each half is put whole into one sub-bin of a grid that is displaced by u sub-bins for the arriving and by −u for
+the leaving half, u stratified over the lookins: for u uniform in 0 … 1 the pair then falls into one of the two
+sub-bins whose centres are nearest to it, with probabilities linear in the distance. On average a bin thus counts the
+flux smoothed over one sub-bin: only pairs within half a sub-bin of an edge can fall on its other side, which spreads
+arrival times by 1/(12 SUB_BINS²) bin², whatever the width of the bins.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ import scipy.fft
 from numba import njit
 
 from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.binning import splat
+from datagen.transport.binning import put
 
+SUB_BINS = 4
+"""A power of two, so that bins and sub-bins have their edges in common to the last bit."""
 VALUES_AT_ONCE = 1 << 22
 """Entries of a dense table of spectra (64 MiB)."""
 NANOSECONDS_PER_TERM, NANOSECONDS_PER_STEP = 0.3, 4.0
@@ -34,7 +37,7 @@ NANOSECONDS_PER_BUTTERFLY, NANOSECONDS_PER_PRODUCT = 0.8, 1.5
 class Paths(NamedTuple):
     """Half paths, those of row r at `first[r] : first[r + 1]`.
 
-    first : (rows + 1,); position : (n,) length in bins; energy : (n,), 0 for a path that something hides.
+    first : (rows + 1,); position : (n,) length in sub-bins; energy : (n,), 0 for a path that something hides.
     """
 
     first: Ints
@@ -43,33 +46,29 @@ class Paths(NamedTuple):
 
 
 class Histograms(NamedTuple):
-    """One histogram a row, each over its own span of bins.
+    """One histogram a row, each over its own span of sub-bins.
 
-    base : (rows,) first bin. first : (rows + 1,) where the row starts in `values`. total : (rows,) energy, inside
-    and outside the span. moment : (rows,) energy × (true length − bin it was put into). outside : (rows,) energy of
-    paths that can reach no bin of the window.
+    base : (rows,) first sub-bin. first : (rows + 1,) where the row starts in `values`. total : (rows,) energy, inside
+    and outside the span. outside : (rows,) energy of paths that can reach no bin of the window.
     """
 
     base: Ints
     first: Ints
     values: Floats
     total: Floats
-    moment: Floats
     outside: Floats
 
 
 class Sums(NamedTuple):
-    """transient (L, P, T); overflow, energy (in all) and moment (L, P), as in `Histograms`."""
+    """transient (L, P, T) in bins of the window; overflow (L, P)."""
 
     transient: Floats
     overflow: Floats
-    energy: Floats
-    moment: Floats
 
     @classmethod
     def zeros(cls, lasers: int, pixels: int, bins: int) -> Sums:
         """Nothing yet."""
-        return cls(np.zeros((lasers, pixels, bins)), *(np.zeros((lasers, pixels)) for _ in range(3)))
+        return cls(np.zeros((lasers, pixels, bins)), np.zeros((lasers, pixels)))
 
     def take(self, lasers: Ints) -> Sums:
         """A view of some consecutive laser points."""
@@ -83,17 +82,16 @@ class Sums(NamedTuple):
 
 @njit(cache=True)
 def histograms(paths: Paths, displacement: Floats, low: Ints, high: Ints) -> Histograms:
-    """Put every path into bin floor(position + displacement); only bins low … high of each row are kept."""
+    """Put every path into sub-bin floor(position + displacement); only low … high of each row are kept."""
     rows = len(paths.first) - 1
     base, first = np.zeros(rows, np.int64), np.zeros(rows + 1, np.int64)
-    total, moment, outside = np.zeros(rows), np.zeros(rows), np.zeros(rows)
+    total, outside = np.zeros(rows), np.zeros(rows)
     for r in range(rows):
         smallest, largest = high[r] + 1, low[r] - 1
         for k in range(paths.first[r], paths.first[r + 1]):
             if paths.energy[k] > 0.0:
                 bin_ = math.floor(paths.position[k] + displacement[r])
                 total[r] += paths.energy[k]
-                moment[r] += paths.energy[k] * (paths.position[k] - bin_)
                 if low[r] <= bin_ <= high[r]:
                     smallest, largest = min(smallest, bin_), max(largest, bin_)
                 else:
@@ -108,19 +106,19 @@ def histograms(paths: Paths, displacement: Floats, low: Ints, high: Ints) -> His
                 bin_ = math.floor(paths.position[k] + displacement[r])
                 if low[r] <= bin_ <= high[r]:
                     values[start + bin_] += paths.energy[k]
-    return Histograms(base, first, values, total, moment, outside)
+    return Histograms(base, first, values, total, outside)
 
 
 @njit(cache=True)
 def reachable(outs: Histograms, lookins: int, pixels: int, bins: int) -> tuple[Ints, Ints]:
-    """(lookins,) first and last arriving bin from which some pixel's leaving histogram reaches the window."""
+    """(lookins,) first and last arriving sub-bin from which some pixel's leaving histogram reaches the window."""
     low, high = np.full(lookins, np.iinfo(np.int64).max), np.full(lookins, np.iinfo(np.int64).min)
     for b in range(lookins):
         for p in range(pixels):
             r = b * pixels + p
             if outs.first[r + 1] > outs.first[r]:
                 last = outs.base[r] + outs.first[r + 1] - outs.first[r] - 1
-                low[b], high[b] = min(low[b], -last), max(high[b], bins - 1 - outs.base[r])
+                low[b], high[b] = min(low[b], -last), max(high[b], bins * SUB_BINS - 1 - outs.base[r])
         if low[b] > high[b]:
             low[b], high[b] = 0, -1
     return low, high
@@ -155,16 +153,14 @@ def convolve(ins: list[Histograms], outs: Histograms, sums: Sums) -> None:
 @njit(cache=True)
 def convolve_directly(ins: Histograms, outs: Histograms, sums: Sums) -> None:
     """One laser point: `sums` holds (P, T) and (P,) arrays."""
-    pixels, bins = sums.transient.shape
-    for b in range(len(ins.base)):
-        if ins.total[b] <= 0.0:
-            continue
-        for p in range(pixels):
+    pixels, bins = sums.transient.shape[0], sums.transient.shape[1] * SUB_BINS
+    summed = np.zeros(bins)
+    for p in range(pixels):
+        summed[:] = 0.0
+        for b in range(len(ins.base)):
             r = b * pixels + p
-            if outs.total[r] <= 0.0:
+            if ins.total[b] <= 0.0 or outs.total[r] <= 0.0:
                 continue
-            sums.energy[p] += ins.total[b] * outs.total[r]
-            sums.moment[p] += ins.moment[b] * outs.total[r] + ins.total[b] * outs.moment[r]
             sums.overflow[p] += ins.outside[b] * outs.total[r] + (ins.total[b] - ins.outside[b]) * outs.outside[r]
             x = ins.values[ins.first[b] : ins.first[b + 1]]
             y = outs.values[outs.first[r] : outs.first[r + 1]]
@@ -176,16 +172,18 @@ def convolve_directly(ins: Histograms, outs: Histograms, sums: Sums) -> None:
                     continue
                 start = ins.base[b] + outs.base[r] + i
                 lower, upper = min(max(0, -start), len(y)), max(min(len(y), bins - start), 0)
-                row = sums.transient[p, max(start, 0) :]
+                row = summed[max(start, 0) :]
                 part = y[lower : max(upper, lower)]
                 for j in range(len(part)):
                     row[j] += weight * part[j]
                 if lower > 0 or upper < len(y):
                     sums.overflow[p] += weight * (y[:lower].sum() + y[max(upper, lower) :].sum())
+        for i in range(bins):
+            sums.transient[p, i // SUB_BINS] += summed[i]
 
 
 class _Grid(NamedTuple):
-    """Bins of a transform that holds every row without wrapping."""
+    """Sub-bins of a transform that holds every row without wrapping."""
 
     base_in: int
     base_out: int
@@ -212,7 +210,7 @@ def convolve_spectrally(ins: list[Histograms], outs: Histograms, sums: Sums) -> 
 
     Rounding leaves noise of 10⁻¹⁶ of the largest bin, of either sign; what lies under it is set to zero.
     """
-    pixels, bins = sums.transient.shape[1:]
+    pixels, bins = sums.transient.shape[1], sums.transient.shape[2] * SUB_BINS
     grid = _Grid.of(ins, outs)
     lookins = len(ins[0].base)
     at_once = max(1, VALUES_AT_ONCE // (grid.size * pixels))
@@ -234,14 +232,14 @@ def convolve_spectrally(ins: list[Histograms], outs: Histograms, sums: Sums) -> 
         lower, upper = min(max(0, -base), grid.size), max(min(grid.size, bins - base), 0)
         place = slice(first, first + len(some))
         if upper > lower:
-            sums.transient[place, :, base + lower : base + upper] += summed[:, :, lower:upper]
+            inside = np.zeros((len(some), pixels, bins))
+            inside[:, :, base + lower : base + upper] = summed[:, :, lower:upper]
+            sums.transient[place] += inside.reshape(len(some), pixels, -1, SUB_BINS).sum(axis=3)
         beyond = summed[:, :, :lower].sum(axis=2) + summed[:, :, max(upper, lower) :].sum(axis=2)
         sums.overflow[place] += beyond
         shape = (lookins, pixels)
-        total, moment, outside = (a.reshape(shape) for a in (outs.total, outs.moment, outs.outside))
+        total, outside = outs.total.reshape(shape), outs.outside.reshape(shape)
         for k, one in enumerate(some, start=first):
-            sums.energy[k] += one.total @ total
-            sums.moment[k] += one.moment @ total + one.total @ moment
             sums.overflow[k] += one.outside @ total + (one.total - one.outside) @ outside
 
 
@@ -257,33 +255,11 @@ def _dense(rows: Histograms, start: int, stop: int, base: int, size: int) -> Flo
 
 
 @njit(cache=True)
-def recentre(sums: Sums) -> None:
-    """Move each transient (by under a bin) to where its mean arrival time is that of its paths, exactly."""
-    lasers, pixels, bins = sums.transient.shape
-    for laser in range(lasers):
-        for p in range(pixels):
-            if sums.energy[laser, p] <= 0.0:
-                continue
-            shift = sums.moment[laser, p] / sums.energy[laser, p]
-            share = abs(shift)
-            row = sums.transient[laser, p]
-            if shift > 0.0:
-                sums.overflow[laser, p] += share * row[bins - 1]
-                for i in range(bins - 1, 0, -1):
-                    row[i] += share * (row[i - 1] - row[i])
-                row[0] *= 1.0 - share
-            else:
-                sums.overflow[laser, p] += share * row[0]
-                for i in range(bins - 1):
-                    row[i] += share * (row[i + 1] - row[i])
-                row[bins - 1] *= 1.0 - share
-
-
-@njit(cache=True)
 def double_sum(ins: Paths, outs: Paths, sums: Sums) -> None:
     """Eq. 8 as it is written: every path into a lookin with every path out of it, each pair binned by itself.
 
-    The slow plain version of `convolve` for one laser point (`sums` holds (P, T) and (P,) arrays), O(Ñ²).
+    The slow plain version of `convolve` for one laser point (`sums` holds (P, T) and (P,) arrays), O(Ñ²). Positions
+    count bins, from the start of the window.
     """
     pixels = sums.transient.shape[0]
     for b in range(len(ins.first) - 1):
@@ -293,10 +269,8 @@ def double_sum(ins: Paths, outs: Paths, sums: Sums) -> None:
                 for j in range(outs.first[r], outs.first[r + 1]):
                     energy = ins.energy[i] * outs.energy[j]
                     if energy > 0.0:
-                        # Positions count from bin centres, `splat` from bin edges.
-                        position = ins.position[i] + outs.position[j] + 0.5
-                        sums.energy[p] += energy
-                        sums.overflow[p] += splat(sums.transient[p], position, energy)
+                        position = ins.position[i] + outs.position[j]
+                        sums.overflow[p] += put(sums.transient[p], position, energy)
 
 
 def take_rows(rows: Histograms, kept: Bools) -> Histograms:
@@ -304,7 +278,7 @@ def take_rows(rows: Histograms, kept: Bools) -> Histograms:
     spans = np.diff(rows.first)
     first = np.concatenate([[0], np.cumsum(spans[kept])])
     values = rows.values[np.repeat(kept, spans)]
-    return Histograms(rows.base[kept], first, values, rows.total[kept], rows.moment[kept], rows.outside[kept])
+    return Histograms(rows.base[kept], first, values, rows.total[kept], rows.outside[kept])
 
 
 @njit(cache=True)

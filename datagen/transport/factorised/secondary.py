@@ -30,7 +30,7 @@ from datagen.transport.cost import Work, factorised_work
 from datagen.transport.factorised import convolution
 from datagen.transport.factorised import secondary_kernels as kernels
 from datagen.transport.factorised import secondary_samples as samples
-from datagen.transport.factorised.convolution import Histograms, Paths, Sums
+from datagen.transport.factorised.convolution import SUB_BINS, Histograms, Paths, Sums
 from datagen.transport.factorised.secondary_kernels import FovPoints, Frame, LaserVicinity, Lookins, Pace, Surfaces
 from datagen.transport.factorised.secondary_samples import Placement, SecondaryTask
 from datagen.transport.fov import FovPool
@@ -102,7 +102,7 @@ def secondary_transient(
             caster.corners[:, 0].copy(), caster.face_normal, scene.face_part, materials.kind, materials.values
         ),
         pace=Pace(
-            1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s + 0.5,
+            SUB_BINS / float(path_from_time(axis.width_s)), SUB_BINS * axis.start_s / axis.width_s + 0.5,
             float(axis.origin == "source"), scene.attenuation_per_m,
         ),
         frame=Frame(caster.center, caster.half_extent_m, caster.offset_m),
@@ -156,7 +156,6 @@ def _add_group(task: SecondaryTask, lasers: Ints, pixels: Ints, count: int, repl
     for start in range(0, len(lookins.part), size):
         chunk = lookins.take(slice(start, start + size))
         _add_lookins(task, fov, patch, chunk, base, count, lasers, vicinities, buffers, sums)
-    convolution.recentre(sums)
     if vicinities[0].near_square > 0:
         _walk_near(task, lasers, pixels, pool, count, replicate, sums)
 
@@ -182,7 +181,7 @@ def _walk_near(
         receiver = Receiver(
             task.caster, task.scene, task.materials, task.capture.sensor, pool, task.cones.take(pixels),
             task.patches.take(pixels), task.accuracy.fov_samples,
-            Clock(task.pace.per_metre, task.pace.start - 0.5, device_leg),
+            Clock(task.pace.per_metre / SUB_BINS, axis.start_s / axis.width_s, device_leg),
             Rows(int(run[0]), task.capture.pairing == "confocal", len(pixels), 1),
             Tally(np.zeros((len(run) * len(pixels), bins)), np.zeros(len(run) * len(pixels))),
         )  # fmt: skip
@@ -223,7 +222,9 @@ def _add_lookins(
         if task.accuracy.strongest is not None:
             convolution.keep_strongest(paths, task.accuracy.strongest)
         if task.plain:
-            convolution.double_sum(paths, leaving_paths, sums.of_laser(lasers[k] - lasers[0]))
+            convolution.double_sum(
+                _in_bins(paths), _in_bins(leaving_paths, 0.5), sums.of_laser(lasers[k] - lasers[0])
+            )
             continue
         arriving.append(convolution.histograms(paths, lookins.displacement, low, high))
         # A laser ray that met nothing leaves a gap in the rows.
@@ -232,6 +233,10 @@ def _add_lookins(
             rows = np.arange(lasers[k] + 1 - len(arriving), lasers[k] + 1) - lasers[0]
             convolution.convolve(arriving, leaving, sums.take(rows))
             arriving = []
+
+
+def _in_bins(paths: Paths, offset: float = 0.0) -> Paths:
+    return paths._replace(position=(paths.position + offset) / SUB_BINS)
 
 
 def _leaving(task: SecondaryTask, fov: FovPoints, patch: Floats | None, lookins: Lookins) -> tuple[Paths, Floats]:

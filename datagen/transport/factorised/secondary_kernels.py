@@ -52,8 +52,8 @@ class Pace(NamedTuple):
 
     Attributes
     ----------
-    per_metre : bins for each metre of path.
-    start : length in bins at which the window starts, to the centre of its first bin.
+    per_metre : sub-bins (`convolution.py`) for each metre of path.
+    start : length in sub-bins at which the window starts, to the centre of its first sub-bin.
     device_legs : 1 where device legs count for the time, else 0.
     attenuation : 1/m.
     """

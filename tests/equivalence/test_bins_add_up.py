@@ -1,0 +1,101 @@
+"""A bin is the integral of the flux between its edges: narrow bins added up are wide ones, whatever the way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rooms import bins_of_path, furnished_box, one_point_capture, square_pixels
+
+from datagen import Accuracy, Capture, Laser, Sensor, TimeAxis, simulate
+from datagen.paper.as_printed import AsPrinted, simulate_as_printed
+from datagen.transport.factorised.secondary import secondary_transient
+from datagen.transport.primary import COARSE, _Gathering
+from datagen.transport.solver import prepared
+
+FACTOR = 4
+SCENE = furnished_box()
+
+
+def axis(bins: int, width_m: float, origin: str = "wall") -> TimeAxis:
+    """Begins where light has come already, and ends before all has."""
+    return bins_of_path(bins, width_m, 1.2 if origin == "wall" else 3.2, origin)
+
+
+def scan(time: TimeAxis) -> Capture:
+    """Confocal points, so that each pixel sees its laser point."""
+    points = np.array([(0, -0.8, 1.4), (0, 0.4, 1.2)])
+    device = (1.5, 0.1, 1.3)
+    return Capture(Laser(device, points), Sensor(device, square_pixels(points, 0.2)), time, "confocal")
+
+
+def added_up(narrow: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(narrow.reshape(*narrow.shape[:-1], -1, FACTOR).sum(axis=-1))
+
+
+@pytest.mark.parametrize("origin", ["wall", "source"])
+def test_walks_add_up_exactly(origin: str) -> None:
+    """All orders: direct, primary, secondary and higher, and what falls outside the window."""
+    accuracy = Accuracy(512, 4, 5, 2, direct=True)
+    wide, narrow = (simulate(SCENE, scan(axis(40 * n, 0.2 / n, origin)), accuracy, seed=3) for n in (1, FACTOR))
+    assert wide.components.keys() >= {"direct", "primary", "secondary", "higher"}
+    for name, transient in wide.components.items():
+        np.testing.assert_allclose(added_up(narrow.components[name]), transient, rtol=1e-11)
+        assert transient.any() or (name == "direct" and origin == "wall")
+    np.testing.assert_allclose(narrow.overflow, wide.overflow, rtol=1e-11)
+    assert wide.overflow.all()
+
+
+def test_cells_add_up_exactly() -> None:
+    """Of a cutting that does not ask how wide the bins are."""
+    found = []
+    for n in (1, FACTOR):
+        task = prepared(SCENE, scan(axis(40 * n, 0.2 / n)), Accuracy(max_bounces=3), 0, split_parts=False)
+        gathering, parts = _Gathering.of(task), len(SCENE.materials)
+        patches = gathering.patches(np.arange(2), 1)
+        pairs = np.array([(0, 0), (1, 1)])
+        found.append(gathering.gathered(pairs, patches, np.full(parts, COARSE), np.arange(parts)))
+    wide, narrow = found
+    assert wide.cells == narrow.cells and wide.histogram.any() and wide.overflow.any()
+    scale = wide.histogram.max()
+    np.testing.assert_allclose(added_up(narrow.histogram), wide.histogram, rtol=1e-9, atol=1e-12 * scale)
+    np.testing.assert_allclose(narrow.overflow, wide.overflow, rtol=1e-9)
+
+
+def test_a_target_adds_up_to_within_itself() -> None:
+    """The bins' width decides how finely surfaces are cut: two answers, each within its target of one truth."""
+    target = 0.02
+    wide, narrow = (
+        simulate(SCENE, scan(axis(40 * n, 0.2 / n)), Accuracy(target=target, max_bounces=3), seed=3).total
+        for n in (1, FACTOR)
+    )
+    assert np.linalg.norm(added_up(narrow) - wide) < 2 * target * np.linalg.norm(wide)
+
+
+def test_the_paper_s_estimator_adds_up_exactly() -> None:
+    wide, narrow = (
+        simulate_as_printed(SCENE, one_point_capture(time=axis(40 * n, 0.2 / n)), AsPrinted(6, 12))
+        for n in (1, FACTOR)
+    )
+    for name, transient in wide.components.items():
+        np.testing.assert_allclose(added_up(narrow.components[name]), transient, rtol=1e-11)
+        assert transient.any()
+    np.testing.assert_allclose(narrow.overflow, wide.overflow, rtol=1e-11)
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_the_factorised_secondary_adds_up(plain: bool) -> None:
+    """The double sum to rounding; the convolution but for the pairs within half a sub-bin of an edge.
+
+    Smoothing over a sub-bin of width w / SUB_BINS changes a bin of width w by w³ f″ / (24 SUB_BINS²).
+    """
+    accuracy = Accuracy(512, 16, 4, 2, observed=64)
+    wide, narrow = (
+        secondary_transient(
+            prepared(SCENE, one_point_capture(time=axis(40 * n, 0.2 / n)), accuracy, 3, split_parts=False), 64,
+            plain=plain,
+        ).rows[0]
+        for n in (1, FACTOR)
+    )  # fmt: skip
+    error = np.linalg.norm(added_up(narrow) - wide) / np.linalg.norm(wide)
+    assert error < (1e-11 if plain else 0.01)
