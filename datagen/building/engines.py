@@ -25,8 +25,8 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 """Workers are the parallelism, and a sum split over threads could round differently."""
 
 _START_METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-"""Workers fork from a server that has imported what they need once. It runs nothing of ours, and has no thread but that
-of Arrow's allocator, which minds forks."""
+"""Workers fork from a server that has imported what they need once. It runs nothing of ours, and has no thread but
+that of Arrow's allocator, which minds forks."""
 
 
 def start_imports(*modules: str) -> None:
