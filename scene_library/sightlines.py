@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -106,14 +107,20 @@ def even_points(
     return np.asarray(center + (2 * u - 1)[:, None] * right + (2 * v - 1)[:, None] * up)
 
 
-def blocked(
-    triangles: NDArray[np.float64], starts: NDArray[np.float64], ends: NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """(n,) whether one of `triangles` (F, 3, 3) cuts the segment from `starts` to `ends` (n, 3), both in the open."""
+def occlusion_test(
+    triangles: NDArray[np.float64],
+) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]:
+    """A function of `starts` and `ends` (n, 3), both in the open: (n,) whether one of `triangles` (F, 3, 3) cuts the
+    segment between them.
+    """
     if not len(triangles):
-        return np.zeros(len(starts), np.bool_)
+        return lambda starts, ends: np.zeros(len(starts), np.bool_)
     scene, middle = _ray_scene(triangles)
-    span = (ends - starts).astype(np.float32)
-    reach = np.ones(len(starts), np.float32)
-    hit = scene.run((starts - middle).astype(np.float32), span, dists=reach, query="OCCLUDED")
-    return np.asarray(hit >= 0)
+
+    def blocked(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.bool_]:
+        span = (ends - starts).astype(np.float32)
+        reach = np.ones(len(starts), np.float32)
+        hit = scene.run((starts - middle).astype(np.float32), span, dists=reach, query="OCCLUDED")
+        return np.asarray(hit >= 0)
+
+    return blocked

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from datagen import store
-from datagen.building.engines import Engine, check_engine, started
+from datagen.building.engines import Engine, check_engine, start_imports, started
 from datagen.building.progress import Progress
 from datagen.building.shard_job import ShardJob, abandon_shard, run_shard, scene_at
 from datagen.config import DatasetConfig
@@ -106,6 +106,8 @@ def build(
         config = config.with_scenes(scenes)
     root = Path(path)
     check_engine(engine, workers, scheduler)
+    if engine == "local":
+        start_imports(__name__, "datagen.pipeline" if sample_function is None else sample_function.__module__)
     store.check_output(root, config)
     store.check_writable(root)
     schema = store.schema_of(

@@ -24,6 +24,20 @@ PATIENCE_S = 3.0
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """Workers are the parallelism, and a sum split over threads could round differently."""
 
+_START_METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+"""Workers fork from a server that has imported what they need once. It runs nothing of ours, and has no thread but
+that of Arrow's allocator, which minds forks."""
+
+
+def start_imports(*modules: str) -> None:
+    """Let local workers import these modules from now on, in one process for all of them, while this one goes on."""
+    if _START_METHOD == "forkserver":
+        from multiprocessing import forkserver
+
+        multiprocessing.get_context(_START_METHOD).set_forkserver_preload(list(modules))
+        with _environment(ONE_THREAD), _interrupt_blocked():
+            forkserver.ensure_running()
+
 
 class Engine(Protocol):
     """Runs jobs elsewhere.
@@ -79,7 +93,7 @@ class _Process:
 
     def __init__(self) -> None:
         self.jobs = 0
-        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _start_worker)
+        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context(_START_METHOD), _start_worker)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         self.jobs += 1

@@ -1,7 +1,8 @@
-"""Counting all cycles of an exposure at once, bin after bin (cases b and d, and their use for free running).
+"""Counting all cycles of an exposure at once, in the order of phase (cases b and d, and their use for free running).
 
-Cycles are exchangeable, so only the number of them in each state matters. In bin i each of the armed ones fires with
-q_i = −expm1(−λ_i). Cost per histogram does not depend on the number of cycles.
+Cycles are exchangeable, so only the number of them in each state matters. Few detections are drawn one by one
+(`draw_in_order`); many bin after bin, where in bin i each of the armed cycles fires with q_i = −expm1(−λ_i), at a
+cost that does not depend on their number.
 """
 
 from __future__ import annotations
@@ -13,13 +14,73 @@ from numpy.typing import NDArray
 from datagen.detector.binomials import binomial
 from datagen.detector.equilibrium import Equilibrium
 from datagen.detector.renewal import Pieces, Table, early_share, return_table
+from datagen.detector.streams import Stream, exponential
 
 Flux = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def draw_hazard_chain(flux: Flux, cycles: int, rng: np.random.Generator) -> Counts:
+def draw_in_order(flux: Flux, edges: Flux, dead_time: float, cycles: int, streams: Stream) -> Counts:
+    """(h, n) detections of synchronous detectors with flux (h, n), detection by detection.
+
+    While R cycles are armed they fire together at the rate R λ(t): the next detection is where ∫ R dΛ has grown by
+    Exp(1), which leaves R − 1 until a dead time later. Exact for a dead time of any length, at the cost of a passage
+    through the bins and an exponential number for each detection.
+
+    edges : (n + 1,) of the bins, in the unit of `dead_time`; streams : (h, 4).
+    """
+    rows, n = flux.shape
+    counts = np.zeros((rows, n), np.int64)
+    # Moments at which dead cycles are armed again: first in, first out.
+    due = np.empty(256)
+    for r in range(rows):
+        stream = streams[r]
+        armed, head, tail = float(cycles), 0, 0
+        ahead = exponential(stream)
+        for i in range(n):
+            # Beyond the cap every armed cycle fires at once, as with it.
+            events, start, stop = min(flux[r, i], 1e200), edges[i], edges[i + 1]
+            if armed * events < ahead and (head == tail or due[head] >= stop):
+                ahead -= armed * events
+                continue
+            if events == 0.0:
+                # Whoever returns here is armed from the next bin on: the same.
+                while head < tail and due[head] < stop:
+                    armed += 1.0
+                    head += 1
+                continue
+            rate, t = events / (stop - start), start
+            while True:
+                returns = head < tail and due[head] < stop
+                until = due[head] if returns else stop
+                load = armed * rate * (until - t)
+                if load <= ahead:
+                    ahead -= load
+                    if not returns:
+                        break
+                    t = until
+                    armed += 1.0
+                    head += 1
+                    continue
+                t += ahead / (armed * rate)
+                counts[r, i] += 1
+                armed -= 1.0
+                ahead = exponential(stream)
+                if t + dead_time < edges[n]:
+                    if tail == len(due):
+                        # What has returned makes room, or else there is to be more of it.
+                        longer = due if 2 * head > tail else np.empty(2 * len(due))
+                        for k in range(tail - head):
+                            longer[k] = due[head + k]
+                        due, head, tail = longer, 0, tail - head
+                    due[tail] = t + dead_time
+                    tail += 1
+    return counts
+
+
+@numba.njit(cache=True, error_model="numpy")
+def draw_hazard_chain(flux: Flux, cycles: int, stream: Stream) -> Counts:
     """At most one detection in a cycle: n_i ~ Binomial(R, q_i), R ← R − n_i, from R = `cycles`.
 
     The law is the multinomial with p_i = q_i exp(−Λ_{i−1}), without its sum that rounding may push beyond 1; right
@@ -28,13 +89,13 @@ def draw_hazard_chain(flux: Flux, cycles: int, rng: np.random.Generator) -> Coun
     counts = np.zeros(len(flux), np.int64)
     left = cycles
     for i in range(len(flux)):
-        counts[i] = binomial(left, -np.expm1(-flux[i]), rng)
+        counts[i] = binomial(left, -np.expm1(-flux[i]), stream)
         left -= counts[i]
     return counts
 
 
 @numba.njit(cache=True, error_model="numpy")
-def draw_return_chain(pieces: Pieces, bins: int, cycles: int, rng: np.random.Generator) -> Counts:
+def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) -> Counts:
     """Several detections in a cycle: those that fired come back after the dead time and can fire again.
 
     A detection is uniform within its piece (`renewal.PIECE_FLUX` keeps it so), hence its return in the piece shifted
@@ -52,7 +113,7 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, rng: np.random.Gen
     armed = cycles
     for i in range(n):
         armed += arming[i]
-        fired = binomial(armed, fires[i], rng)
+        fired = binomial(armed, fires[i], stream)
         armed -= fired
         fired += firing[i]
         if fired == 0:
@@ -60,14 +121,14 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, rng: np.random.Gen
         counts[bin_of[i]] += fired
         if first[i] == n:
             continue
-        left = binomial(fired, soon[i], rng)
+        left = binomial(fired, soon[i], stream)
         arming[after[i]] += fired - left
         if left == 0:
             continue
         rest = soon[i]
         count = _hazards(edges[i] + dead_time, edges[i + 1] + dead_time, first[i], flux, fires, edges, hazards)
         for k in range(count):
-            again = left if k == count - 1 else binomial(left, hazards[k] / rest, rng)
+            again = left if k == count - 1 else binomial(left, hazards[k] / rest, stream)
             firing[first[i] + k] += again
             left -= again
             rest -= hazards[k]
@@ -126,9 +187,7 @@ def _hazards(start: float, stop: float, first: int, flux: Flux, fires: Flux, edg
             return k
 
 
-def draw_cycle_ensemble(
-    state: Equilibrium, bins: int, cycles: int, rng: np.random.Generator, together: int = 64
-) -> Counts:
+def draw_cycle_ensemble(state: Equilibrium, bins: int, cycles: int, stream: Stream, together: int = 64) -> Counts:
     """Free-running counts at a cost that does not depend on the exposure; exact in the mean only.
 
     The exposure is taken as independent runs of `together` cycles (more if the dead time spans cycles), each begun
@@ -141,9 +200,9 @@ def draw_cycle_ensemble(
     length = min(together * (whole + 1), cycles)
     runs, rest = divmod(cycles, length)
     pending = _pending(state.detections, table, whole)
-    counts = _ensemble(table, pieces.bin_of, whole, pending, bins, runs, length, rng)
+    counts = _ensemble(table, pieces.bin_of, whole, pending, bins, runs, length, stream)
     if rest:
-        counts += _ensemble(table, pieces.bin_of, whole, pending, bins, 1, rest, rng)
+        counts += _ensemble(table, pieces.bin_of, whole, pending, bins, 1, rest, stream)
     return counts
 
 
@@ -168,7 +227,7 @@ def _pending(detections: Flux, table: Table, whole: int) -> Flux:
 @numba.njit(cache=True)
 def _ensemble(
     table: Table, bin_of: Counts, whole: int, pending: Flux, bins: int, runs: int, length: int,
-    rng: np.random.Generator,
+    stream: Stream,
 ) -> Counts:  # fmt: skip
     q, first, offset, weights = table
     m = len(q)
@@ -179,7 +238,7 @@ def _ensemble(
     for lap in range(len(pending)):
         for i in range(m):
             if pending[lap, i] > 0.0 and armed > 0:
-                returning[lap, i] = binomial(armed, min(pending[lap, i] / free, 1.0), rng)
+                returning[lap, i] = binomial(armed, min(pending[lap, i] / free, 1.0), stream)
                 armed -= returning[lap, i]
                 free -= pending[lap, i]
     for cycle in range(length):
@@ -189,7 +248,7 @@ def _ensemble(
             returning[slot, i] = 0
             if armed == 0 or q[i] <= 0.0:
                 continue
-            fired = binomial(armed, q[i], rng)
+            fired = binomial(armed, q[i], stream)
             if fired == 0:
                 continue
             armed -= fired
@@ -199,7 +258,7 @@ def _ensemble(
                 if left == 0:
                     break
                 weight = weights[offset[i] + k]
-                moved = left if k == count - 1 else binomial(left, min(weight / rest, 1.0), rng)
+                moved = left if k == count - 1 else binomial(left, min(weight / rest, 1.0), stream)
                 where = first[i] + k
                 lap = where // m
                 returning[(cycle + whole + lap) % ring, where - lap * m] += moved

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from datagen.detector.avalanches import draw_avalanches
-from datagen.detector.chain import draw_cycle_ensemble, draw_hazard_chain, draw_return_chain
+from datagen.detector.chain import draw_cycle_ensemble, draw_hazard_chain, draw_in_order, draw_return_chain
 from datagen.detector.equilibrium import FOR_A_START, equilibrium
 from datagen.detector.events import draw_free_running
 from datagen.detector.expected import has_exact_mean, mean_detections, saturated_mean
 from datagen.detector.flux import Cycle, checked_transient, cycle_of, flux_per_cycle
 from datagen.detector.poisson import draw_poisson
 from datagen.detector.renewal import pieces_of
-from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choice, Sampler, SamplerChoice, choose, summarise
+from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choices, Sampler, SamplerChoice, choose, summarise
 from datagen.detector.spad import Exposure, Spad, check_integer, check_number
-from datagen.detector.streams import Streams
+from datagen.detector.streams import Stream, streams_of
 from datagen.detector.tdc import Tdc
 from datagen.errors import InputError
 from datagen.records import TimeAxis
@@ -26,8 +27,8 @@ from datagen.records import TimeAxis
 Array = NDArray[np.float64]
 Counts = NDArray[np.integer]
 
-_BLOCK_VALUES = 4_000_000
-"""Flux values held at a time: laser points are worked through in blocks of about 32 MB."""
+_BLOCK_VALUES = 1 << 16
+"""Flux values held at a time: laser points are worked through in blocks of 0.5 MB, which caches hold."""
 
 
 def detect(
@@ -84,33 +85,50 @@ def detect_and_choice(
     kind = np.dtype(dtype)
     if kind.kind not in "iu":
         raise InputError(f"detect: dtype {kind} given; counts need an integer type such as int64 or uint16")
-    streams = Streams(seed)
     setup = _Setup.of(transient, time, spad, exposure, first_laser, first_pixel)
-    counts = np.empty(setup.transient.shape, kind)
+    lasers, pixels, bins = setup.transient.shape
+    streams = streams_of(seed, first_laser + np.arange(lasers)[:, None], first_pixel + np.arange(pixels))
+    counts = np.empty((lasers * pixels, bins), kind)
     limit = np.iinfo(kind).max
-    choices: list[Choice] = []
+    choices: list[Choices] = []
     for flux in setup.fluxes():
-        for laser, chosen, drawn in _drawn(setup, flux, streams, tolerance, approximate):
-            choices += chosen
-            if kind != np.int64 and drawn.max() > limit:
-                pixel, bin_ = (int(i) for i in np.unravel_index(int(drawn.argmax()), drawn.shape))
-                raise InputError(
-                    f"{setup.where(laser, pixel)}, bin {bin_}: {drawn.max()} counts do not fit {kind} (at most "
-                    f"{limit}); lower cycles or photons_per_pulse, set counter_max, or use a wider dtype"
-                )
-            counts[laser] = drawn
-    return counts.reshape(np.shape(transient)), summarise(choices, tolerance)
+        rows = slice(flux.first * pixels, (flux.first + len(flux.values)) * pixels)
+        chosen = _choices(setup, flux, tolerance, approximate)
+        drawn = _drawn(setup, flux, chosen, streams.reshape(-1, 4)[rows])
+        if kind != np.int64 and drawn.max() > limit:
+            row, bin_ = (int(i) for i in np.unravel_index(int(drawn.argmax()), drawn.shape))
+            raise InputError(
+                f"{setup.where(np.arange(rows.start, rows.stop), row)}, bin {bin_}: {drawn.max()} counts do not fit "
+                f"{kind} (at most {limit}); lower cycles or photons_per_pulse, set counter_max, or use a wider dtype"
+            )
+        counts[rows] = drawn
+        choices.append(chosen)
+    return counts.reshape(np.shape(transient)), summarise(choices, spad, tolerance)
 
 
 def expected_histogram(
     transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, *, approximate: bool = False,
     first_pixel: int = 0,
 ) -> Array:  # fmt: skip
-    """Exact mean of `detect`, float64, the shape of `transient`.
+    """Expected counts per bin after an exposure: the exact mean of `detect` over all seeds.
 
-    There is none in closed form for afterpulsing or crosstalk together with a dead time, nor for counters that
-    saturate under a dead time: these raise `InputError` unless `approximate`, which gives a self-consistent mean
-    whose error is of second order in the probabilities.
+    Dead time in the mean is a renewal equation, solved bin after bin (`renewal`, `equilibrium`); no number is drawn.
+
+    Parameters
+    ----------
+    transient, time, spad, exposure, first_pixel : as of `detect`.
+    approximate : allow a self-consistent mean, whose error is of second order in the probabilities, where there is
+        no exact one in closed form: afterpulsing or crosstalk together with a dead time, and counters that saturate
+        under a dead time.
+
+    Returns
+    -------
+    float64, the shape of `transient`: counts, of all `exposure.cycles` together.
+
+    Raises
+    ------
+    InputError
+        No exact mean and not `approximate`; a transient or a gate that `detect` refuses.
 
     Examples
     --------
@@ -132,9 +150,9 @@ def expected_histogram(
         )
     out = np.empty(setup.transient.shape)
     for flux in setup.fluxes():
-        for laser, values in enumerate(flux.values, flux.first):
-            mean = setup.tdc.mean(exposure.cycles * mean_detections(values, setup.cycle, spad))
-            out[laser] = _saturate_mean(mean, spad, exposure, approximate)
+        detections = np.stack([mean_detections(values, setup.cycle, spad) for values in flux.values])
+        mean = setup.tdc.mean(exposure.cycles * detections)
+        out[flux.first : flux.first + len(mean)] = _saturate_mean(mean, spad, exposure, approximate)
     return out.reshape(np.shape(transient))
 
 
@@ -142,24 +160,20 @@ def choose_sampler(
     transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, *, tolerance: float = DEFAULT_TOLERANCE,
     approximate: bool = False, first_pixel: int = 0,
 ) -> SamplerChoice:  # fmt: skip
-    """How `detect` would draw the counts, and why; raises `InputError` where it would refuse."""
+    """How `detect` would draw the counts, and why, without drawing them; parameters as of `detect`.
+
+    Raises `InputError` where `detect` would refuse.
+    """
     setup = _Setup.of(transient, time, spad, exposure, 0, first_pixel)
-    choices = [
-        choice
-        for flux in setup.fluxes()
-        for laser in range(len(flux.values))
-        for choice in _choices(setup, flux, laser, tolerance, approximate)
-    ]
-    return summarise(choices, tolerance)
+    return summarise([_choices(setup, flux, tolerance, approximate) for flux in setup.fluxes()], spad, tolerance)
 
 
 @dataclass(frozen=True)
 class _Flux:
-    """The flux per cycle of laser points `first`, …: (laser, pixel, n), and its sums Λ (laser, pixel)."""
+    """The flux per cycle of laser points `first`, …: (laser, pixel, n)."""
 
     first: int
     values: Array
-    totals: Array
 
 
 @dataclass(frozen=True)
@@ -178,6 +192,7 @@ class _Setup:
     def of(
         cls, transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, first_laser: int, first_pixel: int
     ) -> _Setup:
+        """Check the arguments of a call; raises `InputError`."""
         for name, value in (("first_laser", first_laser), ("first_pixel", first_pixel)):
             check_integer("detect", name, value, 0, 2**62)
         values = checked_transient(transient, time, exposure.photons_per_pulse)
@@ -195,7 +210,9 @@ class _Setup:
         """Whether crosstalk makes the pixels of a laser point one system."""
         return _has_crosstalk(self.spad) and self.transient.shape[1] > 1
 
-    def where(self, laser: int, pixel: int) -> str:
+    def where(self, numbers: NDArray[np.int64], row: int) -> str:
+        """Words for histogram `numbers[row]` of the call."""
+        laser, pixel = divmod(int(numbers[row]), self.transient.shape[1])
         return f"laser {self.first_laser + laser}, pixel {self.first_pixel + pixel}"
 
     def fluxes(self) -> Iterator[_Flux]:
@@ -204,77 +221,86 @@ class _Setup:
         step = max(_BLOCK_VALUES // (pixels * len(self.cycle.gate)), 1)
         for start in range(0, lasers, step):
             block = self.transient[start : start + step]
-            flux = np.ascontiguousarray(flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel))
-            yield _Flux(start, flux, flux.sum(axis=2))
+            yield _Flux(start, flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel))
 
 
 def _has_crosstalk(spad: Spad) -> bool:
     return spad.crosstalk_probability > 0 and spad.mode != "ideal"
 
 
-def _choices(setup: _Setup, flux: _Flux, laser: int, tolerance: float, approximate: bool) -> list[Choice]:
-    """One choice for each pixel of laser point `laser` of the block; all the same where crosstalk couples them."""
+def _choices(setup: _Setup, flux: _Flux, tolerance: float, approximate: bool) -> Choices:
+    """For each histogram of the block; the same for all pixels of a laser point where crosstalk couples them."""
     cycle, spad, exposure = setup.cycle, setup.spad, setup.exposure
-    values, totals, number = flux.values[laser], flux.totals[laser], flux.first + laser
+    lasers, pixels, n = flux.values.shape
     if setup.coupled:
-        where = f"laser {setup.first_laser + number}"
-        together = values.sum(axis=0)
-        total = float(together.sum())
-        return [choose(together, total, cycle, spad, exposure, tolerance, approximate, where)] * len(values)
+        number, together = setup.first_laser + flux.first, flux.values.sum(axis=1)
+        chosen = choose(together, cycle, spad, exposure, tolerance, approximate, lambda row: f"laser {number + row}")
+        return Choices(*(np.repeat(getattr(chosen, f.name), pixels) for f in fields(chosen)))
     # A single pixel has no neighbours.
     alone = spad if spad.crosstalk_probability == 0 else replace(spad, crosstalk_probability=0.0)
-    return [
-        choose(f, float(total), cycle, alone, exposure, tolerance, approximate, setup.where(number, pixel))
-        for pixel, (f, total) in enumerate(zip(values, totals, strict=True))
-    ]
+    numbers = flux.first * pixels + np.arange(lasers * pixels)
+    rows = flux.values.reshape(lasers * pixels, n)
+    return choose(rows, cycle, alone, exposure, tolerance, approximate, partial(setup.where, numbers))
 
 
-def _drawn(
-    setup: _Setup, flux: _Flux, streams: Streams, tolerance: float, approximate: bool
-) -> Iterator[tuple[int, list[Choice], NDArray[np.int64]]]:
-    """Number, choices and (pixel, bin) counts of each laser point of a block."""
+def _drawn(setup: _Setup, flux: _Flux, choices: Choices, streams: Stream) -> NDArray[np.int64]:
+    """(h, bin) counts of the histograms of a block, from as many streams."""
     cycle, spad, cycles = setup.cycle, setup.spad, setup.exposure.cycles
-    chosen = [_choices(setup, flux, laser, tolerance, approximate) for laser in range(len(flux.values))]
-    # Poisson events displaced independently are Poisson: the mean is displaced instead of every event.
-    poisson = any(choice.sampler is Sampler.POISSON for choices in chosen for choice in choices)
-    means = setup.tdc.mean(cycles * flux.values) if poisson else None
-    for laser, choices in enumerate(chosen):
-        number, values = flux.first + laser, flux.values[laser]
-        out = np.empty((len(values), cycle.bins), np.int64)
-        together: NDArray[np.int64] | None = None
-        for pixel, choice in enumerate(choices):
-            rng = streams.at(setup.first_laser + number, setup.first_pixel + pixel)
-            if choice.sampler is Sampler.POISSON and means is not None:
-                out[pixel] = draw_poisson(means[laser, pixel], rng, setup.where(number, pixel))
-            elif choice.sampler is Sampler.AVALANCHES and setup.coupled:
-                if together is None:
-                    together = draw_avalanches(values, cycle, spad, cycles, rng)
-                    # The joint draw used pixel 0's stream; its jitter goes on from there.
-                out[pixel] = setup.tdc.draw(together[pixel], rng)
-            else:
-                out[pixel] = setup.tdc.draw(_draw_one(setup, values[pixel], choice.sampler, rng), rng)
-        yield number, choices, out if spad.counter_max is None else np.minimum(out, spad.counter_max)
+    _, pixels, n = flux.values.shape
+    values = flux.values.reshape(-1, n)
+    out = np.empty((len(values), cycle.bins), np.int64)
+    poisson = choices.sampler == Sampler.POISSON
+    for rows in _rows(poisson):
+        # Poisson events displaced independently are Poisson: the mean is displaced instead of every event.
+        numbers = flux.first * pixels + np.arange(len(values))[rows]
+        mean = setup.tdc.mean(cycles * values[rows])
+        out[rows] = draw_poisson(mean, streams[rows], partial(setup.where, numbers))
+    for rows in _rows(~poisson & choices.few):
+        own = streams[rows]
+        out[rows] = setup.tdc.draw(draw_in_order(values[rows], cycle.edges_s, spad.dead_time_s, cycles, own), own)
+    for rows in _rows(~poisson & ~choices.few):
+        own = streams[rows]
+        if setup.coupled:
+            # A laser point's joint draw uses its first pixel's stream, whose jitter goes on from there.
+            detections = np.concatenate(
+                [
+                    draw_avalanches(values[rows][k : k + pixels], cycle, spad, cycles, own[k])
+                    for k in range(0, len(own), pixels)
+                ]
+            )
+        else:
+            each = zip(values[rows], choices.sampler[rows], own, strict=True)
+            detections = np.stack([_draw_one(setup, f, Sampler(code), stream) for f, code, stream in each])
+        out[rows] = setup.tdc.draw(detections, own)
+    return out if spad.counter_max is None else np.minimum(out, spad.counter_max)
 
 
-def _draw_one(setup: _Setup, flux: Array, sampler: Sampler, rng: np.random.Generator) -> NDArray[np.int64]:
+def _rows(wanted: NDArray[np.bool_]) -> Iterator[NDArray[np.int64] | slice]:
+    """What picks the rows that are wanted, if there are any; all of them without a copy."""
+    if wanted.all():
+        yield slice(None)
+    elif wanted.any():
+        yield np.flatnonzero(wanted)
+
+
+def _draw_one(setup: _Setup, flux: Array, sampler: Sampler, stream: Stream) -> NDArray[np.int64]:
     """(n,) detections of one pixel by a sampler other than Poisson's."""
     cycle, spad, cycles = setup.cycle, setup.spad, setup.exposure.cycles
     edges, width, dead_time, bins = cycle.edges_s, cycle.width_s, spad.dead_time_s, len(flux)
     if sampler is Sampler.HAZARD_CHAIN:
-        return draw_hazard_chain(flux, cycles, rng)
+        return draw_hazard_chain(flux, cycles, stream)
     if sampler is Sampler.RETURN_CHAIN:
         pieces = pieces_of(flux, edges, width, dead_time, shorter_than_dead_time=True)
-        return draw_return_chain(pieces, bins, cycles, rng)
+        return draw_return_chain(pieces, bins, cycles, stream)
     if sampler is Sampler.AVALANCHES:
-        (counts,) = draw_avalanches(flux[None, :], cycle, spad, cycles, rng)
-        return np.asarray(counts, np.int64)
+        return np.asarray(draw_avalanches(flux[None, :], cycle, spad, cycles, stream)[0])
     if sampler is Sampler.CYCLE_ENSEMBLE:
         return draw_cycle_ensemble(
-            equilibrium(flux, edges, width, dead_time, shorter_than_dead_time=True), bins, cycles, rng
+            equilibrium(flux, edges, width, dead_time, shorter_than_dead_time=True), bins, cycles, stream
         )
     state = equilibrium(flux, edges, width, dead_time, settled=FOR_A_START)
     front = cycle.front if cycle.front < bins else bins - 1
-    return draw_free_running(flux, edges, width, front, dead_time, cycles, state, rng)
+    return draw_free_running(flux, edges, width, front, dead_time, cycles, state, stream)
 
 
 def _saturate_mean(mean: Array, spad: Spad, exposure: Exposure, approximate: bool) -> Array:

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import scipy.sparse
-import scipy.sparse.linalg
 from numpy.typing import NDArray
 
 from datagen.detector.renewal import Array, Pieces, Table, pieces_of, return_table, run_cycle
@@ -46,6 +44,13 @@ def equilibrium(
     Whole periods in τ = m T_r + τ′ only rescale: D = X / (1 + m ΣX) with X the answer for τ′. X is the fixed point of
     one cycle's recursion: found by sweeps from near equilibrium, which a moderate flux settles at once, or else by a
     sparse solution of its linear equations (where a high flux keeps detections in step for very many cycles).
+
+    Parameters
+    ----------
+    flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges from 0 to the period.
+    width_s : bins longer than this are background, cut more finely.
+    shorter_than_dead_time : whether pieces must be shorter than the dead time, as `draw_cycle_ensemble` needs them.
+    settled : change of a sweep, in detections per cycle, at which the fixed point is taken as found.
     """
     period = float(edges_s[-1])
     whole = int(np.floor(dead_time_s / period * (1 + 1e-15)))
@@ -54,7 +59,7 @@ def equilibrium(
         rest = 0.0
     cut = shorter_than_dead_time and whole == 0
     pieces = pieces_of(flux, edges_s, width_s, rest, shorter_than_dead_time=cut)
-    most = most_in_window(flux, edges_s, rest)
+    most = float(most_in_window(flux, edges_s, rest))
     detections = _fixed_point(pieces, most, settled) if rest > 0.0 else pieces.flux
     scale = 1.0 / (1.0 + whole * float(detections.sum()))
     detections = detections * scale
@@ -106,10 +111,14 @@ def _solve(table: Table) -> Array:
     rows = np.concatenate([rows[keep], np.full(len(tail), m - 1)])
     columns = np.concatenate([columns[keep], tail])
     values = np.concatenate([values[keep], ones[tail]])
-    matrix = scipy.sparse.csc_matrix((values, (rows, columns)), shape=(m, m))
+    # Here, because few ever need them, and they take long to import.
+    from scipy.sparse import csc_matrix
+    from scipy.sparse.linalg import splu
+
+    matrix = csc_matrix((values, (rows, columns)), shape=(m, m))
     right = np.zeros(m)
     right[-1] = 1.0
-    armed: Array = scipy.sparse.linalg.splu(matrix).solve(right)
+    armed: Array = splu(matrix).solve(right)
     return gain * np.maximum(armed, 0.0)
 
 
@@ -143,38 +152,43 @@ def _equations(table: Table) -> tuple[NDArray[np.int64], NDArray[np.int64], Arra
     return rows[:used], columns[:used], values[:used], gain, pending
 
 
-@numba.njit(cache=True, error_model="numpy")
-def most_in_window(flux: Array, edges: Array, length: float) -> float:
-    """The most flux in any interval of `length` < period seconds, across the end of the period too."""
-    m = len(flux)
-    period = edges[m]
-    total = flux.sum()
-    # The integral over a sliding interval is piecewise linear: it peaks where one of its ends meets an edge. So it is
-    # followed from edge to edge: `ahead` and `behind` are Λ at the far end of intervals that start, end at edge i.
-    most, before = 0.0, 0.0
-    j, until, j_lap, shift = 0, 0.0, 0.0, 0.0
-    k, since, k_lap, back = 0, 0.0, -total, -period
-    while edges[k + 1] + back < edges[0] - length:
-        since += flux[k]
-        k += 1
-    for i in range(m):
-        stop = edges[i] + length
-        while edges[j + 1] + shift < stop:
-            until += flux[j]
-            j += 1
-            if j == m:
-                j, until, j_lap, shift = 0, 0.0, total, period
-        ahead = j_lap + until + flux[j] * (stop - shift - edges[j]) / (edges[j + 1] - edges[j])
-        start = edges[i] - length
-        while edges[k + 1] + back < start:
-            since += flux[k]
-            k += 1
-            if k == m:
-                k, since, k_lap, back = 0, 0.0, 0.0, 0.0
-        behind = k_lap + since + flux[k] * (start - back - edges[k]) / (edges[k + 1] - edges[k])
-        most = max(most, ahead - before, before - behind)
-        before += flux[i]
-    return most
+def most_in_window(flux: Array, edges: Array, length: float) -> Array:
+    """(…,) the most flux (…, n) in any interval of `length` < period seconds, across the end of the period too."""
+    period = edges[-1]
+    # The integral over a sliding interval is piecewise linear: it peaks where one of its ends meets an edge. What
+    # intervals that end at an edge leave of the period starts there.
+    ahead, behind = _places(edges[:-1] + length, edges), _places(edges[:-1] + (period - length), edges)
+    rows = np.ascontiguousarray(flux.reshape(-1, flux.shape[-1]))
+    return _most(rows, *ahead, *behind).reshape(flux.shape[:-1])
+
+
+def _places(times: Array, edges: Array) -> tuple[NDArray[np.int64], Array, Array]:
+    """Bins of `times` < two periods, the shares of the bins before them, and 1 in the next period, 0 in this one."""
+    late = times >= edges[-1]
+    phase = times - np.where(late, edges[-1], 0.0)
+    bins = np.clip(np.searchsorted(edges, phase, side="right") - 1, 0, len(edges) - 2)
+    return bins, np.clip((phase - edges[bins]) / np.diff(edges)[bins], 0.0, 1.0), late.astype(np.float64)
+
+
+@numba.njit(cache=True)
+def _most(
+    flux: Array, ahead: NDArray[np.int64], ahead_share: Array, ahead_late: Array, behind: NDArray[np.int64],
+    behind_share: Array, behind_late: Array,
+) -> Array:  # fmt: skip
+    rows, n = flux.shape
+    out, before = np.zeros(rows), np.zeros(n + 1)
+    for r in range(rows):
+        for i in range(n):
+            before[i + 1] = before[i] + flux[r, i]
+        total, most, least = before[n], 0.0, before[n]
+        for i in range(n):
+            j, k = ahead[i], behind[i]
+            until = before[j] + ahead_share[i] * flux[r, j] + ahead_late[i] * total
+            most = max(most, until - before[i])
+            until = before[k] + behind_share[i] * flux[r, k] + behind_late[i] * total
+            least = min(least, until - before[i])
+        out[r] = float(most) if most > total - least else float(total - least)
+    return out
 
 
 @numba.njit(cache=True, error_model="numpy")

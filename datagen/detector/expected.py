@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import scipy.stats
+import scipy.special
 from numpy.typing import NDArray
 
 from datagen.detector.equilibrium import equilibrium
@@ -25,7 +25,7 @@ def one_per_cycle_mean(flux: Array) -> Array:
 
 
 def mean_detections(flux: Array, cycle: Cycle, spad: Spad) -> Array:
-    """(pixel, n) expected detections per cycle of the pixels of one laser point.
+    """(pixel, n) expected detections per cycle of the pixels of one laser point with flux (pixel, n).
 
     Exact, except for afterpulsing and crosstalk together with a dead time: see `has_exact_mean`. There the events
     that avalanches cause are put in as flux, afterpulses as the survivors of what the last avalanche trapped, until
@@ -88,10 +88,13 @@ def _mean_of_photons(flux: Array, cycle: Cycle, spad: Spad) -> Array:
     return equilibrium(flux, cycle.edges_s, cycle.width_s, dead_time).mean
 
 
-def active_span(flux: Array, cycle: Cycle) -> float:
-    """Seconds from the first moment of the cycle at which something can happen to the last that can be recorded."""
-    active = np.flatnonzero(flux[: cycle.front])
-    return float(cycle.edges_s[active[-1] + 1] - cycle.edges_s[active[0]]) if len(active) else 0.0
+def active_span(flux: Array, cycle: Cycle) -> Array:
+    """(…,) seconds from the first moment of the cycle at which something can happen to the last that can be recorded,
+    of flux (…, n)."""
+    active = flux[..., : cycle.front] > 0
+    first = active.argmax(axis=-1)
+    last = cycle.front - 1 - active[..., ::-1].argmax(axis=-1)
+    return np.where(active.any(axis=-1), cycle.edges_s[last + 1] - cycle.edges_s[first], 0.0)
 
 
 def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: bool) -> Array:
@@ -101,6 +104,7 @@ def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: 
     total = cumulative[-1]
 
     def flux_before(t: Array) -> Array:
+        """Λ(t), periodically continued."""
         laps = np.floor(t / period)
         value: Array = np.interp(t - laps * period, edges, cumulative) + laps * total
         return np.maximum(value, 0.0) if synchronous else value
@@ -119,48 +123,41 @@ def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: 
 
 def _releases(detections: Array, flux: Array, cycle: Cycle, spad: Spad) -> Array:
     """(n,) expected afterpulses per cycle and bin of avalanches `detections`."""
+    edges, synchronous = cycle.edges_s, spad.mode == "synchronous"
+    cumulative = np.append(0.0, np.cumsum(detections))
+    # Avalanches after which the diode is armed again, until each edge.
+    laps, phase = np.divmod(edges - spad.dead_time_s, edges[-1])
+    rearmed = np.interp(phase, edges, cumulative) + laps * cumulative[-1]
+    if synchronous:
+        rearmed = np.where(edges > spad.dead_time_s, rearmed, 0.0)
     out = np.zeros_like(detections)
     for load, time in zip(spad.trap_loads, spad.afterpulse_times_s, strict=True):
         # What an older trap still holds survives a further dead time in the share `kept`: only the rest is lost when
         # a photon comes first.
         kept = float(np.exp(-spad.dead_time_s / time))
         effective = -np.expm1(-load) + (load + np.expm1(-load)) * kept
-        trap = spad.dead_time_s, effective, time, 1.0 - kept
-        out += _release_one_trap(detections, flux, cycle.edges_s, *trap, spad.mode == "synchronous")
+        # Synchronous: those still dead at the end of the cycle are armed again at the start of the next one.
+        first = effective * float(cumulative[-1] - rearmed[-1]) if synchronous else 0.0
+        rates = np.diff(edges) / time + (1.0 - kept) * flux
+        out += _release_one_trap(effective * np.diff(rearmed), rates, np.diff(edges) / time, first)
     return out * cycle.gate
 
 
 @numba.njit(cache=True)
-def _release_one_trap(
-    detections: Array, flux: Array, edges: Array, dead_time: float, load: float, time: float, lost: float,
-    synchronous: bool,
-) -> Array:  # fmt: skip
-    n = len(flux)
-    period = edges[n]
-    cumulative = np.zeros(n + 1)
-    cumulative[1:] = np.cumsum(detections)
-    rearmed = np.zeros(n + 1)
-    for i in range(n + 1):
-        t = edges[i] - dead_time
-        if synchronous and t <= 0.0:
-            continue
-        laps = np.floor(t / period)
-        rearmed[i] = np.interp(t - laps * period, edges, cumulative) + laps * cumulative[n]
-    # Synchronous: those still dead at the end of the cycle are armed again at the start of the next one.
-    first = load * (cumulative[n] - rearmed[n]) if synchronous else 0.0
-    out = np.zeros(n)
+def _release_one_trap(arriving: Array, rates: Array, releasing: Array, first: float) -> Array:
+    """(n,) releases per cycle of a trap to which each bin adds `arriving`, the first one `first` more, and which it
+    leaves by e^{−rate}, a share `releasing / rate` of that by release."""
+    out = np.zeros(len(rates))
     level, decay = 0.0, 1.0
     for lap in range(2):
         # The first lap finds what a cycle leaves behind, hence the periodic level; the second uses it.
         level = level + first
-        for i in range(n):
-            width = edges[i + 1] - edges[i]
-            rate = width / time + lost * flux[i]
+        for i in range(len(rates)):
+            rate = rates[i]
             part = -np.expm1(-rate) / rate
             rest = 0.5 - rate / 6.0 if rate < 1e-5 else (1.0 - part) / rate
-            arrived = load * (rearmed[i + 1] - rearmed[i])
-            out[i] = width / time * (level * part + arrived * rest)
-            level = level * np.exp(-rate) + arrived * part
+            out[i] = releasing[i] * (level * part + arriving[i] * rest)
+            level = level * np.exp(-rate) + arriving[i] * part
             if lap == 0:
                 decay *= np.exp(-rate)
         if lap == 0:
@@ -171,13 +168,17 @@ def _release_one_trap(
 def saturated_mean(mean: Array, cycles: int, counter_max: int, binomial: bool) -> Array:
     """E[min(n, c)] for Poisson, or Binomial(cycles, mean / cycles), counts n of a counter that stays at c.
 
-    E[min(n, c)] = E[n] P(n′ ≤ c − 2) + c P(n ≥ c), n′ the same count with one trial less.
+    E[min(n, c)] = E[n] P(n′ ≤ c − 2) + c P(n ≥ c), n′ the same count with one trial less: incomplete beta and gamma
+    functions (Abramowitz & Stegun 26.5.24, 26.4.21).
     """
     c = counter_max
+    if binomial and c > cycles:
+        return mean
     if binomial:
         p = np.clip(mean / cycles, 0.0, 1.0)
-        below = scipy.stats.binom.cdf(c - 2, cycles - 1, p)
-        reached = scipy.stats.binom.sf(c - 1, cycles, p)
+        reached = scipy.special.betainc(c, cycles - c + 1, p)
+        below = scipy.special.betaincc(c - 1, cycles - c + 1, p) if c > 1 else 0.0
     else:
-        below, reached = scipy.stats.poisson.cdf(c - 2, mean), scipy.stats.poisson.sf(c - 1, mean)
+        reached = scipy.special.gammainc(c, mean)
+        below = scipy.special.gammaincc(c - 1, mean) if c > 1 else 0.0
     return np.asarray(mean * below + c * reached, np.float64)

@@ -9,7 +9,7 @@ background happens, far from the window, they are merged into long ones.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +31,7 @@ class Cycle:
 
     Attributes
     ----------
+    period_s, width_s : the laser period; the width of a recorded bin.
     edges_s : (n + 1,) bin edges from 0 to the period. The first `front` bins are the recorded window and a margin on
         the TDC's lattice; then long background bins, if any; the last `back` bins are on the lattice before phase 0.
     gate : (n,) mean sensitivity of each bin, 0 … 1.
@@ -50,9 +51,17 @@ class Cycle:
     before_avalanche: Kernel
     after_avalanche: Kernel
 
-    @property
+    @cached_property
     def widths_s(self) -> Array:
+        """(n,) bin widths in seconds."""
         return np.diff(self.edges_s)
+
+    @cached_property
+    def light_fold(self) -> Fold:
+        """Where light lies in the period, once pulse and diffusion have displaced it."""
+        response = self.before_avalanche
+        count = self.bins + len(response.weights) - 1
+        return fold_of(-response.before, count, self.width_s, self.edges_s)
 
 
 @lru_cache(maxsize=1)
@@ -204,10 +213,12 @@ def fold_of(first: int, count: int, width_s: float, edges_s: Array) -> Fold:
 
 def flux_per_cycle(transient: Array, cycle: Cycle, spad: Spad, exposure: Exposure, first_pixel: int = 0) -> Array:
     """(laser, pixel, n) λ: expected avalanche-capable events per cycle in each bin of the period."""
-    signal = spread(transient * exposure.photons_per_pulse, cycle.before_avalanche)
-    signal = fold_of(-cycle.before_avalanche.before, signal.shape[-1], cycle.width_s, cycle.edges_s)(signal)
-    background = spad.pde * exposure.ambient_rate_hz + dark_count_rates(spad, signal.shape[1], first_pixel)
-    return cycle.gate * (spad.pde * signal + background[:, None] * cycle.widths_s)
+    flux = cycle.light_fold(spread(transient, cycle.before_avalanche))
+    flux *= spad.pde * exposure.photons_per_pulse
+    background = spad.pde * exposure.ambient_rate_hz + dark_count_rates(spad, transient.shape[1], first_pixel)
+    flux += background[:, None] * cycle.widths_s
+    flux *= cycle.gate
+    return flux
 
 
 def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:

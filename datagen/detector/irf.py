@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
+import numba
 import numpy as np
-import scipy.ndimage
-import scipy.signal
+import scipy.fft
 import scipy.special
 from numpy.typing import NDArray
 
@@ -32,10 +32,12 @@ class Kernel:
 
     @property
     def after(self) -> int:
+        """Bins by which light lands later at most."""
         return len(self.weights) - 1 - self.before
 
     @property
     def is_identity(self) -> bool:
+        """Whether all light stays in its bin."""
         return len(self.weights) == 1
 
 
@@ -98,14 +100,35 @@ def spread(values: Array, kernel: Kernel) -> Array:
     """
     if kernel.is_identity:
         return values
-    pad = [(0, 0)] * (values.ndim - 1)
+    length = values.shape[-1] + len(kernel.weights) - 1
     if len(kernel.weights) <= _LONGEST_DIRECT:
-        padded = np.pad(values, [*pad, (kernel.before, kernel.after)])
-        # convolve1d centres a kernel of k taps at k // 2; origin moves it so that tap `before` means no displacement.
-        origin = kernel.before - len(kernel.weights) // 2
-        out: Array = scipy.ndimage.convolve1d(padded, kernel.weights, axis=-1, mode="constant", origin=origin)
-        return out
-    shape = (1,) * (values.ndim - 1) + (-1,)
-    full = np.maximum(scipy.signal.oaconvolve(values, kernel.weights.reshape(shape), axes=-1), 0.0)
+        rows = np.ascontiguousarray(values.reshape(-1, values.shape[-1]))
+        return _convolved(rows, kernel.weights).reshape(*values.shape[:-1], length)
+    size = scipy.fft.next_fast_len(length, real=True)
+    spectrum = scipy.fft.rfft(values, size) * scipy.fft.rfft(kernel.weights, size)
+    full = np.maximum(scipy.fft.irfft(spectrum, size)[..., :length], 0.0)
     total, wanted = full.sum(-1, keepdims=True), values.sum(-1, keepdims=True)
     return np.asarray(full * np.divide(wanted, total, out=np.zeros_like(total), where=total > 0), np.float64)
+
+
+@numba.njit(cache=True)
+def _convolved(values: Array, weights: Array) -> Array:
+    """(h, n) and (k,) → (h, n + k − 1), by adding responses to four bins at a time, unless all are empty."""
+    rows, n = values.shape
+    taps = len(weights)
+    out = np.zeros((rows, n + taps - 1))
+    w = np.zeros(taps + 6)
+    for k in range(taps):
+        w[k + 3] = weights[k]
+    for r in range(rows):
+        for i in range(0, n, 4):
+            a = values[r, i]
+            b = values[r, i + 1] if i + 1 < n else 0.0
+            c = values[r, i + 2] if i + 2 < n else 0.0
+            d = values[r, i + 3] if i + 3 < n else 0.0
+            if a == 0.0 and b == 0.0 and c == 0.0 and d == 0.0:
+                continue
+            here = out[r, i : i + taps + 3]
+            for k in range(len(here)):
+                here[k] += a * w[k + 3] + b * w[k + 2] + c * w[k + 1] + d * w[k]
+    return out

@@ -38,6 +38,7 @@ class Pieces(NamedTuple):
     dead_time: float
 
     def per_bin(self, values: Array, bins: int) -> Array:
+        """(m,) values of the pieces summed over each of the `bins`: (bins,)."""
         return np.bincount(self.bin_of, values, bins).astype(np.float64)
 
 
@@ -45,7 +46,10 @@ def pieces_of(
     flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
     piece_flux: float = PIECE_FLUX,
 ) -> Pieces:  # fmt: skip
-    """Cut the bins of the period; bins longer than `width_s` are background and cut more finely."""
+    """Cut the bins of the period; bins longer than `width_s` are background and cut more finely.
+
+    flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges. Raises `InputError` for too many pieces.
+    """
     count = _parts(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time, piece_flux)
     total = float(count.sum())
     if not total <= _MOST_PIECES:
@@ -54,7 +58,8 @@ def pieces_of(
             f"needs {total:g} pieces, at most {_MOST_PIECES} are handled; lower photons_per_pulse or widen the bins"
         )
     if total == len(flux):
-        return Pieces(np.ascontiguousarray(flux), np.arange(len(flux)), edges_s, dead_time_s)
+        # A copy of the edges, which are read-only: kernels are compiled anew for that.
+        return Pieces(np.ascontiguousarray(flux), np.arange(len(flux)), edges_s.copy(), dead_time_s)
     return Pieces(*_cut(flux, edges_s, count.astype(np.int64)), dead_time_s)
 
 
@@ -102,7 +107,11 @@ def _cut(flux: Array, edges: Array, count: NDArray[np.int64]) -> tuple[Array, ND
 def synchronous_mean(
     flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, piece_flux: float = PIECE_FLUX
 ) -> Array:
-    """(n,) expected detections per cycle and bin when every cycle starts armed."""
+    """(n,) expected detections per cycle and bin when every cycle starts armed.
+
+    flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges from 0 to the period; piece_flux : most events
+    in a piece. Raises `InputError` where that takes too many pieces.
+    """
     dead_time_s = min(dead_time_s, float(edges_s[-1]))
     pieces = pieces_of(flux, edges_s, width_s, dead_time_s, piece_flux=piece_flux)
     returning = np.zeros(len(pieces.flux) + 1)

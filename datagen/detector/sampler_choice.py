@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -20,6 +19,8 @@ from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 
 Array = NDArray[np.float64]
+Where = Callable[[int], str]
+"""What names the histogram of a number."""
 
 DEFAULT_TOLERANCE = 1e-3
 """Largest relative bias that a cheaper sampler may cause."""
@@ -30,7 +31,8 @@ ENSEMBLE_EVENTS = 2e6
 MOST_EVENTS = 2e7
 """Events per histogram above which event-driven samplers would take seconds and more, and are refused."""
 
-_CHAIN_NS, _EVENT_NS = 180.0, 90.0
+_CHAIN_NS, _EVENT_NS = 120.0, 40.0
+"""Time for a piece in chains of binomials, and for a detection drawn in order."""
 
 
 class Sampler(IntEnum):
@@ -84,119 +86,149 @@ class SamplerChoice:
 
 
 @dataclass(frozen=True)
-class Choice:
-    """The sampler of one histogram, or of all pixels of a laser point where crosstalk couples them."""
+class Choices:
+    """How each of h histograms is drawn, or all pixels of each of h laser points where crosstalk couples them.
 
-    sampler: Sampler
-    reason: str
-    flux: float
-    bias: float
-    deviation: float
-    detections: float
+    Attributes
+    ----------
+    sampler : (h,) of `Sampler`.
+    few : (h,) whether a synchronous detector's detections are few enough to be drawn one by one, in order.
+    flux, bias, deviation, detections : (h,) as of `SamplerChoice`.
+    """
+
+    sampler: NDArray[np.int64]
+    few: NDArray[np.bool_]
+    flux: Array
+    bias: Array
+    deviation: Array
+    detections: Array
 
 
 def choose(
-    flux: Array, total: float, cycle: Cycle, spad: Spad, exposure: Exposure, tolerance: float, approximate: bool,
-    where: str,
-) -> Choice:  # fmt: skip
-    """Decide for one histogram's (n,) flux and its sum; for pixels coupled by crosstalk give the sum of theirs.
+    flux: Array, cycle: Cycle, spad: Spad, exposure: Exposure, tolerance: float, approximate: bool, where: Where
+) -> Choices:
+    """Decide for each histogram's flux (h, n); for pixels coupled by crosstalk give the sums of theirs.
 
-    Raises `InputError`, naming the histogram `where`, for what can only be done approximately unless `approximate`.
+    Raises `InputError`, naming the histogram by `where`, for what can only be done approximately, unless
+    `approximate`, and for what would take too long.
     """
-    events = total * exposure.cycles
+    totals = flux.sum(axis=1)
+    events = totals * exposure.cycles
     bias = poisson_bias(flux, cycle, spad)
-    deviation = float(bias * np.sqrt(events))
+    deviation = bias * np.sqrt(events)
     detections = events
     if spad.dead_time_s > 0 and not spad.paralyzable and spad.mode != "ideal":
         share = spad.dead_time_s / cycle.period_s
         most = 1.0 / share + (1.0 if spad.mode == "synchronous" else 0.0)
-        detections = min(events, exposure.cycles * most)
+        detections = np.minimum(events, exposure.cycles * most)
         if spad.mode == "free_running":
-            detections = events / (1.0 + total * share)
-    if spad.mode == "ideal":
-        sampler, reason = Sampler.POISSON, "mode 'ideal' counts every event"
-    elif bias == 0.0:
-        sampler, reason = Sampler.POISSON, "nothing is lost to dead time and nothing added: counts are Poisson"
-    elif bias <= tolerance and deviation <= HIDDEN_DEVIATION:
-        sampler = Sampler.POISSON
-        reason = (
-            f"relative bias ≤ {bias:.2g} (tolerance {tolerance:.2g}) and ≤ {deviation:.2g} standard deviations "
-            f"(allowed {HIDDEN_DEVIATION:g})"
-        )
-    else:
-        sampler, why = _beyond_poisson(flux, cycle, spad, exposure.cycles, events, detections, approximate, where)
-        reason = f"Poisson would be biased by up to {bias:.2g} ({deviation:.2g} standard deviations); {why}"
-    if sampler is Sampler.POISSON and not events < LARGEST_MEAN:
-        check_countable(flux * exposure.cycles, where)
-    return Choice(sampler, reason, total, bias, deviation, detections)
+            detections = events / (1.0 + totals * share)
+    sampler = np.full(len(flux), int(Sampler.POISSON))
+    few = np.zeros(len(flux), bool)
+    beyond = np.flatnonzero((bias > 0) & ~((bias <= tolerance) & (deviation <= HIDDEN_DEVIATION)))
+    if len(beyond):
+        limits = _Limits(spad, exposure.cycles, cycle.period_s, beyond, where)
+        own = flux if len(beyond) == len(flux) else flux[beyond]
+        sampler[beyond] = _beyond_poisson(own, cycle, spad, approximate, events[beyond], detections[beyond], limits)
+        chained = beyond[(sampler[beyond] == Sampler.HAZARD_CHAIN) | (sampler[beyond] == Sampler.RETURN_CHAIN)]
+        if len(chained):
+            few[chained] = _are_few(totals[chained], detections[chained], cycle, spad)
+    uncountable = np.flatnonzero((sampler == Sampler.POISSON) & ~(events < LARGEST_MEAN))
+    if len(uncountable):
+        check_countable(flux[uncountable] * exposure.cycles, lambda row: where(int(uncountable[row])))
+    return Choices(sampler, few, totals, bias, deviation, detections)
 
 
 def _beyond_poisson(
-    flux: Array, cycle: Cycle, spad: Spad, cycles: int, events: float, detections: float, approximate: bool,
-    where: str,
-) -> tuple[Sampler, str]:  # fmt: skip
+    flux: Array, cycle: Cycle, spad: Spad, approximate: bool, events: Array, detections: Array, limits: _Limits
+) -> NDArray[np.int64] | Sampler:
+    """Samplers of histograms that the dead time, afterpulses or crosstalk tell from Poisson's."""
     if spad.afterpulse_probability > 0 or spad.crosstalk_probability > 0:
         what = "afterpulsing" if spad.afterpulse_probability > 0 else "crosstalk"
-        _limit(detections, what, where)
-        before = detections * burn_in_cycles(spad, cycle.period_s) / cycles
-        if before > MOST_EVENTS:
-            raise InputError(
-                f"{where}: {before:.2g} events before the exposure, at most {MOST_EVENTS:.0e} are drawn one by one, "
-                f"until traps of {max(spad.afterpulse_times_s):g} s and a dead time of {spad.dead_time_s:g} s forget "
-                f"how they started; shorten afterpulse_times_s or dead_time_s, or switch {what} off"
-            )
-        return Sampler.AVALANCHES, f"{what} is drawn avalanche by avalanche"
-    if spad.mode == "synchronous" and spad.dead_time_s >= active_span(flux, cycle):
-        return Sampler.HAZARD_CHAIN, "the dead time lasts to the end of the cycle"
-    if spad.paralyzable:
-        _limit(events, "a paralyzable dead time", where)
-        return Sampler.AVALANCHES, "every photon restarts the dead time"
+        limits.check_events(detections, what)
+        limits.check_burn_in(detections, what)
+        return Sampler.AVALANCHES
     if spad.mode == "synchronous":
-        # A dead time far below a bin would need pieces as short; single events then cost less.
-        pieces = len(flux) + flux.sum() / PIECE_FLUX + cycle.period_s / spad.dead_time_s
-        if pieces * _CHAIN_NS <= detections * _EVENT_NS or detections > MOST_EVENTS:
-            return Sampler.RETURN_CHAIN, "the dead time is shorter than the cycle"
-        return Sampler.AVALANCHES, "few enough detections to draw them one by one"
-    if approximate and detections > ENSEMBLE_EVENTS:
-        return Sampler.CYCLE_ENSEMBLE, (
-            f"{detections:.2g} detections, more than {ENSEMBLE_EVENTS:.0e}, are drawn as independent runs of cycles: "
-            "exact in the mean, approximate in the variance"
-        )
-    if detections > MOST_EVENTS:
-        raise InputError(
-            f"{where}: {detections:.2g} free-running detections, at most {MOST_EVENTS:.0e} are drawn one by one; "
-            "allow an approximate variance with approximate=True, or lower cycles or photons_per_pulse"
-        )
-    return Sampler.FREE_RUNNING_EVENTS, "the dead time spans cycles"
+        one = spad.dead_time_s >= active_span(flux, cycle)
+        if not spad.paralyzable:
+            return np.where(one, Sampler.HAZARD_CHAIN, Sampler.RETURN_CHAIN)
+        limits.check_events(np.where(one, 0.0, events), "a paralyzable dead time")
+        return np.where(one, Sampler.HAZARD_CHAIN, Sampler.AVALANCHES)
+    if spad.paralyzable:
+        limits.check_events(events, "a paralyzable dead time")
+        return Sampler.AVALANCHES
+    many = approximate & (detections > ENSEMBLE_EVENTS)
+    limits.check_free_running(np.where(many, 0.0, detections))
+    return np.where(many, Sampler.CYCLE_ENSEMBLE, Sampler.FREE_RUNNING_EVENTS)
 
 
-def _limit(events: float, what: str, where: str) -> None:
-    if events > MOST_EVENTS:
-        raise InputError(
-            f"{where}: {events:.2g} events with {what}, at most {MOST_EVENTS:.0e} are drawn one by one and no faster "
-            f"sampler exists; lower cycles or photons_per_pulse, close the gate on the direct return, or switch "
-            f"{what} off"
-        )
+def _are_few(totals: Array, detections: Array, cycle: Cycle, spad: Spad) -> NDArray[np.bool_]:
+    """Whether it takes less time to draw a synchronous detector's detections one by one than bin by bin."""
+    # A dead time far below a bin needs pieces as short.
+    pieces = len(cycle.gate) + totals / PIECE_FLUX + cycle.period_s / spad.dead_time_s
+    return np.asarray((detections * _EVENT_NS < pieces * _CHAIN_NS) & (detections <= MOST_EVENTS))
 
 
-def poisson_bias(flux: Array, cycle: Cycle, spad: Spad) -> float:
-    """Bound on the relative bias of any bin's mean if counts were drawn as Poisson; 0: they are Poisson.
+@dataclass(frozen=True)
+class _Limits:
+    """What takes too long is refused, with the number of the histogram: `rows` of those that `where` names."""
+
+    spad: Spad
+    cycles: int
+    period_s: float
+    rows: NDArray[np.int64]
+    where: Where
+
+    def check_events(self, events: Array, what: str) -> None:
+        """Raise `InputError` for more than can be drawn avalanche by avalanche."""
+        for place, value in self._beyond(events):
+            raise InputError(
+                f"{place}: {value:.2g} events with {what}, at most {MOST_EVENTS:.0e} are drawn one by one and no "
+                f"faster sampler exists; lower cycles or photons_per_pulse, close the gate on the direct return, or "
+                f"switch {what} off"
+            )
+
+    def check_burn_in(self, detections: Array, what: str) -> None:
+        """Raise `InputError` for traps and dead times that remember for too long."""
+        for place, value in self._beyond(detections * burn_in_cycles(self.spad, self.period_s) / self.cycles):
+            raise InputError(
+                f"{place}: {value:.2g} events before the exposure, at most {MOST_EVENTS:.0e} are drawn one by one, "
+                f"until traps of {max(self.spad.afterpulse_times_s):g} s and a dead time of "
+                f"{self.spad.dead_time_s:g} s forget how they started; shorten afterpulse_times_s or dead_time_s, or "
+                f"switch {what} off"
+            )
+
+    def check_free_running(self, detections: Array) -> None:
+        """Raise `InputError` for more than can be drawn detection by detection."""
+        for place, value in self._beyond(detections):
+            raise InputError(
+                f"{place}: {value:.2g} free-running detections, at most {MOST_EVENTS:.0e} are drawn one by one; "
+                "allow an approximate variance with approximate=True, or lower cycles or photons_per_pulse"
+            )
+
+    def _beyond(self, events: Array) -> Iterator[tuple[str, float]]:
+        for row in np.flatnonzero(events > MOST_EVENTS):
+            yield self.where(int(self.rows[row])), float(events[row])
+
+
+def poisson_bias(flux: Array, cycle: Cycle, spad: Spad) -> Array:
+    """(…,) bound on the relative bias of any bin's mean, were counts of flux (…, n) drawn as Poisson; 0: they are.
 
     Dead time takes from a bin at most the share M, the most flux in any interval of the dead time: M = ⌊τ/T_r⌋ Λ +
     the most in any τ mod T_r. An avalanche adds at most μ/(1 − μ) afterpulses and 4p/(1 − 4p) by crosstalk.
     """
+    bias = np.zeros(flux.shape[:-1])
     if spad.mode == "ideal":
-        return 0.0
-    total = float(flux.sum())
-    bias = 0.0
+        return bias
     if spad.dead_time_s > 0:
+        total = flux.sum(axis=-1)
         whole = np.floor(spad.dead_time_s / cycle.period_s)
         rest = spad.dead_time_s - whole * cycle.period_s
         if whole and spad.mode == "synchronous":
             bias = total
         else:
             bias = whole * total + most_in_window(flux, cycle.edges_s, rest)
-    return float(sum(caused(spad), bias))
+    return bias + sum(caused(spad))
 
 
 def caused(spad: Spad) -> tuple[float, float]:
@@ -206,10 +238,43 @@ def caused(spad: Spad) -> tuple[float, float]:
     return load / (1.0 - load), shared / (1.0 - shared)
 
 
-def summarise(choices: list[Choice], tolerance: float) -> SamplerChoice:
+def summarise(choices: list[Choices], spad: Spad, tolerance: float) -> SamplerChoice:
     """One record for all histograms; the numbers are those of the brightest."""
-    b = max(choices, key=lambda c: c.flux)
-    names = dict(sorted(Counter(c.sampler.name.lower() for c in choices).items()))
-    approximate = any(c.sampler is Sampler.CYCLE_ENSEMBLE for c in choices)
-    figures = b.flux, b.bias, b.deviation, b.detections
-    return SamplerChoice(b.sampler.name.lower(), b.reason, names, *figures, tolerance, approximate)
+    sampler = np.concatenate([c.sampler for c in choices])
+    figures = np.concatenate([[c.flux, c.bias, c.deviation, c.detections] for c in choices], axis=1)
+    brightest = int(figures[0].argmax())
+    flux, bias, deviation, detections = (float(f) for f in figures[:, brightest])
+    counted = {Sampler(code).name.lower(): int((sampler == code).sum()) for code in np.unique(sampler)}
+    chosen = Sampler(int(sampler[brightest]))
+    reason = _reason(chosen, spad, bias, deviation, detections, tolerance)
+    approximate = bool((sampler == Sampler.CYCLE_ENSEMBLE).any())
+    return SamplerChoice(
+        chosen.name.lower(), reason, dict(sorted(counted.items())), flux, bias, deviation, detections, tolerance,
+        approximate,
+    )  # fmt: skip
+
+
+def _reason(sampler: Sampler, spad: Spad, bias: float, deviation: float, detections: float, tolerance: float) -> str:
+    if sampler is Sampler.POISSON:
+        if spad.mode == "ideal":
+            return "mode 'ideal' counts every event"
+        if bias == 0.0:
+            return "nothing is lost to dead time and nothing added: counts are Poisson"
+        return (
+            f"relative bias ≤ {bias:.2g} (tolerance {tolerance:.2g}) and ≤ {deviation:.2g} standard deviations "
+            f"(allowed {HIDDEN_DEVIATION:g})"
+        )
+    cause = "afterpulsing" if spad.afterpulse_probability > 0 else "crosstalk"
+    why = {
+        Sampler.HAZARD_CHAIN: "the dead time lasts to the end of the cycle",
+        Sampler.RETURN_CHAIN: "the dead time is shorter than the cycle",
+        Sampler.FREE_RUNNING_EVENTS: "the dead time spans cycles",
+        Sampler.CYCLE_ENSEMBLE: (
+            f"{detections:.2g} detections, more than {ENSEMBLE_EVENTS:.0e}, are drawn as independent runs of cycles: "
+            "exact in the mean, approximate in the variance"
+        ),
+        Sampler.AVALANCHES: (
+            "every photon restarts the dead time" if spad.paralyzable else f"{cause} is drawn avalanche by avalanche"
+        ),
+    }[sampler]
+    return f"Poisson would be biased by up to {bias:.2g} ({deviation:.2g} standard deviations); {why}"

@@ -187,6 +187,7 @@ class Exposure:
 
     @property
     def period_s(self) -> float:
+        """Seconds from one laser pulse to the next."""
         return 1.0 / self.repetition_rate_hz
 
 

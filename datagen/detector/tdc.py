@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from datagen.detector.binomials import binomial
 from datagen.detector.flux import Cycle, fold_of
 from datagen.detector.irf import spread
+from datagen.detector.streams import Stream, uniform
 
 N = TypeVar("N", bound=np.generic)
 Array = NDArray[np.float64]
@@ -40,7 +41,12 @@ class Tdc:
             self._from_short = np.minimum(last, len(cycle.gate) - 1).astype(np.int64)
         self._first = -cycle.back - jitter.before
         self._length = lattice + len(jitter.weights) - 1
-        if jitter.is_identity or self._merged:
+        if jitter.is_identity:
+            return
+        # Displacements are handed out from the likeliest on, so that few are left to draw for the long wings.
+        self._offsets = np.argsort(-jitter.weights, kind="stable")
+        self._likeliest = jitter.weights[self._offsets]
+        if self._merged:
             return
         self._fold = fold_of(self._first, self._length, cycle.width_s, cycle.edges_s)
         self._fold_rows, starts = np.unique(self._fold.rows, return_index=True)
@@ -64,28 +70,30 @@ class Tdc:
         out[..., : cycle.window] = folded[..., : cycle.window]
         return out
 
-    def draw(self, detections: Counts, rng: np.random.Generator) -> Counts:
-        """(n,) detections → (bins,) records: a multinomial for each bin."""
+    def draw(self, detections: Counts, streams: Stream) -> Counts:
+        """(…, n) detections → (…, bins) records: a multinomial for each bin, from streams (…, 4)."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
-        out = np.zeros(cycle.bins, np.int64)
+        out = np.zeros((*detections.shape[:-1], cycle.bins), np.int64)
         if jitter.is_identity:
-            out[: cycle.window] = detections[: cycle.window]
+            out[..., : cycle.window] = detections[..., : cycle.window]
             return out
-        # Displacements are handed out from the likeliest on, so that few are left to draw for the long wings.
-        order = np.argsort(-jitter.weights, kind="stable")
-        scattered = _scatter(self._on_lattice(detections), jitter.weights[order], order, rng)
+        rows = np.ascontiguousarray(self._on_lattice(detections).reshape(-1, cycle.back + cycle.front))
+        row_streams = streams.reshape(-1, 4)
+        scattered = _scatter(rows, self._likeliest, self._offsets, row_streams)
         if self._merged:
-            out[:] = scattered[-self._first : -self._first + cycle.bins]
-        else:
-            fold = self._fold
-            folded = np.zeros(fold.bins, np.int64)
-            low, high = fold.aligned.start, fold.aligned.stop
-            folded[low:high] = scattered[low - fold.first : high - fold.first]
-            _share_out(scattered[self._fold_rows], self._fold_starts, fold.columns, fold.shares, folded, rng)
-            if self._from_short is not None:
-                alone = _scatter(detections[-1:], jitter.weights[order], order, rng)
-                np.add.at(folded, self._from_short, alone)
-            out[: cycle.window] = folded[: cycle.window]
+            out[...] = scattered[:, -self._first : -self._first + cycle.bins].reshape(out.shape)
+            return out
+        fold = self._fold
+        folded = np.zeros((len(rows), fold.bins), np.int64)
+        low, high = fold.aligned.start, fold.aligned.stop
+        folded[:, low:high] = scattered[:, low - fold.first : high - fold.first]
+        _share_out(scattered, self._fold_rows, self._fold_starts, fold.columns, fold.shares, folded, row_streams)
+        if self._from_short is not None:
+            alone = np.ascontiguousarray(detections[..., -1:].reshape(-1, 1))
+            moved = _scatter(alone, self._likeliest, self._offsets, row_streams)
+            for column, records in zip(self._from_short, moved.T, strict=True):
+                folded[:, column] += records
+        out[..., : cycle.window] = folded[:, : cycle.window].reshape(*out.shape[:-1], cycle.window)
         return out
 
     def _on_lattice(self, detections: NDArray[N]) -> NDArray[N]:
@@ -101,44 +109,54 @@ class Tdc:
 
 
 @numba.njit(cache=True)
-def _scatter(counts: Counts, weights: Array, offsets: Counts, rng: np.random.Generator) -> Counts:
-    """Each of `counts` goes `offsets[k]` bins on with probability `weights[k]`; weights descend and sum to 1."""
+def _scatter(counts: Counts, weights: Array, offsets: Counts, streams: Stream) -> Counts:
+    """(h, n) counts, each of which goes `offsets[k]` bins on with probability `weights[k]`, → (h, n + k − 1).
+
+    Weights descend and sum to 1.
+    """
+    rows, n = counts.shape
     taps = len(weights)
-    out = np.zeros(len(counts) + taps - 1, np.int64)
+    out = np.zeros((rows, n + taps - 1), np.int64)
     cumulative = np.cumsum(weights)
-    for i in range(len(counts)):
-        left = counts[i]
-        if left == 0:
-            continue
-        if left <= 2 * taps:
-            for _ in range(left):
-                k = min(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"), taps - 1)
-                out[i + offsets[k]] += 1
-            continue
-        rest = 1.0
-        for k in range(taps):
+    for r in range(rows):
+        stream = streams[r]
+        for i in range(n):
+            left = counts[r, i]
             if left == 0:
-                break
-            share = weights[k] / rest
-            moved = left if k == taps - 1 or share >= 1.0 else binomial(left, share, rng)
-            out[i + offsets[k]] += moved
-            left -= moved
-            rest -= weights[k]
+                continue
+            if left <= 2 * taps:
+                for _ in range(left):
+                    u, k = uniform(stream) * cumulative[-1], 0
+                    while k < taps - 1 and u >= cumulative[k]:
+                        k += 1
+                    out[r, i + offsets[k]] += 1
+                continue
+            rest = 1.0
+            for k in range(taps):
+                if left == 0:
+                    break
+                share = weights[k] / rest
+                moved = left if k == taps - 1 or share >= 1.0 else binomial(left, share, stream)
+                out[r, i + offsets[k]] += moved
+                left -= moved
+                rest -= weights[k]
     return out
 
 
 @numba.njit(cache=True)
 def _share_out(
-    counts: Counts, starts: Counts, columns: Counts, shares: Array, out: Counts, rng: np.random.Generator
+    counts: Counts, places: Counts, starts: Counts, columns: Counts, shares: Array, out: Counts, streams: Stream
 ) -> None:
-    """Add `counts[r]` to `out`, split at random over `columns[starts[r]:starts[r + 1]]` by their shares."""
-    for r in range(len(counts)):
-        left, rest = counts[r], 1.0
-        for e in range(starts[r], starts[r + 1]):
-            if left == 0:
-                break
-            share = shares[e] / rest
-            moved = left if share >= 1.0 - 1e-9 else binomial(left, share, rng)
-            out[columns[e]] += moved
-            left -= moved
-            rest -= shares[e]
+    """Add `counts[:, places[r]]` to `out`, split at random over columns `columns[starts[r]:starts[r + 1]]`."""
+    for h in range(len(counts)):
+        stream = streams[h]
+        for r in range(len(places)):
+            left, rest = counts[h, places[r]], 1.0
+            for e in range(starts[r], starts[r + 1]):
+                if left == 0:
+                    break
+                share = shares[e] / rest
+                moved = left if share >= 1.0 - 1e-9 else binomial(left, share, stream)
+                out[h, columns[e]] += moved
+                left -= moved
+                rest -= shares[e]

@@ -70,8 +70,8 @@ def make_labels(
 
     Raises
     ------
-    InputError : a field that is no label; a scene without `hidden_view`, `hidden_bounds` or `relay_wall`; `sdf`
-        without open3d; more objects than rows.
+    InputError : a field that is no label; a scene without `hidden_view`, `hidden_bounds` or `relay_wall`; more
+        objects than rows.
     """
     for field in fields:
         if field not in LABEL_FIELDS:

@@ -14,6 +14,8 @@ SIGGRAPH 1989); shadows take from it the share of the lamp that is hidden, found
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -21,14 +23,14 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.labels.images import HiddenSurface, albedo_image, normal_image
 from datagen.records import Rectangle
-from datagen.records.arrays import Floats
-from scene_library.sightlines import blocked, even_points
+from datagen.records.arrays import Bools, Floats
+from scene_library.sightlines import even_points, occlusion_test
 
 AMBIENT_RADIANCE = 0.15
 """Radiance of all directions that do not meet the lamp, in units of the lamp's."""
 LAMP_POINTS = 64
 """Points of the lamp that each pixel's surface looks for (those of `even_points`)."""
-_PIXELS_AT_ONCE = 1 << 14
+_PIXELS_AT_ONCE = 1 << 10
 _LIFT = 1e-5
 """Ray ends are lifted off their surfaces by this share of the scene's size."""
 
@@ -53,32 +55,61 @@ def shaded_image(surface: HiddenSurface) -> NDArray[np.float32]:
     normals = normal_image(surface)[row, column].astype(np.float64) @ frame.axes
     occluders = scene.corners[np.array([role != "relay_wall" for role in scene.roles])[scene.face_part]]
     lift = _LIFT * float(np.ptp(scene.vertices, axis=0).max())
+    blocked = occlusion_test(occluders)
     lit = np.empty(len(points))
     for some in (slice(k, k + _PIXELS_AT_ONCE) for k in range(0, len(points), _PIXELS_AT_ONCE)):
-        lit[some] = _lit(points[some], normals[some], scene.relay_wall, occluders, lift)
+        lit[some] = _lit(points[some], normals[some], scene.relay_wall, blocked, lift)
     image = np.zeros((rows, columns))
     image[row, column] = lit + (1 - lit) * AMBIENT_RADIANCE
     return (image * albedo_image(surface)).astype(np.float32)
 
 
-def _lit(points: Floats, normals: Floats, lamp: Rectangle, occluders: Floats, lift_m: float) -> Floats:
+def _lit(
+    points: Floats, normals: Floats, lamp: Rectangle, blocked: Callable[[Floats, Floats], Bools], lift_m: float
+) -> Floats:
     """(n,) form factor to what each point (n, 3) sees of the lamp.
 
     The exact form factor of the whole lamp times the seen share of it, lamp points weighted by what they would send.
     """
     whole = form_factors(points, normals, lamp.corners)
     on_lamp = even_points(lamp.center, lamp.right, lamp.up)
-    toward = on_lamp - points[:, None]
-    square = np.maximum(np.einsum("pqk,pqk->pq", toward, toward), np.finfo(np.float64).tiny)
-    leaving = np.maximum(np.einsum("pqk,pk->pq", toward, normals), 0.0)
-    arriving = np.maximum(-(toward @ lamp.normal), 0.0)
-    weight = leaving * arriving / square**2
+    weight, start, end = _segments(points, normals, on_lamp, lamp.normal, lift_m)
     sent = weight.sum(axis=1)
-    pixel, lamp_point = np.nonzero(weight)
-    start, end = points[pixel] + lift_m * normals[pixel], on_lamp[lamp_point] + lift_m * lamp.normal
-    weight[pixel, lamp_point] *= ~blocked(occluders, start, end)
+    weight[weight > 0] *= ~blocked(start, end)
     share = np.divide(weight.sum(axis=1), sent, out=np.zeros(len(points)), where=sent > 0)
     return np.asarray(whole * share)
+
+
+@njit(cache=True)
+def _segments(
+    points: Floats, normals: Floats, on_lamp: Floats, lamp_normal: Floats, lift_m: float
+) -> tuple[Floats, Floats, Floats]:
+    """What the lamp's points would send to each of `points`, and the ways from these to those that would.
+
+    Returns (n, m) weights cosθ cosθ′ / R² without their unit, and for each that is positive, row by row, both ends
+    (·, 3) of the segment between the two points, lifted off their surfaces.
+    """
+    weight = np.empty((len(points), len(on_lamp)))
+    start = np.empty((weight.size, 3))
+    end = np.empty((weight.size, 3))
+    held = 0
+    for p in range(len(points)):
+        for q in range(len(on_lamp)):
+            square, leaving, arriving = 0.0, 0.0, 0.0
+            for k in range(3):
+                toward = on_lamp[q, k] - points[p, k]
+                square += toward * toward
+                leaving += toward * normals[p, k]
+                arriving -= toward * lamp_normal[k]
+            if leaving > 0.0 and arriving > 0.0:
+                weight[p, q] = leaving * arriving / (square * square)
+                for k in range(3):
+                    start[held, k] = points[p, k] + lift_m * normals[p, k]
+                    end[held, k] = on_lamp[q, k] + lift_m * lamp_normal[k]
+                held += 1
+            else:
+                weight[p, q] = 0.0
+    return weight, start[:held], end[:held]
 
 
 @njit(cache=True)
@@ -92,26 +123,38 @@ def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
     count = len(corners)
     result = np.zeros(len(points))
     kept = np.empty((2 * count, 3))
+    offset = np.empty((count, 3))
+    height = np.empty(count)
     for p in range(len(points)):
-        n = normals[p]
+        for c in range(count):
+            height[c] = 0.0
+            for k in range(3):
+                offset[c, k] = corners[c, k] - points[p, k]
+                height[c] += offset[c, k] * normals[p, k]
         held = 0
-        for k in range(count):
-            a, b = corners[k] - points[p], corners[(k + 1) % count] - points[p]
-            height_a, height_b = (a * n).sum(), (b * n).sum()
-            if height_a > 0.0:
-                kept[held] = a
+        for c in range(count):
+            after = (c + 1) % count
+            if height[c] > 0.0:
+                for k in range(3):
+                    kept[held, k] = offset[c, k]
                 held += 1
-            if (height_a > 0.0) != (height_b > 0.0):
-                kept[held] = a + (b - a) * (height_a / (height_a - height_b))
+            if (height[c] > 0.0) != (height[after] > 0.0):
+                share = height[c] / (height[c] - height[after])
+                for k in range(3):
+                    kept[held, k] = offset[c, k] + (offset[after, k] - offset[c, k]) * share
                 held += 1
         total = 0.0
-        for k in range(held):
-            a, b = kept[k], kept[(k + 1) % held]
-            x = a[1] * b[2] - a[2] * b[1]
-            y = a[2] * b[0] - a[0] * b[2]
-            z = a[0] * b[1] - a[1] * b[0]
-            length = np.sqrt(x * x + y * y + z * z)
+        for c in range(held):
+            after = (c + 1) % held
+            across, along, area = 0.0, 0.0, 0.0
+            for k in range(3):
+                i, j = (k + 1) % 3, (k + 2) % 3
+                side = kept[c, i] * kept[after, j] - kept[c, j] * kept[after, i]
+                area += side * side
+                across += normals[p, k] * side
+                along += kept[c, k] * kept[after, k]
+            length = np.sqrt(area)
             if length > 0.0:
-                total += np.arctan2(length, (a * b).sum()) * (n[0] * x + n[1] * y + n[2] * z) / length
+                total += np.arctan2(length, along) * across / length
         result[p] = abs(total) / (2 * np.pi)
     return result

@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
+from datagen.labels.distances import grid_distances
 from datagen.labels.frame import ViewFrame
 from datagen.labels.raster import cut_voxels, inside_columns
 from datagen.labels.solids import ConnectedSurface, connected_surfaces
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats
-
-OPEN3D_SYSTEM_PACKAGES = ("libusb-1.0-0", "libgl1", "libegl1", "libx11-6", "libgomp1")
-"""What open3d needs of a bare Debian or Ubuntu; the same list as docker/system-packages.txt."""
 
 
 @dataclass(frozen=True)
@@ -104,54 +102,28 @@ def signed_distance(grid: VoxelGrid, found: list[ConnectedSurface]) -> NDArray[n
     signed distances is taken: exact outside, and inside never larger in magnitude than the true distance. Without
     any object every distance is the diagonal of the grid, which is larger than any distance inside it could be.
     """
-    smallest = np.full(grid.shape, np.linalg.norm(grid.high - grid.low))
     if not found:
-        return smallest.astype(np.float32)
-    centers = grid.centers
-    for group in _apart(found):
-        distance = _distance(centers, np.concatenate([s.corners for s in group]))
-        for surface in group:
-            if surface.closed:
-                distance[_inside(grid, surface)] *= -1.0
-        smallest = np.minimum(smallest, distance)
+        return np.full(grid.shape, np.linalg.norm(grid.high - grid.low), np.float32)
+    smallest = _distances(grid, np.concatenate([surface.corners for surface in found]), (0, 0, 0), grid.shape)
+    for surface in found:
+        inside = np.nonzero(_inside(grid, surface) if surface.closed else np.zeros(grid.shape, np.bool_))
+        if len(inside[0]):
+            # Within a solid other surfaces, which may be nearer, do not count.
+            low, high = (tuple(int(end(place)) for place in inside) for end in (np.min, np.max))
+            own = _distances(grid, surface.corners, low, tuple(k + 1 for k in high))
+            own = own[tuple(np.subtract(inside, np.reshape(low, (3, 1))))]
+            smallest[inside] = np.minimum(smallest[inside], -own)
     return smallest.astype(np.float32)
+
+
+def _distances(grid: VoxelGrid, corners: Floats, low: tuple[int, ...], high: tuple[int, ...]) -> Floats:
+    """Metres from the centres of the voxels low … high (excluded) to the nearest of the triangles (F, 3, 3)."""
+    step = grid.voxel_m * [1, -1, 1]
+    first = np.array([grid.low[2], grid.high[1], grid.low[0]]) + (0.5 + np.array(low)) * step
+    depth_row_column = np.ascontiguousarray(grid.frame.to_view(corners)[..., ::-1])
+    layers, rows, columns = (b - a for a, b in zip(low, high, strict=True))
+    return grid_distances(first, step, (layers, rows, columns), depth_row_column)
 
 
 def _inside(grid: VoxelGrid, surface: ConnectedSurface) -> Bools:
     return inside_columns(grid.to_voxels(np.concatenate([surface.corners, surface.lid])), grid.shape)
-
-
-def _apart(found: list[ConnectedSurface]) -> list[list[ConnectedSurface]]:
-    """Groups of surfaces whose bounding boxes do not meet: within one, no surface is inside another."""
-    groups: list[list[tuple[ConnectedSurface, Floats]]] = []
-    for surface in found:
-        box = np.stack([surface.corners.min(axis=(0, 1)), surface.corners.max(axis=(0, 1))])
-        for group in groups:
-            if all((box[0] > other[1]).any() or (other[0] > box[1]).any() for _, other in group):
-                group.append((surface, box))
-                break
-        else:
-            groups.append([(surface, box)])
-    return [[surface for surface, _ in group] for group in groups]
-
-
-def _distance(points: Floats, corners: Floats) -> Floats:
-    """Metres from each point (..., 3) to the nearest of the triangles (F, 3, 3), by open3d's closest-point tree."""
-    try:
-        # Two seconds and a graphics library: only for those who ask for signed distances.
-        import open3d
-    except (ImportError, OSError) as error:
-        raise InputError(
-            f"label 'sdf': open3d cannot be loaded ({str(error).splitlines()[0]}); install the system packages "
-            f"{' '.join(OPEN3D_SYSTEM_PACKAGES)} (docker/system-packages.txt), or leave sdf out of store.fields"
-        ) from None
-    # open3d computes in float32: positions count from the middle of the points.
-    middle = points.reshape(-1, 3).mean(axis=0)
-    tensor = open3d.core.Tensor.from_numpy
-    caster = open3d.t.geometry.RaycastingScene(nthreads=1)
-    caster.add_triangles(
-        tensor((corners - middle).reshape(-1, 3).astype(np.float32)),
-        tensor(np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)),
-    )
-    query = tensor(np.ascontiguousarray(points - middle, dtype=np.float32))
-    return np.asarray(caster.compute_distance(query, nthreads=1).numpy(), np.float64)

@@ -70,8 +70,8 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
     """Draw the first scenes of one or several configurations, each beside all the labels it can have; returns the
     PNG's path.
 
-    Raises `InputError` for a count outside 1 … 16, a room that cannot be made, `sdf` without open3d, or an output
-    that cannot be written.
+    Raises `InputError` for a count outside 1 … 16, a room that cannot be made, or an output that cannot be
+    written.
     """
     if not 1 <= count <= MOST_LABELLED:
         raise InputError(f"labels = {count}: a sheet of labels holds 1 … {MOST_LABELLED} rooms")

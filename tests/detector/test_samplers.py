@@ -16,6 +16,7 @@ from datagen.detector.expected import mean_detections
 from datagen.detector.flux import Cycle
 from datagen.detector.irf import IDENTITY
 from datagen.detector.renewal import pieces_of
+from datagen.detector.streams import stream_of
 
 FLUXES = (0.01, 0.1, 1.0, 4.0)
 BINS, WIDTH = 20, 1e-9
@@ -50,8 +51,8 @@ def truth(flux, rule, cycles, seed, burn_in=0, gate=None):
 
 
 def drawn(draw, seed):
-    rng = np.random.Generator(np.random.Philox(seed))
-    return np.stack([draw(rng) for _ in range(REPLICATES)])
+    stream = stream_of(seed)
+    return np.stack([draw(stream) for _ in range(REPLICATES)])
 
 
 @pytest.mark.parametrize("flux", FLUXES)
@@ -59,7 +60,7 @@ def drawn(draw, seed):
 def test_free_running_events(flux, length):
     lam, tau, cycles = shape_of(flux), DEAD_TIMES[length], cycles_for(flux)
     state = equilibrium(lam, EDGES, WIDTH, tau)
-    got = drawn(lambda rng: draw_free_running(lam, EDGES, WIDTH, BINS - 1, tau, cycles, state, rng), 1)
+    got = drawn(lambda stream: draw_free_running(lam, EDGES, WIDTH, BINS - 1, tau, cycles, state, stream), 1)
     same_law(got, truth(lam, Rule(tau), cycles, 2, burn_in=60), f"free running, flux {flux}, dead time {length}")
     mean_is(got, cycles * state.mean, f"free running, flux {flux}, dead time {length}")
 
@@ -69,10 +70,10 @@ def test_free_running_events(flux, length):
 def test_synchronous_chains(flux, length):
     lam, tau, cycles = shape_of(flux), DEAD_TIMES[length], cycles_for(flux)
     if length == "equal":
-        got = drawn(lambda rng: draw_hazard_chain(lam, cycles, rng), 3)
+        got = drawn(lambda stream: draw_hazard_chain(lam, cycles, stream), 3)
     else:
         pieces = pieces_of(lam, EDGES, WIDTH, tau, shorter_than_dead_time=True)
-        got = drawn(lambda rng: draw_return_chain(pieces, BINS, cycles, rng), 3)
+        got = drawn(lambda stream: draw_return_chain(pieces, BINS, cycles, stream), 3)
     same_law(got, truth(lam, Rule(tau, synchronous=True), cycles, 4), f"synchronous, flux {flux}, dead time {length}")
     spad = Spad(dead_time_s=tau, mode="synchronous")
     mean_is(got, cycles * mean_detections(lam[None], cycle_of_test(), spad)[0], f"synchronous, {flux}, {length}")
@@ -81,7 +82,7 @@ def test_synchronous_chains(flux, length):
 def test_return_chain_with_a_dead_time_below_one_bin():
     lam, tau, cycles = shape_of(4.0), 0.37 * WIDTH, 500
     pieces = pieces_of(lam, EDGES, WIDTH, tau, shorter_than_dead_time=True)
-    got = drawn(lambda rng: draw_return_chain(pieces, BINS, cycles, rng), 5)
+    got = drawn(lambda stream: draw_return_chain(pieces, BINS, cycles, stream), 5)
     same_law(got, truth(lam, Rule(tau, synchronous=True), cycles, 6), "synchronous, dead time 0.37 bin")
 
 
@@ -92,7 +93,7 @@ def test_paralyzable(flux, length, mode):
     lam, tau, cycles = shape_of(flux), DEAD_TIMES[length], cycles_for(flux)
     synchronous = mode == "synchronous"
     spad = Spad(dead_time_s=tau, mode=mode, paralyzable=True)
-    got = drawn(lambda rng: draw_avalanches(lam[None], cycle_of_test(), spad, cycles, rng)[0], 7)
+    got = drawn(lambda stream: draw_avalanches(lam[None], cycle_of_test(), spad, cycles, stream)[0], 7)
     rule = Rule(tau, synchronous=synchronous, paralyzable=True)
     same_law(
         got, truth(lam, rule, cycles, 8, burn_in=0 if synchronous else 60), f"paralyzable {mode} {flux} {length}"
@@ -119,7 +120,7 @@ def test_afterpulsing(flux, mode, length, times, weights):
                 afterpulse_weights=weights)  # fmt: skip
     share = np.array(weights or [1.0]) / np.sum(weights or [1.0])
     rule = Rule(tau, synchronous=mode == "synchronous", loads=tuple(-np.log(0.7) * share), times=times)
-    got = drawn(lambda rng: draw_avalanches(lam[None], cycle_of_test(gate), spad, cycles, rng)[0], 9)
+    got = drawn(lambda stream: draw_avalanches(lam[None], cycle_of_test(gate), spad, cycles, stream)[0], 9)
     same_law(got, truth(lam, rule, cycles, 10, burn_in=80, gate=gate), f"afterpulsing, {mode}, {length}, flux {flux}")
 
 
@@ -130,8 +131,8 @@ def test_crosstalk_couples_neighbours(mode, length):
     lam = np.stack([shape_of(2.0 if p == 0 else 0.05 * p) for p in range(6)])
     spad = Spad(dead_time_s=tau, mode=mode, crosstalk_probability=0.15, array_columns=3)
     rule = Rule(tau, synchronous=mode == "synchronous", crosstalk=0.15, columns=3)
-    rng = np.random.Generator(np.random.Philox(seeds[0]))
-    got = np.stack([draw_avalanches(lam, cycle_of_test(), spad, cycles, rng) for _ in range(REPLICATES)])
+    stream = stream_of(seeds[0])
+    got = np.stack([draw_avalanches(lam, cycle_of_test(), spad, cycles, stream) for _ in range(REPLICATES)])
     plain = np.random.default_rng(seeds[1])
     want = np.stack([simulate(lam, EDGES, cycles, rule, plain, 40) for _ in range(REPLICATES)])
     # Five bins a histogram keep the 30 columns testable together.
@@ -144,8 +145,8 @@ def test_crosstalk_couples_neighbours(mode, length):
 def test_cycle_ensemble_has_the_exact_mean_and_nearly_the_variance(length):
     lam, tau, cycles = shape_of(1.0), DEAD_TIMES[length], 100_003
     state = equilibrium(lam, EDGES, WIDTH, tau, shorter_than_dead_time=True)
-    got = drawn(lambda rng: draw_cycle_ensemble(state, BINS, cycles, rng), 13)
+    got = drawn(lambda stream: draw_cycle_ensemble(state, BINS, cycles, stream), 13)
     mean_is(got, cycles * state.mean, f"ensemble, {length}")
-    exact = drawn(lambda rng: draw_free_running(lam, EDGES, WIDTH, BINS - 1, tau, cycles, state, rng), 14)
+    exact = drawn(lambda stream: draw_free_running(lam, EDGES, WIDTH, BINS - 1, tau, cycles, state, stream), 14)
     ratio = got.sum(1).var() / exact.sum(1).var()
     assert 0.7 < ratio < 1.5  # 250 replicates: ± 13 % by chance

@@ -122,7 +122,7 @@ LIT = Exposure(repetition_rate_hz=50e6, cycles=1000, photons_per_pulse=3e6, ambi
 SIGNAL = np.abs(np.sin(np.arange(4 * 64).reshape(1, 4, 64))) * 1e-8
 
 DETECTOR_CALLS: dict[str, tuple[dict[str, str], str]] = {
-    "timing_response": ({}, "scipy.ndimage.convolve1d"),
+    "timing_response": ({}, "datagen.detector.irf._convolved"),
     "afterpulsing": ({"crosstalk": "off"}, "datagen.detector.detect.draw_avalanches"),
     "crosstalk": ({"afterpulsing": "off"}, "datagen.detector.detect.draw_avalanches"),
     "dead_time_across_cycles": (

@@ -14,6 +14,7 @@ from datagen.detector.binomials import binomial
 from datagen.detector.equilibrium import equilibrium
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.irf import response_kernel, spread
+from datagen.detector.streams import stream_of
 from datagen.records.arrays import Floats
 from datagen.transport.binning import put
 
@@ -155,8 +156,8 @@ def many_cycles() -> HardCase:
 def rare_binomial() -> HardCase:
     """A binomial of so small a probability that 1 − p is 1."""
     trials, p, draws = 10**15, 3e-17, 50_000
-    rng = np.random.Generator(np.random.Philox(3))
-    drawn = sum(binomial(trials, p, rng) for _ in range(draws))
+    stream = stream_of(3)
+    drawn = sum(binomial(trials, p, stream) for _ in range(draws))
     return HardCase(
         "10¹⁵ trials of probability 3e-17",
         "log(1 − p) in the sampler: relative error of its mean",

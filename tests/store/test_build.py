@@ -287,6 +287,17 @@ def test_a_scene_that_kills_its_workers_is_given_up(tmp_path: Path) -> None:
     assert len(verify(tmp_path / "set").problems) == 1
 
 
+def test_workers_begin_with_their_modules_imported_and_one_thread() -> None:
+    code = (
+        "from datagen.building.engines import start_imports, started\n"
+        "start_imports('colorsys')\n"
+        "with started('local', 2, None) as running:\n"
+        '    asked = \'("colorsys" in __import__("sys").modules, __import__("os").environ["OMP_NUM_THREADS"])\'\n'
+        "    assert [running.submit(eval, asked).result() for _ in range(2)] == [(True, '1')] * 2\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300, env=with_fakes())
+
+
 def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import fcntl
 

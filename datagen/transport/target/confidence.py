@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtri
 
 CONFIDENCE = 0.97
 """Probability that the true squared error stays below its bound, at one look. A run looks after each of its two to
@@ -46,7 +46,7 @@ def bound_factor(scatters: Iterable[Scatter], confidence: float = CONFIDENCE) ->
         return 1.0
     ways = effective_freedom(kept)
     known = effective_freedom([replace(one, freedom=one.freedom * (one.replicates - 1)) for one in kept])
-    return float(stats.f.ppf(confidence, ways, known))
+    return float(fdtri(ways, known, confidence))
 
 
 def effective_freedom(scatters: Sequence[Scatter]) -> float:

@@ -1,0 +1,175 @@
+"""Distances from the points of a grid to triangles, exact, by halving the grid until few triangles can be nearest.
+
+A triangle T is ruled out for a block of the grid by one point q of another triangle. In
+
+    d(x, T)² − |x − q|² = min over y in T of |y|² − |q|² − 2 x·(y − q)
+
+every term is linear in x, so the whole is concave, and smallest over the block at one of its eight corners. Where it
+is ≥ 0 at all of them, no point of the block is nearer to T than to q.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from datagen.records.arrays import Floats, Ints
+
+_FEW = 64
+"""Points of the blocks in which the triangles left are tried one by one."""
+_SLACK = 1e-12
+"""A triangle that shares q is as near as q where q is its nearest point, and by rounding nearer: by less than this
+share of the squared distance, which is then the error."""
+
+
+def grid_distances(start: Floats, step: Floats, shape: tuple[int, int, int], corners: Floats) -> Floats:
+    """Distance from each point of a grid to the nearest of the triangles `corners` (F, 3, 3), F ≥ 1, metres.
+
+    The result (n₀, n₁, n₂) = `shape` belongs to the points start + step · (i, j, k), which may run downwards.
+    """
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    uu, uv, vv = (np.einsum("fi,fi->f", *pair) for pair in ((u, u), (u, v), (v, v)))
+    squares = (uu, vv, uu - 2 * uv + vv, uu * vv - uv * uv)
+    inverse = (np.divide(1.0, square, out=np.zeros(len(u)), where=square > 0) for square in squares)
+    triangles = np.concatenate([corners[:, 0], u, v, np.stack([uu, uv, vv, *inverse], axis=1)], axis=1)
+    asked = np.tile(np.arange(len(u)), 3 + sum(int(n).bit_length() for n in shape))
+    return np.sqrt(_squares_by_blocks(start, step, np.array(shape), triangles, asked).reshape(shape))
+
+
+@njit(cache=True)
+def _squares_by_blocks(start: Floats, step: Floats, shape: Ints, triangles: Floats, asked: Ints) -> Floats:
+    """Squared distances, flat.
+
+    triangles : (F, 16) a corner, the edges u and v from it, u·u, u·v, v·v, and the inverse squares of the three edges
+        and of the parallelogram's area.
+    asked : the numbers of all triangles, and room for the same number again at every halving.
+    """
+    squares = np.empty(shape[0] * shape[1] * shape[2])
+    # A block: its first and its last point, and the range of `asked` that holds its triangles.
+    blocks = np.empty((len(asked) // len(triangles), 8), np.int64)
+    block = np.empty(8, np.int64)
+    points = np.empty((3, _FEW))
+    found = np.empty(_FEW)
+    table = np.empty((len(triangles), 9))
+    for k in range(3):
+        blocks[0, k], blocks[0, 3 + k] = 0, shape[k] - 1
+    blocks[0, 6], blocks[0, 7] = 0, len(triangles)
+    held = 1
+    while held > 0:
+        held -= 1
+        for k in range(8):
+            block[k] = blocks[held, k]
+        for p in range(9):
+            for k in range(3):
+                # The eight corners, and last the centre.
+                place = 0.5 * (block[k] + block[3 + k]) if p == 8 else float(block[k + 3 * ((p >> k) & 1)])
+                points[k, p] = start[k] + step[k] * place
+        last = _keep_nearest(triangles, asked, block[6], block[7], points, table)
+        longest, size = 0, 1
+        for k in range(3):
+            size *= block[3 + k] - block[k] + 1
+            longest = k if block[3 + k] - block[k] > block[3 + longest] - block[longest] else longest
+        if size > _FEW:
+            middle = (block[longest] + block[3 + longest]) // 2
+            for upper in range(2):
+                for k in range(6):
+                    blocks[held, k] = block[k]
+                blocks[held, longest if upper else longest + 3] = middle + upper
+                blocks[held, 6], blocks[held, 7] = block[7], last
+                held += 1
+            continue
+        rows, columns = block[4] - block[1] + 1, block[5] - block[2] + 1
+        for p in range(size):
+            points[0, p] = start[0] + step[0] * (block[0] + p // (rows * columns))
+            points[1, p] = start[1] + step[1] * (block[1] + p // columns % rows)
+            points[2, p] = start[2] + step[2] * (block[2] + p % columns)
+            found[p] = np.inf
+        for k in range(block[7], last):
+            _lower(triangles, asked[k], points, size, found)
+        for p in range(size):
+            layer, row = block[0] + p // (rows * columns), block[1] + p // columns % rows
+            squares[(layer * shape[1] + row) * shape[2] + block[2] + p % columns] = found[p]
+    return squares
+
+
+@njit(cache=True)
+def _keep_nearest(triangles: Floats, asked: Ints, first: int, last: int, points: Floats, table: Floats) -> int:
+    """Copy those of the triangles asked[first:last] that may be nearest in a block to asked[last:]; return the end.
+
+    points : (3, ≥ 9) the corners of the block and its centre.
+    table : (≥ last - first, 9) work space.
+    """
+    nearest = 0
+    for k in range(last - first):
+        for p in range(9):
+            table[k, p] = np.inf
+        _lower(triangles, asked[first + k], points, 9, table[k])
+        if table[k, 8] < table[nearest, 8]:
+            nearest = k
+    u, v = _closest_point(triangles, asked[first + nearest], points)
+    limit = np.zeros(8)
+    for k in range(3):
+        f = asked[first + nearest]
+        q = triangles[f, k] + u * triangles[f, 3 + k] + v * triangles[f, 6 + k]
+        for p in range(8):
+            limit[p] += (points[k, p] - q) ** 2 * (1.0 - _SLACK)
+    kept = last
+    for k in range(last - first):
+        near = k == nearest
+        for p in range(8):
+            near = near or table[k, p] < limit[p]
+        if near:
+            asked[kept] = asked[first + k]
+            kept += 1
+    return kept
+
+
+@njit(cache=True)
+def _lower(triangles: Floats, f: int, points: Floats, count: int, squares: Floats) -> None:
+    """Lower the squared distances of the first `count` of `points` (3, n) to those to triangle f, where it is nearer.
+
+    The nearest point of a triangle lies on an edge, or is the foot of the perpendicular if that lies inside.
+    """
+    ax, ay, az = triangles[f, 0], triangles[f, 1], triangles[f, 2]
+    ux, uy, uz = triangles[f, 3], triangles[f, 4], triangles[f, 5]
+    vx, vy, vz = triangles[f, 6], triangles[f, 7], triangles[f, 8]
+    uu, uv, vv = triangles[f, 9], triangles[f, 10], triangles[f, 11]
+    per_uu, per_vv, per_ww, per_area = triangles[f, 12], triangles[f, 13], triangles[f, 14], triangles[f, 15]
+    for p in range(count):
+        x, y, z = points[0, p] - ax, points[1, p] - ay, points[2, p] - az
+        along_u, along_v = x * ux + y * uy + z * uz, x * vx + y * vy + z * vz
+        a = min(max(along_u * per_uu, 0.0), 1.0)
+        on_u = (x - a * ux) ** 2 + (y - a * uy) ** 2 + (z - a * uz) ** 2
+        b = min(max(along_v * per_vv, 0.0), 1.0)
+        on_v = (x - b * vx) ** 2 + (y - b * vy) ** 2 + (z - b * vz) ** 2
+        c = min(max((along_v - along_u - uv + uu) * per_ww, 0.0), 1.0)
+        d = 1.0 - c
+        on_w = (x - d * ux - c * vx) ** 2 + (y - d * uy - c * vy) ** 2 + (z - d * uz - c * vz) ** 2
+        r, s = (vv * along_u - uv * along_v) * per_area, (uu * along_v - uv * along_u) * per_area
+        inside = (x - r * ux - s * vx) ** 2 + (y - r * uy - s * vy) ** 2 + (z - r * uz - s * vz) ** 2
+        inside = inside if min(r, s, 1.0 - r - s) > 0.0 else on_u
+        squares[p] = min(squares[p], on_u, on_v, on_w, inside)
+
+
+@njit(cache=True)
+def _closest_point(triangles: Floats, f: int, points: Floats) -> tuple[float, float]:
+    """The point of triangle f that is nearest to points[:, 8], as shares of the edges u and v."""
+    along_u, along_v, along = 0.0, 0.0, 0.0
+    for k in range(3):
+        offset = points[k, 8] - triangles[f, k]
+        along_u += offset * triangles[f, 3 + k]
+        along_v += offset * triangles[f, 6 + k]
+        along += offset * offset
+    uu, uv, vv = triangles[f, 9], triangles[f, 10], triangles[f, 11]
+    r, s = (vv * along_u - uv * along_v) * triangles[f, 15], (uu * along_v - uv * along_u) * triangles[f, 15]
+    if min(r, s, 1.0 - r - s) > 0.0:
+        return r, s
+    a = min(max(along_u * triangles[f, 12], 0.0), 1.0)
+    b = min(max(along_v * triangles[f, 13], 0.0), 1.0)
+    c = min(max((along_v - along_u - uv + uu) * triangles[f, 14], 0.0), 1.0)
+    best_r, best_s, least = 0.0, 0.0, along
+    for r, s in ((a, 0.0), (0.0, b), (1.0 - c, c)):
+        square = along - 2 * (r * along_u + s * along_v) + r * r * uu + 2 * r * s * uv + s * s * vv
+        if square < least:
+            best_r, best_s, least = r, s, square
+    return best_r, best_s
