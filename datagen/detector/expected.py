@@ -135,11 +135,11 @@ def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: 
     exponent = np.interp(knots, edges, cumulative) - flux_before(knots - dead_time)
     bin_of = np.clip(np.searchsorted(edges, 0.5 * (knots[1:] + knots[:-1]), side="right") - 1, 0, len(flux) - 1)
     events = flux[bin_of] * np.diff(knots) / np.diff(edges)[bin_of]
-    change = np.diff(exponent)
-    # Mean of exp(−y) over a piece on which y is linear; by its series where the change is tiny.
-    tiny = np.abs(change) < 1e-6
-    safe = np.where(tiny, 1.0, change)
-    mean = np.where(tiny, 1.0 - 0.5 * change, -np.expm1(-safe) / safe) * np.exp(-exponent[:-1])
+    # Mean of exp(−y) over a piece on which y is linear, from its lower end; by its series where y hardly changes.
+    rise, low = np.abs(np.diff(exponent)), np.minimum(exponent[1:], exponent[:-1])
+    tiny = rise < 1e-6
+    safe = np.where(tiny, 1.0, rise)
+    mean = np.where(tiny, 1.0 - 0.5 * rise, -np.expm1(-safe) / safe) * np.exp(-low)
     return np.bincount(bin_of, events * mean, len(flux)).astype(np.float64)
 
 
