@@ -171,7 +171,11 @@ class DaskCluster:
         self._cluster = None
         if scheduler is None:
             with _environment(ONE_THREAD):
-                self._cluster = dask.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+                # Without a dashboard its server is started all the same: on a free port, two clusters get along.
+                self._cluster = dask.LocalCluster(
+                    n_workers=workers, threads_per_worker=1, dashboard_address=None,
+                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+                )  # fmt: skip
         try:
             self._client = dask.Client(self._cluster or scheduler, timeout=20)
         except (OSError, ValueError, TimeoutError) as error:

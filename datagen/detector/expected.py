@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import scipy.special
@@ -16,6 +18,9 @@ Array = NDArray[np.float64]
 
 _ROUNDS = 200
 _SETTLED = 1e-11
+_PIECES, _MOST_PIECES = 32, 4096
+"""Of a trap's time or dead time in long background bins: avalanches caused there are taken as uniform in a piece.
+And the most of one bin."""
 
 
 def one_per_cycle_mean(flux: Array) -> Array:
@@ -37,6 +42,27 @@ def mean_detections(flux: Array, cycle: Cycle, spad: Spad) -> Array:
         return flux
     if not (has_traps or has_crosstalk):
         return np.stack([_mean_of_photons(f, cycle, spad) for f in flux])
+    scales = (spad.dead_time_s, *(spad.afterpulse_times_s if has_traps else ()))
+    finer, parts = _cut(cycle, min((scale for scale in scales if scale > 0), default=np.inf) / _PIECES)
+    flux = np.repeat(flux / parts, parts, axis=1)
+    detections = _self_consistent(flux, finer, spad, has_traps, has_crosstalk)
+    return np.add.reduceat(detections, np.cumsum(parts) - parts, axis=1)
+
+
+def _cut(cycle: Cycle, longest_s: float) -> tuple[Cycle, NDArray[np.int64]]:
+    """The cycle with its long bins in equal parts of about `longest_s`, and (n,) how many parts each has.
+
+    All of it counts as recorded: what is detected later than the record fills traps that empty in the next cycle.
+    """
+    parts = np.ceil(cycle.widths_s / max(longest_s, cycle.width_s) * (1.0 - 1e-6))
+    parts = np.clip(parts, 1, _MOST_PIECES).astype(np.int64)
+    number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    starts = np.repeat(cycle.edges_s[:-1], parts) + number * np.repeat(cycle.widths_s / parts, parts)
+    edges = np.append(starts, cycle.period_s)
+    return replace(cycle, edges_s=edges, gate=np.repeat(cycle.gate, parts), front=len(number)), parts
+
+
+def _self_consistent(flux: Array, cycle: Cycle, spad: Spad, has_traps: bool, has_crosstalk: bool) -> Array:
     shared, released = np.zeros_like(flux), np.zeros_like(flux)
     detections = np.zeros_like(flux)
     for _ in range(_ROUNDS):
@@ -113,11 +139,11 @@ def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: 
     exponent = np.interp(knots, edges, cumulative) - flux_before(knots - dead_time)
     bin_of = np.clip(np.searchsorted(edges, 0.5 * (knots[1:] + knots[:-1]), side="right") - 1, 0, len(flux) - 1)
     events = flux[bin_of] * np.diff(knots) / np.diff(edges)[bin_of]
-    change = np.diff(exponent)
-    # Mean of exp(−y) over a piece on which y is linear; by its series where the change is tiny.
-    tiny = np.abs(change) < 1e-6
-    safe = np.where(tiny, 1.0, change)
-    mean = np.where(tiny, 1.0 - 0.5 * change, -np.expm1(-safe) / safe) * np.exp(-exponent[:-1])
+    # Mean of exp(−y) over a piece on which y is linear, from its lower end; by its series where y hardly changes.
+    rise, low = np.abs(np.diff(exponent)), np.minimum(exponent[1:], exponent[:-1])
+    tiny = rise < 1e-6
+    safe = np.where(tiny, 1.0, rise)
+    mean = np.where(tiny, 1.0 - 0.5 * rise, -np.expm1(-safe) / safe) * np.exp(-low)
     return np.bincount(bin_of, events * mean, len(flux)).astype(np.float64)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2, norm
@@ -204,6 +206,20 @@ def test_self_consistent_mean_with_afterpulses_and_crosstalk_is_close():
         counts = detect(np.repeat(lam, 60, axis=0), TIME, spad, exposure, seed=8, tolerance=0.0).sum() / 60
         plain = expected_histogram(lam, TIME, Spad(1.0, dead_time_s=60e-9, mode=spad.mode), exposure).sum()
         assert abs(mean - counts) < error * counts < 0.2 * (counts - plain)
+
+
+@pytest.mark.parametrize("mode", ["synchronous", "free_running"])
+@pytest.mark.parametrize("caused", [{"afterpulse_probability": 0.05, "afterpulse_times_s": (5e-9,)},
+                                    {"crosstalk_probability": 0.05}], ids=["traps", "neighbours"])  # fmt: skip
+def test_self_consistent_mean_is_the_same_however_much_darkness_is_recorded(mode, caused):
+    """What follows the record, until the next pulse, is worked out in bins much longer than it has."""
+    lam = np.tile(signal(0.3), (1, 2, 1))
+    exposure = Exposure(1 / (8 * PERIOD), 10**6, 1.0, ambient_rate_hz=2e6)
+    spad = Spad(1.0, dead_time_s=450e-9, mode=mode, **caused)
+    longer = np.concatenate([lam, np.zeros((1, 2, 7 * lam.shape[2]))], axis=2)
+    short = expected_histogram(lam, TIME, spad, exposure, approximate=True)
+    whole = expected_histogram(longer, replace(TIME, bins=8 * TIME.bins), spad, exposure, approximate=True)
+    assert np.linalg.norm(short - whole[..., : TIME.bins]) < 2e-5 * np.linalg.norm(short)
 
 
 def test_large_exposure_fits_its_mean_bin_by_bin():

@@ -192,6 +192,16 @@ def test_flux_of_ten_thousand_per_cycle():
         assert counts.sum() == pytest.approx(1e5 * total, rel=2e-3)
 
 
+def test_two_thousand_photons_in_a_paralyzable_dead_time():
+    """Bin 0 counts its first photon; in bin 1 the exponent falls from a to b: b times the mean of e^−y, y = a … b."""
+    a, b = 2000.0, 1e-3
+    spad = Spad(pde=1.0, dead_time_s=TIME.width_s, mode="synchronous", paralyzable=True)
+    lam = np.zeros(100)
+    lam[:2] = a, b
+    mean = expected_histogram(lam, TIME, spad, Exposure(1e6, 1000, 1.0))
+    assert mean[:2] == pytest.approx([1000.0, 1000.0 * b * (np.exp(-b) - np.exp(-a)) / (a - b)], rel=1e-12)
+
+
 def test_empty_bins_are_never_hit():
     lam = np.zeros(100)
     lam[[7, 8, 60]] = 0.5, 1e-9, 0.3

@@ -19,6 +19,8 @@ from datagen.transport.fov import PixelCones
 
 FAMILY_LEVEL = 1e-3
 """Probability that the statistical tests of this file fail by chance in one run, nightly or not."""
+FAINTEST = 1e18 * float(np.finfo(float).tiny)
+"""Energies below it, as left by metres of dense fog, are products of numbers too small to have all their digits."""
 RECIPROCITY_CASES = 100 if NIGHTLY else 5
 
 
@@ -49,8 +51,9 @@ def test_a_scene_twice_as_large_is_the_same_to_the_last_bit(case: Case, exponent
     case = replace(case, capture=replace(case.capture, sensor=sensor))
     result, larger = simulated_or_refused(case), simulated(resized(case, exponent))
     for name, values in result.components.items():
-        np.testing.assert_allclose(larger.components[name] * 4.0**exponent, values, rtol=1e-9, err_msg=name)
-    np.testing.assert_allclose(larger.overflow * 4.0**exponent, result.overflow, rtol=1e-9)
+        again = larger.components[name] * 4.0**exponent
+        np.testing.assert_allclose(again, values, rtol=1e-9, atol=FAINTEST, err_msg=name)
+    np.testing.assert_allclose(larger.overflow * 4.0**exponent, result.overflow, rtol=1e-9, atol=FAINTEST)
 
 
 def replace_aperture(sensor: Sensor) -> Sensor:
@@ -60,7 +63,11 @@ def replace_aperture(sensor: Sensor) -> Sensor:
 
 @fuzzed(20, 200, cases(counts=True), st.sampled_from([1, 3, 50]), st.sampled_from([-2.0, 0.0, 0.5, 3.0, 20.0, 1e4]))
 def test_no_energy_is_lost_or_made_by_the_window(case: Case, bins: int, start_m: float) -> None:
-    """What is in no bin is in the overflow: their sum is the same for every window."""
+    """What is in no bin is in the overflow: their sum is the same for every window.
+
+    Of all orders it is so in the mean only, for the roulette that ends them spares light within the window.
+    """
+    case = replace(case, accuracy=replace(case.accuracy, max_bounces=case.accuracy.max_bounces or 6))
     result = simulated_or_refused(case)
     other = simulated(rewindowed(case, bins, start_m / 299792458.0))
     whole, windowed = energy(result), energy(other)

@@ -2,7 +2,7 @@
 
     python tests/scene/many_rooms.py --specs 10000
 
-takes about five minutes of one core for each layout; `--layout` and `--first` split the work. Prints one row of a
+takes about ten minutes of one core for each layout; `--layout` and `--first` split the work. Prints one row of a
 table for each layout. Ends with status 1 on a violation, after naming every one of them.
 """
 

@@ -7,9 +7,11 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -355,5 +357,10 @@ def test_shard_numbers() -> None:
 
 
 def test_dask_writes_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
-    quiet_build(small_config(), tmp_path / "set", 2, engine="dask")
+    with socket.socket() as other:
+        # Another cluster of this machine has the port that Dask would take.
+        with suppress(OSError):
+            other.bind(("0.0.0.0", 8787))
+            other.listen()
+        quiet_build(small_config(), tmp_path / "set", 2, engine="dask")
     assert content(tmp_path / "set") == whole
