@@ -180,9 +180,9 @@ def _all_seen(x, a, b, c, z, one_ray, f, obstacle, number, box, child, span, fla
 
 
 @njit(cache=True, error_model="numpy")
-def gather(
+def gather(  # type: ignore[no-untyped-def]
     pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Add the primary of laser points and pixels to their histograms.
 
     pairs : (n, 2) laser point and pixel of each. row : (n,) first row of each, to which `row_of_part` (K,) is added.

@@ -70,10 +70,10 @@ def _joined(task: WalkTask, primary: Primary, whole: Floats, rest: Estimate) -> 
     lasers = max(int((task.points.part >= 0).sum()), 1)
     components = {name: whole if name == "primary" else rest.components[name] for name in task.splits.components}
     spend = Spend(
-        lookins=rest.spend.lookins | {"primary": primary.cells / lasers},
+        lookins=dict(rest.spend.lookins) | {"primary": primary.cells / lasers},
         share={name: share * rest.spend.cost / total for name, share in rest.spend.share.items()}
         | {"primary": cost / total if total > 0 else 0.0},
-        way=rest.spend.way | {"primary": "cells"}, fov_samples=rest.spend.fov_samples | {"primary": 1},
+        way=dict(rest.spend.way) | {"primary": "cells"}, fov_samples=dict(rest.spend.fov_samples) | {"primary": 1},
         rounds=rest.spend.rounds, cost=total, outcome=rest.spend.outcome if primary.met else UNMET,
     )  # fmt: skip
     return Estimate(
