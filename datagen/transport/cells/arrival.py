@@ -15,12 +15,10 @@ from datagen.records.arrays import Floats
 from datagen.transport.binning import put
 
 
-@njit(cache=True, inline="always")
-def _before(x: float, a: float, b: float, c: float, at_a: float, at_b: float, at_c: float) -> float:
-    """∫ weight over the part of a unit triangle that comes before time x, a ≤ x ≤ b ≤ c the times of its vertices."""
-    along_b = (x - a) / (b - a) if b > a else 1.0
-    along_c = (x - a) / (c - a)
-    return along_b * along_c * (at_a + (along_b * (at_b - at_a) + along_c * (at_c - at_a)) / 3.0)
+@njit(cache=True, error_model="numpy")
+def _within(along_b: float, along_c: float, at_a: float, at_b: float, at_c: float) -> float:
+    """∫ weight over the part of a unit triangle a, b, c that a line cuts off at a: shares of the sides to b and c."""
+    return along_b * along_c * (at_a + (along_b * (at_b - at_a) + along_c * (at_c - at_a)) * (1.0 / 3.0))
 
 
 @njit(cache=True)
@@ -48,15 +46,16 @@ def spread(
     if whole <= 0.0:
         at_a = at_b = at_c = whole = 1.0
     scale, outside, before = energy / whole, 0.0, 0.0
+    to_c, to_b, from_b = 1.0 / (c - a), 1.0 / (b - a) if b > a else 0.0, 1.0 / (c - b) if c > b else 0.0
     if c < 0.0 or a >= bins:
         return energy
     i = first
     if first < 0:
         i = 0
-        before = _until(0.0, a, b, c, at_a, at_b, at_c, whole)
+        before = _until(0.0, a, b, c, at_a, at_b, at_c, whole, to_b, from_b, to_c)
         outside += before * scale
     while i < bins:
-        now = _until(i + 1.0, a, b, c, at_a, at_b, at_c, whole)
+        now = _until(i + 1.0, a, b, c, at_a, at_b, at_c, whole, to_b, from_b, to_c)
         histogram[i] += (now - before) * scale
         before = now
         i += 1
@@ -65,12 +64,16 @@ def spread(
     return outside + (whole - before) * scale
 
 
-@njit(cache=True, inline="always")
-def _until(x: float, a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, whole: float) -> float:
+@njit(cache=True, error_model="numpy")
+def _until(
+    x: float, a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, whole: float, to_b: float,
+    from_b: float, to_c: float,
+) -> float:  # fmt: skip
+    """∫ weight over what comes before time x; `to_b` = 1/(b − a), `from_b` = 1/(c − b), `to_c` = 1/(c − a)."""
     if x >= c:
         return whole
     if x <= a:
         return 0.0
     if x <= b:
-        return _before(x, a, b, c, at_a, at_b, at_c)
-    return whole - _before(-x, -c, -b, -a, at_c, at_b, at_a)
+        return _within((x - a) * to_b, (x - a) * to_c, at_a, at_b, at_c)
+    return whole - _within((c - x) * from_b, (c - x) * to_c, at_c, at_b, at_a)

@@ -21,7 +21,7 @@ from datagen.records.arrays import Floats, Ints
 from datagen.transport.binning import put
 from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.arrival import spread
-from datagen.transport.cells.occlusion import clear, cross, hidden, less
+from datagen.transport.cells.occlusion import clear, cross, hidden, less, shaded
 from datagen.transport.sampling import mix
 
 COARSEST = 0.8
@@ -77,12 +77,12 @@ class Clock(NamedTuple):
     attenuation: float
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _at(array, i):  # type: ignore[no-untyped-def]
     return (array[i, 0], array[i, 1], array[i, 2])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _point(array, i, j):  # type: ignore[no-untyped-def]
     return (array[i, j, 0], array[i, j, 1], array[i, j, 2])
 
@@ -107,12 +107,12 @@ def _weight(y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, fo
     return w, r1 + r3
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _length(a):  # type: ignore[no-untyped-def]
     return math.sqrt(dot(a, a))
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _above(box, k, x, n):  # type: ignore[no-untyped-def]
     """How far the highest corner of a box lies above the plane through x with normal n."""
     height = 0.0
@@ -153,7 +153,7 @@ def _anywhere(first, last, area_before, corners, word):  # type: ignore[no-untyp
     return low, _on(corners, low, 1 - u, u * (1 - v), u * v)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
     """The point of triangle f with barycentric coordinates r, s, t."""
     return (
@@ -166,9 +166,9 @@ def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def _seen(y, x, z, one_ray, f, obstacle, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
     """Whether the laser point x lights y on triangle f and the patch at z sees it."""
-    if hidden(x, y, f, obstacle, number, box, child, span, waiting):
+    if hidden(x, y, f, obstacle, number, box, child, span, waiting) >= 0:
         return False
-    return one_ray or not hidden(z, y, f, obstacle, number, box, child, span, waiting)
+    return one_ray or hidden(z, y, f, obstacle, number, box, child, span, waiting) < 0
 
 
 @njit(cache=True)
@@ -177,6 +177,14 @@ def _all_seen(x, a, b, c, z, one_ray, f, obstacle, number, box, child, span, fla
     if not clear(x, a, b, c, f, obstacle, number, box, child, span, flat, waiting):
         return False
     return one_ray or clear(z, a, b, c, f, obstacle, number, box, child, span, flat, waiting)
+
+
+@njit(cache=True)
+def _none_seen(x, a, b, c, z, one_ray, f, obstacle, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
+    """Whether it is proven that nothing of the cell a, b, c is lit by the laser point and seen by the patch."""
+    if shaded(x, a, b, c, f, obstacle, number, box, child, span, waiting):
+        return True
+    return not one_ray and shaded(z, a, b, c, f, obstacle, number, box, child, span, waiting)
 
 
 @njit(cache=True, error_model="numpy")
@@ -343,6 +351,14 @@ def gather(  # type: ignore[no-untyped-def]
                         ):
                             what = CLEAR
                         cut = error > allowed[k]
+                        if (
+                            cut
+                            and what == CELL
+                            and _none_seen(
+                                x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, waiting
+                            )
+                        ):
+                            continue
                         if not cut and what == CELL and faint:
                             # Seen or not, it can make no larger error than it may.
                             rays += 1
@@ -361,7 +377,12 @@ def gather(  # type: ignore[no-untyped-def]
                             vis = seen / 3
                             # What three rays do not find may still be there: it is cut a little less eagerly.
                             cut = seen < 3 and (PARTLY if seen > 0 else UNFOUND) * over > allowed[k]
-                            if seen == 0 and not cut:
+                            if seen == 0 and (
+                                not cut
+                                or _none_seen(
+                                    x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, waiting
+                                )
+                            ):
                                 continue
                 if quarter:
                     for j in range(4):

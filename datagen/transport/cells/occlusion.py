@@ -128,7 +128,7 @@ def _boxes(low, high):  # type: ignore[no-untyped-def]
     return order, box[:n], child[:n], span[:n]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
     if largest <= 0.0:
         return 0
@@ -153,25 +153,25 @@ def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
             low[j], high[j] = min(low[j], bounds[m, j]), max(high[j], bounds[m, 3 + j])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def less(a, b):  # type: ignore[no-untyped-def]
     """a − b, of vectors."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def cross(a, b):  # type: ignore[no-untyped-def]
     """The vector product."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def corner(corners, f, k):  # type: ignore[no-untyped-def]
     """Corner k of triangle f."""
     return (corners[f, k, 0], corners[f, k, 1], corners[f, k, 2])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _crosses(x, d, corners, f):  # type: ignore[no-untyped-def]
     """Whether the line x … x + d passes through triangle f (Möller & Trumbore, J. Graphics Tools 2 (1997))."""
     a = corner(corners, f, 0)
@@ -193,7 +193,7 @@ def _crosses(x, d, corners, f):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def hidden(x, y, of, corners, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
-    """Whether a triangle other than number `of`, on which y lies, stands between the points x and y.
+    """A triangle other than number `of`, on which y lies, that stands between the points x and y; −1 for none.
 
     The other arguments are the fields of `Occluders`, one by one: taken out of it in the loop they cost four times as
     much. waiting : (≥ 256,) int64 scratch.
@@ -220,11 +220,21 @@ def hidden(x, y, of, corners, number, box, child, span, waiting):  # type: ignor
             continue
         for f in range(span[k, 0], span[k, 1]):
             if number[f] != of and _crosses(x, d, corners, f):
-                return True
-    return False
+                return f
+    return -1
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
+def shaded(x, a, b, c, of, corners, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
+    """Whether it is proven that x sees nothing of the triangle a, b, c on triangle `of`.
+
+    A triangle that stands before all three corners stands before all between them. False is no proof of the opposite.
+    """
+    before = hidden(x, a, of, corners, number, box, child, span, waiting)
+    return before >= 0 and _crosses(x, less(b, x), corners, before) and _crosses(x, less(c, x), corners, before)
+
+
+@njit(cache=True, error_model="numpy")
 def _outside(n, x, box, k, flat):  # type: ignore[no-untyped-def]
     """Whether a box lies wholly on the outer side of the plane through x whose normal n points inwards."""
     height = 0.0
@@ -233,7 +243,7 @@ def _outside(n, x, box, k, flat):  # type: ignore[no-untyped-def]
     return height <= flat
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _unit(n):  # type: ignore[no-untyped-def]
     length = np.sqrt(dot(n, n))
     return (n[0] / length, n[1] / length, n[2] / length)
@@ -289,7 +299,7 @@ def clear(x, a, b, c, of, corners, number, box, child, span, flat, waiting):  # 
     return True
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _behind(n, x, p, q, r, flat):  # type: ignore[no-untyped-def]
     """Whether three points lie on the outer side of the plane through x whose normal n points inwards, or on it."""
     return dot(n, less(p, x)) <= flat and dot(n, less(q, x)) <= flat and dot(n, less(r, x)) <= flat
