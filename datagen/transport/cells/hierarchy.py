@@ -33,7 +33,8 @@ class Hierarchy(NamedTuple):
     corners : (F, 3, 3) metres.
     normal : (F, 3) unit normals.
     area : (F + 1,) area of all triangles before each, m².
-    hides : (F,) whether anything can stand behind the triangle: not so for the walls round a convex room.
+    hides : (F,) whether anything can stand behind the triangle, or lie on it: not so for the walls round a convex
+        room.
     own : (F,) which triangle of the scene it is.
     box : (N, 6) lowest and highest corner, metres.
     children : (N, 2) boxes, −1 in a box that holds its triangles itself.
@@ -103,7 +104,36 @@ def _hides(scene: Scene, corners: Floats, normal: Floats) -> Bools:
     for f in few:
         height = (points - corners[f, 0]) @ normal[f]
         hides[f] = height.min() < -near and height.max() > near
+    _lie_on_each_other(corners, normal, few[~hides[few]], near, hides)
     return hides
+
+
+@njit(cache=True)
+def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-untyped-def]
+    """Mark those of some triangles that overlap another one of them in its plane."""
+    for i in some:
+        for j in some:
+            n, apart = normal[i], i == j
+            for v in range(3):
+                apart |= abs(np.dot(corners[j, v] - corners[i, 0], n)) > near
+            # Two triangles are apart if a side of either has the other wholly beyond it.
+            for pair in ((i, j), (j, i)):
+                one, other = corners[pair[0]], corners[pair[1]]
+                for side in range(3):
+                    a, along = one[side], one[(side + 1) % 3] - one[side]
+                    outward = np.cross(along, n)
+                    outward /= np.sqrt(np.dot(outward, outward))
+                    if np.dot(one[(side + 2) % 3] - a, outward) > 0.0:
+                        outward = -outward
+                    beyond = True
+                    for v in range(3):
+                        beyond &= np.dot(other[v] - a, outward) > -near
+                    apart |= beyond
+                if apart:
+                    break
+            if not apart:
+                found[i] = True
+                break
 
 
 @njit(cache=True)

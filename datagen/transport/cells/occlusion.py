@@ -23,8 +23,8 @@ def cross(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
-def _crosses(x, d, triangle):  # type: ignore[no-untyped-def]
-    """Whether the line x … x + d passes through a triangle (Möller & Trumbore, J. Graphics Tools 2 (1997))."""
+def _crosses(x, d, triangle, end):  # type: ignore[no-untyped-def]
+    """Whether the line x … x + d · end passes through a triangle (Möller & Trumbore, J. Graphics Tools 2 (1997))."""
     a = (triangle[0, 0], triangle[0, 1], triangle[0, 2])
     along_b = less((triangle[1, 0], triangle[1, 1], triangle[1, 2]), a)
     along_c = less((triangle[2, 0], triangle[2, 1], triangle[2, 2]), a)
@@ -40,7 +40,7 @@ def _crosses(x, d, triangle):  # type: ignore[no-untyped-def]
     v = dot(d, q) * inverse
     if v < 0.0 or u + v > 1.0:
         return False
-    return TOUCHING < dot(along_c, q) * inverse < 1.0 - TOUCHING
+    return TOUCHING < dot(along_c, q) * inverse < end
 
 
 @njit(cache=True, error_model="numpy")
@@ -58,7 +58,7 @@ def hidden(x, y, of, top_box, box, children, span, blocks, hides, corners, waiti
         k = waiting[top]
         if not blocks[k]:
             continue
-        enter, leave = 0.0, 1.0
+        enter, leave = 0.0, 1.0 + TOUCHING
         for j in range(3):
             if d[j] == 0.0:
                 if x[j] < box[k, j] or x[j] > box[k, 3 + j]:
@@ -73,6 +73,8 @@ def hidden(x, y, of, top_box, box, children, span, blocks, hides, corners, waiti
             top += 2
             continue
         for f in range(span[k, 0], span[k, 1]):
-            if f != of and hides[f] and _crosses(x, d, corners[f]):
+            # Of triangles that lie on each other the last one is seen, so that their light counts once.
+            end = 1.0 + TOUCHING if f > of else 1.0 - TOUCHING
+            if f != of and hides[f] and _crosses(x, d, corners[f], end):
                 return True
     return False
