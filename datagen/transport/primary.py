@@ -48,7 +48,9 @@ UNSEEN = 1e-4
 """Norm that a part is taken to have at least, relative to the whole, when it is cut."""
 PATCH_LEVELS, MOST_PATCHES = (1, 2, 3, 4, 5), 1 << 21
 PATCHES_SHARE = 0.3
-"""Share of the error to be met that patches of the pixels may make where they end."""
+"""Share of the error to be met that patches of the pixels may make where they end: it is four thirds of what
+quartering them once more changes."""
+_QUARTERED = 4 / 3
 
 
 @dataclass(frozen=True)
@@ -154,25 +156,40 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
     faint : photons, per emitted photon and over all histograms, under which an object's light is not held to that.
     """
     gathering, pairs = _Gathering.of(task), _pairs(task)
+    every = np.arange(len(task.scene.materials))
     lit = pairs[task.points.part[pairs[:, 0]] >= 0]
     few = lit[_spread(len(lit), _trials(len(lit), len(task.scene.materials) * task.capture.time.bins))]
     pixels, own = np.unique(few[:, 1], return_inverse=True)
     tried = np.stack([few[:, 0], own.reshape(-1)], axis=1)
-    asked = _Asked(target, part_target, faint * len(few) / max(len(lit), 1), _objects(task))
+    left = math.sqrt(1 - PATCHES_SHARE**2)
+    asked = _Asked(left * target, left * part_target, faint * len(few) / max(len(lit), 1), _objects(task))
     all_pixels, cells, rays = np.unique(pairs[:, 1]), 0, 0
     for levels in PATCH_LEVELS:
-        choice = _choose(gathering, tried, gathering.patches(pixels, levels), asked)
-        cells, rays = cells + choice.cells, rays + choice.rays
+        patches, finer = gathering.patches(pixels, levels), gathering.patches(pixels, levels + 1)
+        choice = _choose(gathering, tried, patches, asked)
+        one, other = (gathering.gathered(tried, some, choice.cutting, every) for some in (patches, finer))
+        cells, rays = cells + choice.cells + one.cells + other.cells, rays + choice.rays + one.rays + other.rays
+        norms, whole = _norms(other.histogram), float(np.linalg.norm(other.histogram.sum(axis=1)))
+        patchy = _QUARTERED * float(np.linalg.norm((one.histogram - other.histogram).sum(axis=1)))
+        patchy_parts = _QUARTERED * _norms(one.histogram - other.histogram)
+        patches_do = patchy <= PATCHES_SHARE * target * whole and all(
+            patchy_parts[k] <= PATCHES_SHARE * part_target * norms[k] for k in choice.part_errors
+        )
         affordable = len(all_pixels) * 4 ** (levels + 2) // 3 <= MOST_PATCHES
-        if choice.patches_do or not affordable:
+        if (patches_do and not finer.missed) or not affordable:
             break
     rows = np.arange(len(choice.cutting)) if task.splits.parts else np.zeros(len(choice.cutting), np.int64)
     found = gathering.gathered(pairs, gathering.patches(all_pixels, levels), choice.cutting, rows)
     shape = task.capture.shape
-    errors = {task.scene.part_names[k]: float(error) for k, error in choice.part_errors.items()}
+    errors = {
+        task.scene.part_names[k]: math.hypot(error, patchy_parts[k] / max(norms[k], 1e-300))
+        for k, error in choice.part_errors.items()
+    }
+    error = math.hypot(choice.error, patchy / whole if whole > 0 else 0.0)
     return Primary(
         [np.ascontiguousarray(found.histogram[:, k]).reshape(shape) for k in range(rows.max() + 1)],
-        found.overflow.reshape(shape[:2]), choice.error, errors, choice.met, cells + found.cells, rays + found.rays,
+        found.overflow.reshape(shape[:2]), error, errors, choice.met and patches_do, cells + found.cells,
+        rays + found.rays,
     )  # fmt: skip
 
 
@@ -194,7 +211,6 @@ class _Choice:
     error: float
     part_errors: Mapping[int, float]
     met: bool
-    patches_do: bool
     cells: int
     rays: int
 
@@ -205,16 +221,16 @@ def _choose(gathering: _Gathering, pairs: Ints, patches: Patches, asked: _Asked)
     every, settled = np.arange(parts), np.zeros(parts, np.bool_)
     first = gathering.gathered(pairs, patches, np.full(parts, COARSE), every)
     runs, cuttings = [first.histogram], [np.full(parts, COARSE)]
-    cells, rays, coarse = first.cells, first.rays, first.coarse
+    cells, rays = first.cells, first.rays
     whole = float(np.linalg.norm(first.histogram.sum(axis=1)))
     own = _norms(first.histogram)
     if whole == 0.0:
-        return _Choice(cuttings[0], 0.0, {}, True, True, cells, rays)
+        return _Choice(cuttings[0], 0.0, {}, True, cells, rays)
     scale = np.maximum(own, UNSEEN * whole) / math.sqrt(len(pairs))
     while True:
         cuttings.append(FIRST * FINER ** (len(runs) - 1) * scale)
         found = gathering.gathered(pairs, patches, np.where(settled, np.inf, cuttings[-1]), every)
-        cells, rays, coarse = cells + found.cells, rays + found.rays, found.coarse
+        cells, rays = cells + found.cells, rays + found.rays
         found.histogram[:, settled] = runs[-1][:, settled]
         runs.append(found.histogram)
         whole, own = float(np.linalg.norm(runs[-1].sum(axis=1))), _norms(runs[-1])
@@ -231,16 +247,15 @@ def _choose(gathering: _Gathering, pairs: Ints, patches: Patches, asked: _Asked)
             level[worst] += 1
             error = _whole_error(runs, level)
         met = bool((level < len(runs) - 1).all())
-        if met or len(runs) > LEVELS:
+        # A finer cutting takes four times the cells where surfaces are partly hidden, and less where they are not.
+        beyond = cells + rays + (found.cells + found.rays) / FINER > gathering.task.accuracy.max_lookins * len(pairs)
+        if met or len(runs) > LEVELS or beyond:
             break
         settled |= (still[-1] <= SETTLED * asked.target * whole) & (still[-1] <= SETTLED * limit)
     level = np.minimum(level, len(still) - 1)
     errors = {int(k): float(still[level[k], k] / own[k]) for k in np.flatnonzero(held)}
     cutting = np.array(cuttings)[level, every]
-    patches_do = bool(math.sqrt(coarse.sum()) <= PATCHES_SHARE * asked.target * whole) and bool(
-        (np.sqrt(coarse) <= PATCHES_SHARE * limit).all()
-    )
-    return _Choice(cutting, error / whole, errors, met, patches_do, cells, rays)
+    return _Choice(cutting, error / whole, errors, met, cells, rays)
 
 
 def _whole_error(runs: list[Floats], level: Ints) -> float:

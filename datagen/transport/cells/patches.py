@@ -8,12 +8,14 @@ import numpy as np
 
 from datagen.records import Scene, Sensor
 from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.fov import PixelCones, fov_points
+from datagen.transport.fov import FovPool, PixelCones, fov_points
 from datagen.transport.raycast import Raycaster
 
 BENT = 0.02
 """1 − cosine between the normals of a patch and its quarters from which its middle does not stand for it."""
 LEAST_SIZE = 1e-9
+INSET = 1e-3
+"""How far within a patch its corners are looked at, relative to its sides: a pixel may end where its wall does."""
 
 
 class Patches(NamedTuple):
@@ -27,8 +29,9 @@ class Patches(NamedTuple):
     footprint : (P, Q) its area, m².
     leg : (P, Q) distance to the sensor, m.
     size : (P, Q) how far it reaches, m.
-    uneven : (P, Q) whether its quarters lie on other surfaces than its middle.
+    uneven : (P, Q) whether its quarters or corners lie on other surfaces than its middle.
     quarters : (Q, 4) patches, −1 for the finest.
+    missed : whether a whole pixel of which a corner lies on a surface is seen by none of its finest patches.
     """
 
     position: Floats
@@ -41,19 +44,22 @@ class Patches(NamedTuple):
     size: Floats
     uneven: Bools
     quarters: Ints
+    missed: bool
 
     @classmethod
     def of(
         cls, caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones, pixels: Ints, levels: int
     ) -> Patches:
         """Those of some pixels, quartered `levels` times at most."""
-        found = []
-        for level in range(levels + 1):
-            side = 1 << level
-            knots = (np.arange(side) + 0.5) / side
-            uv = np.stack([np.tile(knots, side), np.repeat(knots, side)], axis=1)
-            uv = np.ascontiguousarray(np.broadcast_to(uv, (len(pixels), side * side, 2)))
-            found.append(fov_points(caster, scene, sensor, cones, pixels, uv, side * side))
+
+        def seen(row: Floats, each: int) -> FovPool:
+            uv = np.stack([np.tile(row, len(row)), np.repeat(row, len(row))], axis=1)
+            uv = np.ascontiguousarray(np.broadcast_to(uv, (len(pixels), len(uv), 2)))
+            return fov_points(caster, scene, sensor, cones, pixels, uv, each)
+
+        found = [seen((np.arange(1 << level) + 0.5) / (1 << level), 4**level) for level in range(levels + 1)]
+        side = 1 << levels
+        corners = seen((np.arange(side)[:, None] + [INSET, 1 - INSET]).reshape(-1) / side, 4 * side * side)
         quarters = _quarters(levels)
         position, normal, to_sensor, part, weight, footprint, leg = (
             np.concatenate([getattr(pool, name) for pool in found], axis=1)
@@ -69,10 +75,18 @@ class Patches(NamedTuple):
         cosine = np.einsum("pqik,pqk->pqi", normal[:, below], normal[:, inner])
         other = (part[:, below] != part[:, inner, None]) | ((cosine < 1 - BENT) & (part[:, below] >= 0))
         uneven[:, inner] = other.any(axis=2)
+        last = np.arange(len(quarters) - side * side, len(quarters))
+        around = (4 * side * (last - last[0] >> levels) + 2 * (last - last[0] & side - 1))[:, None]
+        around = around + np.array([0, 1, 2 * side, 2 * side + 1])
+        cosine = np.einsum("pqik,pqk->pqi", corners.normal[:, around], normal[:, last])
+        other = (corners.part[:, around] != part[:, last, None]) | ((cosine < 1 - BENT) & (part[:, last, None] >= 0))
+        uneven[:, last] = other.any(axis=2)
+        nothing = (part[:, last] < 0).all(axis=1)
+        missed = bool((nothing & (corners.part[:, around] >= 0).any(axis=(1, 2))).any())
         # A patch that is even but whose quarters are not, is not.
         for q in inner[::-1]:
             uneven[:, q] |= uneven[:, quarters[q]].any(axis=1)
-        return cls(position, normal, to_sensor, part, weight, footprint, leg, size, uneven, quarters)
+        return cls(position, normal, to_sensor, part, weight, footprint, leg, size, uneven, quarters, missed)
 
 
 def _quarters(levels: int) -> Ints:

@@ -30,6 +30,7 @@ NOTHING_AFTER = 1 << 16
 SEARCH_GROWTH = 8
 PRIMARY_SHARE = 0.4
 """Share of the target that the primary from cells may use where other components are sampled: it costs far less."""
+UNMET = "target not met by the primary's cells within max_lookins"
 LEAST_LEFT = 0.1
 """Share of the square of the target that is left to samples at least."""
 
@@ -55,7 +56,7 @@ def meet_target(task: WalkTask) -> Estimate:
         rest = _sampled(others, known)
     else:
         bound, lit = primary.error, float(np.abs(whole).max()) > 0.0
-        outcome = "target met" if primary.met else "target not met with the finest cells"
+        outcome = "target met" if primary.met else UNMET
         spend = Spend({}, {}, {}, {}, 1, 0.0, outcome if lit else "nothing visible: no light reaches the pixels")
         rest = Estimate({}, {}, np.zeros_like(whole), np.zeros(whole.shape[:2]), spend, bound, True)
     return _joined(task, primary, whole, rest)
@@ -73,7 +74,7 @@ def _joined(task: WalkTask, primary: Primary, whole: Floats, rest: Estimate) -> 
         share={name: share * rest.spend.cost / total for name, share in rest.spend.share.items()}
         | {"primary": cost / total if total > 0 else 0.0},
         way=rest.spend.way | {"primary": "cells"}, fov_samples=rest.spend.fov_samples | {"primary": 1},
-        rounds=rest.spend.rounds, cost=total, outcome=rest.spend.outcome,
+        rounds=rest.spend.rounds, cost=total, outcome=rest.spend.outcome if primary.met else UNMET,
     )  # fmt: skip
     return Estimate(
         components, dict(zip(task.splits.parts, primary.rows, strict=False)),
