@@ -310,8 +310,9 @@ def _choose(trial: _Trial, asked: _Asked) -> _Choice:
         still = _still(runs, finest)
         level = np.argmax(np.vstack([still <= WITHIN * limit, np.ones(parts, np.bool_)]), axis=0)
         error = _whole_error(runs, level, finest)
-        while error > WITHIN * asked.target * whole and (level < finest).any():
-            level[np.argmax(np.where(level < finest, still[np.minimum(level, len(still) - 1), every], -1.0))] += 1
+        highest = np.where(settled, finest - 1, finest)
+        while error > WITHIN * asked.target * whole and (level < highest).any():
+            level[np.argmax(np.where(level < highest, still[np.minimum(level, len(still) - 1), every], -1.0))] += 1
             error = _whole_error(runs, level, finest)
         met = bool((level < finest).all())
         work = trial.work.cells + trial.work.rays

@@ -22,6 +22,8 @@ TOUCHING = 1e-9
 FEW_VERTICES = 256
 """Vertices of a part up to which each is asked whether it lies behind a wall; of larger parts their box is."""
 LEAF, BINS = 3, 12
+MANY_WALLS = 1024
+"""Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""
 
 
 class Occluders(NamedTuple):
@@ -69,7 +71,37 @@ def _hides(scene: Scene, tree: Hierarchy) -> Bools:
     for f in np.flatnonzero(few[scene.face_part[tree.own]]):
         height = (points - tree.corners[f, 0]) @ tree.normal[f]
         hides[f] = height.min() < -ON_PLANE * tree.extent and height.max() > ON_PLANE * tree.extent
+    walls = np.flatnonzero(~hides)
+    if len(walls) <= MANY_WALLS:
+        _lie_on_each_other(tree.corners, tree.normal, walls, ON_PLANE * tree.extent, hides)
+    else:
+        hides[walls] = True
     return hides
+
+
+@njit(cache=True, error_model="numpy")
+def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-untyped-def]
+    """Mark those of some triangles that overlap another one of them in its plane."""
+    for i in some:
+        n = (normal[i, 0], normal[i, 1], normal[i, 2])
+        for j in some:
+            apart = i == j
+            for v in range(3):
+                apart |= abs(dot(less(corner(corners, j, v), corner(corners, i, 0)), n)) > near
+            # Two triangles are apart if a side of either has the other wholly beyond it.
+            for side in range(6):
+                one, other = (i, j) if side < 3 else (j, i)
+                a, b = corner(corners, one, side % 3), corner(corners, one, (side + 1) % 3)
+                outward = _unit(cross(less(b, a), n))
+                if dot(less(corner(corners, one, (side + 2) % 3), a), outward) > 0.0:
+                    outward = (-outward[0], -outward[1], -outward[2])
+                beyond = True
+                for v in range(3):
+                    beyond &= dot(less(corner(corners, other, v), a), outward) > -near
+                apart |= beyond
+            if not apart:
+                found[i] = True
+                break
 
 
 @njit(cache=True, error_model="numpy")
@@ -172,8 +204,8 @@ def corner(corners, f, k):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _crosses(x, d, corners, f):  # type: ignore[no-untyped-def]
-    """Whether the line x … x + d passes through triangle f (Möller & Trumbore, J. Graphics Tools 2 (1997))."""
+def _crosses(x, d, corners, f, end):  # type: ignore[no-untyped-def]
+    """Whether the line x … x + d · end passes through triangle f (Möller & Trumbore, J. Graphics Tools 2 (1997))."""
     a = corner(corners, f, 0)
     along_b, along_c = less(corner(corners, f, 1), a), less(corner(corners, f, 2), a)
     p = cross(d, along_c)
@@ -188,7 +220,7 @@ def _crosses(x, d, corners, f):  # type: ignore[no-untyped-def]
     v = dot(d, q) * inverse
     if v < 0.0 or u + v > 1.0:
         return False
-    return TOUCHING < dot(along_c, q) * inverse < 1.0 - TOUCHING
+    return TOUCHING < dot(along_c, q) * inverse < end
 
 
 @njit(cache=True, error_model="numpy")
@@ -204,7 +236,7 @@ def hidden(x, y, of, corners, number, box, child, span, waiting):  # type: ignor
     while top > 0:
         top -= 1
         k = waiting[top]
-        enter, leave = 0.0, 1.0
+        enter, leave = 0.0, 1.0 + TOUCHING
         for j in range(3):
             if d[j] == 0.0:
                 if x[j] < box[k, j] or x[j] > box[k, 3 + j]:
@@ -219,7 +251,9 @@ def hidden(x, y, of, corners, number, box, child, span, waiting):  # type: ignor
             top += 2
             continue
         for f in range(span[k, 0], span[k, 1]):
-            if number[f] != of and _crosses(x, d, corners, f):
+            # Of triangles that lie on each other the last one is seen, so that their light counts once.
+            end = 1.0 + TOUCHING if number[f] > of else 1.0 - TOUCHING
+            if number[f] != of and _crosses(x, d, corners, f, end):
                 return f
     return -1
 
@@ -231,7 +265,10 @@ def shaded(x, a, b, c, of, corners, number, box, child, span, waiting):  # type:
     A triangle that stands before all three corners stands before all between them. False is no proof of the opposite.
     """
     before = hidden(x, a, of, corners, number, box, child, span, waiting)
-    return before >= 0 and _crosses(x, less(b, x), corners, before) and _crosses(x, less(c, x), corners, before)
+    if before < 0:
+        return False
+    end = 1.0 - TOUCHING
+    return _crosses(x, less(b, x), corners, before, end) and _crosses(x, less(c, x), corners, before, end)
 
 
 @njit(cache=True, error_model="numpy")
@@ -271,7 +308,7 @@ def clear(x, a, b, c, of, corners, number, box, child, span, flat, waiting):  # 
             _outside(one, x, box, k, flat)
             or _outside(two, x, box, k, flat)
             or _outside(three, x, box, k, flat)
-            or _outside(base, a, box, k, flat)
+            or _outside(base, a, box, k, -flat)
         ):
             continue
         if child[k] >= 0:
@@ -282,12 +319,12 @@ def clear(x, a, b, c, of, corners, number, box, child, span, flat, waiting):  # 
             if number[f] == of:
                 continue
             p, q, r = corner(corners, f, 0), corner(corners, f, 1), corner(corners, f, 2)
-            if (
-                _behind(one, x, p, q, r, flat)
-                or _behind(two, x, p, q, r, flat)
-                or _behind(three, x, p, q, r, flat)
-                or _behind(base, a, p, q, r, flat)
-            ):
+            if _behind(one, x, p, q, r, flat) or _behind(two, x, p, q, r, flat) or _behind(three, x, p, q, r, flat):
+                continue
+            if _behind(base, a, p, q, r, flat):
+                upward = (-base[0], -base[1], -base[2])
+                if number[f] > of and _behind(upward, a, p, q, r, flat):
+                    return False  # It lies on the triangle itself, and is seen in its place.
                 continue
             n = _unit(cross(less(q, p), less(r, p)))
             if _behind(n, p, a, b, c, flat) and dot(n, less(x, p)) <= flat:

@@ -28,7 +28,6 @@ NOISE_AT_MOST = 0.9
 NOTHING_AFTER = 1 << 16
 """Lookins in all after which a component without any light is taken for dark."""
 SEARCH_GROWTH = 8
-UNMET = "target not met by the primary's cells within max_lookins"
 PRIMARY_SHARE = 0.4
 """Share of the target that the primary from cells may use where other components are sampled: it costs far less."""
 LEAST_LEFT = 0.1
@@ -38,26 +37,29 @@ LEAST_LEFT = 0.1
 def meet_target(task: WalkTask) -> Estimate:
     """A transient whose relative L2 error, in all and in each object's primary, is within what `Accuracy` asks.
 
-    The primary comes from cells, without noise (`primary.py`), where every BRDF is smooth; what it leaves of the
-    error is met by sampling the other components, or all of them where it is not.
+    The primary comes from cells, without noise (`primary.py`), and what it leaves of the error is met by sampling the
+    other components. Where cells are not the means (a narrow lobe, a pixel that looks past its wall, more cells than
+    `max_lookins` would leave rays) all components are sampled, and only the whole is held to an error.
     """
     accuracy, splits = task.accuracy, task.splits
     assert accuracy.target is not None
     if not (task.points.part >= 0).any():
         return _nothing(task)
-    if not smooth(task):
+    # A pixel that looks past its wall has an edge that no number of its patches would find exactly.
+    if not smooth(task) or np.isinf(task.patches.radius).any():
         return _sampled(task, None)
     others = replace(task, splits=replace(splits, components=splits.others, parts=()))
     share = PRIMARY_SHARE if others.splits.components else 1.0
     primary = primary_by_cells(task, share * accuracy.target, accuracy.each_part, accuracy.faint_part)
+    if not primary.met:
+        return _sampled(task, None)
     whole = sum(primary.rows[1:], start=primary.rows[0])
     known = Known(whole, primary.error * float(np.linalg.norm(whole)))
     if others.splits.components:
         rest = _sampled(others, known)
     else:
         bound, lit = primary.error, float(np.abs(whole).max()) > 0.0
-        outcome = "target met" if primary.met else UNMET
-        spend = Spend({}, {}, {}, {}, 1, 0.0, outcome if lit else "nothing visible: no light reaches the pixels")
+        spend = Spend({}, {}, {}, {}, 1, 0.0, "target met" if lit else "nothing visible: no light reaches the pixels")
         rest = Estimate({}, {}, np.zeros_like(whole), np.zeros(whole.shape[:2]), spend, bound, True)
     return _joined(task, primary, whole, rest)
 
@@ -74,12 +76,12 @@ def _joined(task: WalkTask, primary: Primary, whole: Floats, rest: Estimate) -> 
         share={name: share * rest.spend.cost / total for name, share in rest.spend.share.items()}
         | {"primary": cost / total if total > 0 else 0.0},
         way=dict(rest.spend.way) | {"primary": "cells"}, fov_samples=dict(rest.spend.fov_samples) | {"primary": 1},
-        rounds=rest.spend.rounds, cost=total, outcome=rest.spend.outcome if primary.met else UNMET,
+        rounds=rest.spend.rounds, cost=total, outcome=rest.spend.outcome,
     )  # fmt: skip
     return Estimate(
         components, dict(zip(task.splits.parts, primary.rows, strict=False)),
         np.hypot(rest.stderr, primary.error * whole), rest.overflow + primary.overflow, spend, rest.error_bound,
-        bool(rest.met_target) and primary.met, dict(primary.part_errors),
+        rest.met_target, dict(primary.part_errors),
     )  # fmt: skip
 
 

@@ -1,0 +1,167 @@
+"""The primary from cells and from the walk, two ways with nothing in common but the BRDFs: the same light.
+
+The walk's mean over `RUNS` seeds, with Student's t at 10⁻³ over all numbers compared, and the error that was asked
+of the cells on top: energy of every part, of every laser point and pixel, and by coarse bins of time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
+from scipy import stats
+
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Phong, Scene, Sensor, simulate
+from datagen.records import GGX, Material, OrenNayar, Retroreflector, SinLobe, Transient
+
+RUNS, LEVEL = 8, 1e-3
+ASKED = 0.01
+DEVICE = (1.5, 0.1, 1.3)
+TIME = bins_of_path(160, 0.1, 0.0)
+COARSE = 8
+"""Bins that are added up: the walk may share a path between neighbours."""
+
+
+def numbers(found: Transient) -> NDArray[np.float64]:
+    """Energies: by part with all overflow, by laser point and pixel, by coarse time."""
+    kept = len(found.time.centers_s) // COARSE * COARSE
+    by_time = found.total[..., :kept].sum(axis=(0, 1)).reshape(-1, COARSE).sum(axis=1)
+    parts = [values.sum() for values in found.parts.values()]
+    each = found.total.sum(axis=2) + found.overflow
+    return np.concatenate([parts, [found.overflow.sum()], each.ravel(), by_time])
+
+
+WALK = Accuracy(4096, 4, replicates=1)
+
+
+def same_light(scene: Scene, capture: Capture, walk: Accuracy = WALK) -> Transient:
+    asked = Accuracy(target=ASKED, part_target=ASKED, occlusion=walk.occlusion)
+    cells = simulate(scene, capture, asked, seed=1)
+    assert cells.spend is not None and cells.spend.way["primary"] == "cells"
+    runs = np.array([numbers(simulate(scene, capture, walk, seed=s)) for s in range(RUNS)])
+    ours = numbers(cells)
+    off = np.abs(ours - runs.mean(axis=0))
+    # What the cells may be off by: their error, and in the middle of steep flanks that of neighbouring bins.
+    own = ASKED * np.maximum(ours, 0.1 * ours.max())
+    allowed = stats.t.isf(LEVEL / 2 / len(ours), RUNS - 1) * stats.sem(runs, axis=0) + own
+    assert ours.max() > 0
+    assert (off <= allowed).all(), np.column_stack([ours, runs.mean(axis=0), allowed])[off > allowed]
+    # It says something only where the walk is known well.
+    whole = runs[:, : len(scene.part_names) + 1].sum(axis=1)
+    assert stats.sem(whole) < 0.02 * whole.mean()
+    return cells
+
+
+def several(pairing: str, half_side_m: float = 0.05, origin: str = "wall") -> Capture:
+    lasers = np.array([[0, y, z] for y in (-0.9, 0.3) for z in (0.6, 1.7)])
+    pixels = square_pixels(lasers if pairing == "confocal" else [[0, 0.5, 1.2], [0, -0.4, 0.7]], half_side_m)
+    return Capture(Laser(DEVICE, lasers), Sensor(DEVICE, pixels), replace(TIME, origin=origin), pairing)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("pairing", ["confocal", "exhaustive"])
+@pytest.mark.parametrize("origin", ["wall", "source"])
+def test_scans(pairing: str, origin: str) -> None:
+    same_light(furnished_box(), several(pairing, origin=origin))
+
+
+@pytest.mark.parametrize(
+    ("y", "half_side_m"),
+    [(0.2, 5e-4), (0.2, 0.2), (0.2, 1.0), (1.43, 0.2), (1.475, 0.025)],
+    ids=["1 mm", "0.4 m", "2 m", "on two walls", "at a wall's foot"],
+)
+def test_pixels_of_every_size_and_place(y: float, half_side_m: float) -> None:
+    same_light(furnished_box(), one_point_capture((0, -0.3, 1.1), (0, y, 1.2), half_side_m, TIME))
+
+
+def test_a_pixel_that_reaches_over_the_edge_of_the_wall() -> None:
+    wall = Part("wall", rectangle((0, 0, 1), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall")
+    box = trimesh.creation.box(bounds=[(1.2, -0.3, 0.7), (1.8, 0.3, 1.3)])
+    scene = Scene.from_parts([wall, Part("box", box, Lambertian(0.6))])
+    same_light(scene, one_point_capture((0, -0.3, 1.1), (0, 1.06, 1.1), 0.2, TIME, (0.4, 0.1, 1.9)))
+
+
+def bumpy(seed: int = 3) -> trimesh.Trimesh:
+    """A relay wall of 2 × 2 m in 12 × 12 squares whose corners stand out by up to 3 cm."""
+    knots = np.linspace(-1, 1, 13)
+    y, z = (k.ravel() for k in np.meshgrid(knots, knots))
+    out = np.random.default_rng(seed).uniform(0, 0.03, len(y))
+    corner = (np.arange(12)[:, None] * 13 + np.arange(12)).ravel()
+    faces = [[corner, corner + 1, corner + 14], [corner, corner + 14, corner + 13]]
+    return trimesh.Trimesh(np.stack([out, y, z + 1], axis=1), np.concatenate([np.stack(f, axis=1) for f in faces]))
+
+
+@pytest.mark.parametrize("half_side_m", [0.02, 0.2])
+def test_an_uneven_relay_wall(half_side_m: float) -> None:
+    box = trimesh.creation.box(bounds=[(1.2, -0.3, 0.7), (1.8, 0.3, 1.3)])
+    scene = Scene.from_parts(
+        [Part("wall", bumpy(), Lambertian(0.8), "relay_wall"), Part("box", box, Lambertian(0.6))]
+    )
+    same_light(scene, one_point_capture((0, -0.3, 1.1), (0, 0.4, 1.0), half_side_m, TIME, (0.4, 0.1, 1.9)))
+
+
+@pytest.mark.parametrize(
+    "material",
+    [OrenNayar(0.7, 0.5), Phong(0.7, specular=0.6, exponent=10), GGX(0.7, roughness=0.5), SinLobe(0.7),
+     Retroreflector(0.7, retro=0.5, half_width_rad=0.2)],
+    ids=lambda material: type(material).__name__,
+)  # fmt: skip
+def test_every_brdf_that_varies_slowly(material: Material) -> None:
+    room = furnished_box()
+    materials = tuple(material if name in ("box", "floor", "relay_wall") else old
+                      for name, old in zip(room.part_names, room.materials, strict=True))  # fmt: skip
+    same_light(replace(room, materials=materials), several("confocal"))
+
+
+def test_attenuation_and_windows() -> None:
+    foggy = replace(furnished_box(), attenuation_per_m=0.4)
+    capture = several("exhaustive")
+    for start, bins in ((0.0, 160), (3.03, 64), (0.0, 40), (5.5, 8)):
+        same_light(foggy, replace(capture, time=bins_of_path(bins, 0.1, start)))
+
+
+@pytest.mark.parametrize("occlusion", ["off", "on"])
+def test_without_asking_what_stands_between(occlusion: str) -> None:
+    same_light(furnished_box(), several("exhaustive"), Accuracy(4096, 4, replicates=1, occlusion=occlusion))  # type: ignore[arg-type]
+
+
+def ball() -> trimesh.Trimesh:
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=0.35)
+    mesh.apply_translation((1.6, 0.2, 1.2))
+    return mesh
+
+
+def tilted_plate() -> trimesh.Trimesh:
+    mesh = trimesh.creation.box((0.5, 0.6, 1e-3))
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(1.2, (0.2, 1, 0.1)))
+    mesh.apply_translation((1.5, 0.1, 1.0))
+    return mesh
+
+
+def nested() -> trimesh.Trimesh:
+    """Two boxes, the inner one seen through the open face of the outer one alone."""
+    outer, inner = trimesh.creation.box((0.6, 0.6, 0.6)), trimesh.creation.box((0.25, 0.25, 0.25))
+    outer.update_faces(outer.triangles_center[:, 0] > -0.29)
+    both = trimesh.util.concatenate([outer, inner])
+    both.apply_translation((1.6, 0.1, 1.2))
+    return both
+
+
+@pytest.mark.parametrize("mesh", [ball, tilted_plate, nested], ids=lambda mesh: mesh.__name__)
+def test_meshes(mesh: Callable[[], trimesh.Trimesh]) -> None:
+    wall = Part("wall", rectangle((0, 0, 1.2), (0, 1.5, 0), (0, 0, 1.2)), Lambertian(0.8), "relay_wall")
+    scene = Scene.from_parts([wall, Part("mesh", mesh(), Lambertian(0.6))])
+    lasers = np.array([[0, -0.9, 0.6], [0, 0.3, 1.7]])
+    device = (0.5, -1.4, 2.3)
+    same_light(scene, Capture(Laser(device, lasers), Sensor(device, square_pixels(lasers, 0.05)), TIME, "confocal"))
+
+
+def test_a_finite_aperture_and_a_flood() -> None:
+    capture = several("exhaustive")
+    near = replace(capture, sensor=replace(capture.sensor, aperture_radius_m=0.3, finite_aperture=True))
+    same_light(furnished_box(), near)
+    same_light(furnished_box(), replace(capture, illumination="flood"))

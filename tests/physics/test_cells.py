@@ -1,0 +1,309 @@
+"""The primary from cells: closed forms, quadrature, and laws that hold without any noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from numba import njit
+from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
+from sphere_chords import BINS, QUAD, SPOT, WIDTH_M, stored
+
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen.records import Transient
+from datagen.transport.fov import PixelCones
+from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
+
+FINE = Accuracy(target=0.01, part_target=0.01)
+
+
+def cells(scene: Scene, capture: Capture, accuracy: Accuracy = FINE, seed: int = 0) -> Transient:
+    found = simulate(scene, capture, accuracy, seed)
+    assert found.spend is not None and found.spend.way["primary"] == "cells"
+    return found
+
+
+def everything(found: Transient) -> float:
+    return float(found.total.sum() + found.overflow.sum())
+
+
+def wall_and_box(box: trimesh.Trimesh, *more: Part) -> Scene:
+    wall = rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1))
+    parts = Part("wall", wall, Lambertian(0.8), "relay_wall"), Part("box", box, Lambertian(0.6))
+    return Scene.from_parts([*parts, *more])
+
+
+def crate() -> trimesh.Trimesh:
+    return trimesh.creation.box(bounds=[(0.95, -0.25, -0.25), (1.45, 0.25, 0.25)])
+
+
+def headless(box: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Without its face towards the wall."""
+    return trimesh.Trimesh(box.vertices, box.faces[box.triangles_center[:, 0] > 0.96], process=False)
+
+
+def looking_at(y: float, half_side_m: float = 0.05) -> Capture:
+    time = bins_of_path(200, 0.02, 0.0)
+    return one_point_capture((0, -0.3, 0.1), (0, y, 0.03), half_side_m, time, (0.4, 0.1, 0.9))
+
+
+def test_triangles_that_lie_on_each_other_count_once() -> None:
+    box = crate()
+    twice = trimesh.Trimesh(box.vertices, np.concatenate([box.faces, box.faces[:7, ::-1]]), process=False)
+    once, doubled = (cells(wall_and_box(mesh), looking_at(0.2)) for mesh in (box, twice))
+    assert np.linalg.norm(doubled.total - once.total) < 0.01 * np.linalg.norm(once.total)
+    assert everything(doubled) == pytest.approx(everything(once), rel=2e-3)
+
+
+def test_a_poster_takes_the_light_of_what_it_hangs_on() -> None:
+    """Black, and exactly in the plane of the box it is on: as if there were a hole in the box's face."""
+    poster = Part("poster", rectangle((0.95, 0, 0), (0, 0.25, 0), (0, 0, 0.25)), Lambertian(0.0))
+    bare, covered = wall_and_box(crate()), wall_and_box(crate(), poster)
+    ahead = Scene.from_parts(
+        [
+            Part("wall", rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall"),
+            Part("box", headless(crate()), Lambertian(0.6)),
+            Part("poster", rectangle((0.95, 0, 0), (0, 0.25, 0), (0, 0, 0.25)), Lambertian(0.0)),
+        ]
+    )
+    whole, rest = (everything(cells(scene, looking_at(0.2))) for scene in (bare, covered))
+    assert rest == pytest.approx(everything(cells(ahead, looking_at(0.2))), abs=0.01 * whole)
+    assert rest < 0.5 * whole
+
+
+@pytest.mark.parametrize("reach", [0.04, 0.2, 0.6])
+def test_a_pixel_that_reaches_over_the_edge_of_the_wall_keeps_its_light(reach: float) -> None:
+    """What lies on the wall is a pixel of its own: the same light, as nearly as is claimed. The pixel's quarters end
+    somewhere else than the wall, and where they cannot tell, it is said so."""
+    half = 0.2
+    over = cells(wall_and_box(crate()), looking_at(1 - 2 * half * reach + half, half))
+    own = looking_at(0.0)
+    corners = np.array(
+        [[0, 1 - 2 * half * reach, -0.17], [0, 1, -0.17], [0, 1, 0.23], [0, 1 - 2 * half * reach, 0.23]]
+    )
+    inside = cells(wall_and_box(crate()), replace(own, sensor=replace(own.sensor, pixels=corners[None])))
+    error = off_by(over, inside)
+    assert everything(over) > 0
+    assert error < 0.5
+    assert error < 0.02 or (over.met_target is False and error < 1.5 * over.relative_error)
+
+
+def test_a_target_out_of_reach_comes_to_an_end_and_says_so() -> None:
+    few = cells(furnished_box(), one_point_capture(), Accuracy(target=1e-4, max_lookins=1 << 15))
+    assert few.met_target is False
+    assert few.relative_error > 1e-4
+    assert few.spend is not None and "not met" in few.spend.outcome
+
+
+def empty_room(size_m: float = 1.0, away: np.ndarray | float = 0.0) -> Scene:
+    """Five sides of a room of 4 × 3 × 2.5 m round its relay wall, and nothing in it; × size."""
+    room = furnished_box(0.5)
+    kept = [k for k, name in enumerate(room.part_names) if name not in ("box", "pillar")]
+    return Scene.from_parts(
+        Part(room.part_names[k], mesh_of(room, k, size_m, away), room.materials[k], room.roles[k]) for k in kept
+    )
+
+
+def mesh_of(scene: Scene, part: int, size_m: float = 1.0, away: np.ndarray | float = 0.0) -> trimesh.Trimesh:
+    return trimesh.Trimesh(scene.vertices * size_m + away, scene.triangles[scene.face_part == part], process=False)
+
+
+def rebuilt(scene: Scene, change: Callable[[trimesh.Trimesh], trimesh.Trimesh]) -> Scene:
+    parts = zip(scene.part_names, scene.materials, scene.roles, strict=True)
+    return Scene.from_parts(
+        Part(name, change(mesh_of(scene, k)), material, role) for k, (name, material, role) in enumerate(parts)
+    )
+
+
+def off_by(found: Transient, truth: Transient) -> float:
+    return float(np.linalg.norm(found.total - truth.total) / np.linalg.norm(truth.total))
+
+
+def cells_of(found: Transient) -> float:
+    assert found.spend is not None
+    return found.spend.lookins["primary"]
+
+
+@pytest.mark.parametrize("origin", ["wall", "source"])
+def test_a_small_patch_amplitude_and_arrival(origin: str) -> None:
+    """L = (ρ₁/π) cosθ₁cosθ₂ a/R₁₂² · (ρ₂/π) cosθ₂′cosθ₃/R₂₃² · (ρ₃/π) A Ω, at one time."""
+    side, h = 1e-3, 5e-4
+    x2 = np.array([1.2, 0.5, -0.3])
+    x1, x3, device = np.array([0, -0.4, 0.2]), np.array([0, 0.9, 0.1]), np.array([2.0, -1.0, 0.4])
+    scene = wall_and_box(rectangle(x2, (0, side / 2, 0), (0, 0, side / 2)))
+    time = bins_of_path(400, 0.01, 0.0 if origin == "wall" else 4.0, origin)
+    found = cells(scene, one_point_capture(x1, x3, h, time, device))
+    r12, r23, r3s = (np.linalg.norm(d) for d in (x2 - x1, x3 - x2, device - x3))
+    patch = 0.8 / np.pi * (1.2 / r12) ** 2 / r12**2 * side**2
+    omega = (2 * h) ** 2 * (device - x3)[0] / r3s**3
+    expected = patch * 0.6 / np.pi * (1.2 / r23) ** 2 / r23**2 * 0.8 / np.pi * np.pi * 0.02**2 * omega
+    assert found.total.sum() == pytest.approx(expected, rel=1e-5)
+    path = r12 + r23 + (r3s + np.linalg.norm(device - x1) if origin == "source" else 0.0)
+    assert (found.total[0, 0] * found.time.centers_s).sum() / found.total.sum() == pytest.approx(
+        path / C, abs=5e-3 / C
+    )
+    assert np.count_nonzero(found.total) <= 2
+
+
+@njit(cache=True)
+def plate_by_quadrature(points, center, right, up, normal, n, bins, start, width):  # type: ignore[no-untyped-def]
+    """(P, bins) Σ cos²θ cos²θ′ / r⁴ over n × n points of a plate, by path length, for confocal points on x = 0."""
+    out = np.zeros((len(points), bins))
+    for p in range(len(points)):
+        for i in range(n):
+            for j in range(n):
+                u, v = (i + 0.5) / n * 2 - 1, (j + 0.5) / n * 2 - 1
+                d = center + u * right + v * up - points[p]
+                square = np.dot(d, d)
+                out[p, int((2 * np.sqrt(square) - start) / width)] += (d[0] * np.dot(d, normal)) ** 2 / square**4
+    return out
+
+
+def test_a_bare_rectangle_against_quadrature_per_3_mm_bin() -> None:
+    """Each bin holds what arrives between its edges: 1 % of the light at most is elsewhere (relative L1)."""
+    center, right, up = np.array([1, 0.1, 0.05]), np.array([0.05, 0.13, 0]), np.array([0, 0, 0.13])
+    points = np.array([[0, y, z] for y in (-0.35, 0.1, 0.35) for z in (-0.3, 0.2)])
+    h, device, n = 1e-4, np.array([0.5, 0, 0]), 800
+    capture = Capture(
+        Laser(device, points), Sensor(device, square_pixels(points, h)), bins_of_path(300, 0.003, 1.75), "confocal"
+    )
+    found = cells(wall_and_box(rectangle(center, right, up)), capture, Accuracy(target=0.005))
+    normal = np.cross(right, up)
+    area, normal = 4 * np.linalg.norm(normal) / n**2, normal / np.linalg.norm(normal)
+    truth = plate_by_quadrature(points, center, right, up, normal, n, 300, 1.75, 0.003)
+    omega = (2 * h) ** 2 * device[0] / np.linalg.norm(device - points, axis=1) ** 3
+    truth *= 0.8**2 * 0.6 / np.pi**3 * area * np.pi * 0.02**2 * omega[:, None]
+    assert np.abs(found.total[:, 0] - truth).sum() < 0.01 * truth.sum()
+    assert np.linalg.norm(found.total[:, 0] - truth) < 0.008 * np.linalg.norm(truth)
+    assert found.total.sum() == pytest.approx(truth.sum(), rel=1e-4)
+
+
+def test_the_error_falls_with_the_square_of_the_cells_size() -> None:
+    """In a room without occluders the error is inversely proportional to the number of cells, down to 10⁻⁴."""
+    room, capture = empty_room(), one_point_capture(half_side_m=1e-4, time=bins_of_path(120, 0.1, 0.0))
+    truth = cells(room, capture, Accuracy(target=1e-4))
+    runs = [cells(room, capture, Accuracy(target=target)) for target in (0.1, 0.03, 0.01, 3e-3, 1e-3)]
+    errors, counts = np.array([off_by(run, truth) for run in runs]), np.array([cells_of(run) for run in runs])
+    slope = np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert slope < -0.9, (errors, counts)
+    assert errors[-1] < 1.2e-3
+    assert truth.met_target and cells_of(truth) < 1e6
+
+
+@pytest.mark.nightly
+def test_the_inside_of_a_sphere() -> None:
+    """L = ρ³/π · A Ω / (4π r²), and the length of two chords that meet in a uniform point, by bin."""
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    ball.apply_scale(np.sqrt(4 * np.pi / ball.area))
+    scene = Scene.from_parts([Part("sphere", ball, Lambertian(0.8), "structure")])
+    capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(BINS, WIDTH_M, 0.0))
+    found = cells(scene, capture, Accuracy(target=0.02))
+    whole = 0.8**3 / np.pi / (4 * np.pi) * np.pi * 0.02**2 * PixelCones.of(capture.sensor).solid_angle[0]
+    assert everything(found) == pytest.approx(whole, rel=5e-3)
+    share, _ = stored().of(3)
+    assert np.abs(found.total[0, 0] - whole * share).sum() < 0.03 * whole
+
+
+def test_swapping_laser_point_and_pixel_changes_nothing() -> None:
+    """Device legs and the pixel's solid angle apart; the pixel is small, so that both are points."""
+    a, b, device, h = np.array([0, -0.8, 1.4]), np.array([0, 0.5, 0.9]), np.array([1.5, 0.1, 1.3]), 1e-3
+    there, back = (
+        cells(furnished_box(), one_point_capture(p, q, h, device=device)).total
+        * np.linalg.norm(device - q) ** 3 for p, q in ((a, b), (b, a))
+    )  # fmt: skip
+    assert np.linalg.norm(there - back) < 0.02 * np.linalg.norm(there)
+    assert there.sum() == pytest.approx(back.sum(), rel=3e-3)
+
+
+@pytest.mark.parametrize("size", [0.025, 250.0])
+def test_a_room_of_10_cm_and_one_of_a_kilometre(size: float) -> None:
+    """Geometry × s with the aperture fixed: times × s, energy × s⁻²."""
+    room = furnished_box()
+    scaled = rebuilt(room, lambda mesh: mesh.apply_scale(size))
+    plain = cells(room, one_point_capture())
+    points = np.array([(0, -0.8, 1.4), (0, 0.4, 1.2), (1.5, 0.1, 1.3)]) * size
+    found = cells(scaled, one_point_capture(*points[:2], 0.2 * size, bins_of_path(200, 0.1 * size, 0.0), points[2]))
+    # How finely it is cut hangs on rounding where two cuttings do equally well.
+    assert np.linalg.norm(found.total * size**2 - plain.total) < 0.01 * np.linalg.norm(plain.total)
+    assert everything(found) * size**2 == pytest.approx(everything(plain), rel=2e-3)
+
+
+def test_ten_kilometres_from_the_origin() -> None:
+    away = np.array([1e4, -3e3, 2e3])
+    room, capture = furnished_box(), one_point_capture()
+    moved = Capture(
+        Laser(capture.laser.position + away, capture.laser.targets + away),
+        Sensor(capture.sensor.position + away, capture.sensor.pixels + away), capture.time,
+    )  # fmt: skip
+    far, plain = cells(rebuilt(room, lambda mesh: mesh.apply_translation(away)), moved), cells(room, capture)
+    # Coordinates are rounded to 2e-12 m, and how finely it is cut may hang on that.
+    assert off_by(far, plain) < 0.01
+    assert everything(far) == pytest.approx(everything(plain), rel=2e-3)
+
+
+def test_light_is_linear_in_the_albedo() -> None:
+    """All of them halved: an eighth, exactly; one object's halved: half of its own light, within what was asked."""
+    room, capture = furnished_box(0.8), one_point_capture()
+    whole = cells(room, capture)
+    dim = cells(replace(room, materials=tuple(Lambertian(0.4) for _ in room.materials)), capture)
+    np.testing.assert_array_equal(dim.total * 8, whole.total)
+    grey = tuple(
+        Lambertian(0.4) if name == "box" else m for name, m in zip(room.part_names, room.materials, strict=True)
+    )
+    box = cells(replace(room, materials=grey), capture).parts["box"]
+    assert np.linalg.norm(2 * box - whole.parts["box"]) < 0.015 * np.linalg.norm(whole.parts["box"])
+    assert not cells(furnished_box(0.0), capture).total.any()
+    assert everything(cells(furnished_box(1.0), capture)) == pytest.approx(everything(whole) / 0.8**3, rel=1e-3)
+
+
+def test_finer_triangles_and_another_order_are_the_same_surface() -> None:
+    room, capture = furnished_box(), one_point_capture(half_side_m=0.02)
+    plain = cells(room, capture)
+    finer = cells(rebuilt(room, lambda mesh: mesh.subdivide().subdivide()), capture)
+    rng = np.random.default_rng(1)
+
+    def mixed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+        faces = np.array([np.roll(face, rng.integers(3)) for face in rng.permutation(mesh.faces)])
+        return trimesh.Trimesh(mesh.vertices, faces, process=False)
+
+    for other in (finer, cells(rebuilt(room, mixed), capture)):
+        assert off_by(other, plain) < 0.015
+        for name in ("box", "pillar"):
+            apart = np.linalg.norm(other.parts[name] - plain.parts[name])
+            assert apart < 0.02 * np.linalg.norm(plain.parts[name]), name
+    back = Scene.from_parts(
+        Part(room.part_names[k], mesh_of(room, k), room.materials[k], room.roles[k])
+        for k in reversed(range(len(room.part_names)))
+    )
+    again = cells(back, capture)
+    np.testing.assert_allclose(again.total, plain.total, rtol=1e-9, atol=1e-12 * plain.total.max())
+
+
+@pytest.mark.parametrize("gap", [5e-4, 1e-6])
+def test_a_laser_point_in_a_corner_needs_no_more_than_ten_times_the_cells(gap: float) -> None:
+    asked = Accuracy(target=0.02)
+    in_a_corner = (0, -1.5 + gap, gap)
+    found = cells(furnished_box(), one_point_capture(in_a_corner, half_side_m=0.02), asked)
+    plain = cells(furnished_box(), one_point_capture(half_side_m=0.02), asked)
+    beside = cells(furnished_box(), one_point_capture((0, -1.5 + 2 * gap, 2 * gap), half_side_m=0.02), asked)
+    assert found.met_target
+    assert cells_of(found) < 10 * cells_of(plain)
+    assert everything(found) == pytest.approx(everything(beside), rel=0.05)
+
+
+@pytest.mark.parametrize(("bins", "width_m"), [(1, 20.0), (100_000, 3e-4)])
+def test_one_bin_and_a_hundred_thousand(bins: int, width_m: float) -> None:
+    """Narrow bins added up are wide ones, and a window loses nothing: all of it is in a bin or in the overflow."""
+    room = furnished_box()
+    found = cells(
+        room, one_point_capture(half_side_m=0.02, time=bins_of_path(bins, width_m, 0.0)), Accuracy(target=0.05)
+    )
+    plain = cells(room, one_point_capture(half_side_m=0.02))
+    assert everything(found) == pytest.approx(everything(plain), rel=0.01)
+    assert found.overflow.sum() == 0
+    late = cells(room, one_point_capture(half_side_m=0.02, time=bins_of_path(20, 0.1, 4.0)))
+    assert everything(late) == pytest.approx(everything(plain), rel=3e-3)
+    assert np.linalg.norm(late.total - plain.total[..., 40:60]) < 0.015 * np.linalg.norm(plain.total[..., 40:60])
