@@ -53,7 +53,7 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
     """Build the dataset that CONFIG describes in the folder OUT. Running it again resumes."""
     from datagen.building.engines import start_imports
 
-    if engine == "local":
+    if options["engine"] == "local":
         start_imports("datagen.building.build", "datagen.pipeline")
     from datagen.building.build import build as build_dataset
     from datagen.config import load_config
