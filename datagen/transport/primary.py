@@ -49,8 +49,9 @@ UNSEEN = 1e-4
 """Norm that a part is taken to have at least, relative to the whole, when it is cut."""
 LOOKED_AT, EVENLY = 6, 0.5
 """Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
-WITHIN = 0.75
-"""Share of an error to be met that the estimate may reach on the pairs tried: others may be worse."""
+WITHIN, WITHIN_PARTS = 0.6, 0.65
+"""Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
+others may be worse."""
 PATCHES_TRIED, MOST_PATCHES = 1, 1 << 21
 """How often pixels are quartered while the cutting is chosen, and patches of all pixels at most."""
 PATCHES_SHARE, FROM_QUARTERS = 0.25, 4 / 3
@@ -155,7 +156,7 @@ class _Gathering:
             pairs, np.arange(len(pairs)) * rows, self.tree, self.occluders, self.lasers, patches, task.materials.kind,
             task.materials.values, cutting, self.clock, row_of_part, histogram, overflow,
         )  # fmt: skip
-        of_pairs = histogram.reshape(len(pairs), rows, -1)
+        of_pairs = histogram.reshape(len(pairs), rows, task.capture.time.bins)
         return _Gathered(of_pairs, overflow.reshape(len(pairs), rows).sum(axis=1), cells, rays)
 
 
@@ -168,12 +169,12 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
     asked = _Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
     trial = _Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
     choice = _choose(trial, asked)
-    # The patches of a pixel are fine enough if their quarters give the same.
-    levels, met = 0, choice.met
-    coarser = trial.gathered(choice.cutting, levels)
+    # The patches of a pixel are fine enough if their quarters give the same, also where its surface has an edge.
+    levels, met, looks = 0, choice.met, (trial, trial.at_edges(pairs))
+    coarser = [look.gathered(choice.cutting, levels).histogram for look in looks]
     while True:
-        finer = trial.gathered(choice.cutting, levels + 1)
-        change = finer.histogram - coarser.histogram
+        finer = [look.gathered(choice.cutting, levels + 1).histogram for look in looks]
+        change = np.concatenate([one - other for one, other in zip(finer, coarser, strict=True)])
         of_patches, of_parts = (
             FROM_QUARTERS * float(np.linalg.norm(change.sum(axis=1))),
             FROM_QUARTERS * _norms(change),
@@ -247,6 +248,14 @@ class _Trial:
         weight = count / (wanted * share[places]) * len(lit) / len(looked)
         return cls(gathering, looked[places], weight, rough.work)
 
+    def at_edges(self, pairs: Ints) -> _Trial:
+        """Some of those whose pixel sees more than one surface; none where all walls are plain."""
+        pixels = np.unique(pairs[:, 1])
+        uneven = pixels[self.gathering.patches(pixels, 1).uneven[:, 0]]
+        found = pairs[np.isin(pairs[:, 1], uneven) & (self.gathering.task.points.part[pairs[:, 0]] >= 0)]
+        some = found[_spread(len(found), TRIALS[1])]
+        return _Trial(self.gathering, some, np.full(len(some), len(found) / max(len(some), 1)), self.work)
+
     def gathered(self, cutting: Floats, levels: int) -> _Gathered:
         """Their histograms with each part apart, such that squares add up to those of all pairs."""
         pixels, own = np.unique(self.pairs[:, 1], return_inverse=True)
@@ -308,7 +317,7 @@ def _choose(trial: _Trial, asked: _Asked) -> _Choice:
         held = asked.objects & (own > 0) & (trial.energy(found) >= asked.faint)
         limit = np.where(held, asked.part_target * own, np.inf)
         still = _still(runs, finest)
-        level = np.argmax(np.vstack([still <= WITHIN * limit, np.ones(parts, np.bool_)]), axis=0)
+        level = np.argmax(np.vstack([still <= WITHIN_PARTS * limit, np.ones(parts, np.bool_)]), axis=0)
         error = _whole_error(runs, level, finest)
         highest = np.where(settled, finest - 1, finest)
         while error > WITHIN * asked.target * whole and (level < highest).any():
