@@ -85,10 +85,14 @@ def first_rounds(
     if "direct" in asked:
         strata.append(_sampled(Stratum(_of_components(task, ("direct",), walked)), points, seeds))
     orders = tuple(n for n in asked if n != "direct" and (n != "secondary" or walked.any()))
+    ranking = ranked and "secondary" in asked and bool(factor.any())
+    if ranking:
+        strata.append(_sampled(_factorised(task, factor, task.accuracy.observed or OBSERVED), points, seeds))
+    if not orders:
+        return strata, tried
     joint = _sampled(Stratum(_of_components(task, orders, walked)), points, seeds)
-    if ranked and "secondary" in asked and factor.any():
-        ranking = _factorised(task, factor, task.accuracy.observed or OBSERVED)
-        return [*strata, joint, _sampled(ranking, points, seeds)], tried
+    if ranking:
+        return [*strata, joint], tried
     to_go = _cost_to_go(joint, [*strata, joint], target, known)
     if to_go > WORTH_TRYING_FOV * joint.work.cost:
         best, more = _with_best_fov_samples(task, seeds)
