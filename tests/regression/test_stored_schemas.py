@@ -38,6 +38,7 @@ def sums(version: int) -> dict[str, list[float]]:
 
 every_version = pytest.mark.parametrize("version", EARLIER)
 
+
 def test_every_earlier_version_has_its_dataset() -> None:
     for version, dataset in EARLIER.items():
         assert read_manifest(dataset).schema_version == version
