@@ -19,6 +19,8 @@ SCHEMA_VERSIONS = {
     1: "datagen 0.1",
     2: "datagen 0.2: a seed yields other scenes, light and counts (rooms drawn once, Russian roulette, the choice of "
     "samplers); columns `detector_plan.*` are `sampler.*`; key transport.scramblings is transport.replicates",
+    3: "datagen 0.3: a seed yields other counts (histograms are drawn block by block, few detections in the order of "
+    "their phase); signed distances in double precision",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
