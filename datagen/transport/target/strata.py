@@ -152,7 +152,7 @@ class Stratum:
         self.rounds.append(one)
 
     def _average(self, task: WalkTask, count: int, replicates: int, seed: int, sketch: Sketch) -> Average:
-        counts = replace(task.accuracy, target=None, lookins=count * replicates, replicates=replicates)
+        counts = replace(task.accuracy, target=None, part_target=None, lookins=count * replicates, replicates=replicates)
         task = replace(task, accuracy=counts, seed=seed)
         if self.observed is None:
             return walk_average(task, sketch)
@@ -176,7 +176,7 @@ class Stratum:
 
 def with_fov_samples(task: WalkTask, fov_samples: int) -> WalkTask:
     """The same task with another number of FoV points for each vertex and pixel."""
-    accuracy = replace(task.accuracy, target=None, fov_samples=fov_samples)
+    accuracy = replace(task.accuracy, target=None, part_target=None, fov_samples=fov_samples)
     patches = PixelPatches.of(task.caster, task.capture.sensor, task.cones, fov_samples)
     return replace(task, accuracy=accuracy, patches=patches)
 
