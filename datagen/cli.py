@@ -52,13 +52,15 @@ def plan(
 def build(config: str, out: str, quiet: bool, **options: Any) -> None:
     """Build the dataset that CONFIG describes in the folder OUT. Running it again resumes."""
     from datagen.building.engines import start_imports
+    from datagen.config import load_config
 
+    settings = load_config(config)
+    # Not before the configuration can be read, and beside the imports of this process.
     if options["engine"] == "local":
         start_imports("datagen.building.build", "datagen.pipeline")
     from datagen.building.build import build as build_dataset
-    from datagen.config import load_config
 
-    result = build_dataset(load_config(config), out, progress=not quiet, **options)
+    result = build_dataset(settings, out, progress=not quiet, **options)
     click.echo(result.summary())
 
 
