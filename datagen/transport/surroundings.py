@@ -30,7 +30,7 @@ def surroundings(task: WalkTask, seed: int) -> float:
     """
     pixels = np.arange(len(task.patches.radius))
     few = np.unique(pixels[np.linspace(0, len(pixels) - 1, min(len(pixels), PIXELS)).astype(int)])
-    one_each = replace(task, seed=seed, accuracy=replace(task.accuracy, target=None, fov_samples=1))
+    one_each = replace(task, seed=seed, accuracy=replace(task.accuracy, target=None, part_target=None, fov_samples=1))
     pool = pool_for(one_each, few, blocks_for(one_each, few, POINTS), Streams.of(seed, np.zeros(1, np.int64), few))
     seen = pool.part >= 0
     if not seen.any():
