@@ -3,8 +3,8 @@
 - *Bare plate*: 0.5 m, nothing in the way, 16 × 16 confocal points, 300 bins of 3 mm, three bounces; relative L1 error
   against quadrature. Ours, mitransient at its best there (hidden-geometry sampling), and plain quadrature, which
   knows that there is nothing else in the scene.
-- *Scan*: 16 × 16 confocal points of a closed room with a box and a pillar, 512 bins of 3 cm, three bounces; relative L2
-  error against much finer cells (held against the walk by `tests/equivalence`).
+- *Scan*: 16 × 16 confocal points of a closed room with a box and a pillar, 512 bins of 3 cm, three bounces; relative
+  L2 error against much finer cells (held against the walk by `tests/equivalence`).
 - *Furnished room*: the same one, three and four bounces; relative L2 error per 0.1 m bin against
   a long run of ours (its own error is printed). Ours and mitransient, seen from one point and from a 4 × 4 grid.
 

@@ -52,8 +52,9 @@ LOOKED_AT, EVENLY = 6, 0.5
 WITHIN, WITHIN_PARTS = 0.6, 0.65
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
 others may be worse."""
-PATCHES_TRIED, MOST_PATCHES = 1, 1 << 21
-"""How often pixels are quartered while the cutting is chosen, and patches of all pixels at most."""
+PATCHES_TRIED, EDGES_TRIED, MOST_PATCHES = 1, 3, 1 << 21
+"""How often pixels are quartered while the cutting is chosen, and at least where some see several surfaces; and
+patches of all pixels at most."""
 PATCHES_SHARE, FROM_QUARTERS = 0.25, 4 / 3
 """Share of the error to be met that may come of the pixels' patches; and that error, relative to what quartering them
 once more changes, of second order in their size."""
@@ -141,7 +142,7 @@ class _Gathering:
 
     def patches(self, pixels: Ints, levels: int) -> Patches:
         task = self.task
-        return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels)
+        return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
 
     def gathered(self, pairs: Ints, patches: Patches, error: Floats, row_of_part: Ints) -> _Gathered:
         """The light of some pairs of laser point and pixel, with each part in its row."""
@@ -167,10 +168,12 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
     """
     gathering, pairs = _Gathering.of(task), _pairs(task)
     asked = _Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
-    trial = _Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
-    choice = _choose(trial, asked)
+    pairs_lit = pairs[task.points.part[pairs[:, 0]] >= 0]
+    at_edges = _at_edges(gathering, pairs_lit)
+    trial = _Trial.of(gathering, pairs_lit, asked)
+    choice = _choose(trial, asked, EDGES_TRIED if len(at_edges) else PATCHES_TRIED)
     # The patches of a pixel are fine enough if their quarters give the same, also where its surface has an edge.
-    levels, met, looks = 0, choice.met, (trial, trial.at_edges(pairs))
+    levels, met, looks = EDGES_TRIED - 1 if len(at_edges) else 0, choice.met, (trial, trial.some(at_edges))
     coarser = [look.gathered(choice.cutting, levels).histogram for look in looks]
     while True:
         finer = [look.gathered(choice.cutting, levels + 1).histogram for look in looks]
@@ -248,13 +251,10 @@ class _Trial:
         weight = count / (wanted * share[places]) * len(lit) / len(looked)
         return cls(gathering, looked[places], weight, rough.work)
 
-    def at_edges(self, pairs: Ints) -> _Trial:
-        """Some of those whose pixel sees more than one surface; none where all walls are plain."""
-        pixels = np.unique(pairs[:, 1])
-        uneven = pixels[self.gathering.patches(pixels, 1).uneven[:, 0]]
-        found = pairs[np.isin(pairs[:, 1], uneven) & (self.gathering.task.points.part[pairs[:, 0]] >= 0)]
-        some = found[_spread(len(found), TRIALS[1])]
-        return _Trial(self.gathering, some, np.full(len(some), len(found) / max(len(some), 1)), self.work)
+    def some(self, pairs: Ints) -> _Trial:
+        """Some of those pairs, evenly."""
+        taken = pairs[_spread(len(pairs), TRIALS[1])]
+        return _Trial(self.gathering, taken, np.full(len(taken), len(pairs) / max(len(taken), 1)), self.work)
 
     def gathered(self, cutting: Floats, levels: int) -> _Gathered:
         """Their histograms with each part apart, such that squares add up to those of all pairs."""
@@ -282,7 +282,7 @@ class _Choice:
     error, whole : L2 error and norm of the whole.
     still, own : (K,) of each part.
     held : (K,) which are held to an error of their own; limit : (K,) that error, infinite for the others.
-    met : whether all of it is as asked.
+    met : whether all of it is as asked, and there is any light.
     """
 
     cutting: Floats
@@ -295,21 +295,28 @@ class _Choice:
     met: bool
 
 
-def _choose(trial: _Trial, asked: _Asked) -> _Choice:
-    """The coarsest cutting of each part that does, found with ever finer ones."""
+def _at_edges(gathering: _Gathering, pairs: Ints) -> Ints:
+    """Those whose pixel sees more than one surface, or past one."""
+    pixels = np.unique(pairs[:, 1])
+    several = gathering.patches(pixels, 1).uneven[:, 0] | np.isinf(gathering.task.patches.radius[pixels])
+    return pairs[np.isin(pairs[:, 1], pixels[several])]
+
+
+def _choose(trial: _Trial, asked: _Asked, levels: int) -> _Choice:
+    """The coarsest cutting of each part that does, found with ever finer ones, for pixels quartered so often."""
     parts = len(asked.objects)
     every, settled = np.arange(parts), np.zeros(parts, np.bool_)
-    runs, cuttings = [trial.gathered(np.full(parts, COARSE), PATCHES_TRIED).histogram], [np.full(parts, COARSE)]
+    runs, cuttings = [trial.gathered(np.full(parts, COARSE), levels).histogram], [np.full(parts, COARSE)]
     whole, own = float(np.linalg.norm(runs[0].sum(axis=1))), _norms(runs[0])
     if whole == 0.0:
         nothing = np.zeros(parts)
-        return _Choice(cuttings[0], 0.0, 0.0, nothing, own, settled, nothing + np.inf, True)
+        return _Choice(cuttings[0], 0.0, 0.0, nothing, own, settled, nothing + np.inf, False)
     scale = np.maximum(own, UNSEEN * whole) / math.sqrt(trial.weight.sum())
     finest = np.zeros(parts, np.int64)
     while True:
         cuttings.append(FIRST * FINER ** (len(runs) - 1) * scale)
         before = trial.work.cells + trial.work.rays
-        found = trial.gathered(np.where(settled, np.inf, cuttings[-1]), PATCHES_TRIED).histogram
+        found = trial.gathered(np.where(settled, np.inf, cuttings[-1]), levels).histogram
         found[:, settled] = runs[-1][:, settled]
         runs.append(found)
         finest[~settled] = len(runs) - 1

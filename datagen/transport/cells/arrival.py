@@ -21,6 +21,19 @@ def _within(along_b: float, along_c: float, at_a: float, at_b: float, at_c: floa
     return along_b * along_c * (at_a + (along_b * (at_b - at_a) + along_c * (at_c - at_a)) * (1.0 / 3.0))
 
 
+@njit(cache=True, error_model="numpy")
+def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float, float]:
+    """Arrival times at the vertices, such that those of the triangle have the same mean and a variance larger by so
+    much: light that is spread once more, as by a patch of a pixel, whose own spread is short of the triangle's."""
+    mean = (a + b + c) / 3.0
+    own = ((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2) / 12.0
+    if own > 0.01 * variance:
+        stretch = math.sqrt(1.0 + variance / own)
+        return mean + (a - mean) * stretch, mean + (b - mean) * stretch, mean + (c - mean) * stretch
+    half = math.sqrt(6.0 * (variance + own))
+    return mean - half, mean, mean + half
+
+
 @njit(cache=True)
 def spread(
     histogram: Floats, a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float

@@ -20,7 +20,7 @@ from numba import njit
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.binning import put
 from datagen.transport.brdf import dot, evaluate
-from datagen.transport.cells.arrival import spread
+from datagen.transport.cells.arrival import spread, widened
 from datagen.transport.cells.occlusion import clear, cross, hidden, less, shaded
 from datagen.transport.sampling import mix
 
@@ -28,6 +28,12 @@ COARSEST = 0.8
 """Largest cell or patch, relative to its distance."""
 PARTLY, UNFOUND = 0.5, 0.05
 """Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
+SMEARED = 0.3
+"""Of a patch, the share that its arrival times spread over."""
+UNLIKE = 0.05
+"""Error of a patch's arrival times, relative to its light, if they are known by their mean and variance alone."""
+AT_ONCE = 0.01
+"""Size of a patch, in bins, up to which all of it is reached at once."""
 SMALLEST = 1e-8
 """Smallest cell that is cut, relative to the scene."""
 BOX, CELL, CLEAR = 0, 1, 2
@@ -211,7 +217,8 @@ def gather(  # type: ignore[no-untyped-def]
     position3, normal3, to_sensor3, part3, weight3, footprint3 = (
         patches.position, patches.normal, patches.to_sensor, patches.part, patches.weight, patches.footprint
     )  # fmt: skip
-    leg3, size3, uneven3, quarters3 = patches.leg, patches.size, patches.uneven, patches.quarters
+    leg3, size3, across3 = patches.leg, patches.size, patches.across
+    uneven3, quarters3 = patches.uneven, patches.quarters
     allowed, coarsest, peak = cutting.error, cutting.coarsest, cutting.peak
     last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
     per_metre, clock_start, attenuation = clock.per_metre, clock.start, clock.attenuation
@@ -335,7 +342,7 @@ def gather(  # type: ignore[no-untyped-def]
                     over = bright / math.sqrt(max(1.0, width))
                     sharp = (COARSEST / limit) ** 2
                     curved = sharp * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / max(1.0, width)
-                    smeared = ratio_z * ratio_z + (0.3 * size * per_metre / max(1.0, width)) ** 2 * 0.25
+                    smeared = ratio_z * ratio_z + min((SMEARED * size * per_metre / max(1.0, width)) ** 4, UNLIKE)
                     error = over * curved
                     if over * smeared > allowed[k]:
                         quarter = quarters
@@ -404,8 +411,16 @@ def gather(  # type: ignore[no-untyped-def]
                     continue
                 cells += 1
                 scale, zero = per_metre, (device - 0.75 * bend) * per_metre - clock_start
-                overflow[into] += spread(
-                    histogram[into], at_a * scale + zero, at_b * scale + zero, at_c * scale + zero, wa, wb, wc,
-                    vis * energy,
-                )  # fmt: skip
+                at_a, at_b, at_c = at_a * scale + zero, at_b * scale + zero, at_c * scale + zero
+                if size * per_metre > AT_ONCE:
+                    # From one side of the patch to the other the path changes, too.
+                    smear = 0.0
+                    for side in range(2):
+                        longer = 0.0
+                        for j in range(3):
+                            slope = d3[j] / r3 + (to_sensor[j] if clock.device else 0.0)
+                            longer += slope * across3[p, q, side, j]
+                        smear += (longer * per_metre) ** 2 / 12
+                    at_a, at_b, at_c = widened(at_a, at_b, at_c, smear)
+                overflow[into] += spread(histogram[into], at_a, at_b, at_c, wa, wb, wc, vis * energy)
     return cells, rays

@@ -1,19 +1,27 @@
-"""A pixel's patch of wall as a tree: the whole, its quarters, theirs, each by the point in its middle."""
+"""A pixel's patch of wall as a tree: the whole, its quarters, theirs, each by the point in its middle.
+
+Where a pixel sees more than one surface, or past an edge, its finest patches are points of a (0, 2)-net instead, one
+in each: what lies on which side of an edge is then known nearly as well as their number allows, also where the edge
+runs along their rows (Niederreiter, "Random Number Generation and Quasi-Monte Carlo Methods" (1992), ch. 4).
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.records import Scene, Sensor
 from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.fov import PixelCones, fov_points
+from datagen.transport.fov import FovPool, PixelCones, fov_points
 from datagen.transport.raycast import Raycaster
+from datagen.transport.sampling import scrambled_sobol, stream_seeds
 
 BENT = 0.02
 """1 − cosine between the normals of a patch and its quarters from which its middle does not stand for it."""
 LEAST_SIZE = 1e-9
+PATCH_STREAM = 65
 
 
 class Patches(NamedTuple):
@@ -27,6 +35,7 @@ class Patches(NamedTuple):
     footprint : (P, Q) its area, m².
     leg : (P, Q) distance to the sensor, m.
     size : (P, Q) how far it reaches, m.
+    across : (P, Q, 2, 3) from side to side of it, along the pixel's two directions, m.
     uneven : (P, Q) whether its quarters lie on other surfaces than its middle.
     quarters : (Q, 4) patches, −1 for the finest.
     """
@@ -39,24 +48,37 @@ class Patches(NamedTuple):
     footprint: Floats
     leg: Floats
     size: Floats
+    across: Floats
     uneven: Bools
     quarters: Ints
 
     @classmethod
     def of(
-        cls, caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones, pixels: Ints, levels: int
+        cls, caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones, pixels: Ints, levels: int, seed: int
     ) -> Patches:
         """Those of some pixels, quartered `levels` times at most."""
-        found = []
-        for level in range(levels + 1):
-            side = 1 << level
-            knots = (np.arange(side) + 0.5) / side
-            uv = np.stack([np.tile(knots, side), np.repeat(knots, side)], axis=1)
-            uv = np.ascontiguousarray(np.broadcast_to(uv, (len(pixels), side * side, 2)))
-            found.append(fov_points(caster, scene, sensor, cones, pixels, uv, side * side))
-        quarters = _quarters(levels)
+
+        def at(pixels: Ints, finest: Floats) -> Patches:
+            places = [*(_middles(level, len(pixels)) for level in range(levels)), finest]
+            pools = [fov_points(caster, scene, sensor, cones, pixels, uv, uv.shape[1]) for uv in places]
+            corner = sensor.pixels[pixels] - sensor.position
+            across = [
+                _across(pool, corner, uv) / 2**k for k, (pool, uv) in enumerate(zip(pools, places, strict=True))
+            ]
+            return cls._joined(pools, np.concatenate(across, axis=1), _quarters(levels))
+
+        patches = at(pixels, _middles(levels, len(pixels)))
+        at_edges = np.flatnonzero(patches.uneven[:, 0])
+        if len(at_edges):
+            several = at(pixels[at_edges], _net(levels, stream_seeds(seed, PATCH_STREAM, pixels[at_edges])))
+            for ours, theirs in zip(patches[:-1], several[:-1], strict=True):
+                ours[at_edges] = theirs
+        return patches
+
+    @classmethod
+    def _joined(cls, pools: list[FovPool], across: Floats, quarters: Ints) -> Patches:
         position, normal, to_sensor, part, weight, footprint, leg = (
-            np.concatenate([getattr(pool, name) for pool in found], axis=1)
+            np.concatenate([getattr(pool, name) for pool in pools], axis=1)
             for name in ("position", "normal", "to_sensor", "part", "weight", "footprint", "last_leg")
         )
         inner = np.flatnonzero(quarters[:, 0] >= 0)
@@ -69,10 +91,41 @@ class Patches(NamedTuple):
         cosine = np.einsum("pqik,pqk->pqi", normal[:, below], normal[:, inner])
         other = (part[:, below] != part[:, inner, None]) | ((cosine < 1 - BENT) & (part[:, below] >= 0))
         uneven[:, inner] = other.any(axis=2)
-        # A patch that is even but whose quarters are not, is not.
-        for q in inner[::-1]:
-            uneven[:, q] |= uneven[:, quarters[q]].any(axis=1)
-        return cls(position, normal, to_sensor, part, weight, footprint, leg, size, uneven, quarters)
+        # A patch that is even but whose quarters are not, is not; level by level, the last first.
+        for pool in pools[-2::-1]:
+            level = slice((pool.part.shape[1] - 1) // 3, (4 * pool.part.shape[1] - 1) // 3)
+            uneven[:, level] |= uneven[:, quarters[level]].any(axis=2)
+        return cls(position, normal, to_sensor, part, weight, footprint, leg, size, across, uneven, quarters)
+
+
+def _middles(level: int, pixels: int) -> Floats:
+    """(P, 4^level, 2) the middle of each patch, row by row."""
+    side = 1 << level
+    knots = (np.arange(side) + 0.5) / side
+    uv = np.stack([np.tile(knots, side), np.repeat(knots, side)], axis=1)
+    return np.ascontiguousarray(np.broadcast_to(uv, (pixels, side * side, 2)))
+
+
+def _across(pool: FovPool, corner: Floats, uv: Floats) -> Floats:
+    """(P, Q, 2, 3) how the points of quadrilaterals (P, 4, 3) about the sensor move with uv (P, Q, 2) on the plane of
+    what is seen there; zero where nothing is."""
+    u, v = uv[..., :1], uv[..., 1:]
+    a, b, c, d = (corner[:, None, k] for k in range(4))
+    line = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+    moved = np.stack([(1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b)], axis=2)
+    steep = np.einsum("pqk,pqk->pq", pool.normal, line)
+    seen = (pool.part >= 0) & (steep != 0)
+    slip = np.einsum("pqk,pqik->pqi", pool.normal, moved) / np.where(seen, steep, 1.0)[..., None]
+    scale = np.where(seen, pool.last_leg / np.linalg.norm(line, axis=2), 0.0)
+    return np.asarray(scale[..., None, None] * (moved - slip[..., None] * line[:, :, None]))
+
+
+def _net(level: int, seeds: NDArray[np.uint64]) -> Floats:
+    """(P, 4^level, 2) points of a net, one in each patch, row by row; one seed a pixel."""
+    side = 1 << level
+    points = scrambled_sobol(seeds, side * side, 2)
+    column, row = np.moveaxis((points * side).astype(np.int64), 2, 0)
+    return np.take_along_axis(points, np.argsort(row * side + column, axis=1)[..., None], axis=1)
 
 
 def _quarters(levels: int) -> Ints:

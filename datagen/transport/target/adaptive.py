@@ -45,8 +45,7 @@ def meet_target(task: WalkTask) -> Estimate:
     assert accuracy.target is not None
     if not (task.points.part >= 0).any():
         return _nothing(task)
-    # A pixel that looks past its wall has an edge that no number of its patches would find exactly.
-    if not smooth(task) or np.isinf(task.patches.radius).any():
+    if not smooth(task):
         return _sampled(task, None)
     others = replace(task, splits=replace(splits, components=splits.others, parts=()))
     share = PRIMARY_SHARE if others.splits.components else 1.0

@@ -152,7 +152,9 @@ class Stratum:
         self.rounds.append(one)
 
     def _average(self, task: WalkTask, count: int, replicates: int, seed: int, sketch: Sketch) -> Average:
-        counts = replace(task.accuracy, target=None, part_target=None, lookins=count * replicates, replicates=replicates)
+        counts = replace(
+            task.accuracy, target=None, part_target=None, lookins=count * replicates, replicates=replicates
+        )
         task = replace(task, accuracy=counts, seed=seed)
         if self.observed is None:
             return walk_average(task, sketch)
