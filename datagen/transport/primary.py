@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -52,9 +52,9 @@ LOOKED_AT, EVENLY = 6, 0.5
 WITHIN, WITHIN_PARTS = 0.6, 0.65
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
 others may be worse."""
-PATCHES_TRIED, EDGES_TRIED, MOST_PATCHES = 1, 3, 1 << 21
-"""How often pixels are quartered while the cutting is chosen, and at least where some see several surfaces; and
-patches of all pixels at most."""
+PATCHES_TRIED, EDGE_LEVELS, MOST_PATCHES = 1, (2, 3, 4, 5, 6), 1 << 19
+"""How often pixels are quartered while the cutting is chosen; how often those that see more than one surface are, the
+most often that leaves no more than so many patches."""
 PATCHES_SHARE, FROM_QUARTERS = 0.25, 4 / 3
 """Share of the error to be met that may come of the pixels' patches; and that error, relative to what quartering them
 once more changes, of second order in their size."""
@@ -111,6 +111,22 @@ class _Gathered:
 
 
 @dataclass(frozen=True)
+class _Seen:
+    """Pairs whose pixels' patches are cut alike.
+
+    which : (n,) which of the pairs asked for. pairs : (n, 2) laser point and row of `patches`.
+    """
+
+    which: Ints
+    pairs: Ints
+    patches: Patches
+
+
+def _patches(task: WalkTask, pixels: Ints, levels: int) -> Patches:
+    return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
+
+
+@dataclass(frozen=True)
 class _Gathering:
     """A scene and a capture as the compiled loop wants them."""
 
@@ -121,6 +137,8 @@ class _Gathering:
     clock: Clock
     coarsest: Floats
     peak: Floats
+    at_edge: Bools
+    """(P,) pixels that see more than one surface, or past one."""
 
     @classmethod
     def of(cls, task: WalkTask) -> _Gathering:
@@ -136,15 +154,27 @@ class _Gathering:
         seen = width[np.unique(points.part[points.part >= 0])].min(initial=1.0)
         peak = task.materials.values[:, 0] / (math.pi * width**2)
         tree = Hierarchy.of(task.scene)
+        past = np.isinf(task.patches.radius)
+        at_edge = past | _patches(task, np.arange(len(past)), 1).uneven[:, 0]
         return cls(
-            task, tree, Occluders.of(task.scene, tree), lasers, clock, COARSEST * np.minimum(width, seen), peak
-        )
+            task, tree, Occluders.of(task.scene, tree), lasers, clock, COARSEST * np.minimum(width, seen), peak,
+            at_edge,
+        )  # fmt: skip
 
-    def patches(self, pixels: Ints, levels: int) -> Patches:
-        task = self.task
-        return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
+    def seen(self, pairs: Ints, levels: int) -> list[_Seen]:
+        """What the pixels of some pairs see, the even ones quartered `levels` times."""
+        at_edge, found = self.at_edge[pairs[:, 1]], []
+        for which in (np.flatnonzero(~at_edge), np.flatnonzero(at_edge)):
+            if len(which) == 0:
+                continue
+            pixels, own = np.unique(pairs[which, 1], return_inverse=True)
+            if at_edge[which[0]]:
+                levels = max((k for k in EDGE_LEVELS if len(pixels) * 4**k <= MOST_PATCHES), default=EDGE_LEVELS[0])
+            local = np.stack([pairs[which, 0], own.reshape(-1)], axis=1)
+            found.append(_Seen(which, local, _patches(self.task, pixels, levels)))
+        return found
 
-    def gathered(self, pairs: Ints, patches: Patches, error: Floats, row_of_part: Ints) -> _Gathered:
+    def gathered(self, pairs: Ints, seen: list[_Seen], error: Floats, row_of_part: Ints) -> _Gathered:
         """The light of some pairs of laser point and pixel, with each part in its row."""
         task, rows = self.task, int(row_of_part.max()) + 1
         histogram = np.zeros((len(pairs) * rows, task.capture.time.bins))
@@ -153,10 +183,13 @@ class _Gathering:
         cutting = Cutting(
             error, self.coarsest, self.peak, task.accuracy.occlusion != "off", task.accuracy.occlusion == "auto", seed
         )
-        cells, rays = gather(
-            pairs, np.arange(len(pairs)) * rows, self.tree, self.occluders, self.lasers, patches, task.materials.kind,
-            task.materials.values, cutting, self.clock, row_of_part, histogram, overflow,
-        )  # fmt: skip
+        cells = rays = 0
+        for some in seen:
+            spread, asked = gather(
+                some.pairs, some.which * rows, self.tree, self.occluders, self.lasers, some.patches,
+                task.materials.kind, task.materials.values, cutting, self.clock, row_of_part, histogram, overflow,
+            )  # fmt: skip
+            cells, rays = cells + spread, rays + asked
         of_pairs = histogram.reshape(len(pairs), rows, task.capture.time.bins)
         return _Gathered(of_pairs, overflow.reshape(len(pairs), rows).sum(axis=1), cells, rays)
 
@@ -168,27 +201,22 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
     """
     gathering, pairs = _Gathering.of(task), _pairs(task)
     asked = _Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
-    pairs_lit = pairs[task.points.part[pairs[:, 0]] >= 0]
-    at_edges = _at_edges(gathering, pairs_lit)
-    trial = _Trial.of(gathering, pairs_lit, asked)
-    choice = _choose(trial, asked, EDGES_TRIED if len(at_edges) else PATCHES_TRIED)
-    # The patches of a pixel are fine enough if their quarters give the same, also where its surface has an edge.
-    levels, met, looks = EDGES_TRIED - 1 if len(at_edges) else 0, choice.met, (trial, trial.some(at_edges))
-    coarser = [look.gathered(choice.cutting, levels).histogram for look in looks]
+    trial = _Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
+    choice = _choose(trial, asked)
+    # The patches of a pixel are fine enough if their quarters give the same.
+    levels, met = 0, choice.met
+    coarser = trial.gathered(choice.cutting, 0).histogram
     while True:
-        finer = [look.gathered(choice.cutting, levels + 1).histogram for look in looks]
-        change = np.concatenate([one - other for one, other in zip(finer, coarser, strict=True)])
-        of_patches, of_parts = (
-            FROM_QUARTERS * float(np.linalg.norm(change.sum(axis=1))),
-            FROM_QUARTERS * _norms(change),
-        )
+        finer = trial.gathered(choice.cutting, levels + 1).histogram
+        of_patches = FROM_QUARTERS * float(np.linalg.norm((finer - coarser).sum(axis=1)))
+        of_parts = FROM_QUARTERS * _norms(finer - coarser)
         do = of_patches <= PATCHES_SHARE * target * choice.whole and (of_parts <= PATCHES_SHARE * choice.limit).all()
         if do or len(pairs) * 4 ** (levels + 2) > MOST_PATCHES:
             met = met and bool(do)
             break
         levels, coarser = levels + 1, finer
     rows = np.arange(len(choice.cutting)) if task.splits.parts else np.zeros(len(choice.cutting), np.int64)
-    found = gathering.gathered(pairs, gathering.patches(np.unique(pairs[:, 1]), levels), choice.cutting, rows)
+    found = gathering.gathered(pairs, gathering.seen(pairs, levels), choice.cutting, rows)
     shape, names = task.capture.shape, task.scene.part_names
     errors = {names[k]: float((choice.still[k] + of_parts[k]) / choice.own[k]) for k in np.flatnonzero(choice.held)}
     return Primary(
@@ -230,6 +258,7 @@ class _Trial:
     pairs: Ints
     weight: Floats
     work: _Work
+    seen: dict[int, list[_Seen]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, gathering: _Gathering, lit: Ints, asked: _Asked) -> _Trial:
@@ -251,18 +280,11 @@ class _Trial:
         weight = count / (wanted * share[places]) * len(lit) / len(looked)
         return cls(gathering, looked[places], weight, rough.work)
 
-    def some(self, pairs: Ints) -> _Trial:
-        """Some of those pairs, evenly."""
-        taken = pairs[_spread(len(pairs), TRIALS[1])]
-        return _Trial(self.gathering, taken, np.full(len(taken), len(pairs) / max(len(taken), 1)), self.work)
-
     def gathered(self, cutting: Floats, levels: int) -> _Gathered:
         """Their histograms with each part apart, such that squares add up to those of all pairs."""
-        pixels, own = np.unique(self.pairs[:, 1], return_inverse=True)
-        pairs = np.stack([self.pairs[:, 0], own.reshape(-1)], axis=1)
-        found = self.gathering.gathered(
-            pairs, self.gathering.patches(pixels, levels), cutting, np.arange(len(cutting))
-        )
+        if levels not in self.seen:
+            self.seen[levels] = self.gathering.seen(self.pairs, levels)
+        found = self.gathering.gathered(self.pairs, self.seen[levels], cutting, np.arange(len(cutting)))
         self.work.cells += found.cells
         self.work.rays += found.rays
         return replace(found, histogram=found.histogram * np.sqrt(self.weight)[:, None, None])
@@ -295,18 +317,11 @@ class _Choice:
     met: bool
 
 
-def _at_edges(gathering: _Gathering, pairs: Ints) -> Ints:
-    """Those whose pixel sees more than one surface, or past one."""
-    pixels = np.unique(pairs[:, 1])
-    several = gathering.patches(pixels, 1).uneven[:, 0] | np.isinf(gathering.task.patches.radius[pixels])
-    return pairs[np.isin(pairs[:, 1], pixels[several])]
-
-
-def _choose(trial: _Trial, asked: _Asked, levels: int) -> _Choice:
-    """The coarsest cutting of each part that does, found with ever finer ones, for pixels quartered so often."""
+def _choose(trial: _Trial, asked: _Asked) -> _Choice:
+    """The coarsest cutting of each part that does, found with ever finer ones."""
     parts = len(asked.objects)
     every, settled = np.arange(parts), np.zeros(parts, np.bool_)
-    runs, cuttings = [trial.gathered(np.full(parts, COARSE), levels).histogram], [np.full(parts, COARSE)]
+    runs, cuttings = [trial.gathered(np.full(parts, COARSE), PATCHES_TRIED).histogram], [np.full(parts, COARSE)]
     whole, own = float(np.linalg.norm(runs[0].sum(axis=1))), _norms(runs[0])
     if whole == 0.0:
         nothing = np.zeros(parts)
@@ -316,7 +331,7 @@ def _choose(trial: _Trial, asked: _Asked, levels: int) -> _Choice:
     while True:
         cuttings.append(FIRST * FINER ** (len(runs) - 1) * scale)
         before = trial.work.cells + trial.work.rays
-        found = trial.gathered(np.where(settled, np.inf, cuttings[-1]), levels).histogram
+        found = trial.gathered(np.where(settled, np.inf, cuttings[-1]), PATCHES_TRIED).histogram
         found[:, settled] = runs[-1][:, settled]
         runs.append(found)
         finest[~settled] = len(runs) - 1

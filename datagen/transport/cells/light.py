@@ -128,18 +128,36 @@ def _above(box, k, x, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _push(tag, vertices, top, what, f, q, a, b, c):  # type: ignore[no-untyped-def]
+def _push(tag, vertices, top, what, f, q, share, a, b, c):  # type: ignore[no-untyped-def]
     """A cell of triangle f for patch q, to be looked at next; returns how many wait."""
-    tag[top, 0], tag[top, 1], tag[top, 2] = what, f, q
+    tag[top, 0], tag[top, 1], tag[top, 2], vertices[top, 9] = what, f, q, share
     for j in range(3):
         vertices[top, j], vertices[top, 3 + j], vertices[top, 6 + j] = a[j], b[j], c[j]
     return top + 1
 
 
 @njit(cache=True)
-def _push_box(tag, top, at, q):  # type: ignore[no-untyped-def]
-    tag[top, 0], tag[top, 1], tag[top, 2] = BOX, at, q
+def _push_box(tag, vertices, top, at, q, share):  # type: ignore[no-untyped-def]
+    tag[top, 0], tag[top, 1], tag[top, 2], vertices[top, 9] = BOX, at, q, share
     return top + 1
+
+
+@njit(cache=True)
+def _halve(tag, vertices, top, what, f, q, share, a, b, c):  # type: ignore[no-untyped-def]
+    """The two halves of a cell, cut across its longest side."""
+    long_ab, long_bc, long_ca = dot(less(b, a), less(b, a)), dot(less(c, b), less(c, b)), dot(less(a, c), less(a, c))
+    if long_bc >= long_ca and long_bc > long_ab:
+        a, b, c = b, c, a
+    elif long_ca > long_ab:
+        a, b, c = c, a, b
+    half = _middle(a, b)
+    top = _push(tag, vertices, top, what, f, q, share, a, half, c)
+    return _push(tag, vertices, top, what, f, q, share, half, b, c)
+
+
+@njit(cache=True)
+def _middle(a, b):  # type: ignore[no-untyped-def]
+    return (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]))
 
 
 @njit(cache=True)
@@ -203,7 +221,7 @@ def gather(  # type: ignore[no-untyped-def]
     histogram (rows, T) and overflow (rows,) get the photons.
     Returns the cells that were spread, and the rays asked.
     """
-    vertices, tag = np.empty((1024, 9)), np.empty((1024, 3), np.int64)
+    vertices, tag = np.empty((1024, 10)), np.empty((1024, 3), np.int64)
     waiting = np.empty(512, np.int64)
     cells, rays = 0, 0
     # Records are taken apart here: in the loops every look into one costs as much as what it is for.
@@ -217,11 +235,12 @@ def gather(  # type: ignore[no-untyped-def]
     position3, normal3, to_sensor3, part3, weight3, footprint3 = (
         patches.position, patches.normal, patches.to_sensor, patches.part, patches.weight, patches.footprint
     )  # fmt: skip
-    leg3, size3, across3 = patches.leg, patches.size, patches.across
+    most3, leg3, size3, across3 = patches.most, patches.leg, patches.size, patches.across
     uneven3, quarters3 = patches.uneven, patches.quarters
     allowed, coarsest, peak = cutting.error, cutting.coarsest, cutting.peak
     last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
     per_metre, clock_start, attenuation = clock.per_metre, clock.start, clock.attenuation
+    brightest = peak.max()
     for pair in range(len(pairs)):
         i, p = pairs[pair, 0], pairs[pair, 1]
         if part1[i] < 0 or (part3[p, 0] < 0 and not uneven3[p, 0]):
@@ -232,38 +251,70 @@ def gather(  # type: ignore[no-untyped-def]
             if allowed[k] == np.inf:
                 continue
             into = row[pair] + row_of_part[k]
-            top = _push_box(tag, 0, roots[k], 0)
+            draws = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(k))
+            top = _push_box(tag, vertices, 0, roots[k], 0, 1.0)
             while top > 0:
                 top -= 1
                 what, at, q = tag[top, 0], tag[top, 1], tag[top, 2]
                 v = vertices[top]
                 a, b, c = (v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8])
+                share = v[9]
                 quarters = quarters3[q, 0] >= 0
                 if uneven3[p, q] and quarters:
-                    for j in range(4):
-                        if what != BOX:
-                            top = _push(tag, vertices, top, CELL, at, quarters3[q, j], a, b, c)
+                    if most3[p, q] <= 0.0:
+                        continue
+                    z, size = _point(position3, p, q), size3[p, q]
+                    if what == BOX:
+                        above, height = _above(box, at, x, n1), np.inf
+                        low, high = (box[at, 0], box[at, 1], box[at, 2]), (box[at, 3], box[at, 4], box[at, 5])
+                        m, h = _middle(low, high), _length(less(high, low))
+                        area, several = area_before[span[at, 1]] - area_before[span[at, 0]], children[at, 0] >= 0
+                    else:
+                        m = ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3)
+                        h = max(_length(less(b, a)), _length(less(c, b)), _length(less(a, c)))
+                        area, several = 0.5 * _length(cross(less(b, a), less(c, a))), False
+                        above = max(dot(less(a, x), n1), dot(less(b, x), n1), dot(less(c, x), n1))
+                        height = abs(dot(less(x, a), _at(normal, at)))
+                    if above <= 0.0:
+                        continue
+                    near1 = max(_length(less(m, x)) - h, math.sqrt(area / (2 * math.pi)))
+                    near3 = max(_length(less(m, z)) - h - size, 0.25 * size)
+                    at_most = share * lit * most3[p, q] * peak[k1] * peak[k] * brightest * area
+                    at_most *= min(1.0, above / near1) * min(1.0, height / near1)
+                    if at_most <= allowed[k] * (near1 * near3) ** 2:
+                        # Whatever of the patch is seen makes no larger error than may be: one quarter stands for it.
+                        draws = mix(draws, np.uint64(1))
+                        j = quarters3[q, np.int64(draws & np.uint64(3))]
+                        if what == BOX:
+                            top = _push_box(tag, vertices, top, at, j, 4 * share)
                         else:
-                            top = _push_box(tag, top, at, quarters3[q, j])
+                            top = _push(tag, vertices, top, CELL, at, j, 4 * share, a, b, c)
+                    elif several and h > size:
+                        for j in range(2):
+                            top = _push_box(tag, vertices, top, children[at, j], q, share)
+                    elif what != BOX and h > max(size, SMALLEST * extent):
+                        top = _halve(tag, vertices, top, CELL, at, q, share, a, b, c)
+                    else:
+                        for j in range(4):
+                            if what == BOX:
+                                top = _push_box(tag, vertices, top, at, quarters3[q, j], share)
+                            else:
+                                top = _push(tag, vertices, top, CELL, at, quarters3[q, j], share, a, b, c)
                     continue
                 k3 = part3[p, q]
                 if k3 < 0:
                     continue
                 z, n3, to_sensor = _point(position3, p, q), _point(normal3, p, q), _point(to_sensor3, p, q)
                 size, footprint = size3[p, q], footprint3[p, q]
-                gain = lit * weight3[p, q]
+                gain = lit * weight3[p, q] * share
                 device = leg1[i] + leg3[p, q] if clock.device else 0.0
                 one_ray = not last_leg or (x[0] == z[0] and x[1] == z[1] and x[2] == z[2])
                 if what == BOX:
                     if _above(box, at, x, n1) <= 0.0:
                         continue
                     first, last = span[at, 0], span[at, 1]
-                    middle = (
-                        0.5 * (box[at, 0] + box[at, 3]),
-                        0.5 * (box[at, 1] + box[at, 4]),
-                        0.5 * (box[at, 2] + box[at, 5]),
-                    )
-                    h = _length((box[at, 3] - box[at, 0], box[at, 4] - box[at, 1], box[at, 5] - box[at, 2]))
+                    low, high = (box[at, 0], box[at, 1], box[at, 2]), (box[at, 3], box[at, 4], box[at, 5])
+                    middle, h = _middle(low, high), _length(less(high, low))
                     if _above(box, at, z, n3) <= 0.0 and size <= 0.0:
                         continue
                     if last - first > CLUSTER:
@@ -278,11 +329,11 @@ def gather(  # type: ignore[no-untyped-def]
                             open_it = 0.5 * most > allowed[k]
                         if not open_it and quarters and size > 0.3 * near3:
                             for j in range(4):
-                                top = _push_box(tag, top, at, quarters3[q, j])
+                                top = _push_box(tag, vertices, top, at, quarters3[q, j], share)
                             continue
                         if open_it:
-                            top = _push_box(tag, top, children[at, 1], q)
-                            top = _push_box(tag, top, children[at, 0], q)
+                            top = _push_box(tag, vertices, top, children[at, 1], q, share)
+                            top = _push_box(tag, vertices, top, children[at, 0], q, share)
                             continue
                         # One point anywhere on the cluster stands for all of it.
                         word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
@@ -300,7 +351,7 @@ def gather(  # type: ignore[no-untyped-def]
                         continue
                     for f in range(first, last):
                         one, two, other = _point(corners, f, 0), _point(corners, f, 1), _point(corners, f, 2)
-                        top = _push(tag, vertices, top, CELL, f, q, one, two, other)
+                        top = _push(tag, vertices, top, CELL, f, q, share, one, two, other)
                     continue
                 f, n = at, _at(normal, at)
                 m = ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3)
@@ -393,19 +444,10 @@ def gather(  # type: ignore[no-untyped-def]
                                 continue
                 if quarter:
                     for j in range(4):
-                        top = _push(tag, vertices, top, CELL, f, quarters3[q, j], a, b, c)
+                        top = _push(tag, vertices, top, CELL, f, quarters3[q, j], share, a, b, c)
                     continue
                 if cut and h > SMALLEST * extent:
-                    # Across the longest side.
-                    if long_ab >= long_bc and long_ab >= long_ca:
-                        one, two, other = a, b, c
-                    elif long_bc >= long_ca:
-                        one, two, other = b, c, a
-                    else:
-                        one, two, other = c, a, b
-                    half = (0.5 * (one[0] + two[0]), 0.5 * (one[1] + two[1]), 0.5 * (one[2] + two[2]))
-                    top = _push(tag, vertices, top, what, f, q, one, half, other)
-                    top = _push(tag, vertices, top, what, f, q, half, two, other)
+                    top = _halve(tag, vertices, top, what, f, q, share, a, b, c)
                     continue
                 if cut or not energy > 0.0:
                     continue

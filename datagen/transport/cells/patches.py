@@ -30,8 +30,10 @@ class Patches(NamedTuple):
     Attributes
     ----------
     position, normal, to_sensor : (P, Q, 3) of the middle: metres, unit normal and unit direction towards the sensor.
+        Where its line of sight meets nothing, that of one of its quarters.
     part : (P, Q) part index, −1 where the line of sight meets nothing.
     weight : (P, Q) effective aperture × solid angle, m² sr.
+    most : (P, Q) what that is at most in any patch within it, for as much of the pixel.
     footprint : (P, Q) its area, m².
     leg : (P, Q) distance to the sensor, m.
     size : (P, Q) how far it reaches, m.
@@ -45,6 +47,7 @@ class Patches(NamedTuple):
     to_sensor: Floats
     part: Ints
     weight: Floats
+    most: Floats
     footprint: Floats
     leg: Floats
     size: Floats
@@ -81,21 +84,29 @@ class Patches(NamedTuple):
             np.concatenate([getattr(pool, name) for pool in pools], axis=1)
             for name in ("position", "normal", "to_sensor", "part", "weight", "footprint", "last_leg")
         )
+        most = weight.copy()
+        by_level = [slice((4**k - 1) // 3, (4 ** (k + 1) - 1) // 3) for k in range(len(pools) - 1)]
+        for level in reversed(by_level):
+            within = quarters[level]
+            most[:, level] = np.maximum(most[:, level], 4.0 * most[:, within].max(axis=2))
+            stand_in = np.take_along_axis(within[None], most[:, within].argmax(axis=2)[..., None], axis=2)[..., 0]
+            lost = part[:, level] < 0
+            position[:, level][lost] = np.take_along_axis(position, stand_in[..., None], axis=1)[lost]
         inner = np.flatnonzero(quarters[:, 0] >= 0)
         below = quarters[inner]
-        size = np.sqrt(2.0 * footprint)
-        apart = np.linalg.norm(position[:, below] - position[:, inner, None], axis=3).max(axis=2)
+        size = np.where(part >= 0, np.sqrt(2.0 * footprint), 0.0)
+        apart = np.linalg.norm(position[:, below] - position[:, inner, None], axis=3)
+        apart = np.where(most[:, below] > 0, apart, 0.0).max(axis=2)
         size[:, inner] = np.maximum(size[:, inner], 4.0 * apart)
-        size = np.where(part >= 0, np.maximum(size, LEAST_SIZE), 0.0)
+        size = np.maximum(size, LEAST_SIZE)
         uneven = np.zeros(part.shape, np.bool_)
         cosine = np.einsum("pqik,pqk->pqi", normal[:, below], normal[:, inner])
         other = (part[:, below] != part[:, inner, None]) | ((cosine < 1 - BENT) & (part[:, below] >= 0))
         uneven[:, inner] = other.any(axis=2)
         # A patch that is even but whose quarters are not, is not; level by level, the last first.
-        for pool in pools[-2::-1]:
-            level = slice((pool.part.shape[1] - 1) // 3, (4 * pool.part.shape[1] - 1) // 3)
+        for level in reversed(by_level):
             uneven[:, level] |= uneven[:, quarters[level]].any(axis=2)
-        return cls(position, normal, to_sensor, part, weight, footprint, leg, size, across, uneven, quarters)
+        return cls(position, normal, to_sensor, part, weight, most, footprint, leg, size, across, uneven, quarters)
 
 
 def _middles(level: int, pixels: int) -> Floats:
