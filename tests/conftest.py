@@ -119,3 +119,17 @@ def one_worker_builds_here() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(build, "started", started)
         yield
+
+
+@pytest.fixture
+def painted_where_they_stand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are painted once, and small. To find a place for their axes takes most of the time; tests/report lets
+    them."""
+    from matplotlib.figure import Figure
+
+    def painted(figure: Figure, file: Any, **options: Any) -> None:
+        figure.set_layout_engine("none")
+        figure.set_dpi(50)
+        figure.canvas.print_png(file, metadata=options["metadata"])  # type: ignore[attr-defined]
+
+    monkeypatch.setattr(Figure, "savefig", painted)
