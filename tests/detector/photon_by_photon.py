@@ -38,7 +38,7 @@ def simulate(
 
 
 def arrivals(flux, edges, first_cycle, cycles, rng, replicates):
-    """(most, replicate) sorted absolute times of one pixel's avalanche-capable events, infinite where there are fewer."""
+    """(most, replicate) sorted absolute times of one pixel's avalanche-capable events; infinite after the last."""
     count = rng.poisson(flux.sum() * (cycles - first_cycle), replicates)
     cumulative = np.cumsum(flux)
     shape = (count.max(), replicates)
