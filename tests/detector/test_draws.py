@@ -31,6 +31,7 @@ def streams(count: int, seed: int = 0) -> np.ndarray:
 
 
 def in_order(flux, edges, dead_time, cycles, seed=0, count=REPLICATES):
+    edges.flags.writeable = False  # as those of a `Cycle` are, for which the kernels are compiled then
     return draw_in_order(np.tile(flux, (count, 1)), edges, dead_time, cycles, streams(count, seed))
 
 
