@@ -23,7 +23,8 @@ def blocks(language: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def beside_a_quickstart(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as `make demo` leaves it, with fewer scenes, laser points and rays: configurations and out/quickstart.zarr."""
+    """A folder as `make demo` leaves it: configurations and out/quickstart.zarr, with fewer scenes, laser points and
+    rays."""
     folder = tmp_path_factory.mktemp("readme")
     (folder / "configs").symlink_to(ROOT / "configs")
     values = parse_yaml((ROOT / "configs/quickstart.yaml").read_text(encoding="utf-8"), "quickstart")
