@@ -91,6 +91,7 @@ def test_show_names_the_scenes_there_are(built: Path, capsys: pytest.CaptureFixt
     assert err.startswith("datagen: ") and "3" in err and err.count("\n") == 1
 
 
+@pytest.mark.usefixtures("without_ticks")
 def test_preview_is_one_page(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = built / "page.html"
     assert run(["preview", str(built / "out/tiny.zarr"), "--out", str(page), "--scenes", "1"]) == 0

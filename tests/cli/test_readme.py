@@ -23,11 +23,13 @@ def blocks(language: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def beside_a_quickstart(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as `make demo` leaves it, with fewer scenes and rays: configurations and out/quickstart.zarr."""
+    """A folder as `make demo` leaves it: configurations and out/quickstart.zarr, with fewer scenes, laser points and
+    rays."""
     folder = tmp_path_factory.mktemp("readme")
     (folder / "configs").symlink_to(ROOT / "configs")
     values = parse_yaml((ROOT / "configs/quickstart.yaml").read_text(encoding="utf-8"), "quickstart")
     values["scenes"] = 12
+    values["capture"]["scan"] |= {"rows": 8, "columns": 8}
     values["transport"] = {"lookins": 64, "fov_samples": 1}
     datagen.build(config_from_mapping(values), folder / "out/quickstart.zarr", progress=False)
     return folder
@@ -37,13 +39,13 @@ def beside_a_quickstart(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_python_examples_run_as_printed(
     number: int, beside_a_quickstart: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With fewer rays where an example names a number of them. One that prints its losses lowers them."""
+    """With a wider target where an example names one. One that prints its losses lowers them."""
     import torch
 
     torch.manual_seed(0)
     monkeypatch.chdir(beside_a_quickstart)
     names: dict[str, object] = {}
-    example = re.sub(r"lookins=\d+", "lookins=128", blocks("python")[number])
+    example = re.sub(r"(?<=target=)[\d.]+", "0.3", blocks("python")[number])
     exec(compile(example, f"README.md, example {number}", "exec"), names)
     if "counts" in names:
         assert np.sum(names["counts"]) > 0  # type: ignore[call-overload]

@@ -24,6 +24,7 @@ def test_sheet_names_the_key_of_a_bad_mesh(tmp_path: Path, capsys: pytest.Captur
     assert not (tmp_path / "sheet.png").exists()
 
 
+@pytest.mark.usefixtures("few_pixels")
 def test_sheet_draws_rooms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "sheet.png"
     assert run(["sheet", str(ROOT / "configs/quickstart.yaml"), str(out), "--rooms", "2"]) == 0

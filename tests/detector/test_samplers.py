@@ -46,8 +46,7 @@ def cycles_for(flux: float) -> int:
 
 
 def truth(flux, rule, cycles, seed, burn_in=0, gate=None):
-    rng = np.random.default_rng(seed)
-    return np.stack([simulate(flux, EDGES, cycles, rule, rng, burn_in, gate)[0] for _ in range(REPLICATES)])
+    return simulate(flux, EDGES, cycles, rule, np.random.default_rng(seed), REPLICATES, burn_in, gate)[:, 0]
 
 
 def drawn(draw, seed):
@@ -133,8 +132,7 @@ def test_crosstalk_couples_neighbours(mode, length):
     rule = Rule(tau, synchronous=mode == "synchronous", crosstalk=0.15, columns=3)
     stream = stream_of(seeds[0])
     got = np.stack([draw_avalanches(lam, cycle_of_test(), spad, cycles, stream) for _ in range(REPLICATES)])
-    plain = np.random.default_rng(seeds[1])
-    want = np.stack([simulate(lam, EDGES, cycles, rule, plain, 40) for _ in range(REPLICATES)])
+    want = simulate(lam, EDGES, cycles, rule, np.random.default_rng(seeds[1]), REPLICATES, 40)
     # Five bins a histogram keep the 30 columns testable together.
     same_law(
         *(x.reshape(REPLICATES, 6, 5, 4).sum(3).reshape(REPLICATES, 30) for x in (got, want)), f"crosstalk {mode}"
@@ -147,6 +145,8 @@ def test_cycle_ensemble_has_the_exact_mean_and_nearly_the_variance(length):
     state = equilibrium(lam, EDGES, WIDTH, tau, shorter_than_dead_time=True)
     got = drawn(lambda stream: draw_cycle_ensemble(state, BINS, cycles, stream), 13)
     mean_is(got, cycles * state.mean, f"ensemble, {length}")
-    exact = drawn(lambda stream: draw_free_running(lam, EDGES, WIDTH, BINS - 1, tau, cycles, state, stream), 14)
-    ratio = got.sum(1).var() / exact.sum(1).var()
+    # The variance of so many cycles grows with their number.
+    few = cycles // 10
+    exact = drawn(lambda stream: draw_free_running(lam, EDGES, WIDTH, BINS - 1, tau, few, state, stream), 14)
+    ratio = got.sum(1).var() / (exact.sum(1).var() * cycles / few)
     assert 0.7 < ratio < 1.5  # 250 replicates: ± 13 % by chance

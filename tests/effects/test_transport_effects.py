@@ -56,7 +56,7 @@ def painted(scene: Scene, **materials: Material) -> Scene:
 def left_out_change(scene: Scene, looked: Capture, wanted: Accuracy, effect: str) -> float:
     """Relative L2 change of the transient when only this effect is off, noise cancelled (two seeds)."""
     off = EffectsConfig.model_validate({row.name: "off" if row.name == effect else "on" for row in EFFECTS})
-    runs, wanted = {}, replace(wanted, lookins=8192)
+    runs, wanted = {}, replace(wanted, lookins=4096)
     for name, settings in (("on", EVERYTHING), ("off", off)):
         plan = decide_transport_effects(scene, looked, wanted, settings)
         reduced, fewer = plan.apply_transport(scene, looked, wanted)
@@ -154,7 +154,8 @@ def test_both_runs_of_a_trial_are_independent(how: str) -> None:
     few = Accuracy(lookins=1024, fov_samples=1, max_bounces=4)
     looked = capture("confocal" if how == "confocal" else "exhaustive")
     looked = replace(looked, illumination="flood") if how == "flood" else looked
-    runs = [trial.run_trial(furnished_box(0.7), looked, few, seed) for seed in range(100)]
+    room = furnished_box(0.7)
+    runs = [trial.run_trial(room, looked, few, seed) for seed in range(100)]
     total = np.array([sum(run.components.values()) for run in runs])
     assert total.shape == (100, 2, 16 if how == "exhaustive" else 4, AXIS.bins)
     noise = (total - total.mean(axis=0)) / np.sqrt(1 - 1 / len(runs))

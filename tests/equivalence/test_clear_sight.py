@@ -154,8 +154,9 @@ def test_the_transient_is_the_same_with_and_without_proofs(scene: Scene, pairing
     sensor = whole_wall(6)
     targets = sensor.pixels.mean(axis=1) if pairing == "confocal" else np.array([[0, 0.4, 1.2]])
     capture = Capture(Laser(sensor.position, targets), sensor, bins_of_path(64, 0.3, 0.0), pairing)  # type: ignore[arg-type]
+    lookins = 1024 if pairing == "confocal" else 2048
     asked, proven = (
-        simulate(scene, capture, Accuracy(2048, 4, 4, 2, direct=True, occlusion=occlusion), seed=3)  # type: ignore[arg-type]
+        simulate(scene, capture, Accuracy(lookins, 4, 4, 2, direct=True, occlusion=occlusion), seed=3)  # type: ignore[arg-type]
         for occlusion in ("on", "auto")
     )
     for name, component in asked.components.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numba import njit
@@ -16,7 +17,8 @@ from datagen.transport.brdf import MaterialTable
 
 AZIMUTH = 0.7
 NORMAL = np.array([-0.6, 0.64, -0.48])
-TURNS = 360
+RINGS, TURNS = 600, 360
+GROUPS = 12
 EVEN = 1e6
 """A crowding so weak that sectors are even."""
 
@@ -121,21 +123,36 @@ class Sphere:
     def _azimuth(self, psi: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.sign(psi) * self.crowd * np.expm1(np.abs(psi) / np.pi * np.log1p(np.pi / self.crowd))
 
-    def counts(self, w: NDArray[np.float64], group: tuple[int, int]) -> NDArray[np.float64]:
-        """How many of the directions (n, 3) lie in each group of cells."""
+    def counts(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How many of the directions (n, 3) lie in each of GROUPS × GROUPS groups of cells."""
         phi = np.arctan2(w @ self.b, w @ self.t)
         psi = np.sign(phi) * np.pi * np.log1p(np.abs(phi) / self.crowd) / np.log1p(np.pi / self.crowd)
         # |difference|²/2 keeps the digits of a small angle that 1 − cos would lose.
         x = np.sum((w - self.axis) ** 2, axis=1) / 2
-        sectors = np.linspace(-np.pi, np.pi, TURNS // group[1] + 1)
-        return np.histogram2d(x, psi, (self.edges[:: group[0]], sectors))[0]
+        sectors = np.linspace(-np.pi, np.pi, GROUPS + 1)
+        return np.histogram2d(x, psi, (self.edges[:: len(self.edges) // GROUPS], sectors))[0]
 
 
-def integrate(material: Material, w_in: NDArray[np.float64], n: NDArray[np.float64] = NORMAL) -> tuple[float, float]:
-    """∫ f cosθ_out dω and ∫ pdf dω over all directions."""
-    w_out, area = Sphere.about_lobe(material, w_in, 600, n).directions()
+@dataclass(frozen=True)
+class Integrals:
+    """Over all directions: ∫ f cosθ_out dω, and ∫ pdf dω in GROUPS × GROUPS groups of a sphere's cells."""
+
+    power: float
+    mass: NDArray[np.float64]
+    sphere: Sphere
+
+
+@cache
+def integrals(
+    material: Material, incoming: tuple[float, ...], normal: tuple[float, ...] = tuple(NORMAL)
+) -> Integrals:
+    """Of a material of this normal, lit from the direction `incoming`."""
+    w_in, n = np.array(incoming), np.array(normal)
+    sphere = Sphere.about_lobe(material, w_in, RINGS, n)
+    w_out, area = sphere.directions()
     f, density = values_along(*row_of(material), n, w_in[None], w_out)
-    return float((f * (w_out @ n) * area.ravel()).sum()), float((density * area.ravel()).sum())
+    mass = (density.reshape(area.shape) * area).reshape(GROUPS, RINGS // GROUPS, GROUPS, TURNS // GROUPS)
+    return Integrals(float((f * (w_out @ n) * area.ravel()).sum()), mass.sum(axis=(1, 3)), sphere)
 
 
 def width_of(material: Material) -> float:

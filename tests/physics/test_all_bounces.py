@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,26 +19,26 @@ from datagen.transport.fov import PixelCones
 APERTURE_M2 = np.pi * 0.02**2
 
 
-@pytest.fixture(scope="module")
-def ball() -> trimesh.Trimesh:
-    mesh = trimesh.creation.icosphere(subdivisions=6)
+@cache
+def ball(subdivisions: int) -> trimesh.Trimesh:
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
     # Scaled so that the polyhedron has the unit sphere's area: its energy is then right to second order.
     mesh.apply_scale(np.sqrt(4 * np.pi / mesh.area))
     return mesh
 
 
-def in_the_ball(ball: trimesh.Trimesh, albedo: float) -> tuple[Scene, Capture, float]:
+def in_the_ball(albedo: float, subdivisions: int = 5) -> tuple[Scene, Capture, float]:
     """Scene, capture, and the energy L = ρ³/π · A Ω / (4π r²) of the primary."""
-    scene = Scene.from_parts([Part("sphere", ball, Lambertian(albedo), "structure")])
+    scene = Scene.from_parts([Part("sphere", ball(subdivisions), Lambertian(albedo), "structure")])
     capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(BINS, WIDTH_M, 0.0))
     omega = PixelCones.of(capture.sensor).solid_angle[0]
     return scene, capture, albedo**3 / np.pi / (4 * np.pi) * APERTURE_M2 * omega
 
 
 @pytest.mark.parametrize("albedo", [0.3, 0.8, 1.0])
-def test_sphere_energy_for_three_to_six_bounces(ball: trimesh.Trimesh, albedo: float) -> None:
+def test_sphere_energy_for_three_to_six_bounces(albedo: float) -> None:
     """Each extra bounce multiplies the energy by ρ."""
-    scene, capture, primary = in_the_ball(ball, albedo)
+    scene, capture, primary = in_the_ball(albedo)
     energy = {}
     for last in (3, 4, 5, 6):
         result = simulate(scene, capture, Accuracy(1 << 15, 4, last, 4), seed=last)
@@ -46,25 +47,27 @@ def test_sphere_energy_for_three_to_six_bounces(ball: trimesh.Trimesh, albedo: f
     assert energy[6] - energy[5] == pytest.approx(primary * albedo**3, rel=1e-2)
 
 
-def test_sphere_shape_for_three_to_six_bounces(ball: trimesh.Trimesh) -> None:
+def test_sphere_shape_for_three_to_six_bounces() -> None:
     """The transient of b bounces is the distribution of b − 1 chords through uniform points: t² by bin and order.
 
-    16 independent runs give each bin's error; truth by 16 million chains of uniform points. Level 10⁻³ over 4 orders.
+    16 independent runs, of as many laser points at one place, give each bin's error; truth by 16 million chains of
+    uniform points. Level 10⁻³ over 4 orders.
     """
-    scene, capture, primary = in_the_ball(ball, 0.8)
-    runs: dict[int, list[NDArray[np.float64]]] = {order: [] for order in ORDERS}
-    for s in range(16):
-        fifth, both = (simulate(scene, capture, Accuracy(4096, 4, last, 1), seed=600 + s) for last in (5, 6))
-        runs[3].append(both.components["primary"][0, 0])
-        runs[4].append(both.components["secondary"][0, 0])
-        runs[5].append(fifth.components["higher"][0, 0])
+    scene, capture, primary = in_the_ball(0.8, subdivisions=6)
+    laser, sensor = Laser((0, 0, 0.0), [SPOT] * 16), Sensor((0, 0, 0.0), np.repeat(QUAD, 16, axis=0))
+    sixteen = Capture(laser, sensor, capture.time, "confocal")
+    fifth, both = (simulate(scene, sixteen, Accuracy(4096, 4, last, 1), seed=600) for last in (5, 6))
+    runs: dict[int, NDArray[np.float64]] = {
+        3: both.components["primary"][:, 0],
+        4: both.components["secondary"][:, 0],
+        5: fifth.components["higher"][:, 0],
         # The same seed walks the same paths, so the difference is the sixth bounce alone.
-        runs[6].append(both.components["higher"][0, 0] - runs[5][-1])
+        6: (both.components["higher"] - fifth.components["higher"])[:, 0],
+    }
     for order in ORDERS:
         energy = primary * 0.8 ** (order - 3)
         truth, truth_error = (energy * values for values in stored().of(order))
-        measured = np.array(runs[order])
-        mean, error = measured.mean(axis=0), measured.std(axis=0, ddof=1) / 4
+        mean, error = runs[order].mean(axis=0), runs[order].std(axis=0, ddof=1) / 4
         filled = mean > 1e-3 * mean.max()
         t2 = (mean[filled] - truth[filled]) ** 2 / (error[filled] ** 2 + truth_error[filled] ** 2)
         # Each term is about F(1, 15): mean 15/13, variance 2·15²·14 / (13²·11).
@@ -81,9 +84,9 @@ def test_the_stored_chords_are_those_of_other_chains() -> None:
     assert t.max() < stats.t.isf(0.5e-3 / filled.sum(), 15)
 
 
-def test_russian_roulette_follows_all_orders_without_bias(ball: trimesh.Trimesh) -> None:
+def test_russian_roulette_follows_all_orders_without_bias() -> None:
     """All orders in the sphere sum to 1/(1 − ρ) times the primary."""
-    scene, capture, primary = in_the_ball(ball, 0.6)
+    scene, capture, primary = in_the_ball(0.6)
     result = simulate(scene, capture, Accuracy(1 << 15, 2, None, 8), seed=2)
     total = result.total.sum() + result.overflow.sum()
     assert total == pytest.approx(primary / (1 - 0.6), rel=3e-3)

@@ -79,6 +79,7 @@ def test_its_noise_can_be_drawn_anew(version: int) -> None:
     assert np.ptp(totals) > 0
 
 
+@pytest.mark.usefixtures("without_ticks")
 def test_it_can_be_described_and_shown(tmp_path: Path) -> None:
     assert "made by      datagen 0.1.0, schema 1" in info(ONE)
     assert all(picture.is_file() for picture in show(ONE, 1, tmp_path / "show"))

@@ -131,6 +131,7 @@ class _Page(HTMLParser):
         self.words += data
 
 
+@pytest.mark.usefixtures("without_ticks")
 def test_preview_is_one_well_formed_page_that_needs_nothing(dataset: Path) -> None:
     _fail(dataset, 3, "the room is <too small>")
     try:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from crossing_counts import crossing_counts, crossings
@@ -20,6 +22,12 @@ from datagen.config import config_from_mapping
 from datagen.config.distributions import support
 from datagen.records import Part, Scene
 from datagen.scene import generate_scene
+
+
+@cache
+def twenty_rooms(kind: str) -> list[Scene]:
+    """Of random settings, with up to four objects."""
+    return [random_scene(np.random.default_rng(index), kind, 4, index)[1] for index in range(20)]
 
 
 @pytest.mark.parametrize("kind", LAYOUTS)
@@ -115,15 +123,14 @@ def test_left_and_right_are_mirror_images(kind: str) -> None:
 
 
 def test_random_turn_goes_both_ways() -> None:
-    spec = config_from_mapping({}).scene
+    spec = config_from_mapping({"scene": {"contents": []}}).scene
     lefts = sum(generate_scene(spec, 8, i).parameters["layout.turn"] == "left" for i in range(200))
     assert stats.binomtest(lefts, 200, 0.5).pvalue > 1e-3
 
 
 @pytest.mark.parametrize("kind", LAYOUTS)
 def test_views_and_bounds_hold_the_objects(kind: str) -> None:
-    for index in range(20):
-        _, scene = random_scene(np.random.default_rng(index), kind, 4, index)
+    for scene in twenty_rooms(kind):
         low, high = scene.hidden_bounds
         for name in object_names(scene):
             corners = scene.corners[scene.faces_of(name)].reshape(-1, 3)
@@ -142,8 +149,7 @@ def test_views_and_bounds_hold_the_objects(kind: str) -> None:
 @pytest.mark.parametrize("kind", LAYOUTS)
 def test_the_visible_part_is_all_that_is_visible(kind: str) -> None:
     """Just beyond each side of the rectangle, and above it, the wall is out of sight or has ended."""
-    for index in range(20):
-        _, scene = random_scene(np.random.default_rng(index), kind, 2, index)
+    for scene in twenty_rooms(kind):
         wall = scene.relay_wall
         surface = scene.corners[scene.faces_of("relay_wall")]
         # Under a lintel that is out of square the rectangle ends at the lowest of the sight lines.

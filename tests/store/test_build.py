@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -263,7 +265,8 @@ def test_a_failing_scene_is_recorded_and_the_others_are_built(tmp_path: Path) ->
 
 def test_counts_beyond_the_dtype_are_an_error_not_a_wrap(tmp_path: Path) -> None:
     with pytest.raises(CheckError, match=r"scene 2: field 'histogram': 70000 lies outside 0 … 65535 of uint16"):
-        quiet_build(small_config(), tmp_path / "set", sample_function=too_many_counts)
+        # An error of a worker arrives as it was raised there.
+        quiet_build(small_config(), tmp_path / "set", 2, sample_function=too_many_counts)
 
 
 def test_a_build_where_every_scene_fails_stops_early(tmp_path: Path) -> None:
@@ -320,30 +323,26 @@ def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest
     assert (root / "build/shard-000000.json").read_bytes() == made, "a shard made meanwhile is not made again"
 
 
-def test_a_full_disk_ends_the_build_in_one_line_and_can_be_resumed(tmp_path: Path) -> None:
-    """Files may not grow beyond a limit: below the manifest's size, and below that of a shard."""
-    script = """
-import resource, sys
-from fake_samples import fake_sample, large_config
-from datagen.building.build import build
-from datagen.errors import CheckError
-if __name__ == "__main__":
-    resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
+@contextmanager
+def files_no_longer_than(size: int) -> Iterator[None]:
+    """As on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
-        build(large_config(), sys.argv[1], progress=False, sample_function=fake_sample)
-    except CheckError as error:
-        print(error)
-"""
-    (tmp_path / "child.py").write_text(script)
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_ends_the_build_in_one_line_and_can_be_resumed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Files may not grow beyond a limit: below the manifest's size, and below that of a shard."""
     for limit in (900, 20_000):
-        done = subprocess.run(
-            [sys.executable, str(tmp_path / "child.py"), str(tmp_path / "set"), str(limit)],
-            env=with_fakes(),
-            capture_output=True,
-            text=True,
-        )
-        assert "File too large" in done.stdout and "resume" in done.stdout and done.stdout.count("\n") == 1
-        assert done.stderr == ""
+        with files_no_longer_than(limit), pytest.raises(CheckError, match=r"File too large.*resume") as ended:
+            quiet_build(large_config(), tmp_path / "set")
+        assert "\n" not in str(ended.value)
+        assert capfd.readouterr() == ("", "")
     quiet_build(large_config(), tmp_path / "set")
     assert verify(tmp_path / "set").problems == ()
 
@@ -356,7 +355,9 @@ def test_shard_numbers() -> None:
             parse_shards(bad, 10)
 
 
-def test_dask_writes_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
+def test_dask_writes_the_same_bytes(whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Workers fork from the server of the other builds, which has imported what they need.
+    monkeypatch.setenv("DASK_DISTRIBUTED__WORKER__MULTIPROCESSING_METHOD", "forkserver")
     with socket.socket() as other:
         # Another cluster of this machine has the port that Dask would take.
         with suppress(OSError):
