@@ -21,6 +21,8 @@ SCHEMA_VERSIONS = {
     "samplers); columns `detector_plan.*` are `sampler.*`; key transport.scramblings is transport.replicates",
     3: "datagen 0.3: a seed yields other counts (histograms are drawn block by block, few detections in the order of "
     "their phase); signed distances in double precision",
+    4: "datagen 0.4: a seed yields other light where a configuration asks for an accuracy (the primary by cells, "
+    "without noise), and bins of the secondary hold what arrives between their edges; columns transient.part_error.*",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""

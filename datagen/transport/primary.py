@@ -37,6 +37,8 @@ TRIALS, MOST_TRIED = (8, 48), 1 << 23
 of their histograms at most."""
 COARSE = 1e300
 """An error that every cell may make: surfaces are cut by distance alone."""
+HARDER = 8
+"""How much finer by distance they are cut before nothing is believed to be lit."""
 FIRST, FINER, LEVELS = 0.03, 0.25, 12
 """Error that a cell may make, relative to the norm of its part, after the coarsest cutting; what it is multiplied
 with from one cutting to the next, finer one; and the number of cuttings at most."""
@@ -217,6 +219,7 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
         levels, coarser = levels + 1, finer
     rows = np.arange(len(choice.cutting)) if task.splits.parts else np.zeros(len(choice.cutting), np.int64)
     found = gathering.gathered(pairs, gathering.seen(pairs, levels), choice.cutting, rows)
+    met = met and (choice.whole > 0.0 or not found.histogram.any())
     shape, names = task.capture.shape, task.scene.part_names
     errors = {names[k]: float((choice.still[k] + of_parts[k]) / choice.own[k]) for k in np.flatnonzero(choice.held)}
     return Primary(
@@ -289,6 +292,13 @@ class _Trial:
         self.work.rays += found.rays
         return replace(found, histogram=found.histogram * np.sqrt(self.weight)[:, None, None])
 
+    def dark(self) -> bool:
+        """Whether a harder look finds nothing either."""
+        harder = replace(self.gathering, coarsest=self.gathering.coarsest / HARDER)
+        found = harder.gathered(self.pairs, harder.seen(self.pairs, 0), np.full(len(self.gathering.coarsest), COARSE),
+                                np.zeros(len(self.gathering.coarsest), np.int64))  # fmt: skip
+        return not found.histogram.any() and not found.overflow.any()
+
     def energy(self, histogram: Floats) -> Floats:
         """(K,) photons of each part in all pairs."""
         return np.asarray(np.einsum("nkt,n->k", histogram, np.sqrt(self.weight)))
@@ -304,7 +314,7 @@ class _Choice:
     error, whole : L2 error and norm of the whole.
     still, own : (K,) of each part.
     held : (K,) which are held to an error of their own; limit : (K,) that error, infinite for the others.
-    met : whether all of it is as asked, and there is any light.
+    met : whether all of it is as asked; where there is no light, whether a harder look finds none either.
     """
 
     cutting: Floats
@@ -325,7 +335,7 @@ def _choose(trial: _Trial, asked: _Asked) -> _Choice:
     whole, own = float(np.linalg.norm(runs[0].sum(axis=1))), _norms(runs[0])
     if whole == 0.0:
         nothing = np.zeros(parts)
-        return _Choice(cuttings[0], 0.0, 0.0, nothing, own, settled, nothing + np.inf, False)
+        return _Choice(cuttings[0], 0.0, 0.0, nothing, own, settled, nothing + np.inf, trial.dark())
     scale = np.maximum(own, UNSEEN * whole) / math.sqrt(trial.weight.sum())
     finest = np.zeros(parts, np.int64)
     while True:

@@ -55,13 +55,14 @@ def met(runs: list[Transient]) -> Transient:
     ids=["daily", "others"],
 )
 def test_random_scenes_are_within_their_targets_at_a_fair_cost(scenes: tuple[int, ...]) -> None:
-    """The bench on some cheap cases: within their targets as often as promised, and none off by more than twice."""
-    found = list(outcomes(scenes, targets=(0.2, 0.1), cost=2e6))
+    """The bench on some cheap cases: within their targets as often as promised, and none off by more than twice. What
+    they cost is fair at 5 %; looser targets cost what the coarsest cells do."""
+    found = list(outcomes(scenes, targets=(0.1, 0.05), cost=4e6))
     assert len(found) >= 6
     assert sum(not one.within for one in found) <= beyond_at_most(len(found))
     assert all(one.error < 2 * one.target for one in found)
     assert all(one.met and one.bound <= one.target for one in found)
-    assert np.nanmedian([one.cost / one.fixed_cost for one in found]) < 4
+    assert np.nanmedian([one.cost / one.fixed_cost for one in found if one.target == 0.05]) < 4
     assert "| 0.1 |" in table(found)
 
 
@@ -246,6 +247,5 @@ def test_a_pixel_at_the_foot_of_a_wall_gets_the_light_from_beside_it(half_side_m
     assert np.mean(fixed) == pytest.approx(wanted, abs=allowed)
 
 
-@pytest.mark.xfail(strict=True, reason="rare bright paths of the primary: 8 of 16 runs are beyond, at 6 % on average")
 def test_a_pixel_at_the_foot_of_a_wall_keeps_the_promise_in_all_its_light() -> None:
     assert beyond(held_at_the_foot(0.025), 0.05) <= beyond_at_most(RUNS)

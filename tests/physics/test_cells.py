@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -74,25 +75,35 @@ def test_a_poster_takes_the_light_of_what_it_hangs_on() -> None:
     assert rest < 0.5 * whole
 
 
-@pytest.mark.parametrize("reach", [0.04, 0.2, 0.6])
+@pytest.mark.parametrize("reach", [0.2, 0.6])
 def test_a_pixel_that_reaches_over_the_edge_of_the_wall_keeps_its_light(reach: float) -> None:
-    """What lies on the wall is a pixel of its own: the same light, as nearly as is claimed. The pixel's quarters end
-    somewhere else than the wall, and where they cannot tell, it is said so."""
-    half = 0.2
+    """What lies on the wall is a pixel of its own: the same light, as nearly as is asked of both."""
+    half, own = 0.2, looking_at(0.0)
     over = cells(wall_and_box(crate()), looking_at(1 - 2 * half * reach + half, half))
-    own = looking_at(0.0)
     corners = np.array(
         [[0, 1 - 2 * half * reach, -0.17], [0, 1, -0.17], [0, 1, 0.23], [0, 1 - 2 * half * reach, 0.23]]
     )
     inside = cells(wall_and_box(crate()), replace(own, sensor=replace(own.sensor, pixels=corners[None])))
-    error = off_by(over, inside)
     assert everything(over) > 0
-    assert error < 0.5
-    assert error < 0.02 or (over.met_target is False and error < 1.5 * over.relative_error)
+    assert off_by(over, inside) < 0.015
+
+
+def test_arrival_times_of_a_large_pixel_are_spread() -> None:
+    """A pixel of 40 cm and bins of 2 cm: the mean of its 24 × 24 small ones, by bin."""
+    half, n = 0.2, 24
+    corners = looking_at(0.0, half).sensor.pixels[0]
+    y, z = (np.linspace(corners[:, k].min(), corners[:, k].max(), n + 1) for k in (1, 2))
+    small = np.array([[[0, a, c], [0, b, c], [0, b, d], [0, a, d]] for a, b in pairwise(y) for c, d in pairwise(z)])
+    large, eye = cells(wall_and_box(crate()), looking_at(0.0, half), Accuracy(target=0.005)), looking_at(0.0)
+    parts = cells(
+        wall_and_box(crate()), replace(eye, sensor=replace(eye.sensor, pixels=small)), Accuracy(target=0.01)
+    )
+    summed = parts.total.sum(axis=1)
+    assert np.linalg.norm(large.total[:, 0] - summed) < 0.01 * np.linalg.norm(summed)
 
 
 def test_a_target_out_of_reach_comes_to_an_end_and_says_so() -> None:
-    few = cells(furnished_box(), one_point_capture(), Accuracy(target=1e-4, max_lookins=1 << 15))
+    few = simulate(furnished_box(), one_point_capture(), Accuracy(target=1e-4, max_lookins=1 << 15))
     assert few.met_target is False
     assert few.relative_error > 1e-4
     assert few.spend is not None and "not met" in few.spend.outcome
@@ -299,10 +310,10 @@ def test_one_bin_and_a_hundred_thousand(bins: int, width_m: float) -> None:
     """Narrow bins added up are wide ones, and a window loses nothing: all of it is in a bin or in the overflow."""
     room = furnished_box()
     found = cells(
-        room, one_point_capture(half_side_m=0.02, time=bins_of_path(bins, width_m, 0.0)), Accuracy(target=0.05)
+        room, one_point_capture(half_side_m=0.02, time=bins_of_path(bins, width_m, 0.0)), Accuracy(target=0.02)
     )
     plain = cells(room, one_point_capture(half_side_m=0.02))
-    assert everything(found) == pytest.approx(everything(plain), rel=0.01)
+    assert everything(found) == pytest.approx(everything(plain), rel=0.02)
     assert found.overflow.sum() == 0
     late = cells(room, one_point_capture(half_side_m=0.02, time=bins_of_path(20, 0.1, 4.0)))
     assert everything(late) == pytest.approx(everything(plain), rel=3e-3)

@@ -36,6 +36,8 @@ AT_ONCE = 0.01
 """Size of a patch, in bins, up to which all of it is reached at once."""
 SMALLEST = 1e-8
 """Smallest cell that is cut, relative to the scene."""
+FEWEST = 1 / 256
+"""Light of a part that one quarter of a pixel may stand for at most, relative to what all of it might bring."""
 BOX, CELL, CLEAR = 0, 1, 2
 """What waits to be looked at: a box, a cell, a cell of which nothing is hidden."""
 CLUSTER = 4
@@ -161,6 +163,15 @@ def _middle(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _digit(turn: int, share: float) -> int:
+    """Of a number, to base 4, the digit after those that were used up to get to a share of 4^digits."""
+    while share > 1.0:
+        turn >>= 2
+        share *= 0.25
+    return turn & 3
+
+
+@njit(cache=True)
 def _anywhere(first, last, area_before, corners, word):  # type: ignore[no-untyped-def]
     """A point drawn uniformly on the triangles first … last, and which it lies on."""
     u = math.sqrt((np.float64(mix(word, np.uint64(1))) + 0.5) * 2.0**-32)
@@ -251,7 +262,10 @@ def gather(  # type: ignore[no-untyped-def]
             if allowed[k] == np.inf:
                 continue
             into = row[pair] + row_of_part[k]
-            draws = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(k))
+            most, turn = (
+                np.inf,
+                np.int64(mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(k)) >> np.uint64(8)),
+            )
             top = _push_box(tag, vertices, 0, roots[k], 0, 1.0)
             while top > 0:
                 top -= 1
@@ -281,10 +295,14 @@ def gather(  # type: ignore[no-untyped-def]
                     near3 = max(_length(less(m, z)) - h - size, 0.25 * size)
                     at_most = share * lit * most3[p, q] * peak[k1] * peak[k] * brightest * area
                     at_most *= min(1.0, above / near1) * min(1.0, height / near1)
-                    if at_most <= allowed[k] * (near1 * near3) ** 2:
-                        # Whatever of the patch is seen makes no larger error than may be: one quarter stands for it.
-                        draws = mix(draws, np.uint64(1))
-                        j = quarters3[q, np.int64(draws & np.uint64(3))]
+                    at_most /= (near1 * near3) ** 2
+                    if q == 0 and what == BOX and at == roots[k]:
+                        most = at_most
+                    if at_most <= min(allowed[k], most * FEWEST):
+                        # Whatever of the patch is seen makes no larger error than may be: one quarter stands for it,
+                        # and such cells take turns.
+                        turn += share == 1.0
+                        j = quarters3[q, _digit(turn, share)]
                         if what == BOX:
                             top = _push_box(tag, vertices, top, at, j, 4 * share)
                         else:
