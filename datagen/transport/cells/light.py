@@ -18,10 +18,11 @@ import numpy as np
 from numba import njit
 
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.binning import put
 from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.arrival import spread
-from datagen.transport.cells.occlusion import clear, cross, hidden, less, shaded
+from datagen.transport.cells.occlusion import (
+    RING, ball, cross, distance, hidden, less, narrowed, narrowed_to_box, shaded,
+)  # fmt: skip
 from datagen.transport.sampling import mix
 
 COARSEST = 0.8
@@ -30,8 +31,8 @@ PARTLY, UNFOUND = 0.5, 0.05
 """Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
 SMALLEST = 1e-8
 """Smallest cell that is cut, relative to the scene."""
-BOX, CELL, CLEAR = 0, 1, 2
-"""What waits to be looked at: a box, a cell, a cell of which nothing is hidden."""
+BOX, FRESH, CELL = 0, 1, 2
+"""What waits to be looked at: a box, a cell, a cell whose vertices' light is known."""
 CLUSTER = 4
 """Triangles of a box up to which each is a cell of its own; not below `hierarchy.LEAF`."""
 
@@ -89,27 +90,23 @@ def _point(array, i, j):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _weight(y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint):  # type: ignore[no-untyped-def]
-    """w(y) but for power, sensor and air, and the path from laser point to patch."""
+    """w(y) but for power, sensor and air, and R₁ and R₂."""
     d1, d3 = less(y, x), less(y, z)
     square1, square3 = dot(d1, d1), dot(d3, d3)
     r1, r3 = math.sqrt(square1), math.sqrt(square3)
     up1, up3 = dot(d1, n1), dot(d3, n3)
     in2, out2 = -dot(d1, n), -dot(d3, n)
     if up1 <= 0.0 or up3 <= 0.0 or in2 * out2 <= 0.0:
-        return 0.0, r1 + r3
+        return 0.0, r1, r3
     if in2 < 0.0:
         n = (-n[0], -n[1], -n[2])
-    w1, w3 = (d1[0] / r1, d1[1] / r1, d1[2] / r1), (d3[0] / r3, d3[1] / r3, d3[2] / r3)
+    per1, per3 = 1.0 / r1, 1.0 / r3
+    w1, w3 = (d1[0] * per1, d1[1] * per1, d1[2] * per1), (d3[0] * per3, d3[1] * per3, d3[2] * per3)
     f1 = evaluate(kind[k1], values[k1], n1, to_laser, w1)
     f2 = evaluate(kind[k], values[k], n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
     f3 = evaluate(kind[k3], values[k3], n3, w3, to_sensor)
-    w = f1 * f2 * f3 * up1 * in2 * out2 * up3 / (square1 * square1 * square3 * (square3 + footprint / math.pi))
-    return w, r1 + r3
-
-
-@njit(cache=True, error_model="numpy")
-def _length(a):  # type: ignore[no-untyped-def]
-    return math.sqrt(dot(a, a))
+    w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
+    return w, r1, r3
 
 
 @njit(cache=True, error_model="numpy")
@@ -122,18 +119,24 @@ def _above(box, k, x, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _push(tag, vertices, top, what, f, q, a, b, c):  # type: ignore[no-untyped-def]
-    """A cell of triangle f for patch q, to be looked at next; returns how many wait."""
-    tag[top, 0], tag[top, 1], tag[top, 2] = what, f, q
-    for j in range(3):
-        vertices[top, j], vertices[top, 3 + j], vertices[top, 6 + j] = a[j], b[j], c[j]
+def _push(tag, top, what, at, q, first, middle, last):  # type: ignore[no-untyped-def]
+    """A box or cell to be looked at next, with the candidates that may hide it; returns how many wait."""
+    tag[top, 0], tag[top, 1], tag[top, 2] = what, at, q
+    tag[top, 3], tag[top, 4], tag[top, 5] = first, middle, last
     return top + 1
 
 
 @njit(cache=True)
-def _push_box(tag, top, at, q):  # type: ignore[no-untyped-def]
-    tag[top, 0], tag[top, 1], tag[top, 2] = BOX, at, q
-    return top + 1
+def _put(cell, k, vertex, y, w, path):  # type: ignore[no-untyped-def]
+    """Vertex 0, 1 or 2 of waiting cell k, and what is known there."""
+    j = 5 * vertex
+    cell[k, j], cell[k, j + 1], cell[k, j + 2], cell[k, j + 3], cell[k, j + 4] = y[0], y[1], y[2], w, path
+
+
+@njit(cache=True)
+def _vertex(cell, k, vertex):  # type: ignore[no-untyped-def]
+    j = 5 * vertex
+    return (cell[k, j], cell[k, j + 1], cell[k, j + 2])
 
 
 @njit(cache=True)
@@ -164,27 +167,19 @@ def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _seen(y, x, z, one_ray, f, obstacle, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
+def _seen(y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """Whether the laser point x lights y on triangle f and the patch at z sees it."""
-    if hidden(x, y, f, obstacle, number, box, child, span, waiting) >= 0:
+    if hidden(x, y, f, candidates, first, middle, facet, number, box, link, waiting) >= 0:
         return False
-    return one_ray or hidden(z, y, f, obstacle, number, box, child, span, waiting) < 0
+    return hidden(z, y, f, candidates, middle, last, facet, number, box, link, waiting) < 0
 
 
 @njit(cache=True)
-def _all_seen(x, a, b, c, z, one_ray, f, obstacle, number, box, child, span, flat, waiting):  # type: ignore[no-untyped-def]
-    """Whether that is proven for all of the cell a, b, c."""
-    if not clear(x, a, b, c, f, obstacle, number, box, child, span, flat, waiting):
-        return False
-    return one_ray or clear(z, a, b, c, f, obstacle, number, box, child, span, flat, waiting)
-
-
-@njit(cache=True)
-def _none_seen(x, a, b, c, z, one_ray, f, obstacle, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
+def _none_seen(x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """Whether it is proven that nothing of the cell a, b, c is lit by the laser point and seen by the patch."""
-    if shaded(x, a, b, c, f, obstacle, number, box, child, span, waiting):
+    if shaded(x, a, b, c, f, candidates, first, middle, facet, number, box, link, waiting):
         return True
-    return not one_ray and shaded(z, a, b, c, f, obstacle, number, box, child, span, waiting)
+    return shaded(z, a, b, c, f, candidates, middle, last, facet, number, box, link, waiting)
 
 
 @njit(cache=True, error_model="numpy")
@@ -196,15 +191,19 @@ def gather(  # type: ignore[no-untyped-def]
     pairs : (n, 2) laser point and pixel of each. row : (n,) first row of each, to which `row_of_part` (K,) is added.
     histogram (rows, T) and overflow (rows,) get the photons.
     Returns the cells that were spread, and the rays asked.
+
+    What may stand between a cell and laser point or patch is among what may stand before all of the box or cell that
+    it is cut from: each hands down its candidates, first … middle for the one and middle … last for the other, and
+    where none is left nothing is hidden. Cells hand down their vertices' light, too.
     """
-    vertices, tag = np.empty((1024, 9)), np.empty((1024, 3), np.int64)
-    waiting = np.empty(512, np.int64)
+    # What waits: its kind, number, patch and candidates; and of cells three vertices with w and path, and the area.
+    tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 16))
+    candidates, waiting = np.empty(1 << 14, np.int64), np.empty(512, np.int64)
     cells, rays = 0, 0
     # Records are taken apart here: in the loops every look into one costs as much as what it is for.
     corners, normal, area_before, extent = tree.corners, tree.normal, tree.area, tree.extent
-    box, children, span, roots = tree.box, tree.children, tree.span, tree.roots
-    obstacle, number, flat = occluders.corners, occluders.number, occluders.flat
-    around, child, within = occluders.box, occluders.child, occluders.span
+    around, children, span, roots = tree.box, tree.children, tree.span, tree.roots
+    facet, number, box, link, flat = occluders.facet, occluders.number, occluders.box, occluders.link, occluders.flat
     position1, normal1, to_laser1, part1, power1, leg1 = (
         lasers.position, lasers.normal, lasers.to_laser, lasers.part, lasers.power, lasers.leg
     )  # fmt: skip
@@ -214,198 +213,220 @@ def gather(  # type: ignore[no-untyped-def]
     leg3, size3, uneven3, quarters3 = patches.leg, patches.size, patches.uneven, patches.quarters
     allowed, coarsest, peak = cutting.error, cutting.coarsest, cutting.peak
     last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
-    per_metre, clock_start, attenuation = clock.per_metre, clock.start, clock.attenuation
+    per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
+    enough = len(candidates) - 4 * RING
+    some = min(len(number), 1)
+    candidates[0] = candidates[1] = 0
     for pair in range(len(pairs)):
         i, p = pairs[pair, 0], pairs[pair, 1]
         if part1[i] < 0 or (part3[p, 0] < 0 and not uneven3[p, 0]):
             continue
         x, k1 = _at(position1, i), part1[i]
         n1, to_laser, lit = _at(normal1, i), _at(to_laser1, i), power1[i]
+        z = _point(position3, p, 0)
+        apart = last_leg and not (x[0] == z[0] and x[1] == z[1] and x[2] == z[2])
         for k in range(len(roots)):
             if allowed[k] == np.inf:
                 continue
             into = row[pair] + row_of_part[k]
-            top = _push_box(tag, 0, roots[k], 0)
+            top = _push(tag, 0, BOX, roots[k], 0, 0, some, 2 * some if apart else some)
             while top > 0:
                 top -= 1
                 what, at, q = tag[top, 0], tag[top, 1], tag[top, 2]
-                v = vertices[top]
-                a, b, c = (v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8])
+                first, middle, last = tag[top, 3], tag[top, 4], tag[top, 5]
                 quarters = quarters3[q, 0] >= 0
-                if uneven3[p, q] and quarters:
-                    for j in range(4):
-                        if what != BOX:
-                            top = _push(tag, vertices, top, CELL, at, quarters3[q, j], a, b, c)
-                        else:
-                            top = _push_box(tag, top, at, quarters3[q, j])
-                    continue
+                quarter = uneven3[p, q] and quarters
                 k3 = part3[p, q]
-                if k3 < 0:
+                if k3 < 0 and not quarter:
                     continue
                 z, n3, to_sensor = _point(position3, p, q), _point(normal3, p, q), _point(to_sensor3, p, q)
                 size, footprint = size3[p, q], footprint3[p, q]
                 gain = lit * weight3[p, q]
                 device = leg1[i] + leg3[p, q] if clock.device else 0.0
-                one_ray = not last_leg or (x[0] == z[0] and x[1] == z[1] and x[2] == z[2])
-                if what == BOX:
-                    if _above(box, at, x, n1) <= 0.0:
+                if what == BOX and not quarter:
+                    if _above(around, at, x, n1) <= 0.0 or (_above(around, at, z, n3) <= 0.0 and size <= 0.0):
                         continue
-                    first, last = span[at, 0], span[at, 1]
-                    middle = (
-                        0.5 * (box[at, 0] + box[at, 3]),
-                        0.5 * (box[at, 1] + box[at, 4]),
-                        0.5 * (box[at, 2] + box[at, 5]),
-                    )
-                    h = _length((box[at, 3] - box[at, 0], box[at, 4] - box[at, 1], box[at, 5] - box[at, 2]))
-                    if _above(box, at, z, n3) <= 0.0 and size <= 0.0:
-                        continue
-                    if last - first > CLUSTER:
-                        r1, r3 = _length(less(middle, x)), _length(less(middle, z))
-                        near1, near3 = r1 - 0.5 * h, r3 - 0.5 * h
-                        open_it = near1 <= 0.0 or near3 <= 0.0 or h > COARSEST * near1 or h > COARSEST * near3
-                        if not open_it:
+                    start, end = span[at, 0], span[at, 1]
+                    many = end - start > CLUSTER
+                    if many:
+                        centre, radius = ball(around, at)
+                        h, near1, near3 = 2 * radius, distance(centre, x) - radius, distance(centre, z) - radius
+                        whole = near1 > 0.0 and near3 > 0.0 and h <= COARSEST * near1 and h <= COARSEST * near3
+                        if whole:
                             # As if all of it faced both: its light is at most that.
-                            most = gain * peak[k1] * peak[k] * peak[k3]
-                            most *= area_before[last] - area_before[first]
-                            most /= near1 * near1 * near3 * near3
-                            open_it = 0.5 * most > allowed[k]
-                        if not open_it and quarters and size > 0.3 * near3:
-                            for j in range(4):
-                                top = _push_box(tag, top, at, quarters3[q, j])
-                            continue
-                        if open_it:
-                            top = _push_box(tag, top, children[at, 1], q)
-                            top = _push_box(tag, top, children[at, 0], q)
-                            continue
-                        # One point anywhere on the cluster stands for all of it.
-                        word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
-                        f, y = _anywhere(first, last, area_before, corners, word)
-                        n, area = _at(normal, f), area_before[last] - area_before[first]
-                        w, path = _weight(y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint)
-                        if w > 0.0:
-                            rays += 1
-                            cells += 1
-                            if _seen(y, x, z, one_ray, f, obstacle, number, around, child, within, waiting):
-                                air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
-                                overflow[into] += put(
-                                    histogram[into], (path + device) * per_metre - clock_start, w * air * gain * area
+                            bound = gain * peak[k1] * peak[k] * peak[k3]
+                            bound *= (area_before[end] - area_before[start]) / (near1 * near1 * near3 * near3)
+                            whole = 0.5 * bound <= allowed[k]
+                        quarter = whole and quarters and size > 0.3 * near3
+                        if whole and not quarter:
+                            # One point anywhere on the cluster stands for all of it.
+                            word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
+                            f, y = _anywhere(start, end, area_before, corners, word)
+                            n, area = _at(normal, f), area_before[end] - area_before[start]
+                            w, r1, r3 = _weight(
+                                y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint
+                            )
+                            rays += w > 0.0
+                            cells += w > 0.0
+                            if w > 0.0 and _seen(
+                                y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
+                            ):
+                                air = math.exp(-attenuation * (r1 + r3 + leg3[p, q])) if attenuation > 0.0 else 1.0
+                                arrival, energy = (r1 + r3 + device) * per_metre - start_bin, w * air * gain * area
+                                overflow[into] += spread(
+                                    histogram, into, arrival, arrival, arrival, 1.0, 1.0, 1.0, energy
                                 )
+                            continue
+                    if not quarter:
+                        if proofs and first < last < enough:
+                            half_way = narrowed_to_box(
+                                x, around, at, candidates, first, middle, last, box, link, waiting
+                            )
+                            behind = narrowed_to_box(
+                                z, around, at, candidates, middle, last, half_way, box, link, waiting
+                            )
+                            first, middle, last = last, half_way, behind
+                        if many:
+                            top = _push(tag, top, BOX, children[at, 1], q, first, middle, last)
+                            top = _push(tag, top, BOX, children[at, 0], q, first, middle, last)
+                            continue
+                        for f in range(start, end):
+                            for j in range(3):
+                                _put(cell, top, j, _point(corners, f, j), 0.0, 0.0)
+                            cell[top, 15] = area_before[f + 1] - area_before[f]
+                            top = _push(tag, top, FRESH, f, q, first, middle, last)
                         continue
-                    for f in range(first, last):
-                        one, two, other = _point(corners, f, 0), _point(corners, f, 1), _point(corners, f, 2)
-                        top = _push(tag, vertices, top, CELL, f, q, one, two, other)
-                    continue
-                f, n = at, _at(normal, at)
-                m = ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3)
-                if max(dot(less(a, x), n1), dot(less(b, x), n1), dot(less(c, x), n1)) <= 0.0:
-                    continue
-                if max(dot(less(a, z), n3), dot(less(b, z), n3), dot(less(c, z), n3)) <= 0.0:
-                    continue
-                height1, height3 = dot(less(x, a), n), dot(less(z, a), n)
-                if abs(height1) < flat:
-                    continue
-                ab, bc, ca = less(b, a), less(c, b), less(a, c)
-                long_ab, long_bc, long_ca = dot(ab, ab), dot(bc, bc), dot(ca, ca)
-                h = math.sqrt(max(long_ab, long_bc, long_ca))
-                d1, d3 = less(m, x), less(m, z)
-                r1, r3 = _length(d1), _length(d3)
-                # What the patch itself cannot tell apart needs no cutting.
-                bound3 = math.sqrt(r3 * r3 + footprint / math.pi)
-                ratio1, ratio3, ratio_z = h / r1, h / bound3, size / r3
-                limit = coarsest[k]
-                quarter = ratio_z > limit and quarters and size > 0.5 * h
-                cut = not quarter and max(ratio1, ratio3) > limit
-                if height1 * height3 <= 0.0 or abs(height3) < flat:
-                    # The middle of the patch is not lit by this side of the triangle; parts of a large patch may be.
-                    if not (quarters and abs(height3) < size and size > 0.1 * r3):
+                a, b, c, area = _vertex(cell, top, 0), _vertex(cell, top, 1), _vertex(cell, top, 2), cell[top, 15]
+                if what != BOX and not quarter:
+                    f, n = at, _at(normal, at)
+                    if max(dot(less(a, x), n1), dot(less(b, x), n1), dot(less(c, x), n1)) <= 0.0:
                         continue
-                    quarter = True
-                area = 0.5 * _length(cross(ab, ca))
-                vis, error = 1.0, 0.0
-                if not (cut or quarter):
-                    wm, path = _weight(m, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint)
-                    wa, at_a = _weight(a, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint)
-                    wb, at_b = _weight(b, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint)
-                    wc, at_c = _weight(c, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint)
-                    air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
-                    energy = gain * air * area * (0.75 * wm + 0.25 * (wa + wb + wc) / 3)
-                    bend = (at_a + at_b + at_c) / 3 - path
-                    width = (max(at_a, at_b, at_c) - min(at_a, at_b, at_c)) * per_metre
-                    bright = gain * area * max(wm, wa, wb, wc)
-                    over = bright / math.sqrt(max(1.0, width))
-                    sharp = (COARSEST / limit) ** 2
-                    curved = sharp * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / max(1.0, width)
-                    smeared = ratio_z * ratio_z + (0.3 * size * per_metre / max(1.0, width)) ** 2 * 0.25
-                    error = over * curved
-                    if over * smeared > allowed[k]:
-                        quarter = quarters
-                    if not quarter and bright > 0.0:
+                    if max(dot(less(a, z), n3), dot(less(b, z), n3), dot(less(c, z), n3)) <= 0.0:
+                        continue
+                    height1, height3 = dot(less(x, a), n), dot(less(z, a), n)
+                    if abs(height1) < flat:
+                        continue
+                    if what == FRESH:
+                        for j in range(3):
+                            y = _vertex(cell, top, j)
+                            w, r1, r3 = _weight(
+                                y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint
+                            )
+                            _put(cell, top, j, y, w, r1 + r3)
+                    wa, wb, wc = cell[top, 3], cell[top, 8], cell[top, 13]
+                    at_a, at_b, at_c = cell[top, 4], cell[top, 9], cell[top, 14]
+                    m = ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3)
+                    wm, r1, r3 = _weight(
+                        m, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint
+                    )
+                    ab, bc, ca = less(b, a), less(c, b), less(a, c)
+                    long_ab, long_bc, long_ca = dot(ab, ab), dot(bc, bc), dot(ca, ca)
+                    h = math.sqrt(max(long_ab, long_bc, long_ca))
+                    # What the patch itself cannot tell apart needs no cutting.
+                    bound3 = math.sqrt(r3 * r3 + footprint / math.pi)
+                    ratio1, ratio3, ratio_z = h / r1, h / bound3, size / r3
+                    limit = coarsest[k]
+                    quarter = ratio_z > limit and quarters and size > 0.5 * h
+                    cut = not quarter and max(ratio1, ratio3) > limit
+                    if height1 * height3 <= 0.0 or abs(height3) < flat:
+                        # The middle of the patch is not lit by this side of the triangle; parts of a large patch may be.
+                        if not (quarters and abs(height3) < size and size > 0.1 * r3):
+                            continue
+                        quarter = True
+                    visible, faint = 1.0, False
+                    if not (cut or quarter):
+                        path = r1 + r3
+                        bend = (at_a + at_b + at_c) / 3 - path
+                        width = max(1.0, (max(at_a, at_b, at_c) - min(at_a, at_b, at_c)) * per_metre)
+                        bright = gain * area * max(wm, wa, wb, wc)
+                        over = bright / math.sqrt(width)
+                        sharp = (COARSEST / limit) ** 2
+                        curved = sharp * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / width
+                        smeared = ratio_z * ratio_z + (0.3 * size * per_metre / width) ** 2 * 0.25
+                        quarter = quarters and over * smeared > allowed[k]
+                        if not quarter and not bright > 0.0:
+                            continue
+                        cut = not quarter and over * curved > allowed[k]
+                        # Seen or not, it can make no larger error than it may.
                         faint = over <= allowed[k]
-                        if (
-                            what == CELL
-                            and proofs
-                            and not faint
-                            and _all_seen(
-                                x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, flat, waiting
-                            )
-                        ):
-                            what = CLEAR
-                        cut = error > allowed[k]
-                        if (
-                            cut
-                            and what == CELL
-                            and _none_seen(
-                                x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, waiting
-                            )
+                    if not quarter and proofs and first < last < enough and (cut or not faint):
+                        half_way = narrowed(
+                            x, a, b, c, f, candidates, first, middle, last, facet, number, box, link, flat, waiting
+                        )
+                        behind = narrowed(
+                            z, a, b, c, f, candidates, middle, last, half_way, facet, number, box, link, flat, waiting
+                        )
+                        first, middle, last = last, half_way, behind
+                    if not quarter and first < last:
+                        if cut and _none_seen(
+                            x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link, waiting
                         ):
                             continue
-                        if not cut and what == CELL and faint:
-                            # Seen or not, it can make no larger error than it may.
+                        if faint and not cut:
                             rays += 1
-                            if not _seen(m, x, z, one_ray, f, obstacle, number, around, child, within, waiting):
+                            if not _seen(
+                                m, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
+                            ):
                                 continue
-                        elif not cut and what == CELL:
+                        elif not cut:
                             seen = 0
-                            for lone in range(3):
+                            for j in range(3):
                                 rays += 1
-                                y = (
-                                    (a[0] + b[0] + c[0] + 3 * v[3 * lone]) / 6,
-                                    (a[1] + b[1] + c[1] + 3 * v[3 * lone + 1]) / 6,
-                                    (a[2] + b[2] + c[2] + 3 * v[3 * lone + 2]) / 6,
+                                y = _vertex(cell, top, j)
+                                y = (0.5 * (m[0] + y[0]), 0.5 * (m[1] + y[1]), 0.5 * (m[2] + y[2]))
+                                seen += _seen(
+                                    y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
                                 )
-                                seen += _seen(y, x, z, one_ray, f, obstacle, number, around, child, within, waiting)
-                            vis = seen / 3
+                            visible = seen / 3
                             # What three rays do not find may still be there: it is cut a little less eagerly.
                             cut = seen < 3 and (PARTLY if seen > 0 else UNFOUND) * over > allowed[k]
                             if seen == 0 and (
                                 not cut
                                 or _none_seen(
-                                    x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, waiting
+                                    x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link,
+                                    waiting,
                                 )
-                            ):
+                            ):  # fmt: skip
                                 continue
                 if quarter:
+                    # Another point of the wall, before which other things may stand.
+                    candidates[last] = candidates[last + 1] = 0
+                    first, middle, last = last, last + some, last + (2 * some if last_leg else some)
                     for j in range(4):
-                        top = _push(tag, vertices, top, CELL, f, quarters3[q, j], a, b, c)
+                        _put(cell, top, 0, a, 0.0, 0.0)
+                        _put(cell, top, 1, b, 0.0, 0.0)
+                        _put(cell, top, 2, c, 0.0, 0.0)
+                        cell[top, 15] = area
+                        kept = BOX if what == BOX else FRESH
+                        top = _push(tag, top, kept, at, quarters3[q, j], first, middle, last)
                     continue
-                if cut and h > SMALLEST * extent:
+                if cut:
+                    if h <= SMALLEST * extent:
+                        continue
                     # Across the longest side.
                     if long_ab >= long_bc and long_ab >= long_ca:
-                        one, two, other = a, b, c
+                        one, two, other, w1, w2, w3, at1, at2, at3 = a, b, c, wa, wb, wc, at_a, at_b, at_c
                     elif long_bc >= long_ca:
-                        one, two, other = b, c, a
+                        one, two, other, w1, w2, w3, at1, at2, at3 = b, c, a, wb, wc, wa, at_b, at_c, at_a
                     else:
-                        one, two, other = c, a, b
-                    half = (0.5 * (one[0] + two[0]), 0.5 * (one[1] + two[1]), 0.5 * (one[2] + two[2]))
-                    top = _push(tag, vertices, top, what, f, q, one, half, other)
-                    top = _push(tag, vertices, top, what, f, q, half, two, other)
+                        one, two, other, w1, w2, w3, at1, at2, at3 = c, a, b, wc, wa, wb, at_c, at_a, at_b
+                    y = (0.5 * (one[0] + two[0]), 0.5 * (one[1] + two[1]), 0.5 * (one[2] + two[2]))
+                    w, r1, r3 = _weight(
+                        y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint
+                    )
+                    for j in range(2):
+                        _put(cell, top, j, y, w, r1 + r3)
+                        _put(cell, top, 1 - j, one if j else two, w1 if j else w2, at1 if j else at2)
+                        _put(cell, top, 2, other, w3, at3)
+                        cell[top, 15] = 0.5 * area
+                        top = _push(tag, top, CELL, f, q, first, middle, last)
                     continue
-                if cut or not energy > 0.0:
-                    continue
+                air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
+                energy = gain * air * area * (0.75 * wm + 0.25 * (wa + wb + wc) / 3)
                 cells += 1
-                scale, zero = per_metre, (device - 0.75 * bend) * per_metre - clock_start
+                zero = (device - 0.75 * bend) * per_metre - start_bin
                 overflow[into] += spread(
-                    histogram[into], at_a * scale + zero, at_b * scale + zero, at_c * scale + zero, wa, wb, wc,
-                    vis * energy,
+                    histogram, into, at_a * per_metre + zero, at_b * per_metre + zero, at_c * per_metre + zero,
+                    wa, wb, wc, visible * energy,
                 )  # fmt: skip
     return cells, rays
