@@ -167,6 +167,18 @@ def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _inner_side(x, n, corners, f, solid, solid_box):  # type: ignore[no-untyped-def]
+    """Whether triangle f turns the inner side of a convex solid to x, which lies outside it and so cannot see it."""
+    s = solid[f]
+    if s < 0 or dot(less(x, _point(corners, f, 0)), n) >= 0.0:
+        return False
+    outside = False
+    for j in range(3):
+        outside |= x[j] <= solid_box[s, j] or x[j] >= solid_box[s, 3 + j]
+    return outside
+
+
+@njit(cache=True)
 def _seen(y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """Whether the laser point x lights y on triangle f and the patch at z sees it."""
     if hidden(x, y, f, candidates, first, middle, facet, number, box, link, waiting) >= 0:
@@ -203,6 +215,7 @@ def gather(  # type: ignore[no-untyped-def]
     # Records are taken apart here: in the loops every look into one costs as much as what it is for.
     corners, normal, area_before, extent = tree.corners, tree.normal, tree.area, tree.extent
     around, children, span, roots = tree.box, tree.children, tree.span, tree.roots
+    solid, solid_box = tree.solid, tree.solid_box
     facet, number, box, link, flat = occluders.facet, occluders.number, occluders.box, occluders.link, occluders.flat
     position1, normal1, to_laser1, part1, power1, leg1 = (
         lasers.position, lasers.normal, lasers.to_laser, lasers.part, lasers.power, lasers.leg
@@ -268,6 +281,8 @@ def gather(  # type: ignore[no-untyped-def]
                             )
                             rays += w > 0.0
                             cells += w > 0.0
+                            if proofs and _inner_side(x, n, corners, f, solid, solid_box):
+                                continue
                             if w > 0.0 and _seen(
                                 y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
                             ):
@@ -307,6 +322,8 @@ def gather(  # type: ignore[no-untyped-def]
                     if abs(height1) < flat:
                         continue
                     if what == FRESH:
+                        if proofs and _inner_side(x, n, corners, f, solid, solid_box):
+                            continue
                         for j in range(3):
                             y = _vertex(cell, top, j)
                             w, r1, r3 = _weight(

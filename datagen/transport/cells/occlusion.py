@@ -22,7 +22,7 @@ TOUCHING = 1e-9
 FEW_VERTICES = 256
 """Vertices of a part up to which each is asked whether it lies behind a wall; of larger parts their box is."""
 LEAF, BINS = 3, 12
-MOST, RING = 32, 63
+MOST, RING = 8, 63
 """Candidates up to which boxes are opened, and the mask of a ring that holds those still to be looked at."""
 MANY_WALLS = 1024
 """Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""
