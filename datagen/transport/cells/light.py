@@ -210,7 +210,7 @@ def gather(  # type: ignore[no-untyped-def]
     """
     # What waits: its kind, number, patch and candidates; and of cells three vertices with w and path, and the area.
     tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 16))
-    candidates, waiting = np.empty(1 << 14, np.int64), np.empty(512, np.int64)
+    candidates, waiting = np.empty(1 << 14, np.int64), np.full(512, -1)
     cells, rays = 0, 0
     # Records are taken apart here: in the loops every look into one costs as much as what it is for.
     corners, normal, area_before, extent = tree.corners, tree.normal, tree.area, tree.extent

@@ -17,12 +17,13 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot
 from datagen.transport.cells.hierarchy import ON_PLANE, Hierarchy
 
+TINY = 1e-300
 TOUCHING = 1e-9
 """Share of a line at each end within which a triangle only touches it."""
 FEW_VERTICES = 256
 """Vertices of a part up to which each is asked whether it lies behind a wall; of larger parts their box is."""
 LEAF, BINS = 3, 12
-MOST, RING = 8, 63
+MOST, RING = 16, 63
 """Candidates up to which boxes are opened, and the mask of a ring that holds those still to be looked at."""
 MANY_WALLS = 1024
 """Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""
@@ -242,12 +243,16 @@ def _crosses(x, d, facet, f, end):  # type: ignore[no-untyped-def]
 def hidden(x, y, of, candidates, first, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """A triangle other than number `of`, on which y lies, that stands between the points x and y; −1 for none.
 
-    candidates : boxes k and triangles −1 − f, of which first … last are asked; the one that hides y is put first.
-    waiting : (≥ 256,) int64 scratch. The other arguments are the fields of `Occluders`, one by one: taken out of it
+    candidates : boxes k and triangles −1 − f, of which first … last are asked.
+    waiting : (≥ 256,) int64 scratch; the last of it is the triangle that hid something the last time, asked first,
+        or −1. The other arguments are the fields of `Occluders`, one by one: taken out of it
     in the loop they cost four times as much.
     """
     d = less(y, x)
-    slope = (1.0 / d[0], 1.0 / d[1], 1.0 / d[2])
+    suspect = waiting[-1]
+    if suspect >= 0 and _stands_between(x, d, of, suspect, facet, number):
+        return suspect
+    slope = (1.0 / (d[0] or TINY), 1.0 / (d[1] or TINY), 1.0 / (d[2] or TINY))
     for i in range(first, last):
         waiting[0], top = candidates[i], 1
         while top > 0:
@@ -255,23 +260,26 @@ def hidden(x, y, of, candidates, first, last, facet, number, box, link, waiting)
             k = waiting[top]
             if k < 0:
                 f = -1 - k
-                # Of triangles that lie on each other the last one is seen, so that their light counts once.
-                end = 1.0 + TOUCHING if number[f] > of else 1.0 - TOUCHING
-                if number[f] != of and _crosses(x, d, facet, f, end):
-                    candidates[i], candidates[first] = candidates[first], candidates[i]
+                if _stands_between(x, d, of, f, facet, number):
+                    waiting[-1] = f
                     return f
                 continue
             enter, leave = 0.0, 1.0 + TOUCHING
             for j in range(3):
-                if d[j] == 0.0:
-                    if x[j] < box[k, j] or x[j] > box[k, 3 + j]:
-                        leave = -1.0
-                else:
-                    near, far = (box[k, j] - x[j]) * slope[j], (box[k, 3 + j] - x[j]) * slope[j]
-                    enter, leave = max(enter, min(near, far)), min(leave, max(near, far))
+                one, other = (box[k, j] - x[j]) * slope[j], (box[k, 3 + j] - x[j]) * slope[j]
+                enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
             if enter <= leave * (1.0 + 1e-12):
                 top = _opened(waiting, top, link, k)
     return -1
+
+
+@njit(cache=True, error_model="numpy")
+def _stands_between(x, d, of, f, facet, number):  # type: ignore[no-untyped-def]
+    """Whether occluder f hides x + d on triangle `of` from x."""
+    if number[f] == of:
+        return False
+    # Of triangles that lie on each other the last one is seen, so that their light counts once.
+    return _crosses(x, d, facet, f, 1.0 + TOUCHING if number[f] > of else 1.0 - TOUCHING)
 
 
 @njit(cache=True)
