@@ -80,7 +80,9 @@ def _solids(triangles: Ints, vertices: Floats, on: Floats, normal: Floats, flat:
     """
     count, n = len(vertices), len(triangles)
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    _, group = connected_components(coo_array((np.ones(3 * n, np.int8), (start, end)), (count, count)), directed=False)
+    _, group = connected_components(
+        coo_array((np.ones(3 * n, np.int8), (start, end)), (count, count)), directed=False
+    )
     own = group[triangles[:, 0]]
     few = np.repeat(np.bincount(own)[own] <= LARGEST_SOLID, 3)
     # Closed and turned one way: each side is passed once in either direction.

@@ -21,7 +21,14 @@ from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.arrival import spread
 from datagen.transport.cells.occlusion import (
-    RING, ball, cross, distance, hidden, less, narrowed, narrowed_to_box, shaded,
+    RING,
+    ball,
+    distance,
+    hidden,
+    less,
+    narrowed,
+    narrowed_to_box,
+    shaded,
 )  # fmt: skip
 from datagen.transport.sampling import mix
 
@@ -89,8 +96,11 @@ def _point(array, i, j):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _weight(y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint):  # type: ignore[no-untyped-def]
-    """w(y) but for power, sensor and air, and R₁ and R₂."""
+def _weight(y, n, k, lit_from, seen_from, kind, values, footprint):  # type: ignore[no-untyped-def]
+    """w(y) but for power, sensor and air, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
+    path: a point, its normal, the direction on to the device, and the part it lies on."""
+    x, n1, to_laser, k1 = lit_from
+    z, n3, to_sensor, k3 = seen_from
     d1, d3 = less(y, x), less(y, z)
     square1, square3 = dot(d1, d1), dot(d3, d3)
     r1, r3 = math.sqrt(square1), math.sqrt(square3)
@@ -137,6 +147,66 @@ def _put(cell, k, vertex, y, w, path):  # type: ignore[no-untyped-def]
 def _vertex(cell, k, vertex):  # type: ignore[no-untyped-def]
     j = 5 * vertex
     return (cell[k, j], cell[k, j + 1], cell[k, j + 2])
+
+
+@njit(cache=True)
+def _copy(cell, k, to):  # type: ignore[no-untyped-def]
+    for j in range(16):
+        cell[to, j] = cell[k, j]
+
+
+@njit(cache=True)
+def _middle(cell, k):  # type: ignore[no-untyped-def]
+    """The middle of waiting cell k, the side that is its longest, and that side's length."""
+    a, b, c = _vertex(cell, k, 0), _vertex(cell, k, 1), _vertex(cell, k, 2)
+    ab, bc, ca = distance(a, b), distance(b, c), distance(c, a)
+    side = 0 if ab >= bc and ab >= ca else 1 if bc >= ca else 2
+    return ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3), side, max(ab, bc, ca)
+
+
+@njit(cache=True)
+def _below(cell, k, x, n):  # type: ignore[no-untyped-def]
+    """Whether no vertex of waiting cell k lies above the plane through x with normal n."""
+    for j in range(3):
+        if dot(less(_vertex(cell, k, j), x), n) > 0.0:
+            return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _judged(cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre):  # type: ignore[no-untyped-def]
+    """What becomes of waiting cell k, h long, with wm, R₁ and R₂ at its middle, seen from a patch of some size.
+
+    Returns whether it is cut; whether the patch is quartered first; the L2 error if its light should be missing
+    (infinite where that was not asked); and how far its arrival times are bent.
+    """
+    # What the patch itself cannot tell apart needs no cutting.
+    ratio1, ratio3, ratio_z = h / r1, h / math.sqrt(r3 * r3 + footprint / math.pi), size / r3
+    if ratio_z > limit and quarters and size > 0.5 * h:
+        return False, True, np.inf, 0.0
+    if max(ratio1, ratio3) > limit:
+        return True, False, np.inf, 0.0
+    at_a, at_b, at_c = cell[k, 4], cell[k, 9], cell[k, 14]
+    bend = (at_a + at_b + at_c) / 3 - (r1 + r3)
+    width = max(1.0, (max(at_a, at_b, at_c) - min(at_a, at_b, at_c)) * per_metre)
+    over = gain * cell[k, 15] * max(wm, cell[k, 3], cell[k, 8], cell[k, 13]) / math.sqrt(width)
+    curved = (COARSEST / limit) ** 2 * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / width
+    smeared = ratio_z * ratio_z + (0.3 * size * per_metre / width) ** 2 * 0.25
+    quarter = quarters and over * smeared > allowed
+    return not quarter and over * curved > allowed, quarter, over, bend
+
+
+@njit(cache=True, error_model="numpy")
+def _small(around, at, x, z, most, allowed):  # type: ignore[no-untyped-def]
+    """Whether a box is so small and faint that one point may stand for all of it, and how near it comes to z.
+
+    most : photons if all of it were at distance 1 and faced both.
+    """
+    centre, radius = ball(around, at)
+    near1, near3 = distance(centre, x) - radius, distance(centre, z) - radius
+    if min(near1, near3) <= 0.0 or 2 * radius > COARSEST * min(near1, near3):
+        return False, near3
+    return 0.5 * most / (near1 * near1 * near3 * near3) <= allowed, near3
 
 
 @njit(cache=True)
@@ -235,8 +305,8 @@ def gather(  # type: ignore[no-untyped-def]
         if part1[i] < 0 or (part3[p, 0] < 0 and not uneven3[p, 0]):
             continue
         x, k1 = _at(position1, i), part1[i]
-        n1, to_laser, lit = _at(normal1, i), _at(to_laser1, i), power1[i]
-        z = _point(position3, p, 0)
+        n1, lit, z = _at(normal1, i), power1[i], _point(position3, p, 0)
+        lit_from = (x, n1, _at(to_laser1, i), k1)
         apart = last_leg and not (x[0] == z[0] and x[1] == z[1] and x[2] == z[2])
         for k in range(len(roots)):
             if allowed[k] == np.inf:
@@ -252,9 +322,9 @@ def gather(  # type: ignore[no-untyped-def]
                 k3 = part3[p, q]
                 if k3 < 0 and not quarter:
                     continue
-                z, n3, to_sensor = _point(position3, p, q), _point(normal3, p, q), _point(to_sensor3, p, q)
-                size, footprint = size3[p, q], footprint3[p, q]
-                gain = lit * weight3[p, q]
+                z, n3 = _point(position3, p, q), _point(normal3, p, q)
+                seen_from = (z, n3, _point(to_sensor3, p, q), k3)
+                size, footprint, gain = size3[p, q], footprint3[p, q], lit * weight3[p, q]
                 device = leg1[i] + leg3[p, q] if clock.device else 0.0
                 if what == BOX and not quarter:
                     if _above(around, at, x, n1) <= 0.0 or (_above(around, at, z, n3) <= 0.0 and size <= 0.0):
@@ -262,35 +332,27 @@ def gather(  # type: ignore[no-untyped-def]
                     start, end = span[at, 0], span[at, 1]
                     many = end - start > CLUSTER
                     if many:
-                        centre, radius = ball(around, at)
-                        h, near1, near3 = 2 * radius, distance(centre, x) - radius, distance(centre, z) - radius
-                        whole = near1 > 0.0 and near3 > 0.0 and h <= COARSEST * near1 and h <= COARSEST * near3
-                        if whole:
-                            # As if all of it faced both: its light is at most that.
-                            bound = gain * peak[k1] * peak[k] * peak[k3]
-                            bound *= (area_before[end] - area_before[start]) / (near1 * near1 * near3 * near3)
-                            whole = 0.5 * bound <= allowed[k]
-                        quarter = whole and quarters and size > 0.3 * near3
-                        if whole and not quarter:
-                            # One point anywhere on the cluster stands for all of it.
+                        area = area_before[end] - area_before[start]
+                        small, near3 = _small(
+                            around, at, x, z, gain * peak[k1] * peak[k] * peak[k3] * area, allowed[k]
+                        )
+                        quarter = small and quarters and size > 0.3 * near3
+                        if small and not quarter:
                             word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
                             f, y = _anywhere(start, end, area_before, corners, word)
-                            n, area = _at(normal, f), area_before[end] - area_before[start]
-                            w, r1, r3 = _weight(
-                                y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint
-                            )
-                            rays += w > 0.0
-                            cells += w > 0.0
+                            n = _at(normal, f)
+                            w, r1, r3 = _weight(y, n, k, lit_from, seen_from, kind, values, footprint)
+                            if not w > 0.0:
+                                continue
+                            cells += 1
                             if proofs and _inner_side(x, n, corners, f, solid, solid_box):
                                 continue
-                            if w > 0.0 and _seen(
-                                y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
-                            ):
-                                air = math.exp(-attenuation * (r1 + r3 + leg3[p, q])) if attenuation > 0.0 else 1.0
-                                arrival, energy = (r1 + r3 + device) * per_metre - start_bin, w * air * gain * area
-                                overflow[into] += spread(
-                                    histogram, into, arrival, arrival, arrival, 1.0, 1.0, 1.0, energy
-                                )
+                            rays += 1
+                            if _seen(y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting):
+                                path = r1 + r3
+                                air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
+                                t, energy = (path + device) * per_metre - start_bin, w * air * gain * area
+                                overflow[into] += spread(histogram, into, t, t, t, 1.0, 1.0, 1.0, energy)
                             continue
                     if not quarter:
                         if proofs and first < last < enough:
@@ -311,13 +373,11 @@ def gather(  # type: ignore[no-untyped-def]
                             cell[top, 15] = area_before[f + 1] - area_before[f]
                             top = _push(tag, top, FRESH, f, q, first, middle, last)
                         continue
-                a, b, c, area = _vertex(cell, top, 0), _vertex(cell, top, 1), _vertex(cell, top, 2), cell[top, 15]
                 if what != BOX and not quarter:
                     f, n = at, _at(normal, at)
-                    if max(dot(less(a, x), n1), dot(less(b, x), n1), dot(less(c, x), n1)) <= 0.0:
+                    if _below(cell, top, x, n1) or _below(cell, top, z, n3):
                         continue
-                    if max(dot(less(a, z), n3), dot(less(b, z), n3), dot(less(c, z), n3)) <= 0.0:
-                        continue
+                    a, b, c = _vertex(cell, top, 0), _vertex(cell, top, 1), _vertex(cell, top, 2)
                     height1, height3 = dot(less(x, a), n), dot(less(z, a), n)
                     if abs(height1) < flat:
                         continue
@@ -326,46 +386,22 @@ def gather(  # type: ignore[no-untyped-def]
                             continue
                         for j in range(3):
                             y = _vertex(cell, top, j)
-                            w, r1, r3 = _weight(
-                                y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint
-                            )
+                            w, r1, r3 = _weight(y, n, k, lit_from, seen_from, kind, values, footprint)
                             _put(cell, top, j, y, w, r1 + r3)
-                    wa, wb, wc = cell[top, 3], cell[top, 8], cell[top, 13]
-                    at_a, at_b, at_c = cell[top, 4], cell[top, 9], cell[top, 14]
-                    m = ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3)
-                    wm, r1, r3 = _weight(
-                        m, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint
+                    m, side, h = _middle(cell, top)
+                    wm, r1, r3 = _weight(m, n, k, lit_from, seen_from, kind, values, footprint)
+                    cut, quarter, over, bend = _judged(
+                        cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre
                     )
-                    ab, bc, ca = less(b, a), less(c, b), less(a, c)
-                    long_ab, long_bc, long_ca = dot(ab, ab), dot(bc, bc), dot(ca, ca)
-                    h = math.sqrt(max(long_ab, long_bc, long_ca))
-                    # What the patch itself cannot tell apart needs no cutting.
-                    bound3 = math.sqrt(r3 * r3 + footprint / math.pi)
-                    ratio1, ratio3, ratio_z = h / r1, h / bound3, size / r3
-                    limit = coarsest[k]
-                    quarter = ratio_z > limit and quarters and size > 0.5 * h
-                    cut = not quarter and max(ratio1, ratio3) > limit
                     if height1 * height3 <= 0.0 or abs(height3) < flat:
                         # The middle of the patch is not lit by this side of the triangle; parts of a large patch may be.
                         if not (quarters and abs(height3) < size and size > 0.1 * r3):
                             continue
                         quarter = True
-                    visible, faint = 1.0, False
-                    if not (cut or quarter):
-                        path = r1 + r3
-                        bend = (at_a + at_b + at_c) / 3 - path
-                        width = max(1.0, (max(at_a, at_b, at_c) - min(at_a, at_b, at_c)) * per_metre)
-                        bright = gain * area * max(wm, wa, wb, wc)
-                        over = bright / math.sqrt(width)
-                        sharp = (COARSEST / limit) ** 2
-                        curved = sharp * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / width
-                        smeared = ratio_z * ratio_z + (0.3 * size * per_metre / width) ** 2 * 0.25
-                        quarter = quarters and over * smeared > allowed[k]
-                        if not quarter and not bright > 0.0:
-                            continue
-                        cut = not quarter and over * curved > allowed[k]
-                        # Seen or not, it can make no larger error than it may.
-                        faint = over <= allowed[k]
+                    if not (quarter or over > 0.0):
+                        continue
+                    # Seen or not, it can make no larger error than it may.
+                    visible, faint = 1.0, over <= allowed[k]
                     if not quarter and proofs and first < last < enough and (cut or not faint):
                         half_way = narrowed(
                             x, a, b, c, f, candidates, first, middle, last, facet, number, box, link, flat, waiting
@@ -409,41 +445,32 @@ def gather(  # type: ignore[no-untyped-def]
                     # Another point of the wall, before which other things may stand.
                     candidates[last] = candidates[last + 1] = 0
                     first, middle, last = last, last + some, last + (2 * some if last_leg else some)
+                    here, kept = top, BOX if what == BOX else FRESH
                     for j in range(4):
-                        _put(cell, top, 0, a, 0.0, 0.0)
-                        _put(cell, top, 1, b, 0.0, 0.0)
-                        _put(cell, top, 2, c, 0.0, 0.0)
-                        cell[top, 15] = area
-                        kept = BOX if what == BOX else FRESH
+                        _copy(cell, here, top)
                         top = _push(tag, top, kept, at, quarters3[q, j], first, middle, last)
                     continue
                 if cut:
                     if h <= SMALLEST * extent:
                         continue
                     # Across the longest side.
-                    if long_ab >= long_bc and long_ab >= long_ca:
-                        one, two, other, w1, w2, w3, at1, at2, at3 = a, b, c, wa, wb, wc, at_a, at_b, at_c
-                    elif long_bc >= long_ca:
-                        one, two, other, w1, w2, w3, at1, at2, at3 = b, c, a, wb, wc, wa, at_b, at_c, at_a
-                    else:
-                        one, two, other, w1, w2, w3, at1, at2, at3 = c, a, b, wc, wa, wb, at_c, at_a, at_b
+                    one, two = _vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3)
                     y = (0.5 * (one[0] + two[0]), 0.5 * (one[1] + two[1]), 0.5 * (one[2] + two[2]))
-                    w, r1, r3 = _weight(
-                        y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint
-                    )
+                    w, r1, r3 = _weight(y, n, k, lit_from, seen_from, kind, values, footprint)
+                    cell[top, 15] *= 0.5
+                    _copy(cell, top, top + 1)
+                    _put(cell, top, side, y, w, r1 + r3)
+                    _put(cell, top + 1, (side + 1) % 3, y, w, r1 + r3)
                     for j in range(2):
-                        _put(cell, top, j, y, w, r1 + r3)
-                        _put(cell, top, 1 - j, one if j else two, w1 if j else w2, at1 if j else at2)
-                        _put(cell, top, 2, other, w3, at3)
-                        cell[top, 15] = 0.5 * area
                         top = _push(tag, top, CELL, f, q, first, middle, last)
                     continue
-                air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
-                energy = gain * air * area * (0.75 * wm + 0.25 * (wa + wb + wc) / 3)
+                wa, wb, wc = cell[top, 3], cell[top, 8], cell[top, 13]
+                air = math.exp(-attenuation * (r1 + r3 + leg3[p, q])) if attenuation > 0.0 else 1.0
+                energy = visible * gain * air * cell[top, 15] * (0.75 * wm + 0.25 * (wa + wb + wc) / 3)
                 cells += 1
                 zero = (device - 0.75 * bend) * per_metre - start_bin
                 overflow[into] += spread(
-                    histogram, into, at_a * per_metre + zero, at_b * per_metre + zero, at_c * per_metre + zero,
-                    wa, wb, wc, visible * energy,
+                    histogram, into, cell[top, 4] * per_metre + zero, cell[top, 9] * per_metre + zero,
+                    cell[top, 14] * per_metre + zero, wa, wb, wc, energy,
                 )  # fmt: skip
     return cells, rays

@@ -374,7 +374,11 @@ def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, 
             if number[f] == of:
                 continue
             p, q, r = corner(facet, f, 0), corner(facet, f, 1), corner(facet, f, 2)
-            if _beyond(one, x, p, q, r, near1) or _beyond(two, x, p, q, r, near2) or _beyond(three, x, p, q, r, near3):
+            if (
+                _beyond(one, x, p, q, r, near1)
+                or _beyond(two, x, p, q, r, near2)
+                or _beyond(three, x, p, q, r, near3)
+            ):
                 continue
             if _beyond(base, a, p, q, r, near0):
                 # One that lies on the triangle itself, and is seen in its place, hides it.
