@@ -159,18 +159,21 @@ def _copy(cell, k, to):  # type: ignore[no-untyped-def]
 def _middle(cell, k):  # type: ignore[no-untyped-def]
     """The middle of waiting cell k, the side that is its longest, and that side's length."""
     a, b, c = _vertex(cell, k, 0), _vertex(cell, k, 1), _vertex(cell, k, 2)
-    ab, bc, ca = distance(a, b), distance(b, c), distance(c, a)
+    u, v, w = less(b, a), less(c, b), less(a, c)
+    ab, bc, ca = dot(u, u), dot(v, v), dot(w, w)
     side = 0 if ab >= bc and ab >= ca else 1 if bc >= ca else 2
-    return ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3), side, max(ab, bc, ca)
+    return (
+        ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3),
+        side,
+        math.sqrt(max(ab, bc, ca)),
+    )
 
 
 @njit(cache=True)
 def _below(cell, k, x, n):  # type: ignore[no-untyped-def]
     """Whether no vertex of waiting cell k lies above the plane through x with normal n."""
-    for j in range(3):
-        if dot(less(_vertex(cell, k, j), x), n) > 0.0:
-            return False
-    return True
+    a, b, c = less(_vertex(cell, k, 0), x), less(_vertex(cell, k, 1), x), less(_vertex(cell, k, 2), x)
+    return max(dot(a, n), dot(b, n), dot(c, n)) <= 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -394,7 +397,7 @@ def gather(  # type: ignore[no-untyped-def]
                         cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre
                     )
                     if height1 * height3 <= 0.0 or abs(height3) < flat:
-                        # The middle of the patch is not lit by this side of the triangle; parts of a large patch may be.
+                        # This side does not light the patch's middle; it may light parts of a large one.
                         if not (quarters and abs(height3) < size and size > 0.1 * r3):
                             continue
                         quarter = True
@@ -461,8 +464,8 @@ def gather(  # type: ignore[no-untyped-def]
                     _copy(cell, top, top + 1)
                     _put(cell, top, side, y, w, r1 + r3)
                     _put(cell, top + 1, (side + 1) % 3, y, w, r1 + r3)
-                    for j in range(2):
-                        top = _push(tag, top, CELL, f, q, first, middle, last)
+                    top = _push(tag, top, CELL, f, q, first, middle, last)
+                    top = _push(tag, top, CELL, f, q, first, middle, last)
                     continue
                 wa, wb, wc = cell[top, 3], cell[top, 8], cell[top, 13]
                 air = math.exp(-attenuation * (r1 + r3 + leg3[p, q])) if attenuation > 0.0 else 1.0

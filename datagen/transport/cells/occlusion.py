@@ -435,6 +435,6 @@ def _heights(n, p, x, a, b, c):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _margin(n, flat):  # type: ignore[no-untyped-def]
-    """What a height of `flat` is along n, which is no unit vector; not a number, so that nothing is proven, if zero."""
+    """What a height of `flat` is along n, no unit vector; no number, so that nothing is proven, if that is zero."""
     length = np.sqrt(dot(n, n))
     return flat * length if length > 0.0 else np.nan
