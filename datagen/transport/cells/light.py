@@ -96,11 +96,11 @@ def _point(array, i, j):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _weight(y, n, k, lit_from, seen_from, kind, values, footprint):  # type: ignore[no-untyped-def]
+def _weight(y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint):  # type: ignore[no-untyped-def]
     """w(y) but for power, sensor and air, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
-    path: a point, its normal, the direction on to the device, and the part it lies on."""
-    x, n1, to_laser, k1 = lit_from
-    z, n3, to_sensor, k3 = seen_from
+    path: a point, its normal, and the direction on to the device."""
+    x, n1, to_laser = lit_from
+    z, n3, to_sensor = seen_from
     d1, d3 = less(y, x), less(y, z)
     square1, square3 = dot(d1, d1), dot(d3, d3)
     r1, r3 = math.sqrt(square1), math.sqrt(square3)
@@ -112,9 +112,9 @@ def _weight(y, n, k, lit_from, seen_from, kind, values, footprint):  # type: ign
         n = (-n[0], -n[1], -n[2])
     per1, per3 = 1.0 / r1, 1.0 / r3
     w1, w3 = (d1[0] * per1, d1[1] * per1, d1[2] * per1), (d3[0] * per3, d3[1] * per3, d3[2] * per3)
-    f1 = evaluate(kind[k1], values[k1], n1, to_laser, w1)
-    f2 = evaluate(kind[k], values[k], n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
-    f3 = evaluate(kind[k3], values[k3], n3, w3, to_sensor)
+    f1 = evaluate(kind1, values1, n1, to_laser, w1)
+    f2 = evaluate(kind2, values2, n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
+    f3 = evaluate(kind3, values3, n3, w3, to_sensor)
     w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
     return w, r1, r3
 
@@ -309,12 +309,12 @@ def gather(  # type: ignore[no-untyped-def]
             continue
         x, k1 = _at(position1, i), part1[i]
         n1, lit, z = _at(normal1, i), power1[i], _point(position3, p, 0)
-        lit_from = (x, n1, _at(to_laser1, i), k1)
+        lit_from, kind1, values1 = (x, n1, _at(to_laser1, i)), kind[k1], values[k1]
         apart = last_leg and not (x[0] == z[0] and x[1] == z[1] and x[2] == z[2])
         for k in range(len(roots)):
             if allowed[k] == np.inf:
                 continue
-            into = row[pair] + row_of_part[k]
+            into, kind2, values2 = row[pair] + row_of_part[k], kind[k], values[k]
             top = _push(tag, 0, BOX, roots[k], 0, 0, some, 2 * some if apart else some)
             while top > 0:
                 top -= 1
@@ -326,7 +326,7 @@ def gather(  # type: ignore[no-untyped-def]
                 if k3 < 0 and not quarter:
                     continue
                 z, n3 = _point(position3, p, q), _point(normal3, p, q)
-                seen_from = (z, n3, _point(to_sensor3, p, q), k3)
+                seen_from, kind3, values3 = (z, n3, _point(to_sensor3, p, q)), kind[k3], values[k3]
                 size, footprint, gain = size3[p, q], footprint3[p, q], lit * weight3[p, q]
                 device = leg1[i] + leg3[p, q] if clock.device else 0.0
                 if what == BOX and not quarter:
@@ -344,7 +344,9 @@ def gather(  # type: ignore[no-untyped-def]
                             word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
                             f, y = _anywhere(start, end, area_before, corners, word)
                             n = _at(normal, f)
-                            w, r1, r3 = _weight(y, n, k, lit_from, seen_from, kind, values, footprint)
+                            w, r1, r3 = _weight(
+                                y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
+                            )
                             if not w > 0.0:
                                 continue
                             cells += 1
@@ -389,10 +391,14 @@ def gather(  # type: ignore[no-untyped-def]
                             continue
                         for j in range(3):
                             y = _vertex(cell, top, j)
-                            w, r1, r3 = _weight(y, n, k, lit_from, seen_from, kind, values, footprint)
+                            w, r1, r3 = _weight(
+                                y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
+                            )
                             _put(cell, top, j, y, w, r1 + r3)
                     m, side, h = _middle(cell, top)
-                    wm, r1, r3 = _weight(m, n, k, lit_from, seen_from, kind, values, footprint)
+                    wm, r1, r3 = _weight(
+                        m, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
+                    )
                     cut, quarter, over, bend = _judged(
                         cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre
                     )
@@ -459,7 +465,9 @@ def gather(  # type: ignore[no-untyped-def]
                     # Across the longest side.
                     one, two = _vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3)
                     y = (0.5 * (one[0] + two[0]), 0.5 * (one[1] + two[1]), 0.5 * (one[2] + two[2]))
-                    w, r1, r3 = _weight(y, n, k, lit_from, seen_from, kind, values, footprint)
+                    w, r1, r3 = _weight(
+                        y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
+                    )
                     cell[top, 15] *= 0.5
                     _copy(cell, top, top + 1)
                     _put(cell, top, side, y, w, r1 + r3)

@@ -250,7 +250,7 @@ def hidden(x, y, of, candidates, first, last, facet, number, box, link, waiting)
     """
     d = less(y, x)
     suspect = waiting[-1]
-    if suspect >= 0 and _stands_between(x, d, of, suspect, facet, number):
+    if first < last and suspect >= 0 and _stands_between(x, d, of, suspect, facet, number):
         return suspect
     slope = (1.0 / (d[0] or TINY), 1.0 / (d[1] or TINY), 1.0 / (d[2] or TINY))
     for i in range(first, last):
