@@ -213,7 +213,7 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
         of_patches = FROM_QUARTERS * float(np.linalg.norm((finer - coarser).sum(axis=1)))
         of_parts = FROM_QUARTERS * _norms(finer - coarser)
         do = of_patches <= PATCHES_SHARE * target * choice.whole and (of_parts <= PATCHES_SHARE * choice.limit).all()
-        if do or len(pairs) * 4 ** (levels + 2) > MOST_PATCHES:
+        if do or levels == EDGE_LEVELS[-1] or len(pairs) * 4 ** (levels + 2) > MOST_PATCHES:
             met = met and bool(do)
             break
         levels, coarser = levels + 1, finer

@@ -12,13 +12,6 @@ import math
 from numba import njit
 
 from datagen.records.arrays import Floats
-from datagen.transport.binning import put
-
-
-@njit(cache=True, error_model="numpy")
-def _within(along_b: float, along_c: float, at_a: float, at_b: float, at_c: float) -> float:
-    """∫ weight over the part of a unit triangle a, b, c that a line cuts off at a: shares of the sides to b and c."""
-    return along_b * along_c * (at_a + (along_b * (at_b - at_a) + along_c * (at_c - at_a)) * (1.0 / 3.0))
 
 
 @njit(cache=True, error_model="numpy")
@@ -34,13 +27,13 @@ def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float
     return mean - half, mean, mean + half
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def spread(
-    histogram: Floats, a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
+    histogram: Floats, row: int, a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
 ) -> float:
-    """Add `energy` over the bins as it arrives from a triangle, and return what fell outside the window.
+    """Add `energy` over the bins of a row as it arrives from a triangle, and return what fell outside the window.
 
-    histogram : (T,) bin i spans times i … i + 1.
+    histogram : (rows, T) bin i spans times i … i + 1.
     a, b, c : arrival times at the vertices, in bins; linear in between.
     at_a, at_b, at_c : weights ≥ 0 there, in any unit; linear in between.
     """
@@ -50,43 +43,38 @@ def spread(
         b, c, at_b, at_c = c, b, at_c, at_b
     if a > b:
         a, b, at_a, at_b = b, a, at_b, at_a
-    first, bins = math.floor(a), len(histogram)
-    if not (c < 1e15 and a > -1e15):
+    bins = histogram.shape[1]
+    if not (c > 0.0 and a < bins and c < 1e15 and a > -1e15):
         return energy
+    first = math.floor(a)
     if c < first + 1 or not c > a:
-        return put(histogram, b, energy)
+        if not 0.0 <= b < bins:
+            return energy
+        histogram[row, int(b)] += energy
+        return 0.0
     whole = (at_a + at_b + at_c) / 3.0
     if whole <= 0.0:
         at_a = at_b = at_c = whole = 1.0
-    scale, outside, before = energy / whole, 0.0, 0.0
-    to_c, to_b, from_b = 1.0 / (c - a), 1.0 / (b - a) if b > a else 0.0, 1.0 / (c - b) if c > b else 0.0
-    if c < 0.0 or a >= bins:
-        return energy
-    i = first
+    # The line that has come by time a + x cuts off shares x/(b − a) and x/(c − a) of two sides, and holds
+    # x² (low + x · up) of the energy; what is still to come at c − x is x² (high + x · down).
+    scale = energy / whole / (c - a)
+    early, late = 1.0 / (b - a) if b > a else 0.0, 1.0 / (c - b) if c > b else 0.0
+    low, high = scale * early * at_a, scale * late * at_c
+    up = scale * early * ((at_b - at_a) * early + (at_c - at_a) / (c - a)) * (1.0 / 3.0)
+    down = scale * late * ((at_b - at_c) * late + (at_a - at_c) / (c - a)) * (1.0 / 3.0)
+    stop, outside = min(bins, math.ceil(c)), 0.0
     if first < 0:
-        i = 0
-        before = _until(0.0, a, b, c, at_a, at_b, at_c, whole, to_b, from_b, to_c)
-        outside += before * scale
-    while i < bins:
-        now = _until(i + 1.0, a, b, c, at_a, at_b, at_c, whole, to_b, from_b, to_c)
-        histogram[i] += (now - before) * scale
+        outside = a * a * (low - a * up) if b >= 0.0 else energy - c * c * (high + c * down)
+    before, middle = outside, min(stop, math.floor(b))
+    for i in range(max(first, 0), middle):
+        x = i + 1.0 - a
+        now = x * x * (low + x * up)
+        histogram[row, i] += now - before
         before = now
-        i += 1
-        if i >= c:
-            break
-    return outside + (whole - before) * scale
-
-
-@njit(cache=True, error_model="numpy")
-def _until(
-    x: float, a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, whole: float, to_b: float,
-    from_b: float, to_c: float,
-) -> float:  # fmt: skip
-    """∫ weight over what comes before time x; `to_b` = 1/(b − a), `from_b` = 1/(c − b), `to_c` = 1/(c − a)."""
-    if x >= c:
-        return whole
-    if x <= a:
-        return 0.0
-    if x <= b:
-        return _within((x - a) * to_b, (x - a) * to_c, at_a, at_b, at_c)
-    return whole - _within((c - x) * from_b, (c - x) * to_c, at_c, at_b, at_a)
+    left = energy - before
+    for i in range(max(first, middle, 0), stop):
+        x = max(c - (i + 1.0), 0.0)
+        rest = x * x * (high + x * down)
+        histogram[row, i] += left - rest
+        left = rest
+    return outside + (left if stop < c else 0.0)

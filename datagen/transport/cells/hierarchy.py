@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
@@ -20,6 +22,8 @@ LEAF = 2
 MORTON_BITS = 16
 ON_PLANE = 1e-9
 """Distance from a plane, relative to the scene, below which a point lies on it."""
+LARGEST_SOLID = 2048
+"""Triangles up to which it is asked whether they bound a convex solid."""
 
 
 class Hierarchy(NamedTuple):
@@ -35,6 +39,8 @@ class Hierarchy(NamedTuple):
     children : (N, 2) boxes, −1 in a box that holds its triangles itself.
     span : (N, 2) its triangles, first and behind the last; all those within.
     roots : (K,) the box of each part.
+    solid : (F,) the convex solid that a triangle bounds with others, its normal outwards, or −1.
+    solid_box : (S, 6) lowest and highest corner of each, metres.
     extent : the scene's largest side, metres.
     """
 
@@ -46,6 +52,8 @@ class Hierarchy(NamedTuple):
     children: Ints
     span: Ints
     roots: Ints
+    solid: Ints
+    solid_box: Floats
     extent: float
 
     @classmethod
@@ -61,7 +69,37 @@ class Hierarchy(NamedTuple):
         box, children, span, roots = _boxes(corners, ends.astype(np.int64), LEAF)
         extent = float(np.ptp(scene.vertices, axis=0).max())
         area = np.concatenate([[0.0], np.cumsum(length / 2)])
-        return cls(corners, normal, area, order, box, children, span, roots, extent)
+        solid, solid_box = _solids(scene.triangles[order], scene.vertices, corners[:, 0], normal, ON_PLANE * extent)
+        return cls(corners, normal, area, order, box, children, span, roots, solid, solid_box, extent)
+
+
+def _solids(triangles: Ints, vertices: Floats, on: Floats, normal: Floats, flat: float) -> tuple[Ints, Floats]:
+    """Which triangles (F, 3) of planes through `on` bound a convex solid, and the boxes of these.
+
+    From outside a solid nothing is seen of its faces' inner sides.
+    """
+    count, n = len(vertices), len(triangles)
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    _, group = connected_components(
+        coo_array((np.ones(3 * n, np.int8), (start, end)), (count, count)), directed=False
+    )
+    own = group[triangles[:, 0]]
+    few = np.repeat(np.bincount(own)[own] <= LARGEST_SOLID, 3)
+    # Closed and turned one way: each side is passed once in either direction.
+    there, back = (start * count + end)[few], (end * count + start)[few]
+    once = len(np.unique(there)) == len(there)
+    open_ = np.unique(group[start[few][~np.isin(there, back)]])
+    solid, boxes = np.full(n, -1), list[Floats]()
+    order = np.argsort(own, kind="stable")
+    for faces in np.split(order, np.flatnonzero(np.diff(own[order])) + 1):
+        if not once or not 4 <= len(faces) <= LARGEST_SOLID or own[faces[0]] in open_:
+            continue
+        points = vertices[np.unique(triangles[faces])]
+        height = np.einsum("fi,pi->fp", normal[faces], points) - (normal[faces] * on[faces]).sum(axis=1)[:, None]
+        if height.max() <= flat and (height.min(axis=1) < -10 * flat).all():
+            solid[faces] = len(boxes)
+            boxes.append(np.concatenate([points.min(axis=0), points.max(axis=0)]))
+    return solid, np.array(boxes).reshape(-1, 6)
 
 
 def _morton(points: Floats) -> NDArray[np.uint64]:

@@ -18,10 +18,18 @@ import numpy as np
 from numba import njit
 
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.binning import put
 from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.arrival import spread, widened
-from datagen.transport.cells.occlusion import clear, cross, hidden, less, shaded
+from datagen.transport.cells.occlusion import (
+    RING,
+    ball,
+    distance,
+    hidden,
+    less,
+    narrowed,
+    narrowed_to_box,
+    shaded,
+)  # fmt: skip
 from datagen.transport.sampling import mix
 
 COARSEST = 0.8
@@ -34,12 +42,12 @@ UNLIKE = 0.05
 """Error of a patch's arrival times, relative to its light, if they are known by their mean and variance alone."""
 AT_ONCE = 0.01
 """Size of a patch, in bins, up to which all of it is reached at once."""
-SMALLEST = 1e-8
-"""Smallest cell that is cut, relative to the scene."""
 FEWEST = 1 / 256
 """Light of a part that one quarter of a pixel may stand for at most, relative to what all of it might bring."""
-BOX, CELL, CLEAR = 0, 1, 2
-"""What waits to be looked at: a box, a cell, a cell of which nothing is hidden."""
+SMALLEST = 1e-8
+"""Smallest cell that is cut, relative to the scene."""
+BOX, FRESH, CELL = 0, 1, 2
+"""What waits to be looked at: a box, a cell, a cell whose vertices' light is known."""
 CLUSTER = 4
 """Triangles of a box up to which each is a cell of its own; not below `hierarchy.LEAF`."""
 
@@ -96,28 +104,27 @@ def _point(array, i, j):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _weight(y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint):  # type: ignore[no-untyped-def]
-    """w(y) but for power, sensor and air, and the path from laser point to patch."""
+def _weight(y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint):  # type: ignore[no-untyped-def]
+    """w(y) but for power, sensor and air, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
+    path: a point, its normal, and the direction on to the device."""
+    x, n1, to_laser = lit_from
+    z, n3, to_sensor = seen_from
     d1, d3 = less(y, x), less(y, z)
     square1, square3 = dot(d1, d1), dot(d3, d3)
     r1, r3 = math.sqrt(square1), math.sqrt(square3)
     up1, up3 = dot(d1, n1), dot(d3, n3)
     in2, out2 = -dot(d1, n), -dot(d3, n)
     if up1 <= 0.0 or up3 <= 0.0 or in2 * out2 <= 0.0:
-        return 0.0, r1 + r3
+        return 0.0, r1, r3
     if in2 < 0.0:
         n = (-n[0], -n[1], -n[2])
-    w1, w3 = (d1[0] / r1, d1[1] / r1, d1[2] / r1), (d3[0] / r3, d3[1] / r3, d3[2] / r3)
-    f1 = evaluate(kind[k1], values[k1], n1, to_laser, w1)
-    f2 = evaluate(kind[k], values[k], n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
-    f3 = evaluate(kind[k3], values[k3], n3, w3, to_sensor)
-    w = f1 * f2 * f3 * up1 * in2 * out2 * up3 / (square1 * square1 * square3 * (square3 + footprint / math.pi))
-    return w, r1 + r3
-
-
-@njit(cache=True, error_model="numpy")
-def _length(a):  # type: ignore[no-untyped-def]
-    return math.sqrt(dot(a, a))
+    per1, per3 = 1.0 / r1, 1.0 / r3
+    w1, w3 = (d1[0] * per1, d1[1] * per1, d1[2] * per1), (d3[0] * per3, d3[1] * per3, d3[2] * per3)
+    f1 = evaluate(kind1, values1, n1, to_laser, w1)
+    f2 = evaluate(kind2, values2, n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
+    f3 = evaluate(kind3, values3, n3, w3, to_sensor)
+    w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
+    return w, r1, r3
 
 
 @njit(cache=True, error_model="numpy")
@@ -130,40 +137,118 @@ def _above(box, k, x, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _push(tag, vertices, top, what, f, q, share, a, b, c):  # type: ignore[no-untyped-def]
-    """A cell of triangle f for patch q, to be looked at next; returns how many wait."""
-    tag[top, 0], tag[top, 1], tag[top, 2], vertices[top, 9] = what, f, q, share
-    for j in range(3):
-        vertices[top, j], vertices[top, 3 + j], vertices[top, 6 + j] = a[j], b[j], c[j]
+def _push(tag, top, what, at, q, first, middle, last):  # type: ignore[no-untyped-def]
+    """A box or cell to be looked at next, with the candidates that may hide it; returns how many wait."""
+    tag[top, 0], tag[top, 1], tag[top, 2] = what, at, q
+    tag[top, 3], tag[top, 4], tag[top, 5] = first, middle, last
     return top + 1
 
 
 @njit(cache=True)
-def _push_box(tag, vertices, top, at, q, share):  # type: ignore[no-untyped-def]
-    tag[top, 0], tag[top, 1], tag[top, 2], vertices[top, 9] = BOX, at, q, share
-    return top + 1
+def _put(cell, k, vertex, y, w, path):  # type: ignore[no-untyped-def]
+    """Vertex 0, 1 or 2 of waiting cell k, and what is known there."""
+    j = 5 * vertex
+    cell[k, j], cell[k, j + 1], cell[k, j + 2], cell[k, j + 3], cell[k, j + 4] = y[0], y[1], y[2], w, path
 
 
 @njit(cache=True)
-def _halve(tag, vertices, top, what, f, q, share, a, b, c):  # type: ignore[no-untyped-def]
-    """The two halves of a cell, cut across its longest side."""
-    long_ab, long_bc, long_ca = dot(less(b, a), less(b, a)), dot(less(c, b), less(c, b)), dot(less(a, c), less(a, c))
-    if long_bc >= long_ca and long_bc > long_ab:
-        a, b, c = b, c, a
-    elif long_ca > long_ab:
-        a, b, c = c, a, b
-    half = _middle(a, b)
-    top = _push(tag, vertices, top, what, f, q, share, a, half, c)
-    return _push(tag, vertices, top, what, f, q, share, half, b, c)
+def _vertex(cell, k, vertex):  # type: ignore[no-untyped-def]
+    j = 5 * vertex
+    return (cell[k, j], cell[k, j + 1], cell[k, j + 2])
 
 
 @njit(cache=True)
-def _middle(a, b):  # type: ignore[no-untyped-def]
+def _half(a, b):  # type: ignore[no-untyped-def]
+    """The point between two."""
     return (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]))
 
 
 @njit(cache=True)
-def _digit(turn: int, share: float) -> int:
+def _copy(cell, k, to):  # type: ignore[no-untyped-def]
+    for j in range(17):
+        cell[to, j] = cell[k, j]
+
+
+@njit(cache=True)
+def _middle(cell, k):  # type: ignore[no-untyped-def]
+    """The middle of waiting cell k, the side that is its longest, and that side's length."""
+    a, b, c = _vertex(cell, k, 0), _vertex(cell, k, 1), _vertex(cell, k, 2)
+    u, v, w = less(b, a), less(c, b), less(a, c)
+    ab, bc, ca = dot(u, u), dot(v, v), dot(w, w)
+    side = 0 if ab >= bc and ab >= ca else 1 if bc >= ca else 2
+    return (
+        ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3),
+        side,
+        math.sqrt(max(ab, bc, ca)),
+    )
+
+
+@njit(cache=True)
+def _highest(cell, k, x, n):  # type: ignore[no-untyped-def]
+    """How far the highest vertex of waiting cell k lies above the plane through x with normal n."""
+    a, b, c = less(_vertex(cell, k, 0), x), less(_vertex(cell, k, 1), x), less(_vertex(cell, k, 2), x)
+    return max(dot(a, n), dot(b, n), dot(c, n))
+
+
+@njit(cache=True, error_model="numpy")
+def _judged(cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre):  # type: ignore[no-untyped-def]
+    """What becomes of waiting cell k, h long, with wm, R₁ and R₂ at its middle, seen from a patch of some size.
+
+    Returns whether it is cut; whether the patch is quartered first; the L2 error if its light should be missing
+    (infinite where that was not asked); and how far its arrival times are bent.
+    """
+    # What the patch itself cannot tell apart needs no cutting.
+    ratio1, ratio3, ratio_z = h / r1, h / math.sqrt(r3 * r3 + footprint / math.pi), size / r3
+    if ratio_z > limit and quarters and size > 0.5 * h:
+        return False, True, np.inf, 0.0
+    if max(ratio1, ratio3) > limit:
+        return True, False, np.inf, 0.0
+    at_a, at_b, at_c = cell[k, 4], cell[k, 9], cell[k, 14]
+    bend = (at_a + at_b + at_c) / 3 - (r1 + r3)
+    width = max(1.0, (max(at_a, at_b, at_c) - min(at_a, at_b, at_c)) * per_metre)
+    over = gain * cell[k, 15] * max(wm, cell[k, 3], cell[k, 8], cell[k, 13]) / math.sqrt(width)
+    curved = (COARSEST / limit) ** 2 * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / width
+    smeared = ratio_z * ratio_z + min((SMEARED * size * per_metre / width) ** 4, UNLIKE)
+    quarter = quarters and over * smeared > allowed
+    return not quarter and over * curved > allowed, quarter, over, bend
+
+
+@njit(cache=True, error_model="numpy")
+def _small(around, at, x, z, most, allowed):  # type: ignore[no-untyped-def]
+    """Whether a box is so small and faint that one point may stand for all of it, and how near it comes to z.
+
+    most : photons if all of it were at distance 1 and faced both.
+    """
+    centre, radius = ball(around, at)
+    near1, near3 = distance(centre, x) - radius, distance(centre, z) - radius
+    if min(near1, near3) <= 0.0 or 2 * radius > COARSEST * min(near1, near3):
+        return False, near3
+    return 0.5 * most / (near1 * near1 * near3 * near3) <= allowed, near3
+
+
+@njit(cache=True, error_model="numpy")
+def _smear(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
+    """Variance of the path by way of a patch, from one side of it to the other, m²."""
+    per, variance = 1.0 / math.sqrt(dot(d3, d3)), 0.0
+    for side in range(2):
+        longer = 0.0
+        for j in range(3):
+            longer += (d3[j] * per + (to_sensor[j] if device else 0.0)) * across[p, q, side, j]
+        variance += longer * longer / 12
+    return variance
+
+
+@njit(cache=True, error_model="numpy")
+def _brightest(m, radius, area, above, height, x, z, size):  # type: ignore[no-untyped-def]
+    """What a box or cell about m may bring at most for every photon, BRDF and solid angle of one, if x lights it and
+    something within `size` of z is seen by it; `above` it rises from the plane of x, `height` x does from its own."""
+    near1 = max(distance(m, x) - radius, math.sqrt(area / (2 * math.pi)))
+    near3 = max(distance(m, z) - radius - size, 0.25 * size)
+    return area * min(1.0, above / near1) * min(1.0, height / near1) / (near1 * near3) ** 2
+
+
+@njit(cache=True)
+def _digit(turn, share):  # type: ignore[no-untyped-def]
     """Of a number, to base 4, the digit after those that were used up to get to a share of 4^digits."""
     while share > 1.0:
         turn >>= 2
@@ -199,27 +284,31 @@ def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _seen(y, x, z, one_ray, f, obstacle, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
+def _inner_side(x, n, corners, f, solid, solid_box):  # type: ignore[no-untyped-def]
+    """Whether triangle f turns the inner side of a convex solid to x, which lies outside it and so cannot see it."""
+    s = solid[f]
+    if s < 0 or dot(less(x, _point(corners, f, 0)), n) >= 0.0:
+        return False
+    outside = False
+    for j in range(3):
+        outside |= x[j] <= solid_box[s, j] or x[j] >= solid_box[s, 3 + j]
+    return outside
+
+
+@njit(cache=True)
+def _seen(y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """Whether the laser point x lights y on triangle f and the patch at z sees it."""
-    if hidden(x, y, f, obstacle, number, box, child, span, waiting) >= 0:
+    if hidden(x, y, f, candidates, first, middle, facet, number, box, link, waiting) >= 0:
         return False
-    return one_ray or hidden(z, y, f, obstacle, number, box, child, span, waiting) < 0
+    return hidden(z, y, f, candidates, middle, last, facet, number, box, link, waiting) < 0
 
 
 @njit(cache=True)
-def _all_seen(x, a, b, c, z, one_ray, f, obstacle, number, box, child, span, flat, waiting):  # type: ignore[no-untyped-def]
-    """Whether that is proven for all of the cell a, b, c."""
-    if not clear(x, a, b, c, f, obstacle, number, box, child, span, flat, waiting):
-        return False
-    return one_ray or clear(z, a, b, c, f, obstacle, number, box, child, span, flat, waiting)
-
-
-@njit(cache=True)
-def _none_seen(x, a, b, c, z, one_ray, f, obstacle, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
+def _none_seen(x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """Whether it is proven that nothing of the cell a, b, c is lit by the laser point and seen by the patch."""
-    if shaded(x, a, b, c, f, obstacle, number, box, child, span, waiting):
+    if shaded(x, a, b, c, f, candidates, first, middle, facet, number, box, link, waiting):
         return True
-    return not one_ray and shaded(z, a, b, c, f, obstacle, number, box, child, span, waiting)
+    return shaded(z, a, b, c, f, candidates, middle, last, facet, number, box, link, waiting)
 
 
 @njit(cache=True, error_model="numpy")
@@ -231,15 +320,21 @@ def gather(  # type: ignore[no-untyped-def]
     pairs : (n, 2) laser point and pixel of each. row : (n,) first row of each, to which `row_of_part` (K,) is added.
     histogram (rows, T) and overflow (rows,) get the photons.
     Returns the cells that were spread, and the rays asked.
+
+    What may stand between a cell and laser point or patch is among what may stand before all of the box or cell that
+    it is cut from: each hands down its candidates, first … middle for the one and middle … last for the other, and
+    where none is left nothing is hidden. Cells hand down their vertices' light, too.
     """
-    vertices, tag = np.empty((1024, 10)), np.empty((1024, 3), np.int64)
-    waiting = np.empty(512, np.int64)
+    # What waits: its kind, number, patch and candidates; and of cells three vertices with w and path, and the area;
+    # and how many times as large as itself a patch is that it stands for.
+    tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 17))
+    candidates, waiting = np.empty(1 << 14, np.int64), np.full(512, -1)
     cells, rays = 0, 0
     # Records are taken apart here: in the loops every look into one costs as much as what it is for.
     corners, normal, area_before, extent = tree.corners, tree.normal, tree.area, tree.extent
-    box, children, span, roots = tree.box, tree.children, tree.span, tree.roots
-    obstacle, number, flat = occluders.corners, occluders.number, occluders.flat
-    around, child, within = occluders.box, occluders.child, occluders.span
+    around, children, span, roots = tree.box, tree.children, tree.span, tree.roots
+    solid, solid_box = tree.solid, tree.solid_box
+    facet, number, box, link, flat = occluders.facet, occluders.number, occluders.box, occluders.link, occluders.flat
     position1, normal1, to_laser1, part1, power1, leg1 = (
         lasers.position, lasers.normal, lasers.to_laser, lasers.part, lasers.power, lasers.leg
     )  # fmt: skip
@@ -250,237 +345,238 @@ def gather(  # type: ignore[no-untyped-def]
     uneven3, quarters3 = patches.uneven, patches.quarters
     allowed, coarsest, peak = cutting.error, cutting.coarsest, cutting.peak
     last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
-    per_metre, clock_start, attenuation = clock.per_metre, clock.start, clock.attenuation
-    brightest = peak.max()
+    per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
+    enough = len(candidates) - 4 * RING
+    some, strongest = min(len(number), 1), peak.max()
+    candidates[0] = candidates[1] = 0
     for pair in range(len(pairs)):
         i, p = pairs[pair, 0], pairs[pair, 1]
         if part1[i] < 0 or (part3[p, 0] < 0 and not uneven3[p, 0]):
             continue
         x, k1 = _at(position1, i), part1[i]
-        n1, to_laser, lit = _at(normal1, i), _at(to_laser1, i), power1[i]
+        n1, lit, z = _at(normal1, i), power1[i], _point(position3, p, 0)
+        lit_from, kind1, values1 = (x, n1, _at(to_laser1, i)), kind[k1], values[k1]
+        apart = last_leg and not (x[0] == z[0] and x[1] == z[1] and x[2] == z[2])
         for k in range(len(roots)):
             if allowed[k] == np.inf:
                 continue
-            into = row[pair] + row_of_part[k]
-            most, turn = (
-                np.inf,
-                np.int64(mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(k)) >> np.uint64(8)),
-            )
-            top = _push_box(tag, vertices, 0, roots[k], 0, 1.0)
+            into, kind2, values2 = row[pair] + row_of_part[k], kind[k], values[k]
+            word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(k))
+            most, turn = np.inf, np.int64(word >> np.uint64(8))
+            cell[0, 16] = 1.0
+            top = _push(tag, 0, BOX, roots[k], 0, 0, some, 2 * some if apart else some)
             while top > 0:
                 top -= 1
                 what, at, q = tag[top, 0], tag[top, 1], tag[top, 2]
-                v = vertices[top]
-                a, b, c = (v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8])
-                share = v[9]
+                first, middle, last = tag[top, 3], tag[top, 4], tag[top, 5]
                 quarters = quarters3[q, 0] >= 0
-                if uneven3[p, q] and quarters:
-                    if most3[p, q] <= 0.0:
-                        continue
-                    z, size = _point(position3, p, q), size3[p, q]
-                    if what == BOX:
-                        above, height = _above(box, at, x, n1), np.inf
-                        low, high = (box[at, 0], box[at, 1], box[at, 2]), (box[at, 3], box[at, 4], box[at, 5])
-                        m, h = _middle(low, high), _length(less(high, low))
-                        area, several = area_before[span[at, 1]] - area_before[span[at, 0]], children[at, 0] >= 0
-                    else:
-                        m = ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3)
-                        h = max(_length(less(b, a)), _length(less(c, b)), _length(less(a, c)))
-                        area, several = 0.5 * _length(cross(less(b, a), less(c, a))), False
-                        above = max(dot(less(a, x), n1), dot(less(b, x), n1), dot(less(c, x), n1))
-                        height = abs(dot(less(x, a), _at(normal, at)))
-                    if above <= 0.0:
-                        continue
-                    near1 = max(_length(less(m, x)) - h, math.sqrt(area / (2 * math.pi)))
-                    near3 = max(_length(less(m, z)) - h - size, 0.25 * size)
-                    at_most = share * lit * most3[p, q] * peak[k1] * peak[k] * brightest * area
-                    at_most *= min(1.0, above / near1) * min(1.0, height / near1)
-                    at_most /= (near1 * near3) ** 2
-                    if q == 0 and what == BOX and at == roots[k]:
-                        most = at_most
-                    if at_most <= min(allowed[k], most * FEWEST):
-                        # Whatever of the patch is seen makes no larger error than may be: one quarter stands for it,
-                        # and such cells take turns.
-                        turn += share == 1.0
-                        j = quarters3[q, _digit(turn, share)]
-                        if what == BOX:
-                            top = _push_box(tag, vertices, top, at, j, 4 * share)
-                        else:
-                            top = _push(tag, vertices, top, CELL, at, j, 4 * share, a, b, c)
-                    elif several and h > size:
-                        for j in range(2):
-                            top = _push_box(tag, vertices, top, children[at, j], q, share)
-                    elif what != BOX and h > max(size, SMALLEST * extent):
-                        top = _halve(tag, vertices, top, CELL, at, q, share, a, b, c)
-                    else:
-                        for j in range(4):
-                            if what == BOX:
-                                top = _push_box(tag, vertices, top, at, quarters3[q, j], share)
-                            else:
-                                top = _push(tag, vertices, top, CELL, at, quarters3[q, j], share, a, b, c)
-                    continue
+                quarter = uneven3[p, q] and quarters
                 k3 = part3[p, q]
-                if k3 < 0:
+                if k3 < 0 and not quarter:
                     continue
-                z, n3, to_sensor = _point(position3, p, q), _point(normal3, p, q), _point(to_sensor3, p, q)
-                size, footprint = size3[p, q], footprint3[p, q]
+                z, n3 = _point(position3, p, q), _point(normal3, p, q)
+                seen_from, kind3, values3 = (z, n3, _point(to_sensor3, p, q)), kind[k3], values[k3]
+                share, size, footprint = cell[top, 16], size3[p, q], footprint3[p, q]
                 gain = lit * weight3[p, q] * share
+                few = halve = False
+                if quarter:
+                    if what == BOX:
+                        m, h = ball(around, at)
+                        area = area_before[span[at, 1]] - area_before[span[at, 0]]
+                        above, height = _above(around, at, x, n1), np.inf
+                        halve = children[at, 0] >= 0 and h > size
+                    else:
+                        m, side, h = _middle(cell, top)
+                        area, above = cell[top, 15], _highest(cell, top, x, n1)
+                        height = abs(dot(less(x, _vertex(cell, top, 0)), _at(normal, at)))
+                        halve = h > max(size, SMALLEST * extent)
+                    if above <= 0.0 or most3[p, q] <= 0.0:
+                        continue
+                    at_most = share * lit * most3[p, q] * peak[k1] * peak[k] * strongest
+                    at_most *= _brightest(m, h, area, above, height, x, z, size)
+                    if what == BOX and q == 0 and at == roots[k]:
+                        most = at_most
+                    # Whatever of the patch is seen makes no larger error than may be: one quarter stands for it, and
+                    # such cells take turns.
+                    few = at_most <= min(allowed[k], most * FEWEST)
+                    turn += few and share == 1.0
+                    if halve and not few:
+                        if what == BOX:
+                            top = _push(tag, top, BOX, children[at, 1], q, first, middle, last)
+                            cell[top, 16] = share
+                            top = _push(tag, top, BOX, children[at, 0], q, first, middle, last)
+                        else:
+                            y = _half(_vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3))
+                            cell[top, 15] *= 0.5
+                            _copy(cell, top, top + 1)
+                            _put(cell, top, side, y, 0.0, 0.0)
+                            _put(cell, top + 1, (side + 1) % 3, y, 0.0, 0.0)
+                            top = _push(tag, top, FRESH, at, q, first, middle, last)
+                            top = _push(tag, top, FRESH, at, q, first, middle, last)
+                        continue
                 device = leg1[i] + leg3[p, q] if clock.device else 0.0
-                one_ray = not last_leg or (x[0] == z[0] and x[1] == z[1] and x[2] == z[2])
-                if what == BOX:
-                    if _above(box, at, x, n1) <= 0.0:
+                if what == BOX and not quarter:
+                    if _above(around, at, x, n1) <= 0.0 or (_above(around, at, z, n3) <= 0.0 and size <= 0.0):
                         continue
-                    first, last = span[at, 0], span[at, 1]
-                    low, high = (box[at, 0], box[at, 1], box[at, 2]), (box[at, 3], box[at, 4], box[at, 5])
-                    middle, h = _middle(low, high), _length(less(high, low))
-                    if _above(box, at, z, n3) <= 0.0 and size <= 0.0:
-                        continue
-                    if last - first > CLUSTER:
-                        r1, r3 = _length(less(middle, x)), _length(less(middle, z))
-                        near1, near3 = r1 - 0.5 * h, r3 - 0.5 * h
-                        open_it = near1 <= 0.0 or near3 <= 0.0 or h > COARSEST * near1 or h > COARSEST * near3
-                        if not open_it:
-                            # As if all of it faced both: its light is at most that.
-                            most = gain * peak[k1] * peak[k] * peak[k3]
-                            most *= area_before[last] - area_before[first]
-                            most /= near1 * near1 * near3 * near3
-                            open_it = 0.5 * most > allowed[k]
-                        if not open_it and quarters and size > 0.3 * near3:
-                            for j in range(4):
-                                top = _push_box(tag, vertices, top, at, quarters3[q, j], share)
-                            continue
-                        if open_it:
-                            top = _push_box(tag, vertices, top, children[at, 1], q, share)
-                            top = _push_box(tag, vertices, top, children[at, 0], q, share)
-                            continue
-                        # One point anywhere on the cluster stands for all of it.
-                        word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
-                        f, y = _anywhere(first, last, area_before, corners, word)
-                        n, area = _at(normal, f), area_before[last] - area_before[first]
-                        w, path = _weight(y, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint)
-                        if w > 0.0:
-                            rays += 1
-                            cells += 1
-                            if _seen(y, x, z, one_ray, f, obstacle, number, around, child, within, waiting):
-                                air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
-                                overflow[into] += put(
-                                    histogram[into], (path + device) * per_metre - clock_start, w * air * gain * area
-                                )
-                        continue
-                    for f in range(first, last):
-                        one, two, other = _point(corners, f, 0), _point(corners, f, 1), _point(corners, f, 2)
-                        top = _push(tag, vertices, top, CELL, f, q, share, one, two, other)
-                    continue
-                f, n = at, _at(normal, at)
-                m = ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3)
-                if max(dot(less(a, x), n1), dot(less(b, x), n1), dot(less(c, x), n1)) <= 0.0:
-                    continue
-                if max(dot(less(a, z), n3), dot(less(b, z), n3), dot(less(c, z), n3)) <= 0.0:
-                    continue
-                height1, height3 = dot(less(x, a), n), dot(less(z, a), n)
-                if abs(height1) < flat:
-                    continue
-                ab, bc, ca = less(b, a), less(c, b), less(a, c)
-                long_ab, long_bc, long_ca = dot(ab, ab), dot(bc, bc), dot(ca, ca)
-                h = math.sqrt(max(long_ab, long_bc, long_ca))
-                d1, d3 = less(m, x), less(m, z)
-                r1, r3 = _length(d1), _length(d3)
-                # What the patch itself cannot tell apart needs no cutting.
-                bound3 = math.sqrt(r3 * r3 + footprint / math.pi)
-                ratio1, ratio3, ratio_z = h / r1, h / bound3, size / r3
-                limit = coarsest[k]
-                quarter = ratio_z > limit and quarters and size > 0.5 * h
-                cut = not quarter and max(ratio1, ratio3) > limit
-                if height1 * height3 <= 0.0 or abs(height3) < flat:
-                    # The middle of the patch is not lit by this side of the triangle; parts of a large patch may be.
-                    if not (quarters and abs(height3) < size and size > 0.1 * r3):
-                        continue
-                    quarter = True
-                area = 0.5 * _length(cross(ab, ca))
-                vis, error = 1.0, 0.0
-                if not (cut or quarter):
-                    wm, path = _weight(m, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint)
-                    wa, at_a = _weight(a, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint)
-                    wb, at_b = _weight(b, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint)
-                    wc, at_c = _weight(c, n, k, x, n1, to_laser, k1, z, n3, to_sensor, k3, kind, values, footprint)
-                    air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
-                    energy = gain * air * area * (0.75 * wm + 0.25 * (wa + wb + wc) / 3)
-                    bend = (at_a + at_b + at_c) / 3 - path
-                    width = (max(at_a, at_b, at_c) - min(at_a, at_b, at_c)) * per_metre
-                    bright = gain * area * max(wm, wa, wb, wc)
-                    over = bright / math.sqrt(max(1.0, width))
-                    sharp = (COARSEST / limit) ** 2
-                    curved = sharp * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / max(1.0, width)
-                    smeared = ratio_z * ratio_z + min((SMEARED * size * per_metre / max(1.0, width)) ** 4, UNLIKE)
-                    error = over * curved
-                    if over * smeared > allowed[k]:
-                        quarter = quarters
-                    if not quarter and bright > 0.0:
-                        faint = over <= allowed[k]
-                        if (
-                            what == CELL
-                            and proofs
-                            and not faint
-                            and _all_seen(
-                                x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, flat, waiting
+                    start, end = span[at, 0], span[at, 1]
+                    many = end - start > CLUSTER
+                    if many:
+                        area = area_before[end] - area_before[start]
+                        small, near3 = _small(
+                            around, at, x, z, gain * peak[k1] * peak[k] * peak[k3] * area, allowed[k]
+                        )
+                        quarter = small and quarters and size > 0.3 * near3
+                        if small and not quarter:
+                            word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
+                            f, y = _anywhere(start, end, area_before, corners, word)
+                            n = _at(normal, f)
+                            w, r1, r3 = _weight(
+                                y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
                             )
-                        ):
-                            what = CLEAR
-                        cut = error > allowed[k]
-                        if (
-                            cut
-                            and what == CELL
-                            and _none_seen(
-                                x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, waiting
-                            )
-                        ):
-                            continue
-                        if not cut and what == CELL and faint:
-                            # Seen or not, it can make no larger error than it may.
-                            rays += 1
-                            if not _seen(m, x, z, one_ray, f, obstacle, number, around, child, within, waiting):
+                            if not w > 0.0:
                                 continue
-                        elif not cut and what == CELL:
+                            cells += 1
+                            if proofs and _inner_side(x, n, corners, f, solid, solid_box):
+                                continue
+                            rays += 1
+                            if _seen(y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting):
+                                path = r1 + r3
+                                air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
+                                t, energy = (path + device) * per_metre - start_bin, w * air * gain * area
+                                overflow[into] += spread(histogram, into, t, t, t, 1.0, 1.0, 1.0, energy)
+                            continue
+                    if not quarter:
+                        if proofs and first < last < enough:
+                            half_way = narrowed_to_box(
+                                x, around, at, candidates, first, middle, last, box, link, waiting
+                            )
+                            behind = narrowed_to_box(
+                                z, around, at, candidates, middle, last, half_way, box, link, waiting
+                            )
+                            first, middle, last = last, half_way, behind
+                        if many:
+                            top = _push(tag, top, BOX, children[at, 1], q, first, middle, last)
+                            cell[top, 16] = share
+                            top = _push(tag, top, BOX, children[at, 0], q, first, middle, last)
+                            continue
+                        for f in range(start, end):
+                            cell[top, 16] = share
+                            for j in range(3):
+                                _put(cell, top, j, _point(corners, f, j), 0.0, 0.0)
+                            cell[top, 15] = area_before[f + 1] - area_before[f]
+                            top = _push(tag, top, FRESH, f, q, first, middle, last)
+                        continue
+                if what != BOX and not quarter:
+                    f, n = at, _at(normal, at)
+                    if _highest(cell, top, x, n1) <= 0.0 or _highest(cell, top, z, n3) <= 0.0:
+                        continue
+                    a, b, c = _vertex(cell, top, 0), _vertex(cell, top, 1), _vertex(cell, top, 2)
+                    height1, height3 = dot(less(x, a), n), dot(less(z, a), n)
+                    if abs(height1) < flat:
+                        continue
+                    if what == FRESH:
+                        if proofs and _inner_side(x, n, corners, f, solid, solid_box):
+                            continue
+                        for j in range(3):
+                            y = _vertex(cell, top, j)
+                            w, r1, r3 = _weight(
+                                y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
+                            )
+                            _put(cell, top, j, y, w, r1 + r3)
+                    m, side, h = _middle(cell, top)
+                    wm, r1, r3 = _weight(
+                        m, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
+                    )
+                    cut, quarter, over, bend = _judged(
+                        cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre
+                    )
+                    if height1 * height3 <= 0.0 or abs(height3) < flat:
+                        # This side does not light the patch's middle; it may light parts of a large one.
+                        if not (quarters and abs(height3) < size and size > 0.1 * r3):
+                            continue
+                        quarter = True
+                    if not (quarter or over > 0.0):
+                        continue
+                    # Seen or not, it can make no larger error than it may.
+                    visible, faint = 1.0, over <= allowed[k]
+                    if not quarter and proofs and first < last < enough and (cut or not faint):
+                        half_way = narrowed(
+                            x, a, b, c, f, candidates, first, middle, last, facet, number, box, link, flat, waiting
+                        )
+                        behind = narrowed(
+                            z, a, b, c, f, candidates, middle, last, half_way, facet, number, box, link, flat, waiting
+                        )
+                        first, middle, last = last, half_way, behind
+                    if not quarter and first < last:
+                        if cut and _none_seen(
+                            x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link, waiting
+                        ):
+                            continue
+                        if faint and not cut:
+                            rays += 1
+                            if not _seen(
+                                m, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
+                            ):
+                                continue
+                        elif not cut:
                             seen = 0
-                            for lone in range(3):
+                            for j in range(3):
                                 rays += 1
-                                y = (
-                                    (a[0] + b[0] + c[0] + 3 * v[3 * lone]) / 6,
-                                    (a[1] + b[1] + c[1] + 3 * v[3 * lone + 1]) / 6,
-                                    (a[2] + b[2] + c[2] + 3 * v[3 * lone + 2]) / 6,
+                                y = _vertex(cell, top, j)
+                                y = _half(m, y)
+                                seen += _seen(
+                                    y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
                                 )
-                                seen += _seen(y, x, z, one_ray, f, obstacle, number, around, child, within, waiting)
-                            vis = seen / 3
+                            visible = seen / 3
                             # What three rays do not find may still be there: it is cut a little less eagerly.
                             cut = seen < 3 and (PARTLY if seen > 0 else UNFOUND) * over > allowed[k]
                             if seen == 0 and (
                                 not cut
                                 or _none_seen(
-                                    x, a, b, c, z, one_ray, f, obstacle, number, around, child, within, waiting
+                                    x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link,
+                                    waiting,
                                 )
-                            ):
+                            ):  # fmt: skip
                                 continue
                 if quarter:
+                    # Another point of the wall, before which other things may stand.
+                    candidates[last] = candidates[last + 1] = 0
+                    first, middle, last = last, last + some, last + (2 * some if last_leg else some)
+                    here, kept = top, BOX if what == BOX else FRESH
+                    if few:
+                        cell[top, 16] = 4.0 * share
+                        only = quarters3[q, _digit(turn, share)]
+                        top = _push(tag, top, kept, at, only, first, middle, last)
+                        continue
                     for j in range(4):
-                        top = _push(tag, vertices, top, CELL, f, quarters3[q, j], share, a, b, c)
+                        _copy(cell, here, top)
+                        top = _push(tag, top, kept, at, quarters3[q, j], first, middle, last)
                     continue
-                if cut and h > SMALLEST * extent:
-                    top = _halve(tag, vertices, top, what, f, q, share, a, b, c)
+                if cut:
+                    if h <= SMALLEST * extent:
+                        continue
+                    # Across the longest side.
+                    y = _half(_vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3))
+                    w, r1, r3 = _weight(
+                        y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
+                    )
+                    cell[top, 15] *= 0.5
+                    _copy(cell, top, top + 1)
+                    _put(cell, top, side, y, w, r1 + r3)
+                    _put(cell, top + 1, (side + 1) % 3, y, w, r1 + r3)
+                    top = _push(tag, top, CELL, f, q, first, middle, last)
+                    top = _push(tag, top, CELL, f, q, first, middle, last)
                     continue
-                if cut or not energy > 0.0:
-                    continue
+                wa, wb, wc = cell[top, 3], cell[top, 8], cell[top, 13]
+                air = math.exp(-attenuation * (r1 + r3 + leg3[p, q])) if attenuation > 0.0 else 1.0
+                energy = visible * gain * air * cell[top, 15] * (0.75 * wm + 0.25 * (wa + wb + wc) / 3)
                 cells += 1
-                scale, zero = per_metre, (device - 0.75 * bend) * per_metre - clock_start
-                at_a, at_b, at_c = at_a * scale + zero, at_b * scale + zero, at_c * scale + zero
+                zero = (device - 0.75 * bend) * per_metre - start_bin
+                at_a, at_b, at_c = (
+                    cell[top, 4] * per_metre + zero, cell[top, 9] * per_metre + zero, cell[top, 14] * per_metre + zero
+                )  # fmt: skip
                 if size * per_metre > AT_ONCE:
-                    # From one side of the patch to the other the path changes, too.
-                    smear = 0.0
-                    for side in range(2):
-                        longer = 0.0
-                        for j in range(3):
-                            slope = d3[j] / r3 + (to_sensor[j] if clock.device else 0.0)
-                            longer += slope * across3[p, q, side, j]
-                        smear += (longer * per_metre) ** 2 / 12
+                    smear = _smear(less(m, z), seen_from[2], clock.device, across3, p, q) * per_metre * per_metre
                     at_a, at_b, at_c = widened(at_a, at_b, at_c, smear)
-                overflow[into] += spread(histogram[into], at_a, at_b, at_c, wa, wb, wc, vis * energy)
+                overflow[into] += spread(histogram, into, at_a, at_b, at_c, wa, wb, wc, energy)
     return cells, rays

@@ -17,11 +17,14 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot
 from datagen.transport.cells.hierarchy import ON_PLANE, Hierarchy
 
+TINY = 1e-300
 TOUCHING = 1e-9
 """Share of a line at each end within which a triangle only touches it."""
 FEW_VERTICES = 256
 """Vertices of a part up to which each is asked whether it lies behind a wall; of larger parts their box is."""
 LEAF, BINS = 3, 12
+MOST, RING = 16, 63
+"""Candidates up to which boxes are opened, and the mask of a ring that holds those still to be looked at."""
 MANY_WALLS = 1024
 """Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""
 
@@ -31,19 +34,18 @@ class Occluders(NamedTuple):
 
     Attributes
     ----------
-    corners : (F, 3, 3) metres.
+    facet : (F, 4, 3) three corners, metres, and the unit normal.
     number : (F,) which triangle of the `Hierarchy` each is.
     box : (N, 6) lowest and highest corner, metres; the first holds all.
-    child : (N,) the first of two boxes side by side; −1 in a box that holds its triangles itself.
-    span : (N, 2) its triangles, first and behind the last.
+    link : (N, 3) the first of two boxes side by side, −1 in a box that holds its triangles itself; these, first and
+        behind the last.
     flat : distance from a plane within which a point lies on it, metres.
     """
 
-    corners: Floats
+    facet: Floats
     number: Ints
     box: Floats
-    child: Ints
-    span: Ints
+    link: Ints
     flat: float
 
     @classmethod
@@ -51,9 +53,10 @@ class Occluders(NamedTuple):
         """Those of a scene, in time nearly linear in its triangles."""
         number = np.flatnonzero(_hides(scene, tree))
         corners = tree.corners[number]
-        order, box, child, span = _boxes(corners.min(axis=1), corners.max(axis=1))
-        corners = np.ascontiguousarray(corners[order])
-        return cls(corners, number[order], box, child, span, ON_PLANE * tree.extent)
+        order, box, link = _boxes(corners.min(axis=1), corners.max(axis=1))
+        number = number[order]
+        facet = np.concatenate([tree.corners[number], tree.normal[number, None]], axis=1)
+        return cls(facet, number, box, link, ON_PLANE * tree.extent)
 
 
 def _hides(scene: Scene, tree: Hierarchy) -> Bools:
@@ -106,15 +109,15 @@ def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-u
 
 @njit(cache=True, error_model="numpy")
 def _boxes(low, high):  # type: ignore[no-untyped-def]
-    """Order of the triangles, and the boxes: (order, box, child, span)."""
+    """Order of the triangles, and the boxes: (order, box, link)."""
     count = len(low)
     most = max(2 * count, 1)
     order, spare = np.arange(count), np.empty(count, np.int64)
-    box, child, span = np.empty((most, 6)), np.full(most, -1), np.zeros((most, 2), np.int64)
-    span[0, 1], n, k = count, 1, 0
+    box, link = np.empty((most, 6)), np.zeros((most, 3), np.int64)
+    link[0, 2], n, k = count, 1, 0
     members, bounds, cost = np.empty(BINS, np.int64), np.empty((BINS, 6)), np.empty(BINS)
     while k < n:
-        first, last = span[k, 0], span[k, 1]
+        link[k, 0], first, last = -1, link[k, 1], link[k, 2]
         axis, smallest, largest = 0, 0.0, -1.0
         for j in range(3):
             box[k, j], box[k, 3 + j], least, greatest = np.inf, -np.inf, np.inf, -np.inf
@@ -153,11 +156,11 @@ def _boxes(low, high):  # type: ignore[no-untyped-def]
                 order[middle + m] = spare[m]
             if middle in (first, last):
                 middle = (first + last) // 2
-            child[k] = n
-            span[n, 0], span[n, 1], span[n + 1, 0], span[n + 1, 1] = first, middle, middle, last
+            link[k, 0] = n
+            link[n, 1], link[n, 2], link[n + 1, 1], link[n + 1, 2] = first, middle, middle, last
             n += 2
         k += 1
-    return order, box[:n], child[:n], span[:n]
+    return order, box[:n], link[:n]
 
 
 @njit(cache=True, error_model="numpy")
@@ -198,16 +201,29 @@ def cross(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
+def distance(a, b):  # type: ignore[no-untyped-def]
+    """|a − b|, of points."""
+    d = less(a, b)
+    return np.sqrt(dot(d, d))
+
+
+@njit(cache=True, error_model="numpy")
+def _unit(n):  # type: ignore[no-untyped-def]
+    length = np.sqrt(dot(n, n))
+    return (n[0] / length, n[1] / length, n[2] / length)
+
+
+@njit(cache=True, error_model="numpy")
 def corner(corners, f, k):  # type: ignore[no-untyped-def]
     """Corner k of triangle f."""
     return (corners[f, k, 0], corners[f, k, 1], corners[f, k, 2])
 
 
 @njit(cache=True, error_model="numpy")
-def _crosses(x, d, corners, f, end):  # type: ignore[no-untyped-def]
+def _crosses(x, d, facet, f, end):  # type: ignore[no-untyped-def]
     """Whether the line x … x + d · end passes through triangle f (Möller & Trumbore, J. Graphics Tools 2 (1997))."""
-    a = corner(corners, f, 0)
-    along_b, along_c = less(corner(corners, f, 1), a), less(corner(corners, f, 2), a)
+    a = corner(facet, f, 0)
+    along_b, along_c = less(corner(facet, f, 1), a), less(corner(facet, f, 2), a)
     p = cross(d, along_c)
     volume = dot(along_b, p)
     if volume == 0.0:
@@ -224,119 +240,201 @@ def _crosses(x, d, corners, f, end):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def hidden(x, y, of, corners, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
+def hidden(x, y, of, candidates, first, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """A triangle other than number `of`, on which y lies, that stands between the points x and y; −1 for none.
 
-    The other arguments are the fields of `Occluders`, one by one: taken out of it in the loop they cost four times as
-    much. waiting : (≥ 256,) int64 scratch.
+    candidates : boxes k and triangles −1 − f, of which first … last are asked.
+    waiting : (≥ 256,) int64 scratch; the last of it is the triangle that hid something the last time, asked first,
+        or −1. The other arguments are the fields of `Occluders`, one by one: taken out of it
+    in the loop they cost four times as much.
     """
     d = less(y, x)
-    slope = (1.0 / d[0], 1.0 / d[1], 1.0 / d[2])
-    waiting[0], top = 0, 1 if len(number) > 0 else 0
-    while top > 0:
-        top -= 1
-        k = waiting[top]
-        enter, leave = 0.0, 1.0 + TOUCHING
-        for j in range(3):
-            if d[j] == 0.0:
-                if x[j] < box[k, j] or x[j] > box[k, 3 + j]:
-                    leave = -1.0
-            else:
-                near, far = (box[k, j] - x[j]) * slope[j], (box[k, 3 + j] - x[j]) * slope[j]
-                enter, leave = max(enter, min(near, far)), min(leave, max(near, far))
-        if enter > leave * (1.0 + 1e-12):
-            continue
-        if child[k] >= 0:
-            waiting[top], waiting[top + 1] = child[k], child[k] + 1
-            top += 2
-            continue
-        for f in range(span[k, 0], span[k, 1]):
-            # Of triangles that lie on each other the last one is seen, so that their light counts once.
-            end = 1.0 + TOUCHING if number[f] > of else 1.0 - TOUCHING
-            if number[f] != of and _crosses(x, d, corners, f, end):
-                return f
+    suspect = waiting[-1]
+    if first < last and suspect >= 0 and _stands_between(x, d, of, suspect, facet, number):
+        return suspect
+    slope = (1.0 / (d[0] or TINY), 1.0 / (d[1] or TINY), 1.0 / (d[2] or TINY))
+    for i in range(first, last):
+        waiting[0], top = candidates[i], 1
+        while top > 0:
+            top -= 1
+            k = waiting[top]
+            if k < 0:
+                f = -1 - k
+                if _stands_between(x, d, of, f, facet, number):
+                    waiting[-1] = f
+                    return f
+                continue
+            enter, leave = 0.0, 1.0 + TOUCHING
+            for j in range(3):
+                one, other = (box[k, j] - x[j]) * slope[j], (box[k, 3 + j] - x[j]) * slope[j]
+                enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+            if enter <= leave * (1.0 + 1e-12):
+                top = _opened(waiting, top, link, k)
     return -1
 
 
 @njit(cache=True, error_model="numpy")
-def shaded(x, a, b, c, of, corners, number, box, child, span, waiting):  # type: ignore[no-untyped-def]
+def _stands_between(x, d, of, f, facet, number):  # type: ignore[no-untyped-def]
+    """Whether occluder f hides x + d on triangle `of` from x."""
+    if number[f] == of:
+        return False
+    # Of triangles that lie on each other the last one is seen, so that their light counts once.
+    return _crosses(x, d, facet, f, 1.0 + TOUCHING if number[f] > of else 1.0 - TOUCHING)
+
+
+@njit(cache=True)
+def _opened(entries, top, link, k):  # type: ignore[no-untyped-def]
+    """Put what box k holds behind the first `top` entries; returns how many there are then."""
+    if link[k, 0] >= 0:
+        entries[top], entries[top + 1] = link[k, 0], link[k, 0] + 1
+        return top + 2
+    for f in range(link[k, 1], link[k, 2]):
+        entries[top] = -1 - f
+        top += 1
+    return top
+
+
+@njit(cache=True, error_model="numpy")
+def shaded(x, a, b, c, of, candidates, first, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """Whether it is proven that x sees nothing of the triangle a, b, c on triangle `of`.
 
     A triangle that stands before all three corners stands before all between them. False is no proof of the opposite.
     """
-    before = hidden(x, a, of, corners, number, box, child, span, waiting)
+    before = hidden(x, a, of, candidates, first, last, facet, number, box, link, waiting)
     if before < 0:
         return False
     end = 1.0 - TOUCHING
-    return _crosses(x, less(b, x), corners, before, end) and _crosses(x, less(c, x), corners, before, end)
+    return _crosses(x, less(b, x), facet, before, end) and _crosses(x, less(c, x), facet, before, end)
 
 
 @njit(cache=True, error_model="numpy")
-def _outside(n, x, box, k, flat):  # type: ignore[no-untyped-def]
-    """Whether a box lies wholly on the outer side of the plane through x whose normal n points inwards."""
-    height = 0.0
-    for j in range(3):
-        height += max(n[j] * (box[k, j] - x[j]), n[j] * (box[k, 3 + j] - x[j]))
-    return height <= flat
+def narrowed_to_box(x, around, at, candidates, first, last, free, box, link, waiting):  # type: ignore[no-untyped-def]
+    """Those of the candidates first … last that may stand between x and some point of the box `around[at]`; as
+    `narrowed`, but only boxes are asked: by their shadows on the axes and by the cone over the ball round the box."""
+    middle, radius = ball(around, at)
+    axis, far = less(middle, x), distance(middle, x)
+    sine = min(radius / far, 1.0)
+    cosine = np.sqrt(1.0 - sine * sine)
+    head, tail, end = 0, last - first, free
+    for i in range(tail):
+        waiting[i] = candidates[first + i]
+    while head < tail:
+        k = waiting[head & RING]
+        head += 1
+        if k >= 0:
+            apart = False
+            for j in range(3):
+                apart |= box[k, j] > max(x[j], around[at, 3 + j]) or box[k, 3 + j] < min(x[j], around[at, j])
+            centre, size = ball(box, k)
+            d = less(centre, x)
+            along = dot(d, axis) / far
+            across = np.sqrt(max(dot(d, d) - along * along, 0.0))
+            if apart or (sine < 1.0 and across * cosine - along * sine > size * (1.0 + 1e-6)):
+                continue
+            if link[k, 0] >= 0 and end - free + tail - head < MOST:
+                waiting[tail & RING], waiting[(tail + 1) & RING] = link[k, 0], link[k, 0] + 1
+                tail += 2
+                continue
+        candidates[end] = k
+        end += 1
+    return end
 
 
 @njit(cache=True, error_model="numpy")
-def _unit(n):  # type: ignore[no-untyped-def]
-    length = np.sqrt(dot(n, n))
-    return (n[0] / length, n[1] / length, n[2] / length)
+def ball(box, k):  # type: ignore[no-untyped-def]
+    """Middle and radius of the ball round a box."""
+    size = (box[k, 3] - box[k, 0], box[k, 4] - box[k, 1], box[k, 5] - box[k, 2])
+    middle = (box[k, 0] + 0.5 * size[0], box[k, 1] + 0.5 * size[1], box[k, 2] + 0.5 * size[2])
+    return middle, 0.5 * np.sqrt(dot(size, size))
 
 
 @njit(cache=True, error_model="numpy")
-def clear(x, a, b, c, of, corners, number, box, child, span, flat, waiting):  # type: ignore[no-untyped-def]
-    """Whether it is proven that nothing stands between x and any point of the triangle a, b, c on triangle `of`.
+def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, link, flat, waiting):  # type: ignore[no-untyped-def]
+    """Those of the candidates first … last that may stand between x and some point of the triangle a, b, c on
+    triangle `of`, boxes opened while they are few: written from `free` on; returns the end. None left is a proof.
 
     The pyramid over the triangle with its tip in x is free of every triangle that lies beyond one of its sides, or
-    has all of the pyramid on one side of itself. True is certain; False is no proof of the opposite.
+    has all of the pyramid on one side of itself.
     """
-    base = _unit(cross(less(b, a), less(c, a)))
+    base = cross(less(b, a), less(c, a))
     if dot(base, less(x, a)) < 0.0:
         base = (-base[0], -base[1], -base[2])
     one, two, three = cross(less(a, x), less(b, x)), cross(less(b, x), less(c, x)), cross(less(c, x), less(a, x))
     if dot(one, less(c, x)) < 0.0:
         one, two, three = (-one[0], -one[1], -one[2]), (-two[0], -two[1], -two[2]), (-three[0], -three[1], -three[2])
-    one, two, three = _unit(one), _unit(two), _unit(three)
-    waiting[0], top = 0, 1 if len(number) > 0 else 0
-    while top > 0:
-        top -= 1
-        k = waiting[top]
-        if (
-            _outside(one, x, box, k, flat)
-            or _outside(two, x, box, k, flat)
-            or _outside(three, x, box, k, flat)
-            or _outside(base, a, box, k, -flat)
-        ):
-            continue
-        if child[k] >= 0:
-            waiting[top], waiting[top + 1] = child[k], child[k] + 1
-            top += 2
-            continue
-        for f in range(span[k, 0], span[k, 1]):
+    near1, near2, near3, near0 = _margin(one, flat), _margin(two, flat), _margin(three, flat), _margin(base, flat)
+    head, tail, end = 0, last - first, free
+    for i in range(tail):
+        waiting[i] = candidates[first + i]
+    while head < tail:
+        k = waiting[head & RING]
+        head += 1
+        if k < 0:
+            f = -1 - k
             if number[f] == of:
                 continue
-            p, q, r = corner(corners, f, 0), corner(corners, f, 1), corner(corners, f, 2)
-            if _behind(one, x, p, q, r, flat) or _behind(two, x, p, q, r, flat) or _behind(three, x, p, q, r, flat):
+            p, q, r = corner(facet, f, 0), corner(facet, f, 1), corner(facet, f, 2)
+            if (
+                _beyond(one, x, p, q, r, near1)
+                or _beyond(two, x, p, q, r, near2)
+                or _beyond(three, x, p, q, r, near3)
+            ):
                 continue
-            if _behind(base, a, p, q, r, flat):
+            if _beyond(base, a, p, q, r, near0):
+                # One that lies on the triangle itself, and is seen in its place, hides it.
                 upward = (-base[0], -base[1], -base[2])
-                if number[f] > of and _behind(upward, a, p, q, r, flat):
-                    return False  # It lies on the triangle itself, and is seen in its place.
-                continue
-            n = _unit(cross(less(q, p), less(r, p)))
-            if _behind(n, p, a, b, c, flat) and dot(n, less(x, p)) <= flat:
-                continue
-            n = (-n[0], -n[1], -n[2])
-            if _behind(n, p, a, b, c, flat) and dot(n, less(x, p)) <= flat:
-                continue
-            return False
-    return True
+                if not (number[f] > of and _beyond(upward, a, p, q, r, near0)):
+                    continue
+            else:
+                n = corner(facet, f, 3)
+                low, high = _heights(n, p, x, a, b, c)
+                if high <= flat or low >= -flat:
+                    continue
+        elif (
+            _outside(one, x, box, k, near1)
+            or _outside(two, x, box, k, near2)
+            or _outside(three, x, box, k, near3)
+            or _outside(base, a, box, k, -near0)
+        ):
+            continue
+        elif end - free + tail - head < MOST:
+            if link[k, 0] >= 0:
+                waiting[tail & RING], waiting[(tail + 1) & RING] = link[k, 0], link[k, 0] + 1
+                tail += 2
+            else:
+                for f in range(link[k, 1], link[k, 2]):
+                    waiting[tail & RING] = -1 - f
+                    tail += 1
+            continue
+        candidates[end] = k
+        end += 1
+    return end
 
 
 @njit(cache=True, error_model="numpy")
-def _behind(n, x, p, q, r, flat):  # type: ignore[no-untyped-def]
+def _outside(n, x, box, k, near):  # type: ignore[no-untyped-def]
+    """Whether a box lies wholly on the outer side of the plane through x whose normal n points inwards."""
+    height = 0.0
+    for j in range(3):
+        height += max(n[j] * (box[k, j] - x[j]), n[j] * (box[k, 3 + j] - x[j]))
+    return height <= near
+
+
+@njit(cache=True, error_model="numpy")
+def _beyond(n, x, p, q, r, near):  # type: ignore[no-untyped-def]
     """Whether three points lie on the outer side of the plane through x whose normal n points inwards, or on it."""
-    return dot(n, less(p, x)) <= flat and dot(n, less(q, x)) <= flat and dot(n, less(r, x)) <= flat
+    return dot(n, less(p, x)) <= near and dot(n, less(q, x)) <= near and dot(n, less(r, x)) <= near
+
+
+@njit(cache=True, error_model="numpy")
+def _heights(n, p, x, a, b, c):  # type: ignore[no-untyped-def]
+    """Least and greatest height of four points above the plane through p."""
+    at_x, at_a, at_b, at_c = dot(n, less(x, p)), dot(n, less(a, p)), dot(n, less(b, p)), dot(n, less(c, p))
+    return min(at_x, at_a, at_b, at_c), max(at_x, at_a, at_b, at_c)
+
+
+@njit(cache=True, error_model="numpy")
+def _margin(n, flat):  # type: ignore[no-untyped-def]
+    """What a height of `flat` is along n, no unit vector; no number, so that nothing is proven, if that is zero."""
+    length = np.sqrt(dot(n, n))
+    return flat * length if length > 0.0 else np.nan
