@@ -54,9 +54,11 @@ LOOKED_AT, EVENLY = 6, 0.5
 WITHIN, WITHIN_PARTS = 0.6, 0.65
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
 others may be worse."""
-PATCHES_TRIED, EDGE_LEVELS, MOST_PATCHES = 1, (2, 3, 4, 5, 6), 1 << 19
-"""How often pixels are quartered while the cutting is chosen; how often those that see more than one surface are, the
-most often that leaves no more than so many patches."""
+PATCHES_TRIED, MOST_PATCHES = 1, 1 << 19
+"""How often pixels are quartered while the cutting is chosen, and patches of all pixels at most."""
+EDGE_LEVELS, MOST_AT_EDGES = range(2, 7), 1 << 14
+"""How often pixels that see more than one surface are quartered: as often as leaves no more than so many patches of all
+of them, for what one has too much others lack."""
 PATCHES_SHARE, FROM_QUARTERS = 0.25, 4 / 3
 """Share of the error to be met that may come of the pixels' patches; and that error, relative to what quartering them
 once more changes, of second order in their size."""
@@ -171,7 +173,7 @@ class _Gathering:
                 continue
             pixels, own = np.unique(pairs[which, 1], return_inverse=True)
             if at_edge[which[0]]:
-                levels = max((k for k in EDGE_LEVELS if len(pixels) * 4**k <= MOST_PATCHES), default=EDGE_LEVELS[0])
+                levels = max((k for k in EDGE_LEVELS if self.at_edge.sum() * 4**k <= MOST_AT_EDGES), default=1)
             local = np.stack([pairs[which, 0], own.reshape(-1)], axis=1)
             found.append(_Seen(which, local, _patches(self.task, pixels, levels)))
         return found

@@ -42,8 +42,9 @@ UNLIKE = 0.05
 """Error of a patch's arrival times, relative to its light, if they are known by their mean and variance alone."""
 AT_ONCE = 0.01
 """Size of a patch, in bins, up to which all of it is reached at once."""
-FEWEST = 1 / 256
-"""Light of a part that one quarter of a pixel may stand for at most, relative to what all of it might bring."""
+TURNS, FEWEST = 16, 1 / 64
+"""Light up to which one quarter of a pixel stands for the others: relative to the error that a cell may make, and to
+what all of the part might bring."""
 SMALLEST = 1e-8
 """Smallest cell that is cut, relative to the scene."""
 BOX, FRESH, CELL = 0, 1, 2
@@ -396,9 +397,9 @@ def gather(  # type: ignore[no-untyped-def]
                     at_most *= _brightest(m, h, area, above, height, x, z, size)
                     if what == BOX and q == 0 and at == roots[k]:
                         most = at_most
-                    # Whatever of the patch is seen makes no larger error than may be: one quarter stands for it, and
-                    # such cells take turns.
-                    few = at_most <= min(allowed[k], most * FEWEST)
+                    # Whatever of the patch is seen, its light is little: one quarter stands for it, and such cells
+                    # take turns, so that what one has too much of its neighbours lack.
+                    few = at_most <= min(TURNS * allowed[k], most * FEWEST)
                     turn += few and share == 1.0
                     if halve and not few:
                         if what == BOX:
