@@ -287,7 +287,7 @@ def gather(  # type: ignore[no-untyped-def]
 
 
 # Without `_nrt=False` arrays are counted in and out of every function, a third of the time.
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
 def _gather(  # type: ignore[no-untyped-def]
     pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
     tag, cell, candidates, waiting,
