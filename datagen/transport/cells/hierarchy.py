@@ -69,7 +69,9 @@ class Hierarchy(NamedTuple):
         box, children, span, roots = _boxes(corners, ends.astype(np.int64), LEAF)
         extent = float(np.ptp(scene.vertices, axis=0).max())
         area = np.concatenate([[0.0], np.cumsum(length / 2)])
-        solid, solid_box = _solids(scene.triangles[order], scene.vertices, corners[:, 0], normal, ON_PLANE * extent)
+        solid, solid_box = _solids(
+            scene.triangles[order].astype(np.int64), scene.vertices, corners[:, 0], normal, ON_PLANE * extent
+        )
         return cls(corners, normal, area, order, box, children, span, roots, solid, solid_box, extent)
 
 

@@ -312,7 +312,7 @@ def _none_seen(x, a, b, c, z, f, candidates, first, middle, last, facet, number,
     return shaded(z, a, b, c, f, candidates, middle, last, facet, number, box, link, waiting)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def gather(  # type: ignore[no-untyped-def]
     pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow
 ):  # fmt: skip
@@ -321,15 +321,27 @@ def gather(  # type: ignore[no-untyped-def]
     pairs : (n, 2) laser point and pixel of each. row : (n,) first row of each, to which `row_of_part` (K,) is added.
     histogram (rows, T) and overflow (rows,) get the photons.
     Returns the cells that were spread, and the rays asked.
-
-    What may stand between a cell and laser point or patch is among what may stand before all of the box or cell that
-    it is cut from: each hands down its candidates, first … middle for the one and middle … last for the other, and
-    where none is left nothing is hidden. Cells hand down their vertices' light, too.
     """
     # What waits: its kind, number, patch and candidates; and of cells three vertices with w and path, and the area;
     # and how many times as large as itself a patch is that it stands for.
     tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 17))
     candidates, waiting = np.empty(1 << 14, np.int64), np.full(512, -1)
+    return _gather(
+        pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
+        tag, cell, candidates, waiting,
+    )  # fmt: skip
+
+
+# Without `_nrt=False` arrays are counted in and out of every function, a third of the time.
+@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+def _gather(  # type: ignore[no-untyped-def]
+    pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
+    tag, cell, candidates, waiting,
+):  # fmt: skip
+    """The loop. What may stand between a cell and laser point or patch is among what may stand before all of the box
+    or cell that it is cut from: each hands down its candidates, first … middle for the one and middle … last for the
+    other, and where none is left nothing is hidden. Cells hand down their vertices' light, too.
+    """
     cells, rays = 0, 0
     # Records are taken apart here: in the loops every look into one costs as much as what it is for.
     corners, normal, area_before, extent = tree.corners, tree.normal, tree.area, tree.extent

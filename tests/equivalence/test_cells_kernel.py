@@ -1,0 +1,166 @@
+"""The short cuts of the cells' loop against the plain way: every ray asked, every bin its own integral."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from rooms import bins_of_path, furnished_box, one_point_capture, rectangle
+
+from datagen import Accuracy, Capture, Lambertian, Part, Scene
+from datagen.transport.cells.arrival import spread
+from datagen.transport.cells.hierarchy import Hierarchy
+from datagen.transport.cells.occlusion import Occluders, hidden, narrowed, narrowed_to_box
+from datagen.transport.primary import _Gathering, _pairs
+from datagen.transport.solver import prepared
+
+
+def cluttered() -> Scene:
+    """A wall, a ball, two boxes that stand in each other, and one without a lid."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
+    ball.apply_translation((1.2, 0.3, 0.4))
+    box = trimesh.creation.box(bounds=[(0.9, -0.5, -0.3), (1.3, -0.1, 0.3)])
+    inside = trimesh.creation.box(bounds=[(1.1, -0.3, 0.0), (1.6, 0.4, 0.2)])
+    opened = trimesh.creation.box(bounds=[(0.6, 0.4, -0.6), (0.9, 0.8, -0.3)])
+    opened.update_faces(opened.triangles_center[:, 0] > 0.61)
+    wall = Part("wall", rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall")
+    behind = Part("behind", rectangle((2, 0, 0), (0, -1, 0), (0, 0, 1)), Lambertian(0.7), "structure")
+    meshes = {"ball": ball, "box": box, "inside": inside, "opened": opened}
+    return Scene.from_parts([wall, behind, *(Part(name, mesh, Lambertian(0.6)) for name, mesh in meshes.items())])
+
+
+def crossed(x: np.ndarray, y: np.ndarray, corners: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """(n,) whether any triangle other than number `own` crosses the open line from x to y, in plain algebra."""
+    d = y - x
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    system = np.stack([np.broadcast_to(b - a, (len(x), *a.shape)), np.broadcast_to(c - a, (len(x), *a.shape)),
+                       np.broadcast_to(-d[:, None], (len(x), *a.shape))], axis=-1)  # fmt: skip
+    u, v, t = np.moveaxis(np.linalg.solve(system, (x[:, None] - a)[..., None])[..., 0], -1, 0)
+    hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-9) & (t < 1 - 1e-9)
+    hit[np.arange(len(x)), own] = False
+    return np.asarray(hit.any(axis=1))
+
+
+def drawn(tree: Hierarchy, n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points x before the scene, triangles, and small cells (n, 3, 3) on them."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform((0.0, -1, -1), (0.3, 1, 1), (n, 3))
+    own = rng.integers(len(tree.corners), size=n)
+    middle = rng.dirichlet((1, 1, 1), n)
+    shares = middle[:, None] * 0.7 + 0.3 * rng.dirichlet((1, 1, 1), (n, 3))
+    return x, own, np.einsum("nvk,nki->nvi", shares, tree.corners[own])
+
+
+def test_candidates_hide_what_all_triangles_do() -> None:
+    """Rays that ask what was handed down, from the box of the triangle or from the cell, answer as the plain algebra
+    over all triangles; and where nothing is left, nothing hides any point of the cell."""
+    scene = cluttered()
+    tree = Hierarchy.of(scene)
+    hides = Occluders.of(scene, tree)
+    fields = (hides.facet, hides.number, hides.box, hides.link)
+    x, own, cell = drawn(tree, 600, 1)
+    candidates, waiting = np.zeros(4096, np.int64), np.full(512, -1)
+    found, clear = [], 0
+    shares = np.random.default_rng(2).dirichlet((1, 1, 1), (600, 8))
+    points = np.einsum("npv,nvi->npi", shares, cell)
+    leaves = np.flatnonzero(tree.children[:, 0] < 0)
+    holder = np.empty(len(tree.corners), np.int64)
+    for k in leaves:
+        holder[tree.span[k, 0] : tree.span[k, 1]] = k
+    for i in range(600):
+        eye, of = tuple(x[i]), int(own[i])
+        end = narrowed_to_box(eye, tree.box, holder[of], candidates, 0, 1, 1, hides.box, hides.link, waiting)
+        corners = (tuple(cell[i, v]) for v in range(3))
+        last = narrowed(eye, *corners, of, candidates, 1, end, end, *fields, hides.flat, waiting)
+        clear += last == end
+        for first, behind in ((0, 1), (1, end), (end, last)):
+            waiting[-1] = -1
+            found.append([hidden(eye, tuple(y), of, candidates, first, behind, *fields, waiting) for y in points[i]])
+    answers = np.array(found).reshape(600, 3, 8) >= 0
+    truth = crossed(np.repeat(x, 8, axis=0), points.reshape(-1, 3), tree.corners, np.repeat(own, 8)).reshape(600, 8)
+    assert (answers == truth[:, None]).all()
+    assert 60 < clear < 500
+    assert 0.1 < truth.mean() < 0.9
+
+
+def histograms(scene: Scene, capture: Capture, occlusion: str, error: float) -> tuple[np.ndarray, int, int]:
+    accuracy = Accuracy(target=0.02, occlusion=occlusion)  # type: ignore[arg-type]
+    gathering = _Gathering.of(prepared(scene, capture, accuracy, 0, split_parts=True))
+    pairs, parts = _pairs(gathering.task), len(scene.part_names)
+    patches = gathering.patches(np.unique(pairs[:, 1]), 1)
+    coarse = gathering.gathered(pairs, patches, np.full(parts, 1e300), np.arange(parts)).histogram
+    allowed = error * np.maximum(np.linalg.norm(coarse, axis=(0, 2)), 1e-3 * np.linalg.norm(coarse))
+    found = gathering.gathered(pairs, patches, allowed, np.arange(parts))
+    return found.histogram, found.cells, found.rays
+
+
+@pytest.mark.parametrize("scene", [cluttered, furnished_box], ids=lambda make: make.__name__)
+@pytest.mark.parametrize("half_side_m", [1e-3, 0.2])
+def test_proofs_save_rays_and_change_nothing(scene: object, half_side_m: float) -> None:
+    """Each part's light with rays saved is that with all rays asked, but for cells that the one could prove clear or
+    hidden and the other had to ask at three points."""
+    room = scene()  # type: ignore[operator]
+    capture = one_point_capture(
+        (0, -0.3, 0.5), (0, 0.4, 0.6), half_side_m, bins_of_path(200, 0.02, 0.0), (0.4, 0.1, 0.9)
+    )
+    fast, _, rays = histograms(room, capture, "auto", 1e-3)
+    plain, _, all_rays = histograms(room, capture, "on", 1e-3)
+    norm = np.linalg.norm(plain, axis=(0, 2))
+    assert norm.max() > 0
+    # Cells of less than the error that each may make are all that can differ.
+    assert (np.linalg.norm(fast - plain, axis=(0, 2)) <= 0.01 * np.maximum(norm, 0.01 * norm.max())).all()
+    assert rays < 0.8 * all_rays
+
+
+def test_inner_sides_are_left_out_where_nothing_sees_them_alone() -> None:
+    """Of the solids only closed convex ones, and not one that the laser point is in."""
+    scene = cluttered()
+    tree = Hierarchy.of(scene)
+    bounding = {scene.part_names[p] for p in scene.face_part[tree.own[tree.solid >= 0]]}
+    assert bounding == {"ball", "box", "inside"}
+    turned = trimesh.Trimesh(*(lambda m: (m.vertices, m.faces[:, ::-1]))(trimesh.creation.box()), process=False)
+    assert (Hierarchy.of(Scene.from_parts([Part("box", turned, Lambertian(0.5))])).solid < 0).all()
+    # A room that is one closed box, seen from within: turned either way it is the same.
+    room = trimesh.creation.box(bounds=[(0, -1, -1), (2, 1, 1)])
+    wall = Part("wall", rectangle((0.01, 0, 0), (0, 0.9, 0), (0, 0, 0.9)), Lambertian(0.8), "relay_wall")
+    capture = one_point_capture(
+        (0.01, -0.3, 0.5), (0.01, 0.4, 0.6), 1e-3, bins_of_path(200, 0.05, 0.0), (0.4, 0.1, 0.9)
+    )
+    inward = trimesh.Trimesh(room.vertices, room.faces[:, ::-1], process=False)
+    seen = [
+        histograms(Scene.from_parts([wall, Part("room", mesh, Lambertian(0.6))]), capture, "auto", 1e-3)[0]
+        for mesh in (room, inward)
+    ]
+    assert seen[0].sum() > 0
+    np.testing.assert_allclose(seen[0].sum(axis=2), seen[1].sum(axis=2), rtol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_tent_is_the_integral_of_its_light(seed: int) -> None:
+    """Bins against a million points of the triangle, in and over both ends of the window, steep and flat."""
+    rng = np.random.default_rng(seed)
+    n, bins = 1000, 12
+    u, v = (np.stack(np.meshgrid(np.arange(n), np.arange(n))).reshape(2, -1) + 0.5) / n
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    for width in (1e-3, 0.4, 3.0, 30.0):
+        times, weights = rng.uniform(-4, 16) + width * rng.uniform(0, 1, 3), rng.uniform(0, 1, 3)
+        row = np.zeros((2, bins))
+        outside = spread(row, 1, *times, *weights, 2.0)
+        at = times[0] + u * (times[1] - times[0]) + v * (times[2] - times[0])
+        w = weights[0] + u * (weights[1] - weights[0]) + v * (weights[2] - weights[0])
+        truth = 2.0 * np.histogram(at, bins, (0, bins), weights=w)[0] / w.sum()
+        assert not row[0].any()
+        np.testing.assert_allclose(row[1], truth, atol=6e-3)
+        assert row.sum() + outside == pytest.approx(2.0, rel=1e-12)
+    assert spread(row, 0, np.nan, 1.0, 2.0, *weights, 2.0) == 2.0
+
+
+def test_a_part_whose_error_is_boundless_is_left_out() -> None:
+    task = prepared(furnished_box(), one_point_capture(), Accuracy(target=0.02), 0, split_parts=True)
+    gathering = _Gathering.of(task)
+    pairs, parts = _pairs(task), len(task.scene.part_names)
+    error = np.full(parts, 1e300)
+    error[0] = np.inf
+    found = gathering.gathered(pairs, gathering.patches(np.unique(pairs[:, 1]), 0), error, np.arange(parts))
+    assert not found.histogram[:, 0].any()
+    assert found.histogram[:, 1:].any()
