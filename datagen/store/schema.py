@@ -21,10 +21,13 @@ SCHEMA_VERSIONS = {
     "samplers); columns `detector_plan.*` are `sampler.*`; key transport.scramblings is transport.replicates",
     3: "datagen 0.3: a seed yields other counts (histograms are drawn block by block, few detections in the order of "
     "their phase); signed distances in double precision",
+    4: "datagen 0.4: `dataset.json` and commit records end in a checksum of their own, and must",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
 SCHEMA_VERSION = max(SCHEMA_VERSIONS)
+CHECKSUMS_SINCE = 4
+"""The first version whose `dataset.json` and commit records must carry a checksum of their own."""
 CHUNK_BYTES = 4 * 2**20
 """A scene's chunk is cut (first along `laser`) when its raw bytes exceed this."""
 SHARD_BYTES = 256 * 2**20

@@ -27,7 +27,7 @@ from datagen.store.schema import SCHEMA_VERSION, SCHEMA_VERSIONS
 HERE = Path(__file__).parent
 ONE = HERE / "schema_1" / "dataset"
 EARLIER = {version: HERE / f"schema_{version}" / "dataset" for version in range(1, SCHEMA_VERSION)}
-CHOSEN = {1: "detector_plan.sampler", 2: "sampler.name"}
+CHOSEN = {1: "detector_plan.sampler", 2: "sampler.name", 3: "sampler.name"}
 """Where each version keeps the sampler of the detector."""
 
 
