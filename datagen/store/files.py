@@ -44,8 +44,13 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 def write_if_changed(path: Path, content: bytes) -> None:
     """`write_atomically`, unless the file holds just that already."""
-    if not path.is_file() or path.read_bytes() != content:
+    if not holds(path, content):
         write_atomically(path, content)
+
+
+def holds(path: Path, content: bytes) -> bool:
+    """Whether a file is there and holds just that; one of another size is not read."""
+    return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
 
 
 def json_bytes(value: Any) -> bytes:

@@ -11,7 +11,7 @@ from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.store.arrays import GROUP, metadata_files
 from datagen.store.environment import environment
-from datagen.store.files import PARTIAL, own_path, write_if_changed
+from datagen.store.files import PARTIAL, holds, own_path, write_if_changed
 from datagen.store.manifest import (
     MANIFEST,
     DamagedManifest,
@@ -73,7 +73,7 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
     manifest = planned(root, config)
     root.mkdir(parents=True, exist_ok=True)
     content = manifest.to_bytes()
-    if (root / MANIFEST).is_file() and (root / MANIFEST).read_bytes() != content:
+    if not holds(root / MANIFEST, content):
         # It grows, or is mended: what described it as complete goes before anything else changes.
         forget_complete(root)
     write_if_changed(root / MANIFEST, content)

@@ -77,12 +77,16 @@ class DatasetReader:
         field = self._fields[name]
         stored = np.dtype(field.dtype).newbyteorder("<")
         out = np.empty((len(scenes), *field.shape), dtype or stored)
+        if not field.sharded or self._is_kept(field):
+            for row, scene in enumerate(scenes):
+                out[row] = self._kept_value(field, scene)
+            return out
+        plain = out.dtype == stored
+        decoded = np.empty(0) if plain else np.empty(field.shape, stored)
         for row, scene in enumerate(scenes):
-            if field.sharded and out.dtype == stored and not self._is_kept(field):
-                # Decoded in place: the way of all large fields.
-                self._decode(field, scene, out[row])
-            else:
-                out[row] = self._value(field, scene)
+            self._decode(field, scene, out[row] if plain else decoded)
+            if not plain:
+                out[row] = decoded
         return out
 
     def close(self) -> None:
@@ -90,9 +94,9 @@ class DatasetReader:
         self._files.close()
 
     def _is_kept(self, field: Field) -> bool:
-        return not field.sharded or 4 * self._schema.scenes * field.bytes_per_scene <= MEMORY_BYTES
+        return 4 * self._schema.scenes * field.bytes_per_scene <= MEMORY_BYTES
 
-    def _value(self, field: Field, scene: int) -> NDArray[np.generic]:
+    def _kept_value(self, field: Field, scene: int) -> NDArray[np.generic]:
         """One scene's value, from memory if it is there."""
         if not field.sharded:
             return self._small(field, scene)
@@ -100,8 +104,7 @@ class DatasetReader:
         if value is None:
             value = np.empty(field.shape, np.dtype(field.dtype).newbyteorder("<"))
             self._decode(field, scene, value)
-            if self._is_kept(field):
-                self._keep((field.name, scene), value)
+            self._keep((field.name, scene), value)
         return value
 
     def _small(self, field: Field, scene: int) -> NDArray[np.generic]:
@@ -111,7 +114,7 @@ class DatasetReader:
         if values is None:
             file = self._opened(field, shard)
             values = np.empty((self._schema.scenes_per_shard, *field.shape), np.dtype(field.dtype).newbyteorder("<"))
-            self._decode_chunk(field, shard, None, file.read(file.size, 0), values)
+            self._decode_chunk(field, shard, None, file, 0, file.size, values)
             self._keep((field.name, shard), values)
         value: NDArray[np.generic] = values[within, ...]
         self._check_digest(field, scene, value)
@@ -132,10 +135,8 @@ class DatasetReader:
             offset, size = (int(n) for n in file.index[(within, *place)])
             if offset == _MISSING:
                 raise self._fault(field, shard, scene, "the chunk is missing from its shard")
-            # Nothing is believed of an index: it may ask for any amount of memory.
-            stored = file.read(size, offset) if offset + size <= file.size else b""
             chunk = out if whole_scene else np.empty(field.chunk, out.dtype)
-            self._decode_chunk(field, shard, scene, stored, chunk)
+            self._decode_chunk(field, shard, scene, file, offset, size, chunk)
             if not whole_scene:
                 corner = tuple(slice(p * c, (p + 1) * c) for p, c in zip(place, field.chunk, strict=True))
                 target = out[corner]
@@ -143,8 +144,12 @@ class DatasetReader:
         self._check_digest(field, scene, out)
 
     def _decode_chunk(
-        self, field: Field, shard: int, scene: int | None, stored: bytes, out: NDArray[np.generic]
-    ) -> None:
+        self, field: Field, shard: int, scene: int | None, file: OpenFile, offset: int, size: int,
+        out: NDArray[np.generic],
+    ) -> None:  # fmt: skip
+        # Nothing is believed of sizes: they may ask for any amount of memory.
+        possible = offset + size <= file.size and size <= out.nbytes + _BLOSC_HEADER + _CRC_BYTES
+        stored = file.read(size, offset) if possible else b""
         body, checksum = stored[:-_CRC_BYTES], int.from_bytes(stored[-_CRC_BYTES:], "little")
         if len(body) < _BLOSC_HEADER or google_crc32c.value(body) != checksum:
             raise self._fault(field, shard, scene, "the checksum does not match")

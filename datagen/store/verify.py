@@ -14,7 +14,7 @@ from datagen.config import fingerprint_of
 from datagen.errors import CheckError, printable
 from datagen.store.card import CARD, card, croissant, write_card, write_croissant
 from datagen.store.environment import environment
-from datagen.store.files import json_bytes, sha256_of
+from datagen.store.files import JSON_BYTES, holds, json_bytes, sha256_of
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, read_record, recorded_shards
@@ -115,7 +115,7 @@ def _metadata_problems(root: Path, manifest: Manifest) -> Iterator[str]:
 def _metadata_problem(root: Path, manifest: Manifest, name: str) -> str | None:
     if not (root / name).is_file():
         return f"{name}: missing"
-    if sha256_of(root / name) != manifest.metadata.get(name):
+    if (root / name).stat().st_size > JSON_BYTES or sha256_of(root / name) != manifest.metadata[name]:
         return f"{name}: its bytes have changed since they were written (SHA-256 differs)"
     return None
 
@@ -145,17 +145,17 @@ def _summary_problems(root: Path, manifest: Manifest, records: Sequence[ShardRec
     table, now = table_of(records, [field.name for field in manifest.schema.fields]), environment()
     # Another pyarrow writes the same table in other bytes.
     same_writer = manifest.versions["pyarrow"] == now["pyarrow"]
-    if (root / TABLE).read_bytes() != table_bytes(table) and (same_writer or not _holds(root / TABLE, table)):
+    if not holds(root / TABLE, table_bytes(table)) and (same_writer or not _tells(root / TABLE, table)):
         yield f"{TABLE}: differs from what the commit records say"
         return
     # Another datagen may word the same facts otherwise.
     same_words = (manifest.versions["datagen"], manifest.schema_version) == (now["datagen"], SCHEMA_VERSION)
     for name, text in ((CROISSANT, json_bytes(croissant(root, manifest))), (CARD, card(manifest, records).encode())):
-        if not (root / name).is_file() or (same_words and (root / name).read_bytes() != text):
+        if not ((root / name).is_file() and (holds(root / name, text) or not same_words)):
             yield f"{name}: missing, or differs from what the dataset holds"
 
 
-def _holds(path: Path, table: pa.Table) -> bool:
+def _tells(path: Path, table: pa.Table) -> bool:
     try:
         return table_bytes(pq.read_table(path).replace_schema_metadata(table.schema.metadata)) == table_bytes(table)
     except (pa.ArrowException, OSError, ValueError):

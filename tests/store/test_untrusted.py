@@ -156,7 +156,7 @@ def test_json_that_no_parser_should_swallow(dataset: Path, text: str) -> None:
 
 def test_files_without_end_are_not_read_to_it(dataset: Path) -> None:
     with little_memory():
-        for name in ("dataset.json", "build/shard-000000.json"):
+        for name in ("dataset.json", "build/shard-000000.json", "README.md", "croissant.json", "data.zarr/zarr.json"):
             path = dataset / name
             kept = path.read_bytes()
             os.truncate(path, 2**36)
@@ -307,3 +307,9 @@ def test_a_hostile_configuration_is_one_line(
 def test_the_manifest_that_is_tested_with_is_a_sound_one(dataset: Path) -> None:
     reseal(dataset / "dataset.json", lambda values: None)
     assert verify(dataset, deep=True).problems == () and json.loads((dataset / "dataset.json").read_bytes())
+
+
+def test_a_file_that_is_larger_than_its_values_is_not_read(dataset: Path) -> None:
+    os.truncate(dataset / "data.zarr/laser_points/c/0/0/0", 2**36)
+    with little_memory(), pytest.raises(CheckError, match="the checksum does not match"):
+        TransientDataset(dataset, ("laser_points",), check=False)[0]
