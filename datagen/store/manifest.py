@@ -141,7 +141,7 @@ def read_manifest(root: str | Path) -> Manifest:
         content = read_whole(path)
         if not is_intact(content, must_be_sealed=False):
             raise InputError(f"{path}: has changed since it was written (its checksum differs)")
-        stated = parsed(path, content, pydantic.TypeAdapter(dict[str, Any]))
+        stated = parsed(path, content, _mapping_kind())
     except InputError as error:
         raise DamagedManifest(f"{error}; {REMEDY}") from None
     version = stated.get("schema_version")
@@ -222,6 +222,11 @@ class _File:
 @cache
 def _file_kind() -> pydantic.TypeAdapter[_File]:
     return pydantic.TypeAdapter(_File)
+
+
+@cache
+def _mapping_kind() -> pydantic.TypeAdapter[dict[str, Any]]:
+    return pydantic.TypeAdapter(dict[str, Any])
 
 
 def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:

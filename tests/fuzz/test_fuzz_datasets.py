@@ -6,7 +6,6 @@ import copy
 import functools
 import json
 import random
-import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -107,8 +106,8 @@ def places(value: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [p for k, v in items for p in ((*at, k), *places(v, (*at, k)))]
 
 
-def damage(root: Path, number: int, kind: str, place: int, value: Any) -> bool:
-    """Harm a file; whether its checksum was made to fit."""
+def damage(root: Path, number: int, kind: str, place: int, value: Any) -> tuple[dict[Path, bytes | None], bool]:
+    """What files hold once one of them was harmed, None: nothing; and whether its checksum was made to fit."""
     name = files()[number % len(files())]
     path = root / name
     data = bytearray(path.read_bytes())
@@ -122,34 +121,39 @@ def damage(root: Path, number: int, kind: str, place: int, value: Any) -> bool:
         remade = kind == "remade" and had_checksum
         made = sealed(stated) if remade else json.dumps(stated, indent=2).encode()
         assume(made.strip() != data.strip())
-        path.write_bytes(made)
-        return remade
-    if kind == "flip":
-        data[place // 8 % len(data)] ^= 1 << place % 8
-    elif kind == "cut":
-        del data[place % len(data) :]
-    elif kind == "insert":
-        data[place % len(data) : place % len(data)] = random.Random(place).randbytes(1 + place % 9)
-    elif kind == "exchange":
+        return {path: made}, remade
+    if kind == "remove":
+        return {path: None}, False
+    if kind == "exchange":
         alike = [one for one in dict.fromkeys(files()) if one.suffix == name.suffix and one != name]
         # Another shard of the same field, another record; else whatever is of a kind.
         others = [one for one in alike if one.parts[:2] == name.parts[:2]] or alike
         assume(bool(others))
         other = root / others[place % len(others)]
-        data, exchanged = bytearray(other.read_bytes()), bytes(data)
-        assume(bytes(data) != exchanged)
-        other.write_bytes(exchanged)
-    path.write_bytes(data)
-    if kind == "remove":
-        path.unlink()
-    return False
+        assume(other.read_bytes() != data)
+        return {path: other.read_bytes(), other: bytes(data)}, False
+    if kind == "flip":
+        data[place // 8 % len(data)] ^= 1 << place % 8
+    elif kind == "cut":
+        del data[place % len(data) :]
+    else:
+        data[place % len(data) : place % len(data)] = random.Random(place).randbytes(1 + place % 9)
+    return {path: bytes(data)}, False
 
 
 @contextmanager
 def harmed(*how: Any) -> Iterator[tuple[Path, bool]]:
-    with tempfile.TemporaryDirectory() as folder:
-        root = shutil.copytree(pristine()[1], Path(folder) / "set")
-        yield root, damage(root, *how)
+    """The dataset while it is harmed; afterwards it is as it was."""
+    root = pristine()[1]
+    changed, remade = damage(root, *how)
+    before = {path: path.read_bytes() for path in changed}
+    try:
+        for path, data in changed.items():
+            path.unlink() if data is None else path.write_bytes(data)
+        yield root, remade
+    finally:
+        for path, data in before.items():
+            path.write_bytes(data)
 
 
 def told(call: Callable[[], Any]) -> Any:

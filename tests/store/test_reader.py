@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import resource
+import shutil
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from fake_samples import fake_sample
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import CheckError
 from datagen.loader import TransientDataset
-from datagen.store import DatasetReader, Manifest, open_files, prepare, schema, write_shard
+from datagen.store import DatasetReader, Manifest, open_files, prepare, read_manifest, schema, write_shard
 from datagen.store.shard import digest
 
 
@@ -43,41 +44,53 @@ def config_of(rows: int, columns: int, pixels: int, bins: int) -> DatasetConfig:
     )
 
 
-@pytest.mark.parametrize("memory", [0, 2**28], ids=["from files", "from memory"])
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("reader") / "set"
+    made(root, config_of(1, 2, 1, 8))
+    return root
+
+
+@pytest.fixture
+def dataset(sound: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(sound, tmp_path / "set")
+
+
 @pytest.mark.parametrize("chunk_bytes", [2**22, 700, 90], ids=["whole", "cut on laser", "cut on laser and pixel"])
-def test_reads_what_zarr_reads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_bytes: int, memory: int
-) -> None:
+def test_reads_what_zarr_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_bytes: int) -> None:
+    """From files and from memory."""
     monkeypatch.setattr(schema, "CHUNK_BYTES", chunk_bytes)
-    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", memory)
     manifest = made(tmp_path, config_of(rows=1, columns=5, pixels=3, bins=17))
     order = [7, 0, 9, 9, 3, 4, 8]
-    reader = DatasetReader(tmp_path, manifest, manifest.schema.by_name)
-    for field in manifest.schema.fields:
-        array = zarr.open_array(tmp_path / "data.zarr" / field.name, mode="r")
-        plain = np.stack([np.asarray(array[scene]) for scene in order])
-        for _ in range(2):
-            values = reader.read(field.name, order)
-            assert values.dtype == plain.dtype and np.array_equal(values, plain, equal_nan=plain.dtype.kind == "f")
-        assert np.array_equal(reader.read(field.name, order, np.dtype("f8")), plain.astype("f8"), equal_nan=True)
-        if field.sharded:
-            assert (field.chunk != field.shape) == (chunk_bytes < field.bytes_per_scene)
-    reader.close()
+    for memory in (0, 2**28):
+        monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", memory)
+        reader = DatasetReader(tmp_path, manifest, manifest.schema.by_name)
+        for field in manifest.schema.fields:
+            array = zarr.open_array(tmp_path / "data.zarr" / field.name, mode="r")
+            plain = np.stack([np.asarray(array[scene]) for scene in order])
+            for _ in range(2):
+                values = reader.read(field.name, order)
+                assert values.dtype == plain.dtype
+                assert np.array_equal(values, plain, equal_nan=plain.dtype.kind == "f")
+            assert np.array_equal(reader.read(field.name, order, np.dtype("f8")), plain.astype("f8"), equal_nan=True)
+            if field.sharded:
+                assert (field.chunk != field.shape) == (chunk_bytes < field.bytes_per_scene)
+        reader.close()
 
 
-def test_memory_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    manifest = made(tmp_path, config_of(1, 2, 1, 8))
+def test_memory_is_bounded(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest = read_manifest(dataset)
     monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 1000)
-    reader = DatasetReader(tmp_path, manifest, manifest.schema.by_name)
+    reader = DatasetReader(dataset, manifest, manifest.schema.by_name)
     for name in manifest.schema.by_name:
         reader.read(name, range(10))
         kept = sum(values.nbytes for values in reader._kept.values())
         assert kept == reader._kept_bytes <= 1000
 
 
-def test_damage_is_an_error(tmp_path: Path) -> None:
-    manifest = made(tmp_path, config_of(1, 2, 1, 8))
-    path = tmp_path / "data.zarr/histogram/c/0/0/0/0"
+def test_damage_is_an_error(dataset: Path) -> None:
+    manifest = read_manifest(dataset)
+    path = dataset / "data.zarr/histogram/c/0/0/0/0"
     sound = path.read_bytes()
     for data, check, message in (
         (bytes([sound[0] ^ 1]) + sound[1:], True, "scene 0: the checksum does not match"),
@@ -89,37 +102,37 @@ def test_damage_is_an_error(tmp_path: Path) -> None:
     ):
         path.write_bytes(data)
         with pytest.raises(CheckError, match=message) as told:
-            DatasetReader(tmp_path, manifest, ["histogram"], check).read("histogram", [0, 1, 2, 3])
+            DatasetReader(dataset, manifest, ["histogram"], check).read("histogram", [0, 1, 2, 3])
         assert str(path) in str(told.value) and "build` again" in str(told.value)
 
 
 @pytest.mark.parametrize("name", ["histogram", "depth", "laser_points", "relay_wall"])
-def test_what_is_not_there_is_no_value(tmp_path: Path, name: str) -> None:
+def test_what_is_not_there_is_no_value(dataset: Path, name: str) -> None:
     """A chunk that is missing would be filled by zarr; two shards exchanged would be read as they are."""
-    manifest = made(tmp_path, config_of(1, 2, 1, 8))
-    one, other = (next((tmp_path / f"data.zarr/{name}/c/{shard}").rglob("0")) for shard in (0, 1))
+    manifest = read_manifest(dataset)
+    one, other = (next((dataset / f"data.zarr/{name}/c/{shard}").rglob("0")) for shard in (0, 1))
     while one.is_dir():
         one, other = one / "0", other / "0"
-    one.rename(tmp_path / "aside")
+    one.rename(dataset / "aside")
     with pytest.raises(CheckError, match="scenes 0-3: cannot be opened"):
-        DatasetReader(tmp_path, manifest, [name], check=False).read(name, [0])
+        DatasetReader(dataset, manifest, [name], check=False).read(name, [0])
     other.rename(one)
-    (tmp_path / "aside").rename(other)
+    (dataset / "aside").rename(other)
     with pytest.raises(CheckError, match=r"decodes to other values than were written|bytes, \d+ were written"):
-        DatasetReader(tmp_path, manifest, [name]).read(name, [0])
+        DatasetReader(dataset, manifest, [name]).read(name, [0])
 
 
-def test_a_pipe_in_a_files_place_is_refused_at_once(tmp_path: Path) -> None:
-    manifest = made(tmp_path, config_of(1, 2, 1, 8))
-    path = tmp_path / "data.zarr/histogram/c/0/0/0/0"
+def test_a_pipe_in_a_files_place_is_refused_at_once(dataset: Path) -> None:
+    manifest = read_manifest(dataset)
+    path = dataset / "data.zarr/histogram/c/0/0/0/0"
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(CheckError, match="no plain file"):
-        DatasetReader(tmp_path, manifest, ["histogram"]).read("histogram", [0])
+        DatasetReader(dataset, manifest, ["histogram"]).read("histogram", [0])
 
 
-def test_each_value_is_checked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    manifest = made(tmp_path, config_of(1, 2, 1, 8))
+def test_each_value_is_checked_once(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest = read_manifest(dataset)
     monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
     checked: list[str] = []
     monkeypatch.setattr(
@@ -127,24 +140,24 @@ def test_each_value_is_checked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     )
     seen = {name: np.zeros(10, bool) for name in ("depth", "laser_points")}
     for _ in range(2):
-        reader = DatasetReader(tmp_path, manifest, seen, seen=seen)
+        reader = DatasetReader(dataset, manifest, seen, seen=seen)
         for name in seen:
             reader.read(name, [0, 5, 5])
     assert sorted(checked) == ["depth"] * 2 + ["laser_points"] * 2
     assert [np.flatnonzero(of).tolist() for of in seen.values()] == [[0, 5]] * 2
     # What all have been checked of needs no record any more.
     seen["depth"][4:8] = True
-    (tmp_path / "build/shard-000001.json").unlink()
-    DatasetReader(tmp_path, manifest, seen, seen=seen).read("depth", [5, 6])
+    (dataset / "build/shard-000001.json").unlink()
+    DatasetReader(dataset, manifest, seen, seen=seen).read("depth", [5, 6])
     with pytest.raises(CheckError, match="shard 1 is not committed"):
-        DatasetReader(tmp_path, manifest, ["depth"]).read("depth", [5])
+        DatasetReader(dataset, manifest, ["depth"]).read("depth", [5])
 
 
-def test_few_files_stay_open_whatever_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_files_stay_open_whatever_is_read(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(open_files, "MOST_OPEN", 2)
-    manifest = made(tmp_path, config_of(1, 2, 1, 8))
-    array = zarr.open_array(tmp_path / "data.zarr/depth", mode="r")
-    readers = [DatasetReader(tmp_path, manifest, manifest.schema.by_name) for _ in range(2)]
+    manifest = read_manifest(dataset)
+    array = zarr.open_array(dataset / "data.zarr/depth", mode="r")
+    readers = [DatasetReader(dataset, manifest, manifest.schema.by_name) for _ in range(2)]
     before = len(os.listdir("/proc/self/fd"))
     for scene in (0, 9, 1, 5, 0):
         for reader in readers:
