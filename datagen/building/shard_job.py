@@ -110,9 +110,10 @@ def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
 
 def scene_at(root: Path, shard: int) -> int | None:
     """The scene that the writer of a shard is at, or was at when it died; None before the first one."""
+    path = running_path(root, shard)
     try:
-        text = running_path(root, shard).read_text().strip()
-    except OSError:
+        text = path.read_text().strip() if path.is_file() else ""
+    except (OSError, ValueError):
         return None
     return int(text) if text.isdigit() else None
 
@@ -166,7 +167,7 @@ def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
     """Hold a lock that the kernel releases with the process: two writers in one shard would lose data silently."""
     deadline = time.monotonic() + patience_s
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         if _locked(handle) and os.fstat(handle).st_nlink > 0:
             break
         os.close(handle)

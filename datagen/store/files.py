@@ -30,8 +30,10 @@ T = TypeVar("T")
 def write_atomically(path: Path, content: bytes) -> None:
     """Write beside `path`, fsync, rename: a reader sees the old content or the new one, whenever we are killed."""
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
+    # Whatever stands there, such as a link to somewhere else, is not written through.
+    partial.unlink(missing_ok=True)
     try:
-        with partial.open("wb") as file:
+        with partial.open("xb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())

@@ -248,6 +248,19 @@ def test_a_build_follows_no_link_out_of_its_folder(dataset: Path, tmp_path: Path
     assert snapshot(outside.parent if inside != "data.zarr/depth/c/0" else outside) == before
 
 
+def test_a_build_writes_through_no_link_that_stands_in_for_a_file_of_its_own(dataset: Path, tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    outside.write_text("years of work")
+    (dataset / f"README.md.{os.getpid()}.partial").symlink_to(outside)
+    (dataset / "README.md").unlink()
+    build(small_config(scenes=5), dataset, progress=False, sample_function=fake_sample)
+    (dataset / "build/shard-000000.running").symlink_to(outside)
+    (dataset / "build/shard-000000.json").unlink()
+    with pytest.raises(CheckError, match=r"shard-000000\.running"):
+        build(small_config(scenes=5), dataset, progress=False, sample_function=fake_sample)
+    assert outside.read_text() == "years of work"
+
+
 def test_a_dataset_may_be_a_link_itself(dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(dataset)
     build(small_config(scenes=5), tmp_path / "link", progress=False, sample_function=fake_sample)
