@@ -74,18 +74,28 @@ def no_server(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def due(tmp_path_factory: pytest.TempPathFactory) -> str:
+def due(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("kills") / "set"
     whole_build(root)
-    return dataset_digest(root)
+    return root
 
 
-def resumes(root: Path, due: str, where: str) -> None:
-    """No reader believes what a kill left, and building again makes the dataset."""
-    with suppress(CheckError, InputError):
-        assert len(TransientDataset(root, ("histogram",))) == 6 and dataset_digest(root) == due, where
+def histograms(root: Path) -> dict[int, bytes]:
+    """Every scene there is; none where the dataset is not believed to be whole."""
+    with suppress(CheckError, InputError), warnings.catch_warnings():
+        # A scene that failed before is told, and left out.
+        warnings.simplefilter("ignore", UserWarning)
+        data = TransientDataset(root, ("histogram",))
+        items = [data[item] for item in range(len(data))]
+        return {int(item["scene"]): item["histogram"].numpy().tobytes() for item in items}
+    return {}
+
+
+def resumes(root: Path, due: Path, where: str) -> None:
+    """What a reader gets after a kill is what was to be stored, and building again makes the dataset."""
+    assert histograms(root).items() <= histograms(due).items(), where
     whole_build(root)
-    assert verify(root, deep=True).problems == () and dataset_digest(root) == due, where
+    assert verify(root, deep=True).problems == () and dataset_digest(root) == dataset_digest(due), where
     assert not list(root.rglob("*.running")), where
 
 
@@ -94,7 +104,7 @@ def resumes(root: Path, due: str, where: str) -> None:
     [range(20, 400, 100), pytest.param(range(400), marks=pytest.mark.nightly)],
     ids=["some steps", "every step"],
 )
-def test_a_kill_between_any_two_steps_loses_nothing(tmp_path: Path, due: str, steps: range) -> None:
+def test_a_kill_between_any_two_steps_loses_nothing(tmp_path: Path, due: Path, steps: range) -> None:
     kills = 0
     for step in steps:
         root = tmp_path / str(step)
@@ -111,7 +121,7 @@ def test_a_kill_between_any_two_steps_loses_nothing(tmp_path: Path, due: str, st
     [range(30, 400, 120), pytest.param(range(400), marks=pytest.mark.nightly)],
     ids=["some steps", "every step"],
 )
-def test_a_kill_while_a_dataset_is_mended_loses_nothing(tmp_path: Path, due: str, steps: range) -> None:
+def test_a_kill_while_a_dataset_is_mended_loses_nothing(tmp_path: Path, due: Path, steps: range) -> None:
     """A scene is tried anew, a damaged shard is made again and a lost dataset.json restored."""
     harmed = tmp_path / "harmed"
     with pytest.raises(CheckError):
