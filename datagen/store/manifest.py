@@ -16,6 +16,7 @@ from datagen.errors import InputError
 from datagen.store.arrays import GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_whole, sealed
+from datagen.store.record import recorded_shards
 from datagen.store.schema import (
     CHECKSUMS_SINCE,
     MOST_SCENES,
@@ -134,6 +135,8 @@ def read_manifest(root: str | Path) -> Manifest:
     """
     root = Path(root)
     path = root / MANIFEST
+    if not path.is_file() and recorded_shards(root):
+        raise DamagedManifest(f"{path}: missing, and there are shards; {REMEDY}")
     if not path.is_file():
         what = "is no dataset: it has no dataset.json" if root.is_dir() else "no such dataset"
         raise InputError(f"{root}: {what}; name a folder that `datagen build` made")

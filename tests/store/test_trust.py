@@ -168,6 +168,8 @@ def test_a_description_of_any_text_verifies(tmp_path: Path, description: str) ->
 
 def test_shards_of_another_configuration_restore_nothing(dataset: Path) -> None:
     (dataset / "dataset.json").unlink()
+    with pytest.raises(InputError, match=r"dataset\.json: missing, and there are shards; build the dataset again"):
+        TransientDataset(dataset)
     before = sorted(dataset.rglob("*"))
     with pytest.raises(InputError, match=r"no sound dataset\.json, and shard 0 was made with another configuration"):
         again(dataset, small_config(seed=4))
