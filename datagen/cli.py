@@ -48,6 +48,10 @@ def plan(
 @click.option("--shards", help="Only these shards, such as 0-99 or 3,7-9 (for job arrays).")
 @click.option("--engine", default="local", show_default=True, help="local or dask.")
 @click.option("--scheduler", help="Address of a Dask scheduler; left out: a cluster on this machine.")
+@click.option(
+    "--accept-mixed", is_flag=True, help="Go on where other library versions or another architecture began."
+)
+@click.option("--scene-seconds", type=float, help="Give a scene up that takes longer (local workers).")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def build(config: str, out: str, quiet: bool, **options: Any) -> None:
     """Build the dataset that CONFIG describes in the folder OUT. Running it again resumes."""
@@ -66,17 +70,36 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
 
 @cli.command()
 @click.argument("dataset")
-def verify(dataset: str) -> None:
-    """Check every file and every decoded value of DATASET."""
+@click.option("--deep", is_flag=True, help="Decode every value, too, and compare it with its digest.")
+@click.option("--resimulate", type=int, default=0, metavar="N", help="Simulate N random scenes again, to the bit.")
+def verify(dataset: str, deep: bool, resimulate: int) -> None:
+    """Check every file of DATASET against the hashes in its commit records."""
     from datagen.store import verify as verify_dataset
     from datagen.store.card import readable
 
-    found = verify_dataset(dataset)
-    for problem in found.problems:
+    found = verify_dataset(dataset, deep)
+    problems, again = [*found.problems], ""
+    if resimulate:
+        from datagen.building.resimulate import resimulate as simulate_again
+
+        scenes, differing = simulate_again(dataset, resimulate)
+        problems += differing
+        again = f"; scenes simulated again: {', '.join(map(str, scenes))}"
+    for problem in problems:
         click.echo(problem)
-    if found.problems:
-        raise CheckError(f"{dataset}: {len(found.problems)} problems; build it again to mend them")
-    click.echo(f"{dataset}: {found.scenes} scenes in {found.shards} shards, {readable(found.bytes)}: all as written")
+    if problems:
+        raise CheckError(f"{dataset}: {len(problems)} problems; build it again to mend them")
+    state = f"{found.scenes} scenes in {found.shards} shards, {readable(found.bytes)}: all as written{again}"
+    click.echo(f"{dataset}: {state}")
+
+
+@cli.command()
+@click.argument("dataset")
+def digest(dataset: str) -> None:
+    """Print one hash of all values of DATASET, the same however it was built and stored."""
+    from datagen.store.digest import dataset_digest
+
+    click.echo(dataset_digest(dataset))
 
 
 @cli.command()

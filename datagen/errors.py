@@ -12,3 +12,9 @@ class InputError(ValueError):
 
 class CheckError(RuntimeError):
     """A check that was asked for did not pass (exit status 1): a corrupt dataset, scenes that failed."""
+
+
+def printable(text: str) -> str:
+    """Text with control characters written as escapes, but for the ends of its lines: it may come from anywhere, and
+    goes to terminals."""
+    return "".join(c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in text)

@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import click
 
-from datagen.errors import CheckError, InputError
+from datagen.errors import CheckError, InputError, printable
 
 INTERRUPTED = 130
 
@@ -44,7 +44,7 @@ def _one_line(error: click.ClickException) -> str:
 
 def _complain(message: str, status: int) -> int:
     with suppress(BrokenPipeError):
-        print(f"datagen: {' '.join(message.split())}", file=sys.stderr, flush=True)
+        print(f"datagen: {printable(' '.join(message.split()))}", file=sys.stderr, flush=True)
     return status
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,10 +18,12 @@ from typing import Any
 from datagen import store
 from datagen.building.engines import Engine, check_engine, start_imports, started
 from datagen.building.progress import Progress
-from datagen.building.shard_job import ShardJob, abandon_shard, run_shard, scene_at
+from datagen.building.shard_job import ShardJob, abandon_shard, run_shard, scene_age_s, scene_at
+from datagen.building.time_limit import LONGEST_SCENE_S, overtime
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
+from datagen.store.environment import made_with, mixed
 
 SampleFunction = Callable[[DatasetConfig, int], Sample]
 
@@ -62,6 +64,7 @@ def build(
     config: DatasetConfig, path: str | Path, workers: int = 1, *, scenes: int | None = None,
     shards: str | None = None, engine: str = "local", scheduler: str | None = None, progress: bool = True,
     sample_function: SampleFunction | None = None, input_check: Callable[[DatasetConfig], None] | None = None,
+    accept_mixed: bool = False, scene_seconds: float | None = None,
 ) -> BuildResult:  # fmt: skip
     """Build a dataset, or go on with one.
 
@@ -75,6 +78,9 @@ def build(
     progress : report to standard error.
     sample_function, input_check : what makes a sample, and what examines the configuration before anything is
         created; left out, the whole simulation (`datagen.pipeline`). Must be importable by the workers.
+    accept_mixed : go on with a dataset that was made with other versions of libraries, or on another architecture:
+        the same seed may then give other bytes. Told on its card.
+    scene_seconds : a scene that takes longer is given up (local workers only); compiling counts.
 
     Returns
     -------
@@ -83,7 +89,8 @@ def build(
     Raises
     ------
     InputError : the configuration cannot be simulated; the output is a file, unwritable, holds other files, another
-        dataset or fewer scenes are asked for than it holds. Nothing has been created or changed then.
+        dataset, shards made with other versions, or fewer scenes are asked for than it holds. Nothing has been
+        created or changed then.
     CheckError : scenes failed (all others are there), workers keep dying, or the disk refused.
 
     A script that calls it with local workers needs `if __name__ == "__main__":`, as with all of Python's pools.
@@ -108,12 +115,14 @@ def build(
     check_engine(engine, workers, scheduler)
     if engine == "local":
         start_imports(__name__, "datagen.pipeline" if sample_function is None else sample_function.__module__)
-    store.check_output(root, config)
+    _check_scene_seconds(scene_seconds, engine)
+    plan = store.planned(root, config)
     store.check_writable(root)
-    schema = store.schema_of(
-        config, None if store.is_fresh(root) else store.read_manifest(root).schema.scenes_per_shard
-    )
+    schema = plan.schema
     wanted = parse_shards(shards, schema.shards)
+    there = store.committed(root, plan, hashes=True)
+    if not accept_mixed:
+        _check_unmixed(root, there)
     if sample_function is None:
         from datagen import pipeline
 
@@ -123,7 +132,8 @@ def build(
     try:
         with started(engine, workers, scheduler) as running:
             manifest = store.prepare(root, config)
-            kept = _Build(config, root, manifest, running, sample_function).run(wanted, progress)
+            state = _Build(config, root, manifest, running, sample_function, accept_mixed, scene_seconds)
+            kept = state.run(wanted, there, progress)
         records = store.committed(root, manifest)
         complete = len(records) == schema.shards
         (store.finish if complete else store.write_card)(root, manifest, records)
@@ -140,6 +150,26 @@ def build(
     return BuildResult(root, schema.scenes, len(wanted) - kept, kept, complete, time.monotonic() - began)
 
 
+def _check_scene_seconds(scene_seconds: float | None, engine: str) -> None:
+    if scene_seconds is None:
+        return
+    if not 0 < scene_seconds <= LONGEST_SCENE_S:
+        raise InputError(f"--scene-seconds {scene_seconds:g}: must be > 0 and ≤ {LONGEST_SCENE_S:g}")
+    if engine != "local":
+        raise InputError(f"--scene-seconds {scene_seconds:g}: only local workers can be held to it; leave it out")
+
+
+def _check_unmixed(root: Path, records: Iterable[store.ShardRecord]) -> None:
+    """Refuse to go on with shards that were made with what may give other bytes."""
+    for record in records:
+        for difference in mixed([record.environment, made_with()]):
+            raise InputError(
+                f"output {root}: shard {record.shard} and this machine differ in {difference}; the same bytes are "
+                "promised for one architecture and one set of versions (constraints.txt): use those, "
+                "name another folder, or accept it with --accept-mixed"
+            )
+
+
 @dataclass
 class _Build:
     """The loop over shards, and what it must remember of workers that died."""
@@ -149,6 +179,8 @@ class _Build:
     manifest: store.Manifest
     engine: Engine
     sample_function: SampleFunction
+    accept_mixed: bool
+    scene_seconds: float | None
     deaths: Counter[int] = field(default_factory=Counter)
     """Scene → workers that died over it; −1 counts those that died before any scene."""
     given_up: dict[int, str] = field(default_factory=dict)
@@ -157,18 +189,16 @@ class _Build:
     def schema(self) -> store.Schema:
         return self.manifest.schema
 
-    def run(self, wanted: Iterable[int], shown: bool) -> int:
-        """Make the wanted shards that are not there; returns how many were."""
-        wanted = list(wanted)
-        kept = {
-            record.shard for record in store.committed(self.root, self.manifest, hashes=True) if not record.failures
-        }
+    def run(self, wanted: Sequence[int], there: Sequence[store.ShardRecord], shown: bool) -> int:
+        """Make the wanted shards that are not there, or lack scenes; returns how many were."""
+        kept = {record.shard for record in there if not record.failures}
         for shard in kept:
             store.running_path(self.root, shard).unlink(missing_ok=True)
         waiting = deque(shard for shard in wanted if shard not in kept)
         if not waiting:
             return len(wanted)
-        store.write_card(self.root, self.manifest, store.committed(self.root, self.manifest))
+        store.forget_complete(self.root)
+        store.write_card(self.root, self.manifest, there)
         sizes = {shard: len(self.schema.scenes_of(shard)) for shard in wanted}
         progress = Progress(sum(sizes.values()), sum(sizes[shard] for shard in wanted if shard in kept), shown)
         if len(waiting) < len(wanted):
@@ -207,7 +237,11 @@ class _Build:
     def _job(self, shard: int) -> ShardJob:
         skip = {scene: self.given_up[scene] for scene in self.schema.scenes_of(shard) if scene in self.given_up}
         root, fingerprint = self.root.resolve(), self.manifest.fingerprint
-        return ShardJob(root, self.config, self.schema, fingerprint, shard, self.sample_function, skip, time.time())
+        made = None if self.accept_mixed else made_with()
+        return ShardJob(
+            root, self.config, self.schema, fingerprint, shard, self.sample_function, skip, time.time(), made,
+            self.scene_seconds,
+        )  # fmt: skip
 
     def _scenes_done(self, shard: int) -> int:
         scene = scene_at(self.root, shard)
@@ -229,7 +263,14 @@ class _Build:
                 "worker processes die before their first scene; in a script, call build under "
                 'if __name__ == "__main__": and see the messages above'
             )
-        if scene is not None and self.deaths[scene] >= DEATHS_ALLOWED:
+        if (
+            scene is not None
+            and self.scene_seconds is not None
+            and scene_age_s(self.root, shard) > self.scene_seconds
+        ):
+            # Where no exception could reach it, its worker ended itself.
+            self.given_up[scene] = overtime(self.scene_seconds)
+        elif scene is not None and self.deaths[scene] >= DEATHS_ALLOWED:
             self.given_up[scene] = f"{DEATHS_ALLOWED} worker processes died over it (killed, or out of memory)"
         self._clear(shard)
         return None

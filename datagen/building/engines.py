@@ -7,13 +7,12 @@ import importlib.util
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 from datagen.errors import InputError
 
@@ -27,6 +26,10 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 _START_METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 """Workers fork from a server that has imported what they need once. It runs nothing of ours, and has no thread but
 that of Arrow's allocator, which minds forks."""
+
+
+class Terminated(SystemExit):
+    """This worker was told to end. A `SystemExit` of any other kind is a mistake of what it runs."""
 
 
 def start_imports(*modules: str) -> None:
@@ -116,10 +119,14 @@ def _start_worker() -> None:
     writing into a dataset.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    signal.signal(signal.SIGTERM, _terminate)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_die_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _terminate(*_: object) -> NoReturn:
+    raise Terminated(1)
 
 
 def _die_with(sentinel: int) -> None:

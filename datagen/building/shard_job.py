@@ -4,15 +4,27 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from datagen.building.engines import Terminated
+from datagen.building.time_limit import Overtime, limited
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
-from datagen.store import Schema, ShardRecord, committed, discard_shard, read_manifest, running_path, write_shard
+from datagen.store import (
+    DatasetReader,
+    Schema,
+    ShardRecord,
+    committed,
+    discard_shard,
+    read_manifest,
+    running_path,
+    write_shard,
+)
+from datagen.store.environment import made_with, mixed
 
 LOCK_PATIENCE_S = 10.0
 """How long to wait for another writer of the same shard, such as an orphan of a killed build about to notice."""
@@ -26,6 +38,8 @@ class ShardJob:
     ----------
     skip : scenes not to be tried, and why.
     handed_out : Unix time.
+    made_with : what the other shards are made with; None where any mixture is accepted.
+    scene_seconds : after which a scene is given up; None: never.
     """
 
     root: Path
@@ -36,26 +50,54 @@ class ShardJob:
     sample_function: Callable[[DatasetConfig, int], Sample]
     skip: Mapping[int, str]
     handed_out: float
+    made_with: Mapping[str, str] | None = None
+    scene_seconds: float | None = None
 
 
 def run_shard(job: ShardJob) -> dict[int, str]:
-    """Make one shard and commit it; returns its failures, scene → reason."""
+    """Make one shard and commit it; returns its failures, scene → reason.
+
+    Of a shard that is there only the scenes that failed are tried anew. Raises `CheckError` where this worker would
+    make other bytes than the rest.
+    """
     path = running_path(job.root, job.shard)
     with _sole_writer(path, LOCK_PATIENCE_S) as running:
-        record = _made_meanwhile(job)
-        if record is None:
-            record = write_shard(job.root, job.schema, job.shard, job.fingerprint, _samples(job, running))
+        differing = mixed([job.made_with, made_with()]) if job.made_with is not None else []
+        if differing:
+            raise CheckError(f"a worker differs in {differing[0]}; use the same there, or build with --accept-mixed")
+        record = _committed(job)
+        # Committed in the meantime: by another build, or by this job before its result got lost.
+        if record is None or (record.failures and record.finished <= job.handed_out):
+            samples = _samples(job, running) if record is None else _tried_anew(job, record, running)
+            if samples is not None:
+                record = write_shard(job.root, job.schema, job.shard, job.fingerprint, samples)
         path.unlink(missing_ok=True)
+    assert record is not None
     return record.failures
 
 
-def _made_meanwhile(job: ShardJob) -> ShardRecord | None:
-    """The shard, if it was committed in the meantime: by another build, or by this job before its result got lost."""
-    manifest = read_manifest(job.root)
-    for record in committed(job.root, manifest, [job.shard], hashes=True):
-        if record.fingerprint == job.fingerprint and record.finished > job.handed_out:
+def _committed(job: ShardJob) -> ShardRecord | None:
+    """The shard, if it is there, sound, and made as it would be made here."""
+    for record in committed(job.root, read_manifest(job.root), [job.shard], hashes=True):
+        if record.fingerprint == job.fingerprint and not mixed([record.environment, made_with()]):
             return record
     return None
+
+
+def _tried_anew(job: ShardJob, record: ShardRecord, running: int) -> list[tuple[int, Sample | str]] | None:
+    """All scenes of a shard, as stored but for those that had failed; None when these failed again."""
+    anew = dict(_samples(job, running, record.failures))
+    if not any(isinstance(sample, Sample) for sample in anew.values()):
+        return None
+    manifest = read_manifest(job.root)
+    names = manifest.schema.by_name
+    reader = DatasetReader(job.root, manifest, names)
+    for scene in record.scenes:
+        if scene.failure is None:
+            arrays = {name: reader.read(name, [scene.index])[0] for name in names}
+            anew[scene.index] = Sample(scene.index, arrays, scene.parameters, scene.seconds)
+    reader.close()
+    return sorted(anew.items())
 
 
 def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
@@ -68,35 +110,51 @@ def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
 
 def scene_at(root: Path, shard: int) -> int | None:
     """The scene that the writer of a shard is at, or was at when it died; None before the first one."""
+    path = running_path(root, shard)
     try:
-        text = running_path(root, shard).read_text().strip()
-    except OSError:
+        text = path.read_text().strip() if path.is_file() else ""
+    except (OSError, ValueError):
         return None
     return int(text) if text.isdigit() else None
 
 
-def _samples(job: ShardJob, running: int) -> Iterator[tuple[int, Sample | str]]:
-    for index in job.schema.scenes_of(job.shard):
+def scene_age_s(root: Path, shard: int) -> float:
+    """Seconds since the writer of a shard began the scene that it is at; 0 where that is unknown."""
+    try:
+        return time.time() - running_path(root, shard).stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _samples(job: ShardJob, running: int, scenes: Iterable[int] | None = None) -> Iterator[tuple[int, Sample | str]]:
+    for index in job.schema.scenes_of(job.shard) if scenes is None else scenes:
         os.pwrite(running, f"{index:<20d}".encode(), 0)
         yield index, job.skip[index] if index in job.skip else _attempt(job, index)
 
 
 def _attempt(job: ShardJob, index: int) -> Sample | str:
-    """The sample, or in one line why there is none. Bad input stays bad; anything else gets a second chance."""
+    """The sample, or in one line why there is none. Bad input stays bad, and what takes too long would take as long;
+    anything else gets a second chance.
+    """
     reason = ""
     for _ in range(2):
         try:
-            return job.sample_function(job.config, index)
+            with limited(job.scene_seconds):
+                return job.sample_function(job.config, index)
         except InputError as error:
             return str(error)
-        except Exception as error:
+        except Overtime as error:
+            return str(error)
+        except Terminated:
+            raise
+        except (Exception, SystemExit) as error:
             text = " ".join(str(error).split())
             place = _last_line_of(error)
             reason = f"{type(error).__name__}: {text}{place}" if text else f"{type(error).__name__}{place}"
     return reason
 
 
-def _last_line_of(error: Exception) -> str:
+def _last_line_of(error: BaseException) -> str:
     """Where in the code it happened, for the person who has only the record."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
@@ -109,7 +167,7 @@ def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
     """Hold a lock that the kernel releases with the process: two writers in one shard would lose data silently."""
     deadline = time.monotonic() + patience_s
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         if _locked(handle) and os.fstat(handle).st_nlink > 0:
             break
         os.close(handle)

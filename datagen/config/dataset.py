@@ -18,7 +18,7 @@ from datagen.config.labels import LabelsConfig
 from datagen.config.scene import SceneConfig
 from datagen.config.store import StoreConfig
 from datagen.config.transport import TransportConfig
-from datagen.config.yaml_text import parse_yaml
+from datagen.config.yaml_text import MOST_CHARACTERS, parse_yaml
 from datagen.errors import InputError
 
 
@@ -74,7 +74,8 @@ def load_config(path: str | Path) -> DatasetConfig:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open(encoding="utf-8") as file:
+            text = file.read(MOST_CHARACTERS + 1)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; name a configuration such as configs/quickstart.yaml") from None
     except IsADirectoryError:

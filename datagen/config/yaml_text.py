@@ -9,6 +9,10 @@ import yaml
 
 from datagen.errors import InputError
 
+MOST_CHARACTERS = 2**18
+MOST_NODES = 100_000
+"""Keys and values of a configuration."""
+
 _Loader: Any = type("_Loader", (yaml.SafeLoader,), {})
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
@@ -37,15 +41,44 @@ def _mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[str, Any]:
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
 
 
+def _count(node: Any, source: str) -> None:
+    """Refuse a document that aliases make larger than any configuration, or endless, before they are expanded."""
+    sizes: dict[int, int] = {}
+
+    def size(node: Any) -> int:
+        if id(node) not in sizes:
+            sizes[id(node)] = MOST_NODES
+            below = node.value if isinstance(node, yaml.CollectionNode) else ()
+            parts = (part for item in below for part in (item if isinstance(item, tuple) else (item,)))
+            sizes[id(node)] = min(MOST_NODES, 1 + sum(size(part) for part in parts))
+        return sizes[id(node)]
+
+    if node is not None and size(node) >= MOST_NODES:
+        raise InputError(f"{source}: aliases make it hold {MOST_NODES} values or more; write out what they stand for")
+
+
 def parse_yaml(text: str, source: str) -> dict[str, Any]:
     """The mapping that `text` holds; raises `InputError` naming `source`, line and column for anything else."""
+    if len(text) > MOST_CHARACTERS:
+        raise InputError(f"{source}: more than {MOST_CHARACTERS} characters; shorten it")
     try:
-        values = yaml.load(text, _Loader)
+        loader = _Loader(text)
+        try:
+            node = loader.get_single_node()
+            _count(node, source)
+            values = None if node is None else loader.construct_document(node)
+        finally:
+            loader.dispose()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
         raise InputError(f"{source}: {where}broken YAML: {error.problem}") from None
-    except (yaml.YAMLError, RecursionError) as error:
+    except RecursionError:
+        raise InputError(f"{source}: nested too deeply") from None
+    except InputError:
+        raise
+    except (yaml.YAMLError, ValueError) as error:
+        # A number of thousands of digits is a `ValueError`.
         raise InputError(f"{source}: broken YAML: {str(error).splitlines()[0]}") from None
     if not isinstance(values, dict):
         what = "nothing" if values is None else f"a {type(values).__name__}"

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.config import CaptureConfig, DetectorConfig, EffectsConfig
+from datagen.errors import InputError
 from datagen.seeding import Purpose, seed_sequence
 from datagen.store import Manifest
 
@@ -20,10 +21,15 @@ class NoiseSource:
     """Counts from a stored transient, with the detector that the scene was given."""
 
     def __init__(self, manifest: Manifest) -> None:
-        # Only the sections needed: the scene's mesh files may be gone.
-        self._detector = DetectorConfig.model_validate_json(json.dumps(manifest.config["detector"]))
-        self._effects = EffectsConfig.model_validate_json(json.dumps(manifest.config.get("effects", {})))
-        self._time = CaptureConfig.model_validate_json(json.dumps(manifest.config["capture"])).time.axis()
+        config = manifest.config
+        try:
+            # Only the sections needed: the scene's mesh files may be gone.
+            self._detector = DetectorConfig.model_validate_json(json.dumps(config["detector"]))
+            self._effects = EffectsConfig.model_validate_json(json.dumps(config.get("effects", {})))
+            self._time = CaptureConfig.model_validate_json(json.dumps(config["capture"])).time.axis()
+        except (KeyError, ValueError) as error:
+            what = " ".join(str(error).split())
+            raise InputError(f"redraw_noise: the dataset's own configuration cannot be used ({what})") from None
         self._seed = manifest.seed
         self._decided: dict[int, tuple[Spad, Exposure, float]] = {}
 

@@ -19,8 +19,7 @@ from datagen.pipeline import detector_effects, transport_effects
 from datagen.records import Capture, Scene, TimeAxis, Transient
 from datagen.scene import generate_scene
 from datagen.seeding import Purpose, derived_seed
-from datagen.store import read_manifest
-from datagen.store.arrays import open_array
+from datagen.store import DatasetReader, read_manifest
 from datagen.store.record import read_record
 from datagen.transport import simulate
 
@@ -78,7 +77,7 @@ def read_scene(dataset: str | Path, index: int) -> StoredScene:
     """Read everything stored of scene `index`.
 
     Raises `InputError` when the folder is no dataset, has no such scene, its shard is not committed, or the scene
-    could not be made when the dataset was built.
+    could not be made when the dataset was built; `CheckError` for what is missing or damaged.
     """
     root = Path(dataset)
     manifest = read_manifest(root)
@@ -86,7 +85,7 @@ def read_scene(dataset: str | Path, index: int) -> StoredScene:
     if not 0 <= index < scenes:
         raise InputError(f"INDEX {index}: {dataset} has the scenes 0 … {scenes - 1}; name one of them")
     shard = index // manifest.schema.scenes_per_shard
-    record = read_record(root, shard)
+    record = read_record(root, shard, manifest.must_be_sealed)
     if record is None:
         raise InputError(
             f"INDEX {index}: shard {shard} of {dataset} is not there yet; run `datagen build` again, or name a scene "
@@ -95,7 +94,9 @@ def read_scene(dataset: str | Path, index: int) -> StoredScene:
     failure = record.failures.get(index)
     if failure is not None:
         raise InputError(f"INDEX {index}: this scene of {dataset} could not be made ({failure}); name another one")
-    arrays = {field.name: np.asarray(open_array(root, field.name)[index]) for field in manifest.schema.fields}
+    names = manifest.schema.by_name
+    reader = DatasetReader(root, manifest, names)
+    arrays = {name: reader.read(name, [index])[0] for name in names}
     return StoredScene(manifest.parsed_config(), index, arrays)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import zarr
@@ -30,10 +30,12 @@ def metadata_files(schema: Schema) -> dict[str, bytes]:
     return {f"{GROUP}/{key}": store._store_dict[key].to_bytes() for key in sorted(store._store_dict)}
 
 
-def open_array(root: Path, name: str, mode: Literal["r", "r+"] = "r") -> zarr.Array[Any]:
-    """One array of a dataset. Writing keeps empty chunks: a chunk left out would read as zeros when it is lost."""
-    array = zarr.open_array(root / GROUP / name, mode=mode)
-    return array.with_config({"write_empty_chunks": True}) if mode != "r" else array
+def array_to_write(root: Path, name: str) -> zarr.Array[Any]:
+    """One array of a dataset. It keeps empty chunks: a chunk left out would read as zeros when it is lost, with
+    other readers than ours.
+    """
+    array = zarr.open_array(root / GROUP / name, mode="r+")
+    return array.with_config({"write_empty_chunks": True})
 
 
 def shard_shape(field: Field, scenes_per_shard: int) -> tuple[int, ...]:

@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from datagen.errors import printable
 from datagen.store.arrays import GROUP
+from datagen.store.environment import mixed
 from datagen.store.files import json_bytes, sha256_of, write_if_changed
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
 from datagen.store.schema import Schema
-from datagen.store.table import TABLE, table_of
+from datagen.store.table import CROISSANT, TABLE, table_of
 
 CARD = "README.md"
-CROISSANT = "croissant.json"
 
 
 def write_card(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
@@ -73,7 +74,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         "```",
         "",
         "or with any Zarr v3 reader: `zarr.open_group('PATH/data.zarr', mode='r')`. Chunks end in a CRC-32C;",
-        "`datagen verify PATH` checks every file and every decoded value against the commit records in `build/`.",
+        "`datagen verify --deep PATH` checks every file and every value against the commit records in `build/`.",
         "",
         "## Provenance",
         "",
@@ -83,9 +84,10 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         f"- code: commit {manifest.commit or 'unknown (not run from a checkout)'}",
         f"- versions: {', '.join(f'{name} {version}' for name, version in manifest.versions.items())}",
         f"- begun on: {manifest.hardware['processor']}, {manifest.hardware['system']}",
+        *(f"- shards differ in {difference}" for difference in mixed([record.environment for record in records])),
         "",
     ]
-    return "\n".join(lines)
+    return printable("\n".join(lines).replace("\r\n", "\n"))
 
 
 def readable(size: float) -> str:

@@ -7,11 +7,14 @@ import importlib.metadata
 import os
 import platform
 import subprocess
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from datagen._version import __version__
 
-LIBRARIES = ("numpy", "scipy", "numba", "embreex", "trimesh", "zarr", "numcodecs", "pydantic", "pyarrow")
+LIBRARIES = (
+    "numpy", "scipy", "numba", "llvmlite", "embreex", "trimesh", "zarr", "numcodecs", "pydantic", "pyarrow",
+)  # fmt: skip
 """The libraries whose versions can change a dataset's bytes."""
 
 
@@ -28,9 +31,34 @@ def environment() -> dict[str, str]:
 
 
 @functools.cache
+def made_with() -> dict[str, str]:
+    """What stands in a shard's record: versions, architecture, and where from: commit and processor."""
+    versions = environment() | {"machine": platform.machine(), "processor": processor()}
+    return versions | {"system": _system(), "commit": commit() or "unknown"}
+
+
+def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
+    """What of several environments may make other bytes of the same seed: `numpy 2.3.1 and 2.4.6`.
+
+    Not datagen's own version, which raises the schema version when it does, nor the processor of one architecture,
+    nor what an older record lacks.
+    """
+    found = []
+    for name in ("python", *LIBRARIES, "machine"):
+        values = dict.fromkeys(environment[name] for environment in environments if name in environment)
+        if len(values) > 1:
+            found.append(f"{name} {' and '.join(values)}")
+    return found
+
+
+@functools.cache
 def hardware() -> dict[str, str | int]:
     """The machine: processor, cores that this process may use, system."""
-    return {"processor": processor(), "cores": cores(), "system": f"{platform.system()} {platform.machine()}"}
+    return {"processor": processor(), "cores": cores(), "system": _system()}
+
+
+def _system() -> str:
+    return f"{platform.system()} {platform.machine()}"
 
 
 def cores() -> int:

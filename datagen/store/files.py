@@ -1,27 +1,39 @@
-"""Files that are either wholly there or not at all."""
+"""Files that are either wholly there or not at all, that know when they were changed, and that are what they seem."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import math
 import os
+import re
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+import pydantic
 
 from datagen.errors import InputError
+from datagen.store.open_files import too_many
 
 PARTIAL = ".partial"
 """Suffix of a file that is still being written; whatever bears it may be deleted."""
+JSON_BYTES = 64 * 2**20
+"""A JSON file of a dataset that is larger is not one of ours: records take 10 kB a scene at most, of 256 scenes."""
+_SEAL = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
+
+T = TypeVar("T")
 
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Write beside `path`, fsync, rename: a reader sees the old content or the new one, whenever we are killed."""
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
+    # Whatever stands there, such as a link to somewhere else, is not written through.
+    partial.unlink(missing_ok=True)
     try:
-        with partial.open("wb") as file:
+        with partial.open("xb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -34,8 +46,13 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 def write_if_changed(path: Path, content: bytes) -> None:
     """`write_atomically`, unless the file holds just that already."""
-    if not path.is_file() or path.read_bytes() != content:
+    if not holds(path, content):
         write_atomically(path, content)
+
+
+def holds(path: Path, content: bytes) -> bool:
+    """Whether a file is there and holds just that; one of another size is not read."""
+    return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
 
 
 def json_bytes(value: Any) -> bytes:
@@ -52,12 +69,62 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def sealed(values: dict[str, Any]) -> bytes:
+    """`json_bytes` whose last key, `checksum`, is the SHA-256 of the file as it is without that key."""
+    body = json_bytes(values)
+    return body[:-3] + f',\n  "checksum": "{hashlib.sha256(body).hexdigest()}"\n}}\n'.encode()
+
+
+def is_intact(content: bytes, must_be_sealed: bool) -> bool:
+    """Whether a file's content is what its checksum was taken of, or has none and need not have."""
+    seal = _SEAL.search(content, max(0, len(content) - 100))
+    if seal is None:
+        return not must_be_sealed
+    return hashlib.sha256(content[: seal.start()] + b"\n}\n").hexdigest().encode() == seal[1]
+
+
+def read_whole(path: Path) -> bytes:
+    """The content of a JSON file of a dataset; raises `InputError` for none, an endless or a huge one."""
+    try:
+        if not path.is_file():
+            raise InputError(f"{path}: missing, or not a plain file")
+        with path.open("rb") as file:
+            content = file.read(JSON_BYTES + 1)
+    except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            raise too_many(path) from None
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if len(content) > JSON_BYTES:
+        raise InputError(f"{path}: larger than {JSON_BYTES // 2**20} MiB, which datagen never writes")
+    return content
+
+
 def read_json(path: Path) -> Any:
     """The value a JSON file holds; raises `InputError` naming the file when it is no JSON."""
+    return parsed(path, read_whole(path), pydantic.TypeAdapter(Any))
+
+
+def parsed(path: Path, content: bytes, kind: pydantic.TypeAdapter[T]) -> T:
+    """The JSON `content` of a file as what it must describe; raises `InputError`, one line, for anything else."""
     try:
-        return json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as JSON ({error})") from None
+        return kind.validate_json(content, strict=True)
+    except pydantic.ValidationError as error:
+        first = error.errors(include_url=False, include_input=False, include_context=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise InputError(f"{path}: is not as datagen writes it ({where and where + ': '}{first['msg']})") from None
+
+
+def own_path(root: Path, name: str) -> Path:
+    """`root / name`, to be written or deleted; raises `InputError` when a symbolic link leads there, as it may lead
+    out of the dataset. The dataset itself may be one."""
+    path = root
+    for part in Path(name).parts:
+        path = path / part
+        if path.is_symlink():
+            raise InputError(
+                f"{path}: is a symbolic link, and a build writes in its own folder alone; put a folder or file there"
+            )
+    return path
 
 
 def sync_folder(path: Path) -> None:

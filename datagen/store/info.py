@@ -7,8 +7,10 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from datagen.errors import InputError, printable
 from datagen.store.card import readable
-from datagen.store.manifest import read_manifest
+from datagen.store.environment import mixed
+from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.verify import committed
 
@@ -16,11 +18,21 @@ STAGES = ("scene", "effects", "transport", "detector", "labels", "store")
 
 
 def info(path: str | Path) -> str:
-    """What, shapes, sizes, seconds per scene by stage, scenes per second, decisions. Hashes are left to `verify`."""
+    """What, shapes, sizes, seconds per scene by stage, scenes per second, decisions. Hashes are left to `verify`.
+
+    Raises `InputError` when the folder is no dataset, or its records hold what datagen does not write.
+    """
     root = Path(path)
     manifest = read_manifest(root)
+    try:
+        return printable(_told(manifest, committed(root, manifest)))
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise InputError(f"{root}: its commit records hold what datagen does not write ({what})") from None
+
+
+def _told(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
     schema, config = manifest.schema, manifest.config
-    records = committed(root, manifest)
     scenes = sum(len(record.scenes) for record in records)
     stored = {field.name: 0 for field in schema.fields}
     for record in records:
@@ -36,6 +48,7 @@ def info(path: str | Path) -> str:
         f"made by      datagen {manifest.versions['datagen']}, schema {manifest.schema_version}, commit "
         f"{(manifest.commit or 'unknown')[:12]}, on {manifest.hardware['processor']}, "
         f"{manifest.hardware['cores']} cores",
+        *(f"mixed        shards differ in {what}" for what in mixed([record.environment for record in records])),
         "",
         f"{'field':20}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
     ]

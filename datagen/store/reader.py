@@ -1,12 +1,16 @@
-"""Reading scenes of a sharded field at random, fast: shard index cached, one `pread` a chunk, blosc into place.
+"""Reading scenes: the one way from a dataset's files to values, for every field and size.
 
-Equal to zarr's own reading by test, and three times as fast: a scene is one chunk, so nothing else is needed.
+A file must be there, have the size that the commit record states, and its checksums must match; decoded values must
+have the digest that the record states. Nothing that is missing reads as a value. Sharded fields are read at random,
+fast: shard index cached, one `pread` a chunk, blosc into place; equal to zarr's own reading by test.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
+import struct
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,94 +22,209 @@ from numpy.typing import NDArray
 
 from datagen.errors import CheckError
 from datagen.store.arrays import shard_file, shard_shape
-from datagen.store.schema import Field, Schema
+from datagen.store.manifest import Manifest
+from datagen.store.open_files import OpenFile, OpenFiles
+from datagen.store.record import read_record
+from datagen.store.schema import Field
+from datagen.store.shard import digest
 
-MOST_OPEN = 256
-"""Open files at once for a field; processes are commonly allowed 1024."""
+MEMORY_BYTES = 256 * 2**20
+"""Decoded values that a reader keeps: of small fields, and of those that decode to a quarter of this in all."""
 _CRC_BYTES = 4
+_BLOSC_HEADER = 16
 _MISSING = 2**64 - 1
 
 
-class ShardReader:
-    """One sharded field of a dataset. Not to be shared between processes or threads: it keeps open files."""
+@dataclass(frozen=True)
+class _Promise:
+    """What a commit record states of the fields that are read: sizes of their files; field → digest of each scene."""
 
-    def __init__(self, root: Path, field: Field, schema: Schema) -> None:
-        if not field.sharded:
-            raise ValueError(f"field {field.name!r} is not sharded")
-        self.field = field
-        self._root = root
-        self._schema = schema
-        whole = shard_shape(field, schema.scenes_per_shard)
-        self._grid = tuple(s // c for s, c in zip(whole[1:], field.chunk, strict=True))
-        self._open: dict[int, tuple[int, NDArray[np.uint64]]] = {}
-        self._dtype = np.dtype(field.dtype).newbyteorder("<")
+    sizes: Mapping[str, int]
+    digests: Mapping[str, Sequence[bytes | None]]
 
-    def read(self, scenes: Sequence[int], dtype: np.dtype[Any] | None = None) -> NDArray[np.generic]:
+
+class DatasetReader:
+    """The values of a dataset. Not to be shared between threads; a fork may go on with it.
+
+    Parameters
+    ----------
+    fields : those that will be read.
+    check : compare every value with its digest when it is first read, and sizes with the commit record. Without it
+        missing and damaged files are still found, by the checksums in them, but not files put in another's place.
+    seen : field → (scenes,) true where the digest was found right already; shared between processes, it spares
+        each of them what others have checked.
+    """
+
+    def __init__(
+        self, root: Path, manifest: Manifest, fields: Iterable[str], check: bool = True,
+        seen: Mapping[str, NDArray[np.bool_]] | None = None,
+    ) -> None:  # fmt: skip
+        self._root, self._manifest, self._schema = root, manifest, manifest.schema
+        self._fields = {name: self._schema.by_name[name] for name in fields}
+        self._check = check
+        self._seen = seen or {name: np.zeros(self._schema.scenes, bool) for name in self._fields}
+        self._promises: dict[int, _Promise] = {}
+        self._files = OpenFiles()
+        self._kept: OrderedDict[tuple[str, int], NDArray[np.generic]] = OrderedDict()
+        self._kept_bytes = 0
+
+    def read(self, name: str, scenes: Sequence[int], dtype: np.dtype[Any] | None = None) -> NDArray[np.generic]:
         """(len(scenes), *field.shape): the scenes' values in the field's dtype, or cast to `dtype` one by one, which
         needs less memory traffic than casting the whole.
 
-        Raises `CheckError` for a chunk that is missing or whose checksum does not match.
+        Raises `CheckError` naming file, scene and remedy for what is missing, damaged or other than was written.
         """
-        out = np.empty((len(scenes), *self.field.shape), dtype or self._dtype)
-        plain = out.dtype == self._dtype
-        scene_values = np.empty(0) if plain else np.empty(self.field.shape, self._dtype)
+        field = self._fields[name]
+        stored = np.dtype(field.dtype).newbyteorder("<")
+        out = np.empty((len(scenes), *field.shape), dtype or stored)
+        if not field.sharded or self._is_kept(field):
+            for row, scene in enumerate(scenes):
+                out[row] = self._kept_value(field, scene)
+            return out
+        plain = out.dtype == stored
+        decoded = np.empty(0) if plain else np.empty(field.shape, stored)
         for row, scene in enumerate(scenes):
-            self._read_scene(scene, out[row] if plain else scene_values)
+            self._decode(field, scene, out[row] if plain else decoded)
             if not plain:
-                out[row] = scene_values
+                out[row] = decoded
         return out
 
     def close(self) -> None:
         """Close all files; a later read opens them again."""
-        for handle, _ in self._open.values():
-            os.close(handle)
-        self._open.clear()
+        self._files.close()
 
-    def _read_scene(self, scene: int, out: NDArray[np.generic]) -> None:
+    def _is_kept(self, field: Field) -> bool:
+        return 4 * self._schema.scenes * field.bytes_per_scene <= MEMORY_BYTES
+
+    def _kept_value(self, field: Field, scene: int) -> NDArray[np.generic]:
+        """One scene's value, from memory if it is there."""
+        if not field.sharded:
+            return self._small(field, scene)
+        value = self._kept.get((field.name, scene))
+        if value is None:
+            value = np.empty(field.shape, np.dtype(field.dtype).newbyteorder("<"))
+            self._decode(field, scene, value)
+            self._keep((field.name, scene), value)
+        return value
+
+    def _small(self, field: Field, scene: int) -> NDArray[np.generic]:
+        """The same of a field whose file is one chunk of all scenes of its shard."""
         shard, within = divmod(scene, self._schema.scenes_per_shard)
-        handle, index = self._opened(shard)
-        whole_scene = self.field.chunk == self.field.shape
-        for place in product(*(range(n) for n in self._grid)):
-            offset, size = (int(n) for n in index[(within, *place)])
+        values = self._kept.get((field.name, shard))
+        if values is None:
+            file = self._opened(field, shard)
+            values = np.empty((self._schema.scenes_per_shard, *field.shape), np.dtype(field.dtype).newbyteorder("<"))
+            self._decode_chunk(field, shard, None, file, 0, file.size, values)
+            self._keep((field.name, shard), values)
+        value: NDArray[np.generic] = values[within, ...]
+        self._check_digest(field, scene, value)
+        return value
+
+    def _keep(self, key: tuple[str, int], values: NDArray[np.generic]) -> None:
+        self._kept[key] = values
+        self._kept_bytes += values.nbytes
+        while self._kept_bytes > MEMORY_BYTES:
+            self._kept_bytes -= self._kept.popitem(last=False)[1].nbytes
+
+    def _decode(self, field: Field, scene: int, out: NDArray[np.generic]) -> None:
+        """One scene of a sharded field, chunk by chunk into `out`, checked."""
+        shard, within = divmod(scene, self._schema.scenes_per_shard)
+        file = self._opened(field, shard)
+        whole_scene = field.chunk == field.shape
+        for place in product(*(range(n) for n in _grid(field))):
+            offset, size = (int(n) for n in file.index[(within, *place)])
             if offset == _MISSING:
-                raise CheckError(f"{self._where(shard, scene)}: the chunk is missing from its shard")
-            stored = os.pread(handle, size, offset)
-            body = memoryview(stored)[:-_CRC_BYTES]
-            if len(stored) != size or google_crc32c.value(bytes(body)) != int.from_bytes(
-                stored[-_CRC_BYTES:], "little"
-            ):
-                raise CheckError(f"{self._where(shard, scene)}: the checksum does not match; run datagen verify")
-            if whole_scene:
-                blosc.decompress(body, out)
-                continue
-            chunk = np.frombuffer(blosc.decompress(body), self._dtype).reshape(self.field.chunk)
-            corner = tuple(slice(p * c, (p + 1) * c) for p, c in zip(place, self.field.chunk, strict=True))
-            target = out[corner]
-            target[...] = chunk[tuple(slice(n) for n in target.shape)]
+                raise self._fault(field, shard, scene, "the chunk is missing from its shard")
+            chunk = out if whole_scene else np.empty(field.chunk, out.dtype)
+            self._decode_chunk(field, shard, scene, file, offset, size, chunk)
+            if not whole_scene:
+                corner = tuple(slice(p * c, (p + 1) * c) for p, c in zip(place, field.chunk, strict=True))
+                target = out[corner]
+                target[...] = chunk[tuple(slice(n) for n in target.shape)]
+        self._check_digest(field, scene, out)
 
-    def _opened(self, shard: int) -> tuple[int, NDArray[np.uint64]]:
-        if shard not in self._open:
-            if len(self._open) >= MOST_OPEN:
-                handle, _ = self._open.pop(next(iter(self._open)))
-                os.close(handle)
-            self._open[shard] = self._open_shard(shard)
-        return self._open[shard]
-
-    def _open_shard(self, shard: int) -> tuple[int, NDArray[np.uint64]]:
-        path = self._root / shard_file(self.field, shard)
-        shape = (self._schema.scenes_per_shard, *self._grid, 2)
-        size = int(np.prod(shape)) * 8
+    def _decode_chunk(
+        self, field: Field, shard: int, scene: int | None, file: OpenFile, offset: int, size: int,
+        out: NDArray[np.generic],
+    ) -> None:  # fmt: skip
+        # Nothing is believed of sizes: they may ask for any amount of memory.
+        possible = offset + size <= file.size and size <= out.nbytes + _BLOSC_HEADER + _CRC_BYTES
+        stored = file.read(size, offset) if possible else b""
+        body, checksum = stored[:-_CRC_BYTES], int.from_bytes(stored[-_CRC_BYTES:], "little")
+        if len(body) < _BLOSC_HEADER or google_crc32c.value(body) != checksum:
+            raise self._fault(field, shard, scene, "the checksum does not match")
+        decoded_bytes, stored_bytes = struct.unpack_from("<4xI4xI", body)
+        if (decoded_bytes, stored_bytes) != (out.nbytes, len(body)):
+            raise self._fault(field, shard, scene, f"holds {decoded_bytes} bytes where {out.nbytes} belong")
         try:
-            handle = os.open(path, os.O_RDONLY)
-        except OSError as error:
-            raise CheckError(f"{path}: cannot be opened ({error.strerror}); run datagen verify") from None
-        stored = os.pread(handle, size + _CRC_BYTES, max(os.fstat(handle).st_size - size - _CRC_BYTES, 0))
+            blosc.decompress(body, out)
+        except (RuntimeError, ValueError) as error:
+            raise self._fault(field, shard, scene, f"cannot be decoded ({error})") from None
+
+    def _check_digest(self, field: Field, scene: int, value: NDArray[np.generic]) -> None:
+        seen = self._seen[field.name]
+        if not self._check or seen[scene]:
+            return
+        shard, within = divmod(scene, self._schema.scenes_per_shard)
+        due = self._promise(shard).digests[field.name][within]
+        # Of a scene that could not be made there is no digest, and nothing to be right or wrong.
+        if due is not None and bytes.fromhex(digest(field, value)) != due:
+            raise self._fault(field, shard, scene, f"field {field.name} decodes to other values than were written")
+        seen[scene] = True
+
+    def _opened(self, field: Field, shard: int) -> OpenFile:
+        path = f"{self._root}/{shard_file(field, shard)}"
+        file = self._files.get(path)
+        if file is None:
+            try:
+                file = self._files.open(path)
+            except OSError as error:
+                raise self._fault(field, shard, None, f"cannot be opened ({error.strerror})") from None
+            scenes = self._schema.scenes_of(shard)
+            if self._check and not self._seen[field.name][scenes.start : scenes.stop].all():
+                due = self._promise(shard).sizes[field.name]
+                if file.size != due:
+                    raise self._fault(field, shard, None, f"{file.size} bytes, {due} were written")
+            if field.sharded:
+                file.index = self._index(field, shard, file)
+            self._files.keep(path, file)
+        return file
+
+    def _index(self, field: Field, shard: int, file: OpenFile) -> NDArray[np.uint64]:
+        """(scene, *chunks, 2): offset and size of every chunk, from the end of the file."""
+        shape = (self._schema.scenes_per_shard, *_grid(field), 2)
+        size = int(np.prod(shape)) * 8
+        stored = file.read(size + _CRC_BYTES, max(file.size - size - _CRC_BYTES, 0))
         if len(stored) != size + _CRC_BYTES or google_crc32c.value(stored[:-_CRC_BYTES]) != int.from_bytes(
             stored[-_CRC_BYTES:], "little"
         ):
-            os.close(handle)
-            raise CheckError(f"{path}: the shard's index is damaged; run datagen verify")
-        return handle, np.frombuffer(stored, "<u8", count=size // 8).reshape(shape)
+            raise self._fault(field, shard, None, "the shard's index is damaged")
+        return np.frombuffer(stored, "<u8", count=size // 8).reshape(shape)
 
-    def _where(self, shard: int, scene: int) -> str:
-        return f"{self._root / shard_file(self.field, shard)}, scene {scene}"
+    def _promise(self, shard: int) -> _Promise:
+        """What the commit record of a shard states, read once."""
+        if shard not in self._promises:
+            manifest = self._manifest
+            record = read_record(self._root, shard, manifest.must_be_sealed)
+            wrong = record.mismatch(self._schema, manifest.fingerprint) if record else "is not committed"
+            if record is None or wrong:
+                raise CheckError(f"{self._root}: shard {shard} {wrong}; run the same `datagen build` again")
+            digests: dict[str, list[bytes | None]] = {name: [] for name in self._fields}
+            for scene in record.scenes:
+                for name, values in digests.items():
+                    values.append(bytes.fromhex(scene.digests[name]) if scene.failure is None else None)
+            sizes = {name: record.files[shard_file(field, shard)].bytes for name, field in self._fields.items()}
+            self._promises[shard] = _Promise(sizes, digests)
+        return self._promises[shard]
+
+    def _fault(self, field: Field, shard: int, scene: int | None, what: str) -> CheckError:
+        scenes = self._schema.scenes_of(shard)
+        where = f"scenes {scenes.start}-{scenes.stop - 1}" if scene is None else f"scene {scene}"
+        path = self._root / shard_file(field, shard)
+        return CheckError(f"{path}, {where}: {what}; run the same `datagen build` again to make shard {shard} anew")
+
+
+def _grid(field: Field) -> tuple[int, ...]:
+    """How many chunks a scene has along each axis."""
+    whole = shard_shape(field, 1)
+    return tuple(s // c for s, c in zip(whole[1:], field.chunk, strict=True))

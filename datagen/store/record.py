@@ -1,5 +1,6 @@
 """The commit record of a shard, `build/shard-000123.json`: its files' hashes, and of every scene the digests of the
-decoded values, the parameters and the seconds. Its presence is what says that the shard is there.
+decoded values, the parameters and the seconds. Its presence is what says that the shard is there. It ends in a
+checksum of its own: nothing is believed of a record that fails it.
 """
 
 from __future__ import annotations
@@ -7,13 +8,22 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
+from typing import Annotated
 
-from datagen.errors import InputError
-from datagen.records import Scalar
-from datagen.store.files import json_bytes, read_json, sha256_of
+import pydantic
+
+from datagen.errors import CheckError, InputError
+from datagen.store.arrays import shard_file
+from datagen.store.files import is_intact, parsed, read_whole, sealed, sha256_of
+from datagen.store.schema import Schema
 
 BUILD = "build"
+
+Parameter = Annotated[int, pydantic.Field(ge=-(2**63), lt=2**63)] | float | str | bool
+Seconds = Annotated[float, pydantic.Field(allow_inf_nan=False)]
+Digest = Annotated[str, pydantic.Field(pattern=r"^[0-9a-f]{64}$")]
 
 
 @dataclass(frozen=True)
@@ -22,18 +32,18 @@ class SceneRecord:
 
     index: int
     failure: str | None = None
-    digests: Mapping[str, str] = field(default_factory=dict)
+    digests: Mapping[str, Digest] = field(default_factory=dict)
     """Field → hex SHA-256 of the scene's values, little-endian, C order."""
-    parameters: Mapping[str, Scalar] = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    seconds: Mapping[str, Seconds] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class FileRecord:
     """Hex SHA-256 and size of a file."""
 
-    sha256: str
-    bytes: int
+    sha256: Digest
+    bytes: Annotated[int, pydantic.Field(ge=0)]
 
 
 @dataclass(frozen=True)
@@ -56,9 +66,9 @@ class ShardRecord:
     fingerprint: str
     files: Mapping[str, FileRecord]
     scenes: tuple[SceneRecord, ...]
-    seconds: Mapping[str, float]
-    started: float
-    finished: float
+    seconds: Mapping[str, Seconds]
+    started: Seconds
+    finished: Seconds
     environment: Mapping[str, str]
 
     @property
@@ -68,7 +78,22 @@ class ShardRecord:
 
     def to_bytes(self) -> bytes:
         """The record's file."""
-        return json_bytes(asdict(self))
+        return sealed(asdict(self))
+
+    def mismatch(self, schema: Schema, fingerprint: str) -> str | None:
+        """Why this is no record of a shard of such a dataset, or None."""
+        scenes = schema.scenes_of(self.shard)
+        if self.fingerprint != fingerprint:
+            return f"was made with another configuration (fingerprint {self.fingerprint[:12]})"
+        if (self.first_scene, self.last_scene) != (scenes.start, scenes.stop - 1):
+            return f"holds scenes {self.first_scene}-{self.last_scene}, {scenes.start}-{scenes.stop - 1} belong there"
+        if [scene.index for scene in self.scenes] != list(scenes):
+            return "its record does not list its scenes one by one"
+        if set(self.files) != {shard_file(field, self.shard) for field in schema.fields}:
+            return "its record lists other files than the shard has"
+        if any(scene.failure is None and set(scene.digests) != set(schema.by_name) for scene in self.scenes):
+            return "its record lacks digests"
+        return None
 
     def problem(self, root: Path, hashes: bool = True) -> str | None:
         """What is wrong with the shard's files, or None. Without `hashes` only presence and size are looked at."""
@@ -93,18 +118,29 @@ def running_path(root: Path, shard: int) -> Path:
     return root / BUILD / f"shard-{shard:06d}.running"
 
 
-def read_record(root: Path, shard: int) -> ShardRecord | None:
-    """The record of a shard, or None when the shard is not committed. Raises `InputError` for a damaged record."""
+def read_record(root: Path, shard: int, must_be_sealed: bool) -> ShardRecord | None:
+    """The record of a shard, or None when the shard is not committed.
+
+    Raises `CheckError` for a damaged record. Those of datasets before `CHECKSUMS_SINCE` need not be sealed.
+    """
     path = record_path(root, shard)
-    if not path.is_file():
+    if not path.exists():
         return None
-    values = read_json(path)
     try:
-        files = {name: FileRecord(**known) for name, known in values["files"].items()}
-        scenes = tuple(SceneRecord(**scene) for scene in values["scenes"])
-        return ShardRecord(**{**values, "files": files, "scenes": scenes})
-    except (TypeError, KeyError, AttributeError) as error:
-        raise InputError(f"{path}: is not a commit record ({error}); delete it and build again") from None
+        content = read_whole(path)
+        if not is_intact(content, must_be_sealed):
+            raise InputError(f"{path}: has changed since it was written (its checksum differs)")
+        record = parsed(path, content, _kind())
+        if record.shard != shard or not {"store", "total"} <= set(record.seconds):
+            raise InputError(f"{path}: is not the record of shard {shard}")
+    except InputError as error:
+        raise CheckError(f"{error}; run the same `datagen build` again to make shard {shard} anew") from None
+    return record
+
+
+@cache
+def _kind() -> pydantic.TypeAdapter[ShardRecord]:
+    return pydantic.TypeAdapter(ShardRecord)
 
 
 def recorded_shards(root: Path) -> list[int]:

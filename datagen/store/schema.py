@@ -22,17 +22,23 @@ SCHEMA_VERSIONS = {
     3: "datagen 0.3: a seed yields other counts (histograms are drawn block by block, few detections in the order of "
     "their phase); signed distances in double precision",
     4: "datagen 0.4: a seed yields other light where a configuration asks for an accuracy (the primary by cells, "
-    "without noise), and bins of the secondary hold what arrives between their edges; columns transient.part_error.*",
+    "without noise), and bins of the secondary hold what arrives between their edges; columns transient.part_error.*; "
+    "`dataset.json` and commit records end in a checksum of their own, and must",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
 SCHEMA_VERSION = max(SCHEMA_VERSIONS)
+CHECKSUMS_SINCE = 4
+"""The first version whose `dataset.json` and commit records must carry a checksum of their own."""
 CHUNK_BYTES = 4 * 2**20
 """A scene's chunk is cut (first along `laser`) when its raw bytes exceed this."""
 SHARD_BYTES = 256 * 2**20
 """Raw bytes of one shard over all fields: what a worker holds in memory."""
 LARGEST_CHUNK_BYTES = 2**31 - 17
 """Blosc's own limit."""
+LARGEST_SCENE_BYTES = 2**34
+"""Raw bytes of one field of a scene."""
+MOST_SCENES = 100_000_000
 
 _MEASURED = ("scene", "laser", "pixel", "bin")
 _IMAGE = ("scene", "row", "column")
@@ -113,19 +119,33 @@ class Schema:
 def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Schema:
     """The schema that a configuration describes; a dataset that exists keeps its own `scenes_per_shard`.
 
-    Raises `InputError` when one time series is larger than a chunk can be.
+    Raises `InputError` for too many scenes, and when one time series is larger than a chunk can be.
     """
+    if config.scenes > MOST_SCENES:
+        raise InputError(f"scenes = {config.scenes}: must be ≤ {MOST_SCENES}")
     fields = _large_fields(config) + _object_tables(config) + _small_fields(config)
-    for field in fields:
-        chunk_bytes = math.prod(field.chunk) * np.dtype(field.dtype).itemsize
-        if chunk_bytes > LARGEST_CHUNK_BYTES:
-            raise InputError(
-                f"field {field.name!r}: {field.shape} values a scene need a chunk of {chunk_bytes} bytes, at most "
-                f"{LARGEST_CHUNK_BYTES} are possible; take fewer bins"
-            )
     if scenes_per_shard is None:
         scenes_per_shard = config.store.scenes_per_shard or _scenes_per_shard(fields, config.scenes)
+    for field in fields:
+        check_size(field, scenes_per_shard)
     return Schema(fields, config.scenes, scenes_per_shard)
+
+
+def check_size(field: Field, scenes_per_shard: int) -> None:
+    """Raise `InputError` for a field whose chunk is larger than a chunk can be, or a scene of it than memory is."""
+    scenes = 1 if field.sharded else scenes_per_shard
+    chunk = math.prod(field.chunk if field.sharded else field.shape)
+    chunk_bytes = scenes * chunk * np.dtype(field.dtype).itemsize
+    if chunk_bytes > LARGEST_CHUNK_BYTES:
+        raise InputError(
+            f"field {field.name!r}: {field.shape} values a scene need a chunk of {chunk_bytes} bytes, at most "
+            f"{LARGEST_CHUNK_BYTES} are possible; take fewer bins{'' if field.sharded else ' or scenes a shard'}"
+        )
+    if field.bytes_per_scene > LARGEST_SCENE_BYTES:
+        raise InputError(
+            f"field {field.name!r}: {field.shape} values a scene are {field.bytes_per_scene} bytes, at most "
+            f"{LARGEST_SCENE_BYTES} are possible; take fewer bins, laser points or pixels"
+        )
 
 
 def _scenes_per_shard(fields: tuple[Field, ...], scenes: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import time
 from collections.abc import Iterable, Mapping
@@ -11,11 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError
+from datagen.errors import InputError, printable
 from datagen.records import Sample, Scalar
-from datagen.store.arrays import open_array, shard_file
-from datagen.store.environment import environment
-from datagen.store.files import PARTIAL, sha256_of, sync_folder, write_atomically
+from datagen.store.arrays import array_to_write, shard_file
+from datagen.store.environment import made_with
+from datagen.store.files import PARTIAL, own_path, sha256_of, sync_folder, write_atomically
 from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, record_path
 from datagen.store.schema import Field, Schema
 
@@ -24,12 +25,13 @@ def discard_shard(root: Path, schema: Schema, shard: int) -> None:
     """Unlink the record and every file of a shard, finished or partial. The record goes first.
 
     Zarr cannot rewrite a truncated shard in place, and a stale file must never stand beside a new record.
+    Raises `InputError` where a symbolic link stands in the way; nothing is unlinked then.
     """
-    record = record_path(root, shard)
+    record = own_path(root, record_path(root, shard).relative_to(root).as_posix())
+    paths = [own_path(root, shard_file(field, shard)) for field in schema.fields]
     for partial in [*record.parent.glob(f"{record.name}.*{PARTIAL}"), record]:
         partial.unlink(missing_ok=True)
-    for field in schema.fields:
-        path = root / shard_file(field, shard)
+    for path in paths:
         for partial in path.parent.glob(f"*{PARTIAL}"):
             partial.unlink(missing_ok=True)
         path.unlink(missing_ok=True)
@@ -89,13 +91,13 @@ def write_shard(
     begun_storing = time.perf_counter()
     names = [shard_file(field, shard) for field in schema.fields]
     for field in schema.fields:
-        open_array(root, field.name, "r+")[scenes.start : scenes.stop] = values[field.name]
+        array_to_write(root, field.name)[scenes.start : scenes.stop] = values[field.name]
     _sync(root, names)
     files = {name: FileRecord(sha256_of(root / name), (root / name).stat().st_size) for name in names}
     now = time.time()
     seconds = {"store": time.perf_counter() - begun_storing, "total": now - started}
     record = ShardRecord(
-        shard, scenes.start, scenes.stop - 1, fingerprint, files, tuple(records), seconds, started, now, environment()
+        shard, scenes.start, scenes.stop - 1, fingerprint, files, tuple(records), seconds, started, now, made_with()
     )
     (root / BUILD).mkdir(exist_ok=True)
     write_atomically(record_path(root, shard), record.to_bytes())
@@ -112,21 +114,41 @@ def _keep(
     schema: Schema, values: Mapping[str, NDArray[np.generic]], first: int, index: int, sample: Sample | str
 ) -> SceneRecord:
     if isinstance(sample, str):
-        return SceneRecord(index, failure=sample)
+        return SceneRecord(index, failure=printable(sample))
     try:
-        rows = {field.name: encoded(field, sample.arrays[field.name]) for field in schema.fields}
-    except InputError as error:
-        return SceneRecord(index, failure=str(error))
+        rows = {field.name: _row(field, sample) for field in schema.fields}
+        parameters = {name: _plain(name, value) for name, value in sample.parameters.items()}
+        seconds = {name: _finite(name, value) for name, value in sample.seconds.items()}
+    except Exception as error:
+        # Whatever a sample function gave that is no sample costs its scene, not the build.
+        reason = str(error) if isinstance(error, InputError) else f"not a sample: {type(error).__name__}: {error}"
+        return SceneRecord(index, failure=printable(" ".join(reason.split())))
     for name, row in rows.items():
         values[name][index - first] = row
     digests = {field.name: digest(field, rows[field.name]) for field in schema.fields}
-    parameters = {name: _plain(value) for name, value in sample.parameters.items()}
-    return SceneRecord(index, None, digests, parameters, dict(sample.seconds))
+    return SceneRecord(index, None, digests, parameters, seconds)
 
 
-def _plain(value: Scalar | np.generic) -> Scalar:
+def _row(field: Field, sample: Sample) -> NDArray[np.generic]:
+    if field.name not in sample.arrays:
+        raise InputError(f"field {field.name!r}: missing, the sample has {', '.join(sample.arrays) or 'no arrays'}")
+    return encoded(field, sample.arrays[field.name])
+
+
+def _plain(name: str, value: Scalar | np.generic) -> Scalar:
     plain: Scalar = value.item() if isinstance(value, np.generic) else value
+    if not isinstance(plain, bool | int | float | str):
+        raise InputError(f"parameter {name}: {type(plain).__name__} made, must be a number, a text, true or false")
+    if isinstance(plain, int) and not -(2**63) <= plain < 2**63:
+        raise InputError(f"parameter {name}: a whole number of more than 64 bits made")
+    f"{name}{plain}".encode()
     return plain
+
+
+def _finite(name: str, value: float) -> float:
+    if not math.isfinite(value):
+        raise InputError(f"seconds of {name}: {value} made")
+    return float(value)
 
 
 def _sync(root: Path, names: Iterable[str]) -> None:

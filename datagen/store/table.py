@@ -9,11 +9,14 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from datagen.errors import CheckError, InputError
 from datagen.records import Scalar
-from datagen.store.files import write_if_changed
+from datagen.store.files import read_json, sha256_of, write_if_changed
 from datagen.store.record import SceneRecord, ShardRecord
 
 TABLE = "samples.parquet"
+CROISSANT = "croissant.json"
+"""The machine-readable card. It has the table's SHA-256."""
 _OWN = ("scene", "shard", "failure")
 
 
@@ -47,6 +50,34 @@ def table_bytes(table: pa.Table) -> bytes:
 def write_table(root: Path, records: Sequence[ShardRecord], fields: Sequence[str]) -> None:
     """Write `samples.parquet` into a dataset."""
     write_if_changed(root / TABLE, table_bytes(table_of(records, fields)))
+
+
+def read_table(root: Path, columns: Sequence[str], scenes: int) -> pa.Table:
+    """Some columns of the table of a dataset of so many scenes.
+
+    Raises `CheckError` when it is not the file whose hash `croissant.json` has, `InputError` for an unknown column.
+    """
+    path, remedy = root / TABLE, "run the same `datagen build` again to write it anew"
+    try:
+        described = read_json(root / CROISSANT)
+        due = [file["sha256"] for file in described["distribution"] if file["@id"] == TABLE]
+    except (InputError, KeyError, TypeError):
+        raise CheckError(f"{root / CROISSANT}: missing or damaged, and it vouches for {TABLE}; {remedy}") from None
+    try:
+        if due != [sha256_of(path)]:
+            raise CheckError(
+                f"{path}: has changed since it was written (SHA-256 differs from {CROISSANT}'s); {remedy}"
+            )
+        with pq.ParquetFile(path) as file:
+            if file.metadata.num_rows != scenes:
+                raise CheckError(f"{path}: {file.metadata.num_rows} rows for {scenes} scenes; {remedy}")
+            known = file.schema_arrow.names
+            for name in columns:
+                if name not in known:
+                    raise InputError(f"parameters: {name!r} is no column of {path}; it has {', '.join(known)}")
+            return file.read(columns)
+    except (pa.ArrowException, OSError) as error:
+        raise CheckError(f"{path}: cannot be read ({' '.join(str(error).split())}); {remedy}") from None
 
 
 def _column(scenes: Sequence[SceneRecord], name: str) -> pa.Array:

@@ -2,40 +2,41 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from datagen.config import fingerprint_of
-from datagen.errors import InputError
-from datagen.store.arrays import GROUP, open_array
-from datagen.store.card import CARD, CROISSANT, card, croissant, write_card, write_croissant
+from datagen.errors import CheckError, printable
+from datagen.store.card import CARD, card, croissant, write_card, write_croissant
 from datagen.store.environment import environment
-from datagen.store.files import json_bytes, sha256_of
+from datagen.store.files import JSON_BYTES, holds, json_bytes, sha256_of
 from datagen.store.manifest import Manifest, read_manifest
+from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, read_record, recorded_shards
-from datagen.store.shard import digest
-from datagen.store.table import TABLE, table_bytes, table_of, write_table
+from datagen.store.schema import SCHEMA_VERSION
+from datagen.store.table import CROISSANT, TABLE, table_bytes, table_of, write_table
 
 
 def committed(
     root: Path, manifest: Manifest, shards: Iterable[int] | None = None, hashes: bool = False
 ) -> list[ShardRecord]:
-    """The records of the shards that are there: of this configuration, of all their scenes, their files in place.
-
-    With `hashes` the files' bytes must also be those that were written.
+    """The records of the shards that are there: sound, of this configuration, of all their scenes, their files in
+    place. With `hashes` the files' bytes must also be those that were written.
     """
+    # The folder is looked at, not the number of scenes: that is only what `dataset.json` says.
+    there = (shard for shard in recorded_shards(root) if shard < manifest.schema.shards)
     records = []
-    for shard in range(manifest.schema.shards) if shards is None else shards:
+    for shard in there if shards is None else shards:
         try:
-            record = read_record(root, shard)
-        except InputError:
+            record = read_record(root, shard, manifest.must_be_sealed)
+        except CheckError:
             continue
-        if record and _mismatch(record, manifest) is None and record.problem(root, hashes) is None:
+        if record and not record.mismatch(manifest.schema, manifest.fingerprint) and not record.problem(root, hashes):
             records.append(record)
     return records
 
@@ -57,37 +58,52 @@ class Verification:
     problems: tuple[str, ...]
 
 
-def verify(path: str | Path) -> Verification:
-    """Check all of a dataset: metadata, every file's SHA-256, every scene's decoded values, table and cards.
+def verify(path: str | Path, deep: bool = False) -> Verification:
+    """Check a dataset: metadata, commit records, every file's SHA-256, table and cards.
+
+    deep : also decode every value and compare it with the digest taken before it was written; that asks nothing of
+        the code that reads it but sees what every reader sees.
 
     Raises `InputError` when the folder is no dataset; everything that is wrong with one that is stands in `problems`.
     """
     root = Path(path)
     manifest = read_manifest(root)
     problems = list(_metadata_problems(root, manifest))
-    scenes = shards = size = 0
-    records = []
-    for shard in range(manifest.schema.shards):
+    scenes = size = 0
+    records, there = [], recorded_shards(root)
+    for shard in there:
+        if shard >= manifest.schema.shards:
+            problems.append(
+                f"shard {shard}: has a commit record, but the dataset has only {manifest.schema.shards} shards"
+            )
+            continue
         try:
-            record = read_record(root, shard)
-        except InputError as error:
+            record = read_record(root, shard, manifest.must_be_sealed)
+        except CheckError as error:
             problems.append(str(error))
             continue
         if record is None:
-            problems.append(f"shard {shard}: not there (no commit record); build again to make it")
             continue
         records.append(record)
-        problems += _shard_problems(root, manifest, record)
-        scenes, shards = scenes + len(record.scenes), shards + 1
-        size += sum(file.bytes for file in record.files.values())
+        problems += _shard_problems(root, manifest, record, deep)
+        scenes, size = scenes + len(record.scenes), size + sum(file.bytes for file in record.files.values())
     problems += [
-        f"shard {shard}: has a commit record, but the dataset has only {manifest.schema.shards} shards"
-        for shard in recorded_shards(root)
-        if shard >= manifest.schema.shards
+        f"{name}: not there (no commit record); build again to make what is missing"
+        for name in _missing(there, manifest.schema.shards)
     ]
     if len(records) == manifest.schema.shards:
         problems += _summary_problems(root, manifest, records)
-    return Verification(scenes, shards, size, tuple(problems))
+    return Verification(scenes, len(records), size, tuple(printable(problem) for problem in problems))
+
+
+def _missing(there: Sequence[int], shards: int) -> Iterator[str]:
+    """`shard 3` or `shards 3-90` for every gap in the shards that are there."""
+    ends = [-1, *(shard for shard in there if shard < shards), shards]
+    for before, after in itertools.pairwise(ends):
+        if after - before == 2:
+            yield f"shard {before + 1}"
+        elif after - before > 2:
+            yield f"shards {before + 1}-{after - 1}"
 
 
 def _metadata_problems(root: Path, manifest: Manifest) -> Iterator[str]:
@@ -99,44 +115,27 @@ def _metadata_problems(root: Path, manifest: Manifest) -> Iterator[str]:
 def _metadata_problem(root: Path, manifest: Manifest, name: str) -> str | None:
     if not (root / name).is_file():
         return f"{name}: missing"
-    if sha256_of(root / name) != manifest.metadata.get(name):
+    if (root / name).stat().st_size > JSON_BYTES or sha256_of(root / name) != manifest.metadata[name]:
         return f"{name}: its bytes have changed since they were written (SHA-256 differs)"
     return None
 
 
-def _mismatch(record: ShardRecord, manifest: Manifest) -> str | None:
-    scenes = manifest.schema.scenes_of(record.shard)
-    if record.fingerprint != manifest.fingerprint:
-        return f"was made with another configuration (fingerprint {record.fingerprint[:12]})"
-    if (record.first_scene, record.last_scene) != (scenes.start, scenes.stop - 1):
-        return f"holds scenes {record.first_scene}-{record.last_scene}, {scenes.start}-{scenes.stop - 1} belong there"
-    if [scene.index for scene in record.scenes] != list(scenes):
-        return "its record does not list its scenes one by one"
-    return None
-
-
-def _shard_problems(root: Path, manifest: Manifest, record: ShardRecord) -> Iterator[str]:
-    wrong = _mismatch(record, manifest) or record.problem(root)
+def _shard_problems(root: Path, manifest: Manifest, record: ShardRecord, deep: bool) -> Iterator[str]:
+    wrong = record.mismatch(manifest.schema, manifest.fingerprint) or record.problem(root)
     if wrong is not None:
         yield f"shard {record.shard}: {wrong}"
         return
     for scene in record.scenes:
         if scene.failure is not None:
             yield f"scene {scene.index}: could not be made: {scene.failure}"
-    start = record.first_scene
-    for field in manifest.schema.fields:
-        if _metadata_problem(root, manifest, f"{GROUP}/{field.name}/zarr.json"):
-            continue
-        try:
-            values = np.asarray(open_array(root, field.name)[start : record.last_scene + 1])
-        except Exception as error:
-            # Whatever a decoder raises over damaged bytes is a finding here, not an accident.
-            what = " ".join(f"{type(error).__name__}: {error}".split())
-            yield f"shard {record.shard}: field {field.name} cannot be decoded ({what})"
-            continue
-        for scene in record.scenes:
-            if scene.failure is None and digest(field, values[scene.index - start]) != scene.digests[field.name]:
-                yield f"scene {scene.index}: field {field.name} decodes to other values than were written"
+    if deep:
+        reader = DatasetReader(root, manifest, manifest.schema.by_name)
+        for scene, name in itertools.product(record.scenes, manifest.schema.by_name):
+            try:
+                reader.read(name, [scene.index])
+            except CheckError as error:
+                yield str(error)
+        reader.close()
 
 
 def _summary_problems(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> Iterator[str]:
@@ -146,19 +145,18 @@ def _summary_problems(root: Path, manifest: Manifest, records: Sequence[ShardRec
     table, now = table_of(records, [field.name for field in manifest.schema.fields]), environment()
     # Another pyarrow writes the same table in other bytes.
     same_writer = manifest.versions["pyarrow"] == now["pyarrow"]
-    if (root / TABLE).read_bytes() != table_bytes(table) and (same_writer or not _holds(root / TABLE, table)):
+    if not holds(root / TABLE, table_bytes(table)) and (same_writer or not _tells(root / TABLE, table)):
         yield f"{TABLE}: differs from what the commit records say"
         return
+    # Another datagen may word the same facts otherwise.
+    same_words = (manifest.versions["datagen"], manifest.schema_version) == (now["datagen"], SCHEMA_VERSION)
     for name, text in ((CROISSANT, json_bytes(croissant(root, manifest))), (CARD, card(manifest, records).encode())):
-        # Another datagen may word the same facts otherwise.
-        if not (root / name).is_file() or (
-            (root / name).read_bytes() != text and manifest.versions["datagen"] == now["datagen"]
-        ):
+        if not ((root / name).is_file() and (holds(root / name, text) or not same_words)):
             yield f"{name}: missing, or differs from what the dataset holds"
 
 
-def _holds(path: Path, table: pa.Table) -> bool:
+def _tells(path: Path, table: pa.Table) -> bool:
     try:
         return table_bytes(pq.read_table(path).replace_schema_metadata(table.schema.metadata)) == table_bytes(table)
-    except (pa.ArrowException, OSError):
+    except (pa.ArrowException, OSError, ValueError):
         return False

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import re
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 from datagen.cli import run
+from datagen.store.files import sealed
 
 ROOT = Path(__file__).parents[2]
 CONFIG = """
@@ -63,6 +67,33 @@ def test_a_sample_depends_on_seed_and_index_only(built: Path) -> None:
     for name in ("histogram", "transient", "depth", "part_id", "laser_points"):
         stored = zarr.open_array(built / "out/tiny.zarr/data.zarr" / name, mode="r")[2]
         assert np.array_equal(stored, sample.arrays[name].astype(stored.dtype), equal_nan=name != "part_id"), name
+
+
+def test_scenes_simulated_again_are_those_stored(
+    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import shutil
+
+    from conftest import HereAndNow
+
+    from datagen.building import resimulate
+
+    monkeypatch.setattr(resimulate, "started", lambda *_: nullcontext(HereAndNow()))
+    dataset = str(built / "out/tiny.zarr")
+    assert run(["verify", dataset, "--deep", "--resimulate", "9"]) == 0
+    assert capsys.readouterr().out.endswith("all as written; scenes simulated again: 0, 1, 2\n")
+    assert run(["verify", dataset, "--resimulate", "-1"]) == 2 and "--resimulate -1" in capsys.readouterr().err
+    assert run(["digest", dataset]) == 0
+    assert re.fullmatch(r"[0-9a-f]{64}\n", capsys.readouterr().out)
+
+    shutil.copytree(dataset, tmp_path / "set")
+    record = tmp_path / "set/build/shard-000001.json"
+    values = json.loads(record.read_bytes())
+    del values["checksum"]
+    values["scenes"][0]["digests"]["histogram"] = "0" * 64
+    record.write_bytes(sealed(values))
+    assert run(["verify", str(tmp_path / "set"), "--resimulate", "3"]) == 1
+    assert "scene 2: simulated again, histogram differ\n" in capsys.readouterr().out
 
 
 def test_a_damaged_dataset_fails_its_check(built: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

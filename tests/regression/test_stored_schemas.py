@@ -50,7 +50,7 @@ def test_every_earlier_version_has_its_dataset() -> None:
 
 @every_version
 def test_it_is_as_it_was_written(version: int) -> None:
-    found = verify(EARLIER[version])
+    found = verify(EARLIER[version], deep=True)
     assert (found.scenes, found.shards, found.problems) == (3, 2, ())
 
 
@@ -58,7 +58,7 @@ def test_it_is_as_it_was_written(version: int) -> None:
 @pytest.mark.parametrize("memory", [0, 2**26], ids=["from shards", "in memory"])
 def test_a_batch_holds_the_values_of_then(memory: int, version: int, monkeypatch: pytest.MonkeyPatch) -> None:
     expected_sums = sums(version)
-    monkeypatch.setattr("datagen.loader.dataset.MEMORY_BYTES", memory)
+    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", memory)
     data = dg.TransientDataset(EARLIER[version], fields=tuple(expected_sums), counts="stored")
     assert data.fields == tuple(expected_sums) and data.classes == ("box", "cone", "sphere")
     (batch,) = DataLoader(data, batch_size=3, collate_fn=collate)

@@ -23,6 +23,7 @@ from datagen.report.room_plots import RoomPicture, draw_plan
 from datagen.report.show import PAGES, show
 from datagen.report.style import house_style, new_figure
 from datagen.scene import generate_scene
+from datagen.store.files import sealed
 from datagen.store.record import record_path
 
 
@@ -106,7 +107,8 @@ def _fail(dataset: Path, scene: int, reason: str | None) -> None:
     path = record_path(dataset, 0)
     record = json.loads(path.read_text())
     record["scenes"][scene]["failure"] = reason
-    path.write_text(json.dumps(record))
+    del record["checksum"]
+    path.write_bytes(sealed(record))
 
 
 class _Page(HTMLParser):

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import sys
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +19,7 @@ from datagen.errors import InputError
 from datagen.records import Sample
 from datagen.seeding import Purpose, generator
 from datagen.store import schema_of
+from datagen.store.files import sealed
 
 
 def small_config(**changes: object) -> DatasetConfig:
@@ -32,6 +38,14 @@ def small_config(**changes: object) -> DatasetConfig:
 def large_config() -> DatasetConfig:
     """`small_config` with 4096 bins: a shard of transients is larger than any other file."""
     return small_config(capture={"scan": {"rows": 2, "columns": 2}, "time": {"bins": 4096}})
+
+
+def reseal(path: Path, change: Callable[[Any], object]) -> None:
+    """Change what a sealed JSON file says, and its checksum with it."""
+    values = json.loads(path.read_text())
+    del values["checksum"]
+    change(values)
+    path.write_bytes(sealed(values))
 
 
 def fake_sample(config: DatasetConfig, index: int) -> Sample:
@@ -80,3 +94,42 @@ def too_many_counts(config: DatasetConfig, index: int) -> Sample:
     if index == 2:
         sample.arrays["histogram"][0, 0, 3] = 70000  # type: ignore[index]
     return sample
+
+
+def leaves_at_5(config: DatasetConfig, index: int) -> Sample:
+    if index == 5:
+        sys.exit("enough")
+    return fake_sample(config, index)
+
+
+def no_depth_at_5(config: DatasetConfig, index: int) -> Sample:
+    sample = fake_sample(config, index)
+    if index == 5:
+        del sample.arrays["depth"]  # type: ignore[attr-defined]
+    return sample
+
+
+def nothing_at_5(config: DatasetConfig, index: int) -> Sample:
+    return None if index == 5 else fake_sample(config, index)  # type: ignore[return-value]
+
+
+def odd_parameter_at_5(config: DatasetConfig, index: int) -> Sample:
+    sample = fake_sample(config, index)
+    if index == 5:
+        sample.parameters["odd"] = [1, 2]  # type: ignore[index]
+    return sample
+
+
+def hangs_at_5(config: DatasetConfig, index: int) -> Sample:
+    while index == 5:
+        with suppress(Exception):
+            time.sleep(3600)
+    return fake_sample(config, index)
+
+
+def deaf_at_5(config: DatasetConfig, index: int) -> Sample:
+    """Hangs where no signal is answered, as compiled code does."""
+    if index == 5:
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGALRM])
+        time.sleep(3600)
+    return fake_sample(config, index)

@@ -29,7 +29,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(params=["in memory", "from shards"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if request.param == "from shards":
-        monkeypatch.setattr("datagen.loader.dataset.MEMORY_BYTES", 0)
+        monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
 
 
 @pytest.mark.usefixtures("way")
@@ -54,7 +54,7 @@ def test_items_are_the_stored_values(dataset: Path) -> None:
 def test_loader_workers_give_the_same_batches(
     dataset: Path, monkeypatch: pytest.MonkeyPatch, start: str, workers: int
 ) -> None:
-    monkeypatch.setattr("datagen.loader.dataset.MEMORY_BYTES", 0)
+    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
     data = TransientDataset(dataset)
     data[0]
     here = list(DataLoader(data, batch_size=5))

@@ -1,25 +1,33 @@
-"""The fast reader equals zarr's own, whole scenes and cut ones."""
+"""The one way of reading: equal to zarr's own, whole scenes and cut ones, and no value for what is not there."""
 
 from __future__ import annotations
 
+import os
+import pickle
+import resource
+import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zarr
+from datasets import write_dataset
 from fake_samples import fake_sample
 
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import CheckError
-from datagen.store import prepare, schema, write_shard
-from datagen.store.reader import ShardReader
+from datagen.loader import TransientDataset
+from datagen.store import DatasetReader, Manifest, open_files, prepare, read_manifest, schema, write_shard
+from datagen.store.shard import digest
 
 
-def made(root: Path, config: DatasetConfig) -> None:
+def made(root: Path, config: DatasetConfig) -> Manifest:
     manifest = prepare(root, config)
     for shard in range(manifest.schema.shards):
         scenes = manifest.schema.scenes_of(shard)
         write_shard(root, manifest.schema, shard, manifest.fingerprint, ((i, fake_sample(config, i)) for i in scenes))
+    return manifest
 
 
 def config_of(rows: int, columns: int, pixels: int, bins: int) -> DatasetConfig:
@@ -36,53 +44,157 @@ def config_of(rows: int, columns: int, pixels: int, bins: int) -> DatasetConfig:
     )
 
 
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("reader") / "set"
+    made(root, config_of(1, 2, 1, 8))
+    return root
+
+
+@pytest.fixture
+def dataset(sound: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(sound, tmp_path / "set")
+
+
 @pytest.mark.parametrize("chunk_bytes", [2**22, 700, 90], ids=["whole", "cut on laser", "cut on laser and pixel"])
 def test_reads_what_zarr_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_bytes: int) -> None:
+    """From files and from memory."""
     monkeypatch.setattr(schema, "CHUNK_BYTES", chunk_bytes)
-    config = config_of(rows=1, columns=5, pixels=3, bins=17)
-    made(tmp_path, config)
-    described = schema.schema_of(config)
+    manifest = made(tmp_path, config_of(rows=1, columns=5, pixels=3, bins=17))
     order = [7, 0, 9, 9, 3, 4, 8]
-    for field in described.fields:
-        if field.sharded:
+    for memory in (0, 2**28):
+        monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", memory)
+        reader = DatasetReader(tmp_path, manifest, manifest.schema.by_name)
+        for field in manifest.schema.fields:
             array = zarr.open_array(tmp_path / "data.zarr" / field.name, mode="r")
-            reader = ShardReader(tmp_path, field, described)
             plain = np.stack([np.asarray(array[scene]) for scene in order])
-            fast = reader.read(order)
-            assert fast.dtype == plain.dtype and np.array_equal(fast, plain)
-            assert (field.chunk != field.shape) == (chunk_bytes < field.bytes_per_scene)
-            reader.close()
+            for _ in range(2):
+                values = reader.read(field.name, order)
+                assert values.dtype == plain.dtype
+                assert np.array_equal(values, plain, equal_nan=plain.dtype.kind == "f")
+            assert np.array_equal(reader.read(field.name, order, np.dtype("f8")), plain.astype("f8"), equal_nan=True)
+            if field.sharded:
+                assert (field.chunk != field.shape) == (chunk_bytes < field.bytes_per_scene)
+        reader.close()
 
 
-def test_few_files_stay_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from datagen.store import reader as module
-
-    monkeypatch.setattr(module, "MOST_OPEN", 1)
-    config = config_of(1, 2, 1, 8)
-    made(tmp_path, config)
-    described = schema.schema_of(config)
-    reader = ShardReader(tmp_path, described.by_name["depth"], described)
-    array = zarr.open_array(tmp_path / "data.zarr/depth", mode="r")
-    for scene in (0, 9, 1, 5, 0):
-        assert np.array_equal(reader.read([scene])[0], np.asarray(array[scene]))
-    assert len(reader._open) == 1
+def test_memory_is_bounded(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest = read_manifest(dataset)
+    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 1000)
+    reader = DatasetReader(dataset, manifest, manifest.schema.by_name)
+    for name in manifest.schema.by_name:
+        reader.read(name, range(10))
+        kept = sum(values.nbytes for values in reader._kept.values())
+        assert kept == reader._kept_bytes <= 1000
 
 
-def test_damage_is_an_error(tmp_path: Path) -> None:
-    config = config_of(1, 2, 1, 8)
-    made(tmp_path, config)
-    described = schema.schema_of(config)
-    field = described.by_name["histogram"]
-    path = tmp_path / "data.zarr/histogram/c/0/0/0/0"
+def test_damage_is_an_error(dataset: Path) -> None:
+    manifest = read_manifest(dataset)
+    path = dataset / "data.zarr/histogram/c/0/0/0/0"
     sound = path.read_bytes()
-    for data, message in (
-        (bytes([sound[0] ^ 1]) + sound[1:], "checksum does not match"),
-        (sound[:-1] + bytes([sound[-1] ^ 1]), "index is damaged"),
-        (b"", "index is damaged"),
+    for data, check, message in (
+        (bytes([sound[0] ^ 1]) + sound[1:], True, "scene 0: the checksum does not match"),
+        (sound[:-1] + bytes([sound[-1] ^ 1]), True, "scenes 0-3: the shard's index is damaged"),
+        (sound[:-1], True, f"{len(sound) - 1} bytes, {len(sound)} were written"),
+        (sound[:-1], False, "the shard's index is damaged"),
+        (b"", True, "0 bytes"),
+        (b"", False, "the shard's index is damaged"),
     ):
         path.write_bytes(data)
-        with pytest.raises(CheckError, match=message):
-            ShardReader(tmp_path, field, described).read([0, 1, 2, 3])
+        with pytest.raises(CheckError, match=message) as told:
+            DatasetReader(dataset, manifest, ["histogram"], check).read("histogram", [0, 1, 2, 3])
+        assert str(path) in str(told.value) and "build` again" in str(told.value)
+
+
+@pytest.mark.parametrize("name", ["histogram", "depth", "laser_points", "relay_wall"])
+def test_what_is_not_there_is_no_value(dataset: Path, name: str) -> None:
+    """A chunk that is missing would be filled by zarr; two shards exchanged would be read as they are."""
+    manifest = read_manifest(dataset)
+    one, other = (next((dataset / f"data.zarr/{name}/c/{shard}").rglob("0")) for shard in (0, 1))
+    while one.is_dir():
+        one, other = one / "0", other / "0"
+    one.rename(dataset / "aside")
+    with pytest.raises(CheckError, match="scenes 0-3: cannot be opened"):
+        DatasetReader(dataset, manifest, [name], check=False).read(name, [0])
+    other.rename(one)
+    (dataset / "aside").rename(other)
+    with pytest.raises(CheckError, match=r"decodes to other values than were written|bytes, \d+ were written"):
+        DatasetReader(dataset, manifest, [name]).read(name, [0])
+
+
+def test_a_pipe_in_a_files_place_is_refused_at_once(dataset: Path) -> None:
+    manifest = read_manifest(dataset)
+    path = dataset / "data.zarr/histogram/c/0/0/0/0"
     path.unlink()
-    with pytest.raises(CheckError, match="cannot be opened"):
-        ShardReader(tmp_path, field, described).read([0])
+    os.mkfifo(path)
+    with pytest.raises(CheckError, match="no plain file"):
+        DatasetReader(dataset, manifest, ["histogram"]).read("histogram", [0])
+
+
+def test_each_value_is_checked_once(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest = read_manifest(dataset)
+    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
+    checked: list[str] = []
+    monkeypatch.setattr(
+        "datagen.store.reader.digest", lambda field, value: checked.append(field.name) or digest(field, value)
+    )
+    seen = {name: np.zeros(10, bool) for name in ("depth", "laser_points")}
+    for _ in range(2):
+        reader = DatasetReader(dataset, manifest, seen, seen=seen)
+        for name in seen:
+            reader.read(name, [0, 5, 5])
+    assert sorted(checked) == ["depth"] * 2 + ["laser_points"] * 2
+    assert [np.flatnonzero(of).tolist() for of in seen.values()] == [[0, 5]] * 2
+    # What all have been checked of needs no record any more.
+    seen["depth"][4:8] = True
+    (dataset / "build/shard-000001.json").unlink()
+    DatasetReader(dataset, manifest, seen, seen=seen).read("depth", [5, 6])
+    with pytest.raises(CheckError, match="shard 1 is not committed"):
+        DatasetReader(dataset, manifest, ["depth"]).read("depth", [5])
+
+
+def test_few_files_stay_open_whatever_is_read(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(open_files, "MOST_OPEN", 2)
+    manifest = read_manifest(dataset)
+    array = zarr.open_array(dataset / "data.zarr/depth", mode="r")
+    readers = [DatasetReader(dataset, manifest, manifest.schema.by_name) for _ in range(2)]
+    before = len(os.listdir("/proc/self/fd"))
+    for scene in (0, 9, 1, 5, 0):
+        for reader in readers:
+            for name in manifest.schema.by_name:
+                reader.read(name, [scene])
+            assert np.array_equal(reader.read("depth", [scene])[0], np.asarray(array[scene]))
+        assert len(open_files._open) <= 2
+    assert len(os.listdir("/proc/self/fd")) <= before + 2
+
+
+@pytest.mark.parametrize(
+    ("shards", "allowed"), [(20, 40), pytest.param(300, 256, marks=pytest.mark.nightly)], ids=["few", "many"]
+)
+def test_five_fields_of_more_shards_than_files_are_allowed(tmp_path: Path, shards: int, allowed: int) -> None:
+    """Also where the rest of the process has taken nearly all of them, and told as what it is where it took all."""
+    fields = ["histogram", "transient", "depth", "normal"]
+    values = config_of(1, 1, 1, 2).model_dump(mode="json") | {"scenes": shards, "labels": {"rows": 1, "columns": 1}}
+    config = config_from_mapping(values | {"store": {"fields": fields, "scenes_per_shard": 1}})
+    write_dataset(config, tmp_path / "set", fake_sample)
+    data = TransientDataset(tmp_path / "set", (*fields, "laser_points"))
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    held = []
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(map(int, os.listdir("/proc/self/fd"))) + allowed, before[1]))
+        assert len([data[item] for item in [*range(len(data)), 0]]) == shards + 1
+        data = pickle.loads(pickle.dumps(data))
+        open_files._open.clear()
+        with suppress(OSError):
+            while True:
+                held.append(os.open("/dev/null", os.O_RDONLY))
+        with pytest.raises(CheckError, match=r"too many files open .*ulimit -n"):
+            data[5]
+        # One for a file, one for its record.
+        for _ in range(2):
+            os.close(held.pop())
+        assert [int(data[item]["scene"]) for item in (3, 1, 3)] == [3, 1, 3]
+    finally:
+        for handle in held:
+            os.close(handle)
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)

@@ -1,0 +1,65 @@
+"""Scenes of a dataset simulated again, and compared bit for bit with what is stored."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+from datagen.building.engines import started
+from datagen.config import DatasetConfig
+from datagen.errors import CheckError, InputError
+from datagen.pipeline import simulate_sample
+from datagen.store import Schema, committed, read_manifest
+from datagen.store.environment import made_with, mixed
+from datagen.store.schema import SCHEMA_VERSION
+from datagen.store.shard import digest, encoded
+
+
+def resimulate(path: str | Path, scenes: int) -> tuple[list[int], list[str]]:
+    """Simulate so many scenes again, chosen at random, other ones each time; all where there are fewer.
+
+    Returns
+    -------
+    Their indices, and in a line each the fields that came out otherwise.
+
+    Raises
+    ------
+    InputError : no dataset, one of another schema version, fewer than one scene asked for, a mesh file is gone.
+    CheckError : no scene is there.
+    """
+    root = Path(path)
+    if scenes < 1:
+        raise InputError(f"--resimulate {scenes}: must be ≥ 1")
+    manifest = read_manifest(root)
+    if manifest.schema_version != SCHEMA_VERSION:
+        raise InputError(
+            f"{root}: of schema version {manifest.schema_version}, and this datagen makes other scenes of the same "
+            f"seed (version {SCHEMA_VERSION}); use the version of datagen that made it"
+        )
+    config = manifest.parsed_config()
+    made = {
+        scene.index: (scene, record)
+        for record in committed(root, manifest)
+        for scene in record.scenes
+        if scene.failure is None
+    }
+    if not made:
+        raise CheckError(f"{root}: no scene is there to be simulated again; build it first")
+    chosen = sorted(random.SystemRandom().sample(sorted(made), min(scenes, len(made))))
+    problems = []
+    # In a worker as a build's: the threads of this process could add numbers up in another order.
+    with started("local", 1, None) as running:
+        for index in chosen:
+            scene, record = made[index]
+            again = running.submit(_digests, config, manifest.schema, index).result()
+            fields = [name for name, due in scene.digests.items() if again[name] != due]
+            if fields:
+                why = "; ".join(mixed([record.environment, made_with()]))
+                made_otherwise = f" (what it was made with differs: {why})" if why else ""
+                problems.append(f"scene {index}: simulated again, {', '.join(fields)} differ{made_otherwise}")
+    return chosen, problems
+
+
+def _digests(config: DatasetConfig, schema: Schema, index: int) -> dict[str, str]:
+    arrays = simulate_sample(config, index).arrays
+    return {field.name: digest(field, encoded(field, arrays[field.name])) for field in schema.fields}

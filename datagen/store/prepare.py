@@ -1,0 +1,199 @@
+"""What a build does to a folder before its first shard: a new dataset, one to go on with, or one to be mended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from datagen.config import DatasetConfig
+from datagen.errors import CheckError, InputError
+from datagen.store.arrays import GROUP, metadata_files
+from datagen.store.environment import environment
+from datagen.store.files import PARTIAL, holds, own_path, write_if_changed
+from datagen.store.manifest import (
+    MANIFEST,
+    DamagedManifest,
+    Manifest,
+    describe,
+    mesh_folder,
+    metadata_hashes,
+    read_manifest,
+)  # fmt: skip
+from datagen.store.record import BUILD, ShardRecord, read_record, recorded_shards
+from datagen.store.schema import SCHEMA_VERSION, schema_of
+
+WHEN_COMPLETE = ("samples.parquet", "croissant.json")
+"""Files that are there only when all shards are."""
+
+
+def is_fresh(root: Path) -> bool:
+    """Whether nothing is there yet: no folder, an empty one, or one where a build died over its very first file."""
+    if not root.exists():
+        return True
+    return root.is_dir() and all(
+        path.name.startswith(f"{MANIFEST}.") and path.name.endswith(PARTIAL) for path in root.iterdir()
+    )
+
+
+def planned(root: Path, config: DatasetConfig) -> Manifest:
+    """The manifest that `prepare` would write. Touches nothing.
+
+    A dataset may grow (more `scenes`); nothing else of its content may change. One whose `dataset.json` is missing or
+    damaged is taken up when its shards were made with this configuration.
+
+    Raises `InputError` for a foreign folder, another dataset, fewer scenes than there are, and where a symbolic link
+    would lead the build out of the folder.
+    """
+    if is_fresh(root) or not root.is_dir():
+        return describe(config, schema_of(config))
+    try:
+        manifest = _taken_up(root, config)
+    except DamagedManifest:
+        restored = _restored(root, config)
+        if restored is None:
+            raise
+        manifest = restored
+    files = [*WHEN_COMPLETE, "README.md", MANIFEST, BUILD]
+    for name in [
+        *files,
+        *(f"{GROUP}/{field.name}/{below}" for field in manifest.schema.fields for below in ("zarr.json", "c")),
+    ]:
+        own_path(root, name)
+    return manifest
+
+
+def prepare(root: Path, config: DatasetConfig) -> Manifest:
+    """Create a dataset, or take up one that exists; returns its manifest. Raises as `planned` does.
+
+    Only the parent of a build calls this. Every step can be repeated, so a build killed in the middle is taken up by
+    the next one.
+    """
+    manifest = planned(root, config)
+    root.mkdir(parents=True, exist_ok=True)
+    content = manifest.to_bytes()
+    if not holds(root / MANIFEST, content):
+        # It grows, or is mended: what described it as complete goes before anything else changes.
+        forget_complete(root)
+    write_if_changed(root / MANIFEST, content)
+    for name, metadata in metadata_files(manifest.schema).items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_if_changed(path, metadata)
+    (root / BUILD).mkdir(exist_ok=True)
+    return manifest
+
+
+def forget_complete(root: Path) -> None:
+    """Remove what says that all shards are there, before one of them is made anew."""
+    for name in WHEN_COMPLETE:
+        (root / name).unlink(missing_ok=True)
+
+
+def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
+    """The manifest of a dataset that lost its own, from the configuration and the shards; None where there is no
+    shard to tell whose it is.
+    """
+    records = list(_records(root))
+    if not records:
+        return None
+    fingerprint = config.fingerprint()
+    for record in records:
+        if record.fingerprint != fingerprint:
+            raise InputError(
+                f"output {root}: has no sound dataset.json, and shard {record.shard} was made with another "
+                f"configuration (fingerprint {record.fingerprint[:12]}, not {fingerprint[:12]}); build with that one"
+            )
+    last = records[-1]
+    if last.last_scene >= config.scenes:
+        raise InputError(
+            f"output {root}: has no sound dataset.json, and shards up to scene {last.last_scene}; ask for at least "
+            f"--scenes {last.last_scene + 1}"
+        )
+    # A shard after the first begins at a multiple of their size.
+    k = last.first_scene // last.shard if last.shard else 0
+    schema = schema_of(config, k if 0 < k <= 256 and k & (k - 1) == 0 else None)
+    described, made_by = describe(config, schema), records[0].environment
+    versions = {name: made_by.get(name, version) for name, version in environment().items()}
+    hardware = described.hardware | {name: made_by[name] for name in ("processor", "system") if name in made_by}
+    commit = made_by.get("commit")
+    return replace(described, versions=versions, commit=None if commit == "unknown" else commit, hardware=hardware)
+
+
+def _records(root: Path) -> Iterator[ShardRecord]:
+    """The sound records of a folder, by shard, whatever they belong to."""
+    for shard in recorded_shards(root):
+        try:
+            record = read_record(root, shard, must_be_sealed=True)
+        except CheckError:
+            continue
+        if record is not None:
+            yield record
+
+
+def _taken_up(root: Path, config: DatasetConfig) -> Manifest:
+    if not (root / MANIFEST).is_file():
+        first = sorted(path.name for path in root.iterdir())[0]
+        raise DamagedManifest(
+            f"output {root}: holds {first!r} and no dataset.json, so it is no dataset; name a new or an empty folder"
+        )
+    old = read_manifest(root)
+    if old.schema_version != SCHEMA_VERSION:
+        raise InputError(
+            f"output {root}: holds a dataset of schema version {old.schema_version}, and this datagen, of version "
+            f"{SCHEMA_VERSION}, makes other scenes of the same seed; build into a new folder"
+        )
+    _check_same(root, old, config)
+    if config.scenes < old.schema.scenes:
+        raise InputError(
+            f"output {root}: holds a dataset of {old.schema.scenes} scenes, scenes = {config.scenes} is fewer; "
+            "a dataset may only grow: ask for at least as many, or name another folder"
+        )
+    schema = schema_of(config, old.schema.scenes_per_shard)
+    values, metadata = config.model_dump(mode="json"), metadata_hashes(schema)
+    return replace(old, config=values, mesh_folder=mesh_folder(config), schema=schema, metadata=metadata)
+
+
+def _check_same(root: Path, old: Manifest, config: DatasetConfig) -> None:
+    if config.fingerprint() == old.fingerprint:
+        return
+    new = config.model_dump(mode="json", exclude={"name", "description", "scenes"})
+    for key, was, now in _differences(old.config, new):
+        raise InputError(
+            f"output {root}: holds a dataset made with {key} = {was}, this configuration has {now}; "
+            "name another folder, or change it back to resume"
+        )
+    for key, was, now in _differences(old.meshes, config.scene.mesh_digests()):
+        raise InputError(
+            f"output {root}: the mesh file {key} has changed since the dataset was begun (SHA-256 {str(was)[:12]} → "
+            f"{str(now)[:12]}); name another folder, or put the file back"
+        )
+    raise InputError(
+        f"output {root}: holds a dataset with the fingerprint {old.fingerprint[:12]}, this configuration has "
+        f"{config.fingerprint()[:12]}; name another folder"
+    )
+
+
+_MISSING = object()
+
+
+def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, str, str]]:
+    """(dotted key, old value, new value) of every difference, save top-level keys that only `old` has."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        names = list(new) if not key else [*new, *(name for name in old if name not in new)]
+        for name in names:
+            below = f"{key}.{name}" if key else str(name)
+            yield from _differences(old.get(name, _MISSING), new.get(name, _MISSING), below)
+    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for place, (was, now) in enumerate(zip(old, new, strict=True)):
+            yield from _differences(was, now, f"{key}[{place}]")
+    elif old != new:
+        yield key, _shown(old), _shown(new)
+
+
+def _shown(value: Any) -> str:
+    if value is _MISSING:
+        return "nothing"
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."

@@ -1,0 +1,307 @@
+"""Nothing is silently wrong: what is damaged is told, mended by building again, and never believed on the way."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_samples import (
+    deaf_at_5,
+    fails_at_5,
+    fake_sample,
+    hangs_at_5,
+    leaves_at_5,
+    no_depth_at_5,
+    nothing_at_5,
+    odd_parameter_at_5,
+    reseal,
+    small_config,
+)
+
+from datagen.building.build import BuildResult, build
+from datagen.config import DatasetConfig
+from datagen.errors import CheckError, InputError
+from datagen.loader import TransientDataset
+from datagen.store import committed, read_manifest, verify
+from datagen.store.digest import dataset_digest
+from datagen.store.files import sealed
+from datagen.store.table import read_table
+
+
+def again(root: Path, config: DatasetConfig | None = None, workers: int = 1, **options: object) -> BuildResult:
+    made = {"progress": False, "sample_function": fake_sample} | options
+    return build(config or small_config(), root, workers, **made)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("trust") / "set"
+    again(root)
+    return root
+
+
+@pytest.fixture
+def dataset(pristine: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(pristine, tmp_path / "set")
+
+
+def flip(path: Path, place: int, bit: int = 0) -> None:
+    data = bytearray(path.read_bytes())
+    data[place] ^= 1 << bit
+    path.write_bytes(data)
+
+
+def parameters(root: Path) -> dict[str, list[object]]:
+    table: dict[str, list[object]] = read_table(root, ["box.width_m", "kind", "index"], 12).to_pydict()
+    return table
+
+
+def test_no_flip_of_a_record_is_believed(pristine: Path, dataset: Path) -> None:
+    """And each costs its own shard: the table and the cards written after it are those of before."""
+    path = dataset / "build/shard-000001.json"
+    sound, due = path.read_bytes(), parameters(pristine)
+    rng = np.random.default_rng(0)
+    digit = sound.index(b'"box.width_m": 0.') + 18
+    for place in [digit, *rng.integers(0, len(sound), 40)]:
+        flip(path, place)
+        assert len(verify(dataset).problems) == 1 and "make shard 1 anew" in verify(dataset).problems[0]
+        assert [record.shard for record in committed(dataset, read_manifest(dataset))] == [0, 2]
+        path.write_bytes(sound)
+    flip(path, digit)
+    result = again(dataset)
+    assert (result.built, result.kept) == (1, 2) and parameters(dataset) == due
+    assert verify(dataset, deep=True).problems == ()
+
+
+def test_no_flip_of_the_table_gives_another_column(dataset: Path) -> None:
+    path, due = dataset / "samples.parquet", parameters(dataset)
+    for place in np.random.default_rng(1).integers(0, path.stat().st_size, 60):
+        flip(path, place)
+        with pytest.raises(CheckError, match=r"samples\.parquet: has changed .*build` again"):
+            parameters(dataset)
+        with pytest.raises(CheckError, match=r"samples\.parquet"):
+            TransientDataset(dataset).parameters("kind")
+        flip(path, place)
+    assert parameters(dataset) == due
+    (dataset / "croissant.json").write_text("{}")
+    with pytest.raises(CheckError, match=r"croissant\.json: missing or damaged"):
+        parameters(dataset)
+    path.unlink()
+    assert len(TransientDataset(dataset)) == 12, "the records tell which scenes there are"
+    with pytest.raises(CheckError, match=r"croissant\.json"):
+        TransientDataset(dataset).parameters("kind")
+
+
+def test_an_unknown_column_is_bad_input(dataset: Path) -> None:
+    with pytest.raises(InputError, match=r"'colour' is no column .*; it has scene, shard, failure"):
+        TransientDataset(dataset).parameters("colour")
+
+
+def digest_flipped(root: Path) -> None:
+    path = root / "build/shard-000001.json"
+    flip(path, path.read_bytes().index(b'"digests"') + 40)
+
+
+def metadata_flipped(root: Path) -> None:
+    path = root / "dataset.json"
+    flip(path, path.read_bytes().index(b'zarr.json": "') + 20)
+
+
+def metadata_exchanged(root: Path) -> None:
+    reseal(root / "dataset.json", lambda v: v["metadata"].update({"data.zarr/zarr.json": "0" * 64}))
+
+
+def described_by_others(root: Path) -> None:
+    reseal(root / "dataset.json", lambda v: v["config"].update(description="one\r\ntwo\x1b[31m"))
+
+
+def readme_of_no_text(root: Path) -> None:
+    (root / "README.md").write_bytes(b"\xff\xfe\x00")
+
+
+def manifest_gone(root: Path) -> None:
+    (root / "dataset.json").unlink()
+
+
+def manifest_truncated(root: Path) -> None:
+    path = root / "dataset.json"
+    path.write_bytes(path.read_bytes()[:700])
+
+
+def manifest_unsealed(root: Path) -> None:
+    path = root / "dataset.json"
+    values = json.loads(path.read_bytes())
+    del values["checksum"]
+    path.write_text(json.dumps(values))
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        digest_flipped, metadata_flipped, metadata_exchanged, described_by_others, readme_of_no_text, manifest_gone,
+        manifest_truncated, manifest_unsealed,
+    ],
+)  # fmt: skip
+def test_what_is_told_is_mended_by_the_next_build(pristine: Path, dataset: Path, harm: object) -> None:
+    harm(dataset)  # type: ignore[operator]
+    try:
+        assert verify(dataset).problems != ()
+    except InputError as error:
+        assert "dataset.json" in str(error)
+    result = again(dataset)
+    assert result.built == (1 if harm is digest_flipped else 0)
+    assert verify(dataset, deep=True).problems == ()
+    for name in ("dataset.json", "README.md", "samples.parquet", "croissant.json"):
+        assert (dataset / name).read_bytes() == (pristine / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("description", ["one\r\ntwo", "é\u2028\x1b[2J", "\r"])
+def test_a_description_of_any_text_verifies(tmp_path: Path, description: str) -> None:
+    root = tmp_path / "set"
+    again(root, small_config(scenes=1, description=description))
+    assert verify(root).problems == () and again(root, small_config(scenes=1, description=description)).built == 0
+    assert not any(ord(c) < 32 and c != "\n" for c in (root / "README.md").read_text(encoding="utf-8"))
+
+
+def test_shards_of_another_configuration_restore_nothing(dataset: Path) -> None:
+    (dataset / "dataset.json").unlink()
+    with pytest.raises(InputError, match=r"dataset\.json: missing, and there are shards; build the dataset again"):
+        TransientDataset(dataset)
+    before = sorted(dataset.rglob("*"))
+    with pytest.raises(InputError, match=r"no sound dataset\.json, and shard 0 was made with another configuration"):
+        again(dataset, small_config(seed=4))
+    with pytest.raises(InputError, match=r"shards up to scene 11; ask for at least --scenes 12"):
+        again(dataset, scenes=5)
+    shutil.rmtree(dataset / "build")
+    with pytest.raises(InputError, match=r"no dataset\.json"):
+        again(dataset)
+    assert set(dataset.rglob("*")) <= set(before)
+
+
+def test_a_dataset_that_had_grown_is_restored(tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    values = {"store": {"fields": ["histogram"]}}
+    again(root, small_config(scenes=8, **values))
+    again(root, small_config(scenes=70, **values))
+    due = (root / "dataset.json").read_bytes()
+    (root / "dataset.json").unlink()
+    assert again(root, small_config(scenes=70, **values)).built == 0
+    assert (root / "dataset.json").read_bytes() == due and b'"scenes_per_shard": 8' in due
+
+
+def made_elsewhere(root: Path, shard: int = 1, **changes: str) -> None:
+    reseal(root / f"build/shard-{shard:06d}.json", lambda v: v["environment"].update(changes))
+
+
+def test_other_versions_are_not_mixed_in_unasked(dataset: Path) -> None:
+    made_elsewhere(dataset, numpy="1.26.0", processor="another", datagen="0.4.1")
+    before = {path: path.read_bytes() for path in dataset.rglob("*") if path.is_file()}
+    with pytest.raises(InputError, match=r"shard 1 and this machine differ in numpy 1\.26\.0 and .*--accept-mixed"):
+        again(dataset, scenes=16)
+    assert {path: path.read_bytes() for path in dataset.rglob("*") if path.is_file()} == before
+    assert again(dataset, scenes=16, accept_mixed=True).complete
+    assert "shards differ in numpy" in (dataset / "README.md").read_text() and verify(dataset).problems == ()
+    made_elsewhere(dataset, numpy=read_manifest(dataset).versions["numpy"], machine="riscv64")
+    with pytest.raises(InputError, match="differ in machine riscv64 and"):
+        again(dataset, scenes=16)
+
+
+def test_a_worker_with_other_versions_makes_no_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from datagen.building import build as module
+    from datagen.store.environment import made_with
+
+    monkeypatch.setattr(module, "made_with", lambda: made_with() | {"numba": "0.1"})
+    with pytest.raises(CheckError, match=r"a worker differs in numba 0\.1 and .*--accept-mixed"):
+        again(tmp_path / "set")
+    assert not list(tmp_path.glob("set/build/*.json"))
+
+
+@pytest.mark.parametrize(
+    ("sample", "why"),
+    [
+        (leaves_at_5, "SystemExit: enough"),
+        (no_depth_at_5, "field 'depth': missing"),
+        (nothing_at_5, "not a sample: AttributeError"),
+        (odd_parameter_at_5, "parameter odd: list made"),
+    ],
+)
+def test_what_a_scene_does_costs_that_scene(tmp_path: Path, sample: object, why: str) -> None:
+    with pytest.raises(CheckError, match=f"1 of 12 scenes.*scene 5: {why}"):
+        again(tmp_path / "set", sample_function=sample)
+    assert len(verify(tmp_path / "set", deep=True).problems) == 1
+
+
+def test_only_scenes_that_failed_are_tried_anew(pristine: Path, tmp_path: Path) -> None:
+    root, tried = tmp_path / "set", []
+
+    def counted(config: DatasetConfig, index: int):  # type: ignore[no-untyped-def]
+        tried.append(index)
+        return (fails_at_5 if len(tried) < 4 else fake_sample)(config, index)
+
+    with pytest.raises(CheckError):
+        again(root, sample_function=fails_at_5)
+    record = (root / "build/shard-000001.json").read_bytes()
+    with pytest.raises(CheckError, match="scene 5"):
+        again(root, sample_function=counted)
+    # A second chance within one build, and nothing written where it did not help.
+    assert tried == [5, 5] and (root / "build/shard-000001.json").read_bytes() == record
+    tried.extend([0, 0])
+    assert again(root, sample_function=counted).built == 1 and tried[4:] == [5]
+    assert verify(root, deep=True).problems == () and dataset_digest(root) == dataset_digest(pristine)
+    for path in (pristine / "data.zarr").rglob("*"):
+        if path.is_file():
+            assert path.read_bytes() == (root / path.relative_to(pristine)).read_bytes()
+
+
+@pytest.mark.parametrize(("sample", "workers"), [(hangs_at_5, 1), (deaf_at_5, 2)])
+def test_a_scene_that_hangs_is_given_up(tmp_path: Path, sample: object, workers: int) -> None:
+    """One that an exception can reach costs itself alone; one that it cannot, its worker."""
+    with pytest.raises(CheckError, match=r"1 of 12 scenes.*scene 5: took longer than 0\.3 s \(--scene-seconds\)"):
+        again(tmp_path / "set", workers=workers, sample_function=sample, scene_seconds=0.3)
+    assert len(verify(tmp_path / "set").problems) == 1
+
+
+def test_time_limits_that_are_none(tmp_path: Path) -> None:
+    for seconds in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="--scene-seconds"):
+            again(tmp_path / "set", scene_seconds=seconds)
+    with pytest.raises(InputError, match="only local workers"):
+        again(tmp_path / "set", scene_seconds=1.0, engine="dask")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_digest_for_any_way_of_building(pristine: Path, dataset: Path, tmp_path: Path) -> None:
+    due = dataset_digest(pristine)
+    one = small_config(name="other", store={"fields": ["histogram", "transient", "depth"], "scenes_per_shard": 1})
+    again(tmp_path / "one", one, scenes=3)
+    again(tmp_path / "one", one, shards="7-11")
+    again(tmp_path / "one", one)
+    assert dataset_digest(tmp_path / "one") == due
+    again(tmp_path / "seed", small_config(seed=4))
+    assert dataset_digest(tmp_path / "seed") != due
+    reseal(dataset / "build/shard-000002.json", lambda v: v["scenes"][3]["digests"].update(depth="0" * 64))
+    with pytest.raises(CheckError, match="scene 11: field depth decodes to other values"):
+        dataset_digest(dataset)
+    (dataset / "build/shard-000002.json").unlink()
+    with pytest.raises(CheckError, match="1 of 3 shards are missing"):
+        dataset_digest(dataset)
+
+
+def test_a_record_before_version_4_needs_no_checksum(dataset: Path) -> None:
+    from datagen.store.record import read_record
+
+    path = dataset / "build/shard-000000.json"
+    values = json.loads(path.read_bytes())
+    del values["checksum"]
+    path.write_text(json.dumps(values))
+    record = read_record(dataset, 0, must_be_sealed=False)
+    assert record is not None and record.last_scene == 3
+    with pytest.raises(CheckError, match="checksum differs"):
+        read_record(dataset, 0, must_be_sealed=True)
+    # One that has a checksum is held to it in any version.
+    path.write_bytes(sealed(values).replace(b'"shard": 0', b'"shard": 1'))
+    with pytest.raises(CheckError, match="checksum differs"):
+        read_record(dataset, 0, must_be_sealed=False)

@@ -1,0 +1,328 @@
+"""Datasets and configurations from anywhere: each is refused in one line with status 2, in bounded time and memory,
+and nothing outside of the folder is touched."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_samples import fake_sample, reseal, small_config
+
+from datagen.building.build import build
+from datagen.cli import run
+from datagen.errors import CheckError, InputError
+from datagen.loader import TransientDataset
+from datagen.store import verify
+from datagen.store.info import info
+
+
+@pytest.fixture(scope="module")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("untrusted") / "set"
+    build(small_config(scenes=5), root, progress=False, sample_function=fake_sample)
+    return root
+
+
+@pytest.fixture
+def dataset(pristine: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(pristine, tmp_path / "set")
+
+
+@contextmanager
+def little_memory(more_bytes: int = 2**30) -> Iterator[None]:
+    """No more address space than so many bytes beyond what is used now."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + more_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def field(**changes: Any) -> Callable[[dict[str, Any]], object]:
+    """Change the first row of the fields."""
+    return lambda values: values["fields"][0].update(changes)
+
+
+def renamed(name: str) -> Callable[[dict[str, Any]], object]:
+    def change(values: dict[str, Any]) -> None:
+        old = values["fields"][-1]["name"]
+        values["fields"][-1]["name"] = name
+        values["metadata"][f"data.zarr/{name}/zarr.json"] = values["metadata"].pop(f"data.zarr/{old}/zarr.json")
+
+    return change
+
+
+def resized(row: int, size: int) -> Callable[[dict[str, Any]], object]:
+    """Another last size of a field, in all the places that state it."""
+
+    def change(values: dict[str, Any]) -> None:
+        for key in ("shape", "chunk", "shard"):
+            if values["fields"][row][key] is not None:
+                values["fields"][row][key][-1] = size
+
+    return change
+
+
+def scenes(number: Any) -> Callable[[dict[str, Any]], object]:
+    def change(values: dict[str, Any]) -> None:
+        values["scenes"] = number
+        for row in values["fields"]:
+            row["shape"][0] = number
+
+    return change
+
+
+def config(**changes: Any) -> Callable[[dict[str, Any]], object]:
+    return lambda values: values["config"].update(changes)
+
+
+HOSTILE: dict[str, Callable[[dict[str, Any]], object]] = {
+    "a name that leaves the folder": renamed("../../x"),
+    "an absolute name": renamed("/etc"),
+    "a name with an escape": renamed("\x1b[31mred"),
+    "an empty name": renamed(""),
+    "the same name twice": renamed("histogram"),
+    "a negative size": resized(0, -16),
+    "a size of zero": resized(0, 0),
+    "a size that is no integer": resized(0, 16.5),  # type: ignore[arg-type]
+    "8 GB of a small field": resized(-1, 2**30),
+    "8 EB of a scene": resized(0, 2**60),
+    "no sizes": field(shape=[]),
+    "fewer axes than sizes": field(dims=["scene"]),
+    "objects": field(dtype="object"),
+    "python objects": field(dtype="|O"),
+    "another type of numbers": field(dtype="<U9999999"),
+    "other chunks": field(chunk=[1, 1, 1, 1]),
+    "10¹² scenes": scenes(10**12),
+    "−1 scenes": scenes(-1),
+    "infinitely many scenes": scenes(float("inf")),
+    "no fields": lambda values: values.update(fields=[]),
+    "shards of 10⁹ scenes": lambda values: values.update(scenes_per_shard=10**9),
+    "shards of no scenes": lambda values: values.update(scenes_per_shard=0),
+    "metadata elsewhere": lambda values: values["metadata"].update({"../../../etc/passwd": "0" * 64}),
+    "no versions": lambda values: values.update(versions={}),
+    "hardware of lists": lambda values: values["hardware"].update(cores=[[]]),
+    "no configuration": lambda values: values.update(config={}),
+    "an infinite time axis": config(capture={"pairing": "confocal", "time": {
+        "origin": "wall", "start_ns": float("inf"), "bin_width_ps": 1.0}}),
+    "a name that is a list": config(name=["x"]),
+    "a version of the future": lambda values: values.update(schema_version=10**9),
+    "a version that is a list": lambda values: values.update(schema_version=[4]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("harm", HOSTILE)
+def test_a_hostile_manifest_is_one_line(dataset: Path, capsys: pytest.CaptureFixture[str], harm: str) -> None:
+    reseal(dataset / "dataset.json", HOSTILE[harm])
+    before = sorted(dataset.parent.rglob("*"))
+    with little_memory():
+        for command in (["info"], ["verify", "--deep"], ["show", "0"], ["digest"], ["preview"]):
+            assert run([command[0], str(dataset), *command[1:]]) == 2
+            out, err = capsys.readouterr()
+            assert out == "" and err.count("\n") == 1 and "dataset.json" in err and "\x1b" not in err
+        with pytest.raises(InputError, match=r"dataset\.json"):
+            TransientDataset(dataset)
+    assert sorted(dataset.parent.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 10**6,
+        '{"a":' * 10**5, '{"format": "datagen dataset", "schema_version": 1e999}', '{"a": 1' + "0" * 5000 + "}",
+        '{"format": "\\ud800"}', "\xff", "NaN", "Infinity", '{"format": "datagen dataset", "schema_version": true}',
+    ],
+    ids=lambda text: text[:12],
+)  # fmt: skip
+def test_json_that_no_parser_should_swallow(dataset: Path, text: str) -> None:
+    for name in ("dataset.json", "build/shard-000000.json", "croissant.json"):
+        kept = (dataset / name).read_bytes()
+        (dataset / name).write_bytes(text.encode("latin-1"))
+        with pytest.raises((InputError, CheckError)) as told:
+            TransientDataset(dataset)[0]
+        assert "\n" not in str(told.value) and name in str(told.value)
+        (dataset / name).write_bytes(kept)
+
+
+def test_files_without_end_are_not_read_to_it(dataset: Path) -> None:
+    with little_memory():
+        for name in ("dataset.json", "build/shard-000000.json", "README.md", "croissant.json", "data.zarr/zarr.json"):
+            path = dataset / name
+            kept = path.read_bytes()
+            os.truncate(path, 2**36)
+            assert verify_problems(dataset) != ()
+            path.unlink()
+            path.symlink_to("/dev/zero")
+            assert verify_problems(dataset) != ()
+            path.unlink()
+            os.mkfifo(path)
+            assert verify_problems(dataset) != ()
+            path.unlink()
+            path.write_bytes(kept)
+
+
+def verify_problems(dataset: Path) -> tuple[str, ...]:
+    try:
+        return verify(dataset, deep=True).problems
+    except InputError as error:
+        return (str(error),)
+
+
+def test_a_record_names_its_own_files_only(dataset: Path) -> None:
+    def elsewhere(values: dict[str, Any]) -> None:
+        values["files"]["../../secret"] = values["files"].pop("data.zarr/depth/c/0/0/0")
+
+    reseal(dataset / "build/shard-000000.json", elsewhere)
+    assert verify(dataset).problems[0] == "shard 0: its record lists other files than the shard has"
+    with pytest.raises(CheckError, match="lists other files"):
+        TransientDataset(dataset)[0]
+
+
+def test_millions_of_missing_shards_are_one_line(dataset: Path) -> None:
+    """What is there is looked at, whatever number is claimed."""
+    reseal(dataset / "dataset.json", scenes(100_000_000))
+    problems = verify(dataset).problems
+    assert len(problems) < 5 and any(problem.startswith("shards 2-24999999: not there") for problem in problems)
+    assert "of 100000000" in info(dataset)
+    with pytest.raises(InputError, match=r"24999999 of 25000000 shards are not committed, the first is 1"):
+        TransientDataset(dataset)
+    with pytest.raises(InputError, match="must be ≤ 100000000"):
+        build(small_config(), dataset.parent / "new", scenes=10**12, progress=False, sample_function=fake_sample)
+
+
+def test_a_chunk_that_claims_more_than_it_holds_is_refused(dataset: Path) -> None:
+    """With a checksum that is right; blosc itself believes what a chunk's header says of its own length."""
+    import google_crc32c
+
+    path = dataset / "data.zarr/laser_points/c/0/0/0"
+    body = bytearray(path.read_bytes()[:-4])
+    for place, value in ((4, 2**31 - 1), (12, 10**6)):
+        harmed = body[:place] + value.to_bytes(4, "little") + body[place + 4 :]
+        path.write_bytes(bytes(harmed) + google_crc32c.value(bytes(harmed)).to_bytes(4, "little"))
+        for check in (True, False):
+            with little_memory(), pytest.raises(CheckError, match="belong"):
+                TransientDataset(dataset, ("laser_points",), check=check)[0]
+
+
+def test_an_index_that_asks_for_much_gets_nothing(dataset: Path) -> None:
+    import google_crc32c
+
+    path = dataset / "data.zarr/histogram/c/0/0/0/0"
+    data = path.read_bytes()
+    index = np.frombuffer(data[-68:-4], "<u8").copy()
+    for offset, size in ((0, 2**62), (2**63, 10), (0, 3)):
+        index[:2] = offset, size
+        path.write_bytes(data[:-68] + index.tobytes() + google_crc32c.value(index.tobytes()).to_bytes(4, "little"))
+        with pytest.raises(CheckError, match="scene 0: the checksum does not match"):
+            TransientDataset(dataset, ("histogram",))[0]
+
+
+def snapshot(folder: Path) -> dict[str, tuple[int, bytes]]:
+    return {str(p): (p.stat().st_mtime_ns, p.read_bytes()) for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize(
+    "inside", ["data.zarr", "data.zarr/depth", "data.zarr/depth/c", "data.zarr/depth/c/0", "build", "README.md"]
+)
+def test_a_build_follows_no_link_out_of_its_folder(dataset: Path, tmp_path: Path, inside: str) -> None:
+    """The shard is damaged, so that a build would delete and write it."""
+    outside = tmp_path / "outside"
+    shutil.move(dataset / inside, outside)
+    (dataset / inside).symlink_to(outside)
+    if inside != "README.md":
+        (dataset / "data.zarr/depth/c/0/0/0").write_bytes(b"mine")
+    before = snapshot(outside.parent if inside != "data.zarr/depth/c/0" else outside)
+    with pytest.raises(InputError, match="is a symbolic link"):
+        build(small_config(scenes=5), dataset, progress=False, sample_function=fake_sample)
+    # Found before anything is touched, but for what only the writer of a shard looks at.
+    assert snapshot(outside.parent if inside != "data.zarr/depth/c/0" else outside) == before
+
+
+def test_a_build_writes_through_no_link_that_stands_in_for_a_file_of_its_own(dataset: Path, tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    outside.write_text("years of work")
+    (dataset / f"README.md.{os.getpid()}.partial").symlink_to(outside)
+    (dataset / "README.md").unlink()
+    build(small_config(scenes=5), dataset, progress=False, sample_function=fake_sample)
+    (dataset / "build/shard-000000.running").symlink_to(outside)
+    (dataset / "build/shard-000000.json").unlink()
+    with pytest.raises(CheckError, match=r"shard-000000\.running"):
+        build(small_config(scenes=5), dataset, progress=False, sample_function=fake_sample)
+    assert outside.read_text() == "years of work"
+
+
+def test_a_dataset_may_be_a_link_itself(dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(dataset)
+    build(small_config(scenes=5), tmp_path / "link", progress=False, sample_function=fake_sample)
+    assert verify(tmp_path / "link").problems == ()
+
+
+def test_no_escape_sequence_reaches_a_terminal_or_the_card(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evil = "\x1b]0;owned\x07\x9b31m\u202e"
+    reseal(dataset / "dataset.json", lambda values: values["config"].update(name=evil, description=evil))
+    reseal(dataset / "build/shard-000001.json", lambda values: values["scenes"][0].update(failure=evil))
+    for command in ("verify", "info"):
+        run([command, str(dataset)])
+    run(["info", str(tmp_path / evil)])
+    build(
+        small_config(scenes=1, name=evil, description=evil),
+        tmp_path / "new",
+        progress=False,
+        sample_function=fake_sample,
+    )
+    told = "".join(capsys.readouterr()) + (tmp_path / "new/README.md").read_text(encoding="utf-8")
+    assert "owned" in told and not [c for c in told if c != "\n" and not c.isprintable()]
+
+
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{name}: &{name} [{', '.join(['*' + below] * 9)}]\n"
+    for below, name in zip("abcdefghijk", "bcdefghijkl", strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "piece"),
+    [
+        (BOMB, "aliases make it hold 100000 values"),
+        ("scene: &a {contents: [*a]}", "aliases make it hold"),
+        ("seed: " + "9" * 5000, "4300 digits"),
+        ("seed: 0x" + "f" * 5000, "4300 digits"),
+        ("scene: " + "[" * 900, "nested too deeply"),
+        ("name: " + "x" * 2**19, "characters; shorten it"),
+        ("capture: {time: {start_ns: .inf}}", "capture.time.start_ns"),
+    ],
+    ids=lambda text: text[:16],
+)
+def test_a_hostile_configuration_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, piece: str
+) -> None:
+    (tmp_path / "c.yaml").write_text(text)
+    for command in (["plan"], ["build", str(tmp_path / "out")]):
+        with little_memory():
+            assert run([command[0], str(tmp_path / "c.yaml"), *command[1:]]) == 2
+        out, err = capsys.readouterr()
+        assert out == "" and err.count("\n") == 1 and piece in err
+    assert os.listdir(tmp_path) == ["c.yaml"]
+
+
+def test_the_manifest_that_is_tested_with_is_a_sound_one(dataset: Path) -> None:
+    reseal(dataset / "dataset.json", lambda values: None)
+    assert verify(dataset, deep=True).problems == () and json.loads((dataset / "dataset.json").read_bytes())
+
+
+def test_a_file_that_is_larger_than_its_values_is_not_read(dataset: Path) -> None:
+    os.truncate(dataset / "data.zarr/laser_points/c/0/0/0", 2**36)
+    with little_memory(), pytest.raises(CheckError, match="the checksum does not match"):
+        TransientDataset(dataset, ("laser_points",), check=False)[0]
