@@ -22,7 +22,7 @@ SCHEMA_VERSIONS = {
     3: "datagen 0.3: a seed yields other counts (histograms are drawn block by block, few detections in the order of "
     "their phase); signed distances in double precision",
     4: "datagen 0.4: a seed yields other light where a configuration asks for an accuracy (the primary by cells, "
-    "without noise), and bins of the secondary hold what arrives between their edges; columns transient.part_error.*; "
+    "without noise), bins of the secondary hold what arrives between their edges; columns transient.part_error.*; "
     "`dataset.json` and commit records end in a checksum of their own, and must",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file

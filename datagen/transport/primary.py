@@ -57,8 +57,8 @@ others may be worse."""
 PATCHES_TRIED, MOST_PATCHES = 1, 1 << 19
 """How often pixels are quartered while the cutting is chosen, and patches of all pixels at most."""
 EDGE_LEVELS, MOST_AT_EDGES = range(2, 7), 1 << 14
-"""How often pixels that see more than one surface are quartered: as often as leaves no more than so many patches of all
-of them, for what one has too much others lack."""
+"""How often pixels that see more than one surface are quartered: as often as leaves no more than so many patches of
+all of them, for what one has too much others lack."""
 PATCHES_SHARE, FROM_QUARTERS = 0.25, 4 / 3
 """Share of the error to be met that may come of the pixels' patches; and that error, relative to what quartering them
 once more changes, of second order in their size."""

@@ -360,7 +360,9 @@ def _gather(  # type: ignore[no-untyped-def]
     last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
     per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
     enough = len(candidates) - 4 * RING
-    some, strongest = min(len(number), 1), peak.max()
+    some, strongest = min(len(number), 1), 0.0
+    for k in range(len(peak)):
+        strongest = max(strongest, peak[k])
     candidates[0] = candidates[1] = 0
     for pair in range(len(pairs)):
         i, p = pairs[pair, 0], pairs[pair, 1]
