@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from here_and_now import HereAndNow
 
 # Test processes are the parallelism, as workers are in a build; read when numpy is loaded, which is later.
 for _library in ("OMP", "OPENBLAS", "MKL"):
@@ -81,24 +81,6 @@ def a_kernel_is_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Itera
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Dispatcher, "compile", compiled)
         yield
-
-
-class HereAndNow:
-    """An engine that runs each job in this process."""
-
-    capacity = 1
-    deaths = ()
-
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        done: Future[Any] = Future()
-        try:
-            done.set_result(function(*arguments))
-        except Exception as error:
-            done.set_exception(error)
-        return done
-
-    def close(self, kill: bool) -> None:
-        pass
 
 
 @pytest.fixture(scope="session", autouse=True)

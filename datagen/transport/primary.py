@@ -207,15 +207,17 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
     asked = _Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
     trial = _Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
     choice = _choose(trial, asked)
-    # The patches of a pixel are fine enough if their quarters give the same.
-    levels, met = 0, choice.met
+    # The patches of a pixel are fine enough if their quarters give the same; once they did not, twice in a row, for
+    # light that only few patches see may be missed by one level as by the other.
+    levels, met, same = 0, choice.met, 0
     coarser = trial.gathered(choice.cutting, 0).histogram
     while True:
         finer = trial.gathered(choice.cutting, levels + 1).histogram
         of_patches = FROM_QUARTERS * float(np.linalg.norm((finer - coarser).sum(axis=1)))
         of_parts = FROM_QUARTERS * _norms(finer - coarser)
         do = of_patches <= PATCHES_SHARE * target * choice.whole and (of_parts <= PATCHES_SHARE * choice.limit).all()
-        if do or levels == EDGE_LEVELS[-1] or len(pairs) * 4 ** (levels + 2) > MOST_PATCHES:
+        same = same + 1 if do else 0
+        if same > (levels > 0) or levels == EDGE_LEVELS[-1] or len(pairs) * 4 ** (levels + 2) > MOST_PATCHES:
             met = met and bool(do)
             break
         levels, coarser = levels + 1, finer

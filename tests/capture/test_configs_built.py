@@ -32,7 +32,8 @@ def reduced(config: DatasetConfig) -> DatasetConfig:
         part |= {key: min(part[key], most) for key, most in MOST.items() if key in part}
     if values["detector"]["array_columns"] is not None:
         values["detector"]["array_columns"] = values["capture"]["field_of_view"]["columns"]
-    values["transport"] |= {"lookins": 32, "fov_samples": 1, "replicates": 2}
+    coarse = {"lookins": 32, "fov_samples": 1, "replicates": 2}
+    values["transport"] |= coarse if values["transport"]["target"] is None else {"target": 0.3}
     values["labels"] |= {"rows": 16, "columns": 16, "voxels": [8, 8, 8]}
     values["scenes"] = 1
     return config_from_mapping(values, base_directory=CONFIGS)

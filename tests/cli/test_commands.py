@@ -74,7 +74,7 @@ def test_scenes_simulated_again_are_those_stored(
 ) -> None:
     import shutil
 
-    from conftest import HereAndNow
+    from here_and_now import HereAndNow
 
     from datagen.building import resimulate
 

@@ -52,9 +52,8 @@ def test_cells_add_up_exactly() -> None:
     for n in (1, FACTOR):
         task = prepared(SCENE, scan(axis(40 * n, 0.2 / n)), Accuracy(max_bounces=3), 0, split_parts=False)
         gathering, parts = _Gathering.of(task), len(SCENE.materials)
-        patches = gathering.patches(np.arange(2), 1)
         pairs = np.array([(0, 0), (1, 1)])
-        found.append(gathering.gathered(pairs, patches, np.full(parts, COARSE), np.arange(parts)))
+        found.append(gathering.gathered(pairs, gathering.seen(pairs, 1), np.full(parts, COARSE), np.arange(parts)))
     wide, narrow = found
     assert wide.cells == narrow.cells and wide.histogram.any() and wide.overflow.any()
     scale = wide.histogram.max()

@@ -87,10 +87,10 @@ def histograms(scene: Scene, capture: Capture, occlusion: str, error: float) -> 
     accuracy = Accuracy(target=0.02, occlusion=occlusion)  # type: ignore[arg-type]
     gathering = _Gathering.of(prepared(scene, capture, accuracy, 0, split_parts=True))
     pairs, parts = _pairs(gathering.task), len(scene.part_names)
-    patches = gathering.patches(np.unique(pairs[:, 1]), 1)
-    coarse = gathering.gathered(pairs, patches, np.full(parts, 1e300), np.arange(parts)).histogram
+    seen = gathering.seen(pairs, 1)
+    coarse = gathering.gathered(pairs, seen, np.full(parts, 1e300), np.arange(parts)).histogram
     allowed = error * np.maximum(np.linalg.norm(coarse, axis=(0, 2)), 1e-3 * np.linalg.norm(coarse))
-    found = gathering.gathered(pairs, patches, allowed, np.arange(parts))
+    found = gathering.gathered(pairs, seen, allowed, np.arange(parts))
     return found.histogram, found.cells, found.rays
 
 
@@ -161,6 +161,6 @@ def test_a_part_whose_error_is_boundless_is_left_out() -> None:
     pairs, parts = _pairs(task), len(task.scene.part_names)
     error = np.full(parts, 1e300)
     error[0] = np.inf
-    found = gathering.gathered(pairs, gathering.patches(np.unique(pairs[:, 1]), 0), error, np.arange(parts))
+    found = gathering.gathered(pairs, gathering.seen(pairs, 0), error, np.arange(parts))
     assert not found.histogram[:, 0].any()
     assert found.histogram[:, 1:].any()

@@ -193,7 +193,7 @@ CAPTURE = one_point_capture(half_side_m=HALF_SIDE, time=bins_of_path(110, 0.1, 0
 
 def plain(scene: Scene, brdfs: dict[str, Brdf], only: str = "") -> dict[str, NDArray[np.float64]]:
     x1, x3 = np.array([0, -0.8, 1.4]), np.array([0, 0.4, 1.2])
-    return plain_primary(scene, x1, x3, CAPTURE.time, brdfs, 0.03, only)
+    return plain_primary(scene, x1, x3, CAPTURE.time, brdfs, 0.02, only)
 
 
 @cache

@@ -11,7 +11,7 @@ from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, s
 from datagen.records import Transient
 from datagen.transport import averages
 
-AXIS = bins_of_path(60, 0.5, 0.0)
+AXIS = bins_of_path(60, 0.1, 0.0)
 DEVICE = np.array([2.0, 0.0, 1.2])
 TARGETS = np.array([[0.0, -0.4, 1.0], [0.0, 0.2, 1.3], [2.0, 0.0, 50.0], [0.0, 0.5, 0.6]])
 """Three on the relay wall; the third ray meets nothing."""
