@@ -37,8 +37,6 @@ TRIALS, MOST_TRIED = (8, 48), 1 << 23
 of their histograms at most."""
 COARSE = 1e300
 """An error that every cell may make: surfaces are cut by distance alone."""
-HARDER = 8
-"""How much finer by distance they are cut before nothing is believed to be lit."""
 FIRST, FINER, LEVELS = 0.03, 0.25, 12
 """Error that a cell may make, relative to the norm of its part, after the coarsest cutting; what it is multiplied
 with from one cutting to the next, finer one; and the number of cuttings at most."""
@@ -74,7 +72,6 @@ class Primary:
     overflow : (L, P) photons outside the window.
     error : relative L2 error of the whole primary, as estimated.
     part_errors : part → that of its own light, for the objects that bring any.
-    met : whether both are as asked.
     cells, rays : how many of them, the trials' with them.
     """
 
@@ -82,7 +79,6 @@ class Primary:
     overflow: Floats
     error: float
     part_errors: Mapping[str, float]
-    met: bool
     cells: int
     rays: int
 
@@ -198,8 +194,10 @@ class _Gathering:
         return _Gathered(of_pairs, overflow.reshape(len(pairs), rows).sum(axis=1), cells, rays)
 
 
-def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: float = 0.0) -> Primary:
+def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: float = 0.0) -> Primary | None:
     """The primary with a relative L2 error of at most `target`, and of `part_target` in each object's own light.
+
+    Returns nothing if that would take more work than `max_lookins`, or no light is found.
 
     faint : photons, per emitted photon and over all histograms, under which an object's light is not held to that.
     """
@@ -207,9 +205,11 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
     asked = _Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
     trial = _Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
     choice = _choose(trial, asked)
+    if not choice.met:
+        return None
     # The patches of a pixel are fine enough if their quarters give the same; once they did not, twice in a row, for
     # light that only few patches see may be missed by one level as by the other.
-    levels, met, same = 0, choice.met, 0
+    levels, same = 0, 0
     coarser = trial.gathered(choice.cutting, 0).histogram
     while True:
         finer = trial.gathered(choice.cutting, levels + 1).histogram
@@ -218,18 +218,18 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
         do = of_patches <= PATCHES_SHARE * target * choice.whole and (of_parts <= PATCHES_SHARE * choice.limit).all()
         same = same + 1 if do else 0
         if same > (levels > 0) or levels == EDGE_LEVELS[-1] or len(pairs) * 4 ** (levels + 2) > MOST_PATCHES:
-            met = met and bool(do)
+            if not do:
+                return None
             break
         levels, coarser = levels + 1, finer
     rows = np.arange(len(choice.cutting)) if task.splits.parts else np.zeros(len(choice.cutting), np.int64)
     found = gathering.gathered(pairs, gathering.seen(pairs, levels), choice.cutting, rows)
-    met = met and (choice.whole > 0.0 or not found.histogram.any())
     shape, names = task.capture.shape, task.scene.part_names
     errors = {names[k]: float((choice.still[k] + of_parts[k]) / choice.own[k]) for k in np.flatnonzero(choice.held)}
     return Primary(
         [np.ascontiguousarray(found.histogram[:, k]).reshape(shape) for k in range(rows.max() + 1)],
-        found.overflow.reshape(shape[:2]), (choice.error + of_patches) / choice.whole if choice.whole > 0 else 0.0,
-        errors, met, trial.work.cells + found.cells, trial.work.rays + found.rays,
+        found.overflow.reshape(shape[:2]), (choice.error + of_patches) / choice.whole, errors,
+        trial.work.cells + found.cells, trial.work.rays + found.rays,
     )  # fmt: skip
 
 
@@ -296,13 +296,6 @@ class _Trial:
         self.work.rays += found.rays
         return replace(found, histogram=found.histogram * np.sqrt(self.weight)[:, None, None])
 
-    def dark(self) -> bool:
-        """Whether a harder look finds nothing either."""
-        harder = replace(self.gathering, coarsest=self.gathering.coarsest / HARDER)
-        found = harder.gathered(self.pairs, harder.seen(self.pairs, 0), np.full(len(self.gathering.coarsest), COARSE),
-                                np.zeros(len(self.gathering.coarsest), np.int64))  # fmt: skip
-        return not found.histogram.any() and not found.overflow.any()
-
     def energy(self, histogram: Floats) -> Floats:
         """(K,) photons of each part in all pairs."""
         return np.asarray(np.einsum("nkt,n->k", histogram, np.sqrt(self.weight)))
@@ -318,7 +311,7 @@ class _Choice:
     error, whole : L2 error and norm of the whole.
     still, own : (K,) of each part.
     held : (K,) which are held to an error of their own; limit : (K,) that error, infinite for the others.
-    met : whether all of it is as asked; where there is no light, whether a harder look finds none either.
+    met : whether all of it is as asked; not where there is no light, which must be looked for harder.
     """
 
     cutting: Floats
@@ -339,7 +332,7 @@ def _choose(trial: _Trial, asked: _Asked) -> _Choice:
     whole, own = float(np.linalg.norm(runs[0].sum(axis=1))), _norms(runs[0])
     if whole == 0.0:
         nothing = np.zeros(parts)
-        return _Choice(cuttings[0], 0.0, 0.0, nothing, own, settled, nothing + np.inf, trial.dark())
+        return _Choice(cuttings[0], 0.0, 0.0, nothing, own, settled, nothing + np.inf, False)
     scale = np.maximum(own, UNSEEN * whole) / math.sqrt(trial.weight.sum())
     finest = np.zeros(parts, np.int64)
     while True:

@@ -50,16 +50,15 @@ def meet_target(task: WalkTask) -> Estimate:
     others = replace(task, splits=replace(splits, components=splits.others, parts=()))
     share = PRIMARY_SHARE if others.splits.components else 1.0
     primary = primary_by_cells(task, share * accuracy.target, accuracy.each_part, accuracy.faint_part)
-    if not primary.met:
+    if primary is None:
         return _sampled(task, None)
     whole = sum(primary.rows[1:], start=primary.rows[0])
     known = Known(whole, primary.error * float(np.linalg.norm(whole)))
     if others.splits.components:
         rest = _sampled(others, known)
     else:
-        bound, lit = primary.error, float(np.abs(whole).max()) > 0.0
-        spend = Spend({}, {}, {}, {}, 1, 0.0, "target met" if lit else "nothing visible: no light reaches the pixels")
-        rest = Estimate({}, {}, np.zeros_like(whole), np.zeros(whole.shape[:2]), spend, bound, True)
+        spend = Spend({}, {}, {}, {}, 1, 0.0, "target met")
+        rest = Estimate({}, {}, np.zeros_like(whole), np.zeros(whole.shape[:2]), spend, primary.error, True)
     return _joined(task, primary, whole, rest)
 
 
