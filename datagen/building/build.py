@@ -232,7 +232,7 @@ class _Build:
             raise
         finally:
             progress.close()
-        return len(wanted) - sum(1 for shard in wanted if shard not in kept)
+        return sum(shard in kept for shard in wanted)
 
     def _job(self, shard: int) -> ShardJob:
         skip = {scene: self.given_up[scene] for scene in self.schema.scenes_of(shard) if scene in self.given_up}

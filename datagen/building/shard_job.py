@@ -141,9 +141,7 @@ def _attempt(job: ShardJob, index: int) -> Sample | str:
         try:
             with limited(job.scene_seconds):
                 return job.sample_function(job.config, index)
-        except InputError as error:
-            return str(error)
-        except Overtime as error:
+        except (InputError, Overtime) as error:
             return str(error)
         except Terminated:
             raise

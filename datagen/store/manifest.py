@@ -16,7 +16,7 @@ from datagen.errors import InputError
 from datagen.store.arrays import GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_whole, sealed
-from datagen.store.record import recorded_shards
+from datagen.store.record import Digest, recorded_shards
 from datagen.store.schema import (
     CHECKSUMS_SINCE,
     MOST_SCENES,
@@ -166,7 +166,6 @@ def read_manifest(root: str | Path) -> Manifest:
 Name = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 """What fields and dimensions may be called: files are named so."""
 Size = Annotated[int, pydantic.Field(ge=1, lt=2**40)]
-Digest = Annotated[str, pydantic.Field(pattern=r"^[0-9a-f]{64}$")]
 Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 
 

@@ -205,7 +205,7 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
     asked = _Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
     trial = _Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
     choice = _choose(trial, asked)
-    if not choice.met:
+    if choice is None:
         return None
     # The patches of a pixel are fine enough if their quarters give the same; once they did not, twice in a row, for
     # light that only few patches see may be missed by one level as by the other.
@@ -311,7 +311,6 @@ class _Choice:
     error, whole : L2 error and norm of the whole.
     still, own : (K,) of each part.
     held : (K,) which are held to an error of their own; limit : (K,) that error, infinite for the others.
-    met : whether all of it is as asked; not where there is no light, which must be looked for harder.
     """
 
     cutting: Floats
@@ -321,18 +320,17 @@ class _Choice:
     own: Floats
     held: Bools
     limit: Floats
-    met: bool
 
 
-def _choose(trial: _Trial, asked: _Asked) -> _Choice:
-    """The coarsest cutting of each part that does, found with ever finer ones."""
+def _choose(trial: _Trial, asked: _Asked) -> _Choice | None:
+    """The coarsest cutting of each part that does, found with ever finer ones; None where none does within
+    `max_lookins`, and where there is no light, which must be looked for harder."""
     parts = len(asked.objects)
     every, settled = np.arange(parts), np.zeros(parts, np.bool_)
     runs, cuttings = [trial.gathered(np.full(parts, COARSE), PATCHES_TRIED).histogram], [np.full(parts, COARSE)]
     whole, own = float(np.linalg.norm(runs[0].sum(axis=1))), _norms(runs[0])
     if whole == 0.0:
-        nothing = np.zeros(parts)
-        return _Choice(cuttings[0], 0.0, 0.0, nothing, own, settled, nothing + np.inf, False)
+        return None
     scale = np.maximum(own, UNSEEN * whole) / math.sqrt(trial.weight.sum())
     finest = np.zeros(parts, np.int64)
     while True:
@@ -352,17 +350,15 @@ def _choose(trial: _Trial, asked: _Asked) -> _Choice:
         while error > WITHIN * asked.target * whole and (level < highest).any():
             level[np.argmax(np.where(level < highest, still[np.minimum(level, len(still) - 1), every], -1.0))] += 1
             error = _whole_error(runs, level, finest)
-        met = bool((level < finest).all())
+        if (level < finest).all():
+            return _Choice(np.array(cuttings)[level, every], error, whole, still[level, every], own, held, limit)
         work = trial.work.cells + trial.work.rays
         beyond = work + (work - before) / FINER > trial.gathering.task.accuracy.max_lookins * len(trial.pairs)
-        if met or len(runs) > LEVELS or beyond:
-            break
+        if len(runs) > LEVELS or beyond:
+            return None
         # What does already is not cut further, unless the whole still wants it.
         waits = math.sqrt(parts) * still[finest - 1, every] > SETTLED * asked.target * whole
         settled |= (level < finest) & ((error <= WITHIN * asked.target * whole) | ~waits)
-    level = np.minimum(level, finest - 1)
-    error = _whole_error(runs, level, finest)
-    return _Choice(np.array(cuttings)[level, every], error, whole, still[level, every], own, held, limit, met)
 
 
 def _still(runs: list[Floats], finest: Ints) -> Floats:

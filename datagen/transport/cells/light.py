@@ -22,7 +22,9 @@ from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.arrival import spread, widened
 from datagen.transport.cells.occlusion import (
     RING,
+    above,
     ball,
+    corner,
     distance,
     hidden,
     less,
@@ -100,11 +102,6 @@ def _at(array, i):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _point(array, i, j):  # type: ignore[no-untyped-def]
-    return (array[i, j, 0], array[i, j, 1], array[i, j, 2])
-
-
-@njit(cache=True, error_model="numpy")
 def _weight(y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint):  # type: ignore[no-untyped-def]
     """w(y) but for power, sensor and air, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
     path: a point, its normal, and the direction on to the device."""
@@ -126,15 +123,6 @@ def _weight(y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, va
     f3 = evaluate(kind3, values3, n3, w3, to_sensor)
     w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
     return w, r1, r3
-
-
-@njit(cache=True, error_model="numpy")
-def _above(box, k, x, n):  # type: ignore[no-untyped-def]
-    """How far the highest corner of a box lies above the plane through x with normal n."""
-    height = 0.0
-    for j in range(3):
-        height += max(n[j] * (box[k, j] - x[j]), n[j] * (box[k, 3 + j] - x[j]))
-    return height
 
 
 @njit(cache=True)
@@ -191,6 +179,25 @@ def _highest(cell, k, x, n):  # type: ignore[no-untyped-def]
     return max(dot(a, n), dot(b, n), dot(c, n))
 
 
+@njit(cache=True)
+def _push_halves(tag, cell, top, side, y, w, path, what, at, q, first, middle, last):  # type: ignore[no-untyped-def]
+    """The halves of the cell at `top`, cut at y on its longest side, in its place; returns how many wait."""
+    cell[top, 15] *= 0.5
+    _copy(cell, top, top + 1)
+    _put(cell, top, side, y, w, path)
+    _put(cell, top + 1, (side + 1) % 3, y, w, path)
+    top = _push(tag, top, what, at, q, first, middle, last)
+    return _push(tag, top, what, at, q, first, middle, last)
+
+
+@njit(cache=True)
+def _push_boxes(tag, cell, top, both, q, first, middle, last):  # type: ignore[no-untyped-def]
+    """The two boxes within the one at `top`, in its place; returns how many wait."""
+    cell[top + 1, 16] = cell[top, 16]
+    top = _push(tag, top, BOX, both[1], q, first, middle, last)
+    return _push(tag, top, BOX, both[0], q, first, middle, last)
+
+
 @njit(cache=True, error_model="numpy")
 def _judged(cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre):  # type: ignore[no-untyped-def]
     """What becomes of waiting cell k, h long, with wm, R₁ and R₂ at its middle, seen from a patch of some size.
@@ -240,12 +247,12 @@ def _smear(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _brightest(m, radius, area, above, height, x, z, size):  # type: ignore[no-untyped-def]
+def _brightest(m, radius, area, rise, height, x, z, size):  # type: ignore[no-untyped-def]
     """What a box or cell about m may bring at most for every photon, BRDF and solid angle of one, if x lights it and
-    something within `size` of z is seen by it; `above` it rises from the plane of x, `height` x does from its own."""
+    something within `size` of z is seen by it; `rise` it has above the plane of x, `height` x above its own."""
     near1 = max(distance(m, x) - radius, math.sqrt(area / (2 * math.pi)))
     near3 = max(distance(m, z) - radius - size, 0.25 * size)
-    return area * min(1.0, above / near1) * min(1.0, height / near1) / (near1 * near3) ** 2
+    return area * min(1.0, rise / near1) * min(1.0, height / near1) / (near1 * near3) ** 2
 
 
 @njit(cache=True)
@@ -288,7 +295,7 @@ def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
 def _inner_side(x, n, corners, f, solid, solid_box):  # type: ignore[no-untyped-def]
     """Whether triangle f turns the inner side of a convex solid to x, which lies outside it and so cannot see it."""
     s = solid[f]
-    if s < 0 or dot(less(x, _point(corners, f, 0)), n) >= 0.0:
+    if s < 0 or dot(less(x, corner(corners, f, 0)), n) >= 0.0:
         return False
     outside = False
     for j in range(3):
@@ -369,7 +376,7 @@ def _gather(  # type: ignore[no-untyped-def]
         if part1[i] < 0 or (part3[p, 0] < 0 and not uneven3[p, 0]):
             continue
         x, k1 = _at(position1, i), part1[i]
-        n1, lit, z = _at(normal1, i), power1[i], _point(position3, p, 0)
+        n1, lit, z = _at(normal1, i), power1[i], corner(position3, p, 0)
         lit_from, kind1, values1 = (x, n1, _at(to_laser1, i)), kind[k1], values[k1]
         apart = last_leg and not (x[0] == z[0] and x[1] == z[1] and x[2] == z[2])
         for k in range(len(roots)):
@@ -389,8 +396,8 @@ def _gather(  # type: ignore[no-untyped-def]
                 k3 = part3[p, q]
                 if k3 < 0 and not quarter:
                     continue
-                z, n3 = _point(position3, p, q), _point(normal3, p, q)
-                seen_from, kind3, values3 = (z, n3, _point(to_sensor3, p, q)), kind[k3], values[k3]
+                z, n3 = corner(position3, p, q), corner(normal3, p, q)
+                seen_from, kind3, values3 = (z, n3, corner(to_sensor3, p, q)), kind[k3], values[k3]
                 share, size, footprint = cell[top, 16], size3[p, q], footprint3[p, q]
                 gain = lit * weight3[p, q] * share
                 few = halve = False
@@ -398,17 +405,17 @@ def _gather(  # type: ignore[no-untyped-def]
                     if what == BOX:
                         m, h = ball(around, at)
                         area = area_before[span[at, 1]] - area_before[span[at, 0]]
-                        above, height = _above(around, at, x, n1), np.inf
+                        rise, height = above(around, at, x, n1), np.inf
                         halve = children[at, 0] >= 0 and h > size
                     else:
                         m, side, h = _middle(cell, top)
-                        area, above = cell[top, 15], _highest(cell, top, x, n1)
+                        area, rise = cell[top, 15], _highest(cell, top, x, n1)
                         height = abs(dot(less(x, _vertex(cell, top, 0)), _at(normal, at)))
                         halve = h > max(size, SMALLEST * extent)
-                    if above <= 0.0 or most3[p, q] <= 0.0:
+                    if rise <= 0.0 or most3[p, q] <= 0.0:
                         continue
                     at_most = share * lit * most3[p, q] * peak[k1] * peak[k] * strongest
-                    at_most *= _brightest(m, h, area, above, height, x, z, size)
+                    at_most *= _brightest(m, h, area, rise, height, x, z, size)
                     if what == BOX and q == 0 and at == roots[k]:
                         most = at_most
                     # Whatever of the patch is seen, its light is little: one quarter stands for it, and such cells
@@ -417,21 +424,14 @@ def _gather(  # type: ignore[no-untyped-def]
                     turn += few and share == 1.0
                     if halve and not few:
                         if what == BOX:
-                            top = _push(tag, top, BOX, children[at, 1], q, first, middle, last)
-                            cell[top, 16] = share
-                            top = _push(tag, top, BOX, children[at, 0], q, first, middle, last)
+                            top = _push_boxes(tag, cell, top, children[at], q, first, middle, last)
                         else:
                             y = _half(_vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3))
-                            cell[top, 15] *= 0.5
-                            _copy(cell, top, top + 1)
-                            _put(cell, top, side, y, 0.0, 0.0)
-                            _put(cell, top + 1, (side + 1) % 3, y, 0.0, 0.0)
-                            top = _push(tag, top, FRESH, at, q, first, middle, last)
-                            top = _push(tag, top, FRESH, at, q, first, middle, last)
+                            top = _push_halves(tag, cell, top, side, y, 0.0, 0.0, FRESH, at, q, first, middle, last)
                         continue
                 device = leg1[i] + leg3[p, q] if clock.device else 0.0
                 if what == BOX and not quarter:
-                    if _above(around, at, x, n1) <= 0.0 or (_above(around, at, z, n3) <= 0.0 and size <= 0.0):
+                    if above(around, at, x, n1) <= 0.0 or (above(around, at, z, n3) <= 0.0 and size <= 0.0):
                         continue
                     start, end = span[at, 0], span[at, 1]
                     many = end - start > CLUSTER
@@ -470,14 +470,12 @@ def _gather(  # type: ignore[no-untyped-def]
                             )
                             first, middle, last = last, half_way, behind
                         if many:
-                            top = _push(tag, top, BOX, children[at, 1], q, first, middle, last)
-                            cell[top, 16] = share
-                            top = _push(tag, top, BOX, children[at, 0], q, first, middle, last)
+                            top = _push_boxes(tag, cell, top, children[at], q, first, middle, last)
                             continue
                         for f in range(start, end):
                             cell[top, 16] = share
                             for j in range(3):
-                                _put(cell, top, j, _point(corners, f, j), 0.0, 0.0)
+                                _put(cell, top, j, corner(corners, f, j), 0.0, 0.0)
                             cell[top, 15] = area_before[f + 1] - area_before[f]
                             top = _push(tag, top, FRESH, f, q, first, middle, last)
                         continue
@@ -537,8 +535,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             seen = 0
                             for j in range(3):
                                 rays += 1
-                                y = _vertex(cell, top, j)
-                                y = _half(m, y)
+                                y = _half(m, _vertex(cell, top, j))
                                 seen += _seen(
                                     y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
                                 )
@@ -575,12 +572,7 @@ def _gather(  # type: ignore[no-untyped-def]
                     w, r1, r3 = _weight(
                         y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
                     )
-                    cell[top, 15] *= 0.5
-                    _copy(cell, top, top + 1)
-                    _put(cell, top, side, y, w, r1 + r3)
-                    _put(cell, top + 1, (side + 1) % 3, y, w, r1 + r3)
-                    top = _push(tag, top, CELL, f, q, first, middle, last)
-                    top = _push(tag, top, CELL, f, q, first, middle, last)
+                    top = _push_halves(tag, cell, top, side, y, w, r1 + r3, CELL, f, q, first, middle, last)
                     continue
                 wa, wb, wc = cell[top, 3], cell[top, 8], cell[top, 13]
                 air = math.exp(-attenuation * (r1 + r3 + leg3[p, q])) if attenuation > 0.0 else 1.0

@@ -245,8 +245,10 @@ def hidden(x, y, of, candidates, first, last, facet, number, box, link, waiting)
 
     candidates : boxes k and triangles −1 − f, of which first … last are asked.
     waiting : (≥ 256,) int64 scratch; the last of it is the triangle that hid something the last time, asked first,
-        or −1. The other arguments are the fields of `Occluders`, one by one: taken out of it
-    in the loop they cost four times as much.
+        or −1.
+
+    The other arguments are the fields of `Occluders`, one by one: taken out of it in the loop they cost four times as
+    much.
     """
     d = less(y, x)
     suspect = waiting[-1]
@@ -315,9 +317,7 @@ def narrowed_to_box(x, around, at, candidates, first, last, free, box, link, wai
     axis, far = less(middle, x), distance(middle, x)
     sine = min(radius / far, 1.0)
     cosine = np.sqrt(1.0 - sine * sine)
-    head, tail, end = 0, last - first, free
-    for i in range(tail):
-        waiting[i] = candidates[first + i]
+    head, tail, end = 0, _listed(waiting, candidates, first, last), free
     while head < tail:
         k = waiting[head & RING]
         head += 1
@@ -332,12 +332,26 @@ def narrowed_to_box(x, around, at, candidates, first, last, free, box, link, wai
             if apart or (sine < 1.0 and across * cosine - along * sine > size * (1.0 + 1e-6)):
                 continue
             if link[k, 0] >= 0 and end - free + tail - head < MOST:
-                waiting[tail & RING], waiting[(tail + 1) & RING] = link[k, 0], link[k, 0] + 1
-                tail += 2
+                tail = _pair_listed(waiting, tail, link[k, 0])
                 continue
         candidates[end] = k
         end += 1
     return end
+
+
+@njit(cache=True)
+def _listed(waiting, candidates, first, last):  # type: ignore[no-untyped-def]
+    """Put candidates first … last into the ring of what is to be looked at; returns how many."""
+    for i in range(last - first):
+        waiting[i] = candidates[first + i]
+    return last - first
+
+
+@njit(cache=True)
+def _pair_listed(waiting, tail, one):  # type: ignore[no-untyped-def]
+    """Put two boxes side by side at the end of the ring; returns its new end."""
+    waiting[tail & RING], waiting[(tail + 1) & RING] = one, one + 1
+    return tail + 2
 
 
 @njit(cache=True, error_model="numpy")
@@ -363,9 +377,7 @@ def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, 
     if dot(one, less(c, x)) < 0.0:
         one, two, three = (-one[0], -one[1], -one[2]), (-two[0], -two[1], -two[2]), (-three[0], -three[1], -three[2])
     near1, near2, near3, near0 = _margin(one, flat), _margin(two, flat), _margin(three, flat), _margin(base, flat)
-    head, tail, end = 0, last - first, free
-    for i in range(tail):
-        waiting[i] = candidates[first + i]
+    head, tail, end = 0, _listed(waiting, candidates, first, last), free
     while head < tail:
         k = waiting[head & RING]
         head += 1
@@ -399,8 +411,7 @@ def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, 
             continue
         elif end - free + tail - head < MOST:
             if link[k, 0] >= 0:
-                waiting[tail & RING], waiting[(tail + 1) & RING] = link[k, 0], link[k, 0] + 1
-                tail += 2
+                tail = _pair_listed(waiting, tail, link[k, 0])
             else:
                 for f in range(link[k, 1], link[k, 2]):
                     waiting[tail & RING] = -1 - f
@@ -412,12 +423,18 @@ def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, 
 
 
 @njit(cache=True, error_model="numpy")
-def _outside(n, x, box, k, near):  # type: ignore[no-untyped-def]
-    """Whether a box lies wholly on the outer side of the plane through x whose normal n points inwards."""
+def above(box, k, x, n):  # type: ignore[no-untyped-def]
+    """How far the highest corner of a box lies above the plane through x with normal n."""
     height = 0.0
     for j in range(3):
         height += max(n[j] * (box[k, j] - x[j]), n[j] * (box[k, 3 + j] - x[j]))
-    return height <= near
+    return height
+
+
+@njit(cache=True, error_model="numpy")
+def _outside(n, x, box, k, near):  # type: ignore[no-untyped-def]
+    """Whether a box lies wholly on the outer side of the plane through x whose normal n points inwards."""
+    return above(box, k, x, n) <= near
 
 
 @njit(cache=True, error_model="numpy")
