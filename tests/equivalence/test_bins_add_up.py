@@ -9,8 +9,9 @@ from rooms import bins_of_path, furnished_box, one_point_capture, square_pixels
 
 from datagen import Accuracy, Capture, Laser, Sensor, TimeAxis, simulate
 from datagen.paper.as_printed import AsPrinted, simulate_as_printed
+from datagen.transport.cells.gathering import Gathering
+from datagen.transport.cells.trial import COARSE
 from datagen.transport.factorised.secondary import secondary_transient
-from datagen.transport.primary import COARSE, _Gathering
 from datagen.transport.solver import prepared
 
 FACTOR = 4
@@ -51,11 +52,11 @@ def test_cells_add_up_exactly() -> None:
     found = []
     for n in (1, FACTOR):
         task = prepared(SCENE, scan(axis(40 * n, 0.2 / n)), Accuracy(max_bounces=3), 0, split_parts=False)
-        gathering, parts = _Gathering.of(task), len(SCENE.materials)
+        gathering, parts = Gathering.of(task), len(SCENE.materials)
         pairs = np.array([(0, 0), (1, 1)])
         found.append(gathering.gathered(pairs, gathering.seen(pairs, 1), np.full(parts, COARSE), np.arange(parts)))
     wide, narrow = found
-    assert wide.cells == narrow.cells and wide.histogram.any() and wide.overflow.any()
+    assert (wide.cells == narrow.cells).all() and wide.histogram.any() and wide.overflow.any()
     scale = wide.histogram.max()
     np.testing.assert_allclose(added_up(narrow.histogram), wide.histogram, rtol=1e-9, atol=1e-12 * scale)
     np.testing.assert_allclose(narrow.overflow, wide.overflow, rtol=1e-9)

@@ -40,6 +40,8 @@ PARTLY, UNFOUND = 0.5, 0.05
 """Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
 SMEARED = 0.3
 """Of a patch, the share that its arrival times spread over."""
+BLURRED = 0.25
+"""Of the error that a cell may make, the share that may come of the patch that sees it, as it does for many alike."""
 UNLIKE = 0.05
 """Error of a patch's arrival times, relative to its light, if they are known by their mean and variance alone."""
 AT_ONCE = 0.01
@@ -217,7 +219,7 @@ def _judged(cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quart
     over = gain * cell[k, 15] * max(wm, cell[k, 3], cell[k, 8], cell[k, 13]) / math.sqrt(width)
     curved = (COARSEST / limit) ** 2 * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / width
     smeared = ratio_z * ratio_z + min((SMEARED * size * per_metre / width) ** 4, UNLIKE)
-    quarter = quarters and over * smeared > allowed
+    quarter = quarters and over * smeared > BLURRED * allowed
     return not quarter and over * curved > allowed, quarter, over, bend
 
 
@@ -321,21 +323,22 @@ def _none_seen(x, a, b, c, z, f, candidates, first, middle, last, facet, number,
 
 @njit(cache=True)
 def gather(  # type: ignore[no-untyped-def]
-    pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow
+    pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
+    work,
 ):  # fmt: skip
     """Add the primary of laser points and pixels to their histograms.
 
     pairs : (n, 2) laser point and pixel of each. row : (n,) first row of each, to which `row_of_part` (K,) is added.
-    histogram (rows, T) and overflow (rows,) get the photons.
-    Returns the cells that were spread, and the rays asked.
+    histogram (rows, T) and overflow (rows,) get the photons; work (K, 2) gets the cells that were spread and the rays
+    asked, part by part.
     """
     # What waits: its kind, number, patch and candidates; and of cells three vertices with w and path, and the area;
     # and how many times as large as itself a patch is that it stands for.
     tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 17))
     candidates, waiting = np.empty(1 << 14, np.int64), np.full(512, -1)
-    return _gather(
+    _gather(
         pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-        tag, cell, candidates, waiting,
+        work, tag, cell, candidates, waiting,
     )  # fmt: skip
 
 
@@ -343,13 +346,12 @@ def gather(  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
 def _gather(  # type: ignore[no-untyped-def]
     pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-    tag, cell, candidates, waiting,
+    work, tag, cell, candidates, waiting,
 ):  # fmt: skip
     """The loop. What may stand between a cell and laser point or patch is among what may stand before all of the box
     or cell that it is cut from: each hands down its candidates, first … middle for the one and middle … last for the
     other, and where none is left nothing is hidden. Cells hand down their vertices' light, too.
     """
-    cells, rays = 0, 0
     # Records are taken apart here: in the loops every look into one costs as much as what it is for.
     corners, normal, area_before, extent = tree.corners, tree.normal, tree.area, tree.extent
     around, children, span, roots = tree.box, tree.children, tree.span, tree.roots
@@ -384,7 +386,7 @@ def _gather(  # type: ignore[no-untyped-def]
                 continue
             into, kind2, values2 = row[pair] + row_of_part[k], kind[k], values[k]
             word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(k))
-            most, turn = np.inf, np.int64(word >> np.uint64(8))
+            most, turn, cells, rays = np.inf, np.int64(word >> np.uint64(8)), 0, 0
             cell[0, 16] = 1.0
             top = _push(tag, 0, BOX, roots[k], 0, 0, some, 2 * some if apart else some)
             while top > 0:
@@ -400,6 +402,7 @@ def _gather(  # type: ignore[no-untyped-def]
                 seen_from, kind3, values3 = (z, n3, corner(to_sensor3, p, q)), kind[k3], values[k3]
                 share, size, footprint = cell[top, 16], size3[p, q], footprint3[p, q]
                 gain = lit * weight3[p, q] * share
+                may = allowed[k]
                 few = halve = False
                 if quarter:
                     if what == BOX:
@@ -420,7 +423,7 @@ def _gather(  # type: ignore[no-untyped-def]
                         most = at_most
                     # Whatever of the patch is seen, its light is little: one quarter stands for it, and such cells
                     # take turns, so that what one has too much of its neighbours lack.
-                    few = at_most <= min(TURNS * allowed[k], most * FEWEST)
+                    few = at_most <= min(TURNS * may, most * FEWEST)
                     turn += few and share == 1.0
                     if halve and not few:
                         if what == BOX:
@@ -437,9 +440,7 @@ def _gather(  # type: ignore[no-untyped-def]
                     many = end - start > CLUSTER
                     if many:
                         area = area_before[end] - area_before[start]
-                        small, near3 = _small(
-                            around, at, x, z, gain * peak[k1] * peak[k] * peak[k3] * area, allowed[k]
-                        )
+                        small, near3 = _small(around, at, x, z, gain * peak[k1] * peak[k] * peak[k3] * area, may)
                         quarter = small and quarters and size > 0.3 * near3
                         if small and not quarter:
                             word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
@@ -458,7 +459,9 @@ def _gather(  # type: ignore[no-untyped-def]
                                 path = r1 + r3
                                 air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
                                 t, energy = (path + device) * per_metre - start_bin, w * air * gain * area
-                                overflow[into] += spread(histogram, into, t, t, t, 1.0, 1.0, 1.0, energy)
+                                smear = _smear(less(y, z), seen_from[2], clock.device, across3, p, q)
+                                at_a, at_b, at_c = widened(t, t, t, smear * per_metre * per_metre)
+                                overflow[into] += spread(histogram, into, at_a, at_b, at_c, 1.0, 1.0, 1.0, energy)
                             continue
                     if not quarter:
                         if proofs and first < last < enough:
@@ -501,7 +504,7 @@ def _gather(  # type: ignore[no-untyped-def]
                         m, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
                     )
                     cut, quarter, over, bend = _judged(
-                        cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre
+                        cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], may, quarters, per_metre
                     )
                     if height1 * height3 <= 0.0 or abs(height3) < flat:
                         # This side does not light the patch's middle; it may light parts of a large one.
@@ -511,7 +514,7 @@ def _gather(  # type: ignore[no-untyped-def]
                     if not (quarter or over > 0.0):
                         continue
                     # Seen or not, it can make no larger error than it may.
-                    visible, faint = 1.0, over <= allowed[k]
+                    visible, faint = 1.0, over <= may
                     if not quarter and proofs and first < last < enough and (cut or not faint):
                         half_way = narrowed(
                             x, a, b, c, f, candidates, first, middle, last, facet, number, box, link, flat, waiting
@@ -541,7 +544,7 @@ def _gather(  # type: ignore[no-untyped-def]
                                 )
                             visible = seen / 3
                             # What three rays do not find may still be there: it is cut a little less eagerly.
-                            cut = seen < 3 and (PARTLY if seen > 0 else UNFOUND) * over > allowed[k]
+                            cut = seen < 3 and (PARTLY if seen > 0 else UNFOUND) * over > may
                             if seen == 0 and (
                                 not cut
                                 or _none_seen(
@@ -586,4 +589,5 @@ def _gather(  # type: ignore[no-untyped-def]
                     smear = _smear(less(m, z), seen_from[2], clock.device, across3, p, q) * per_metre * per_metre
                     at_a, at_b, at_c = widened(at_a, at_b, at_c, smear)
                 overflow[into] += spread(histogram, into, at_a, at_b, at_c, wa, wb, wc, energy)
-    return cells, rays
+            work[k, 0] += cells
+            work[k, 1] += rays

@@ -1,0 +1,154 @@
+"""Light of three bounces for pairs of laser point and pixel, with surfaces cut as finely as asked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.materials import GGX, Material, Phong, Retroreflector
+from datagen.transport.cells.hierarchy import Hierarchy
+from datagen.transport.cells.light import AT_ONCE, COARSEST, Clock, Cutting, Lasers, gather
+from datagen.transport.cells.occlusion import Occluders
+from datagen.transport.cells.patches import Patches
+from datagen.transport.sampling import stream_seeds
+from datagen.transport.walk import WalkTask
+from datagen.units import path_from_time
+
+CLUSTER_STREAM = 64
+LEVELS, SIZED, TINY = (1, 5), 64, 1e-4
+"""How often even pixels are quartered, if at all; how many of them are measured for that; and their size, relative to
+the scene, up to which they are points."""
+EDGE_LEVELS, MOST_AT_EDGES = range(2, 7), 1 << 14
+"""How often pixels that see more than one surface are quartered: as often as leaves no more than so many patches of
+all of them, for what one has too much others lack."""
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What some pairs receive.
+
+    Attributes
+    ----------
+    histogram : (n, rows, T) photons of each pair.
+    overflow : (n,) photons outside the window.
+    cells, rays : (K,) how many were spread and asked, part by part.
+    """
+
+    histogram: Floats
+    overflow: Floats
+    cells: Ints
+    rays: Ints
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Pairs whose pixels' patches are cut alike.
+
+    which : (n,) which of the pairs asked for. pairs : (n, 2) laser point and row of `patches`.
+    """
+
+    which: Ints
+    pairs: Ints
+    patches: Patches
+
+
+@dataclass(frozen=True)
+class Gathering:
+    """A scene and a capture as the compiled loop wants them."""
+
+    task: WalkTask
+    tree: Hierarchy
+    occluders: Occluders
+    lasers: Lasers
+    clock: Clock
+    coarsest: Floats
+    peak: Floats
+    at_edge: Bools
+    """(P,) pixels that see more than one surface, or past one."""
+
+    @classmethod
+    def of(cls, task: WalkTask) -> Gathering:
+        points, axis, air = task.points, task.capture.time, task.scene.attenuation_per_m
+        lasers = Lasers(
+            points.position, points.normal, points.to_laser, points.part, np.exp(-air * np.nan_to_num(points.leg)),
+            points.leg,
+        )  # fmt: skip
+        clock = Clock(
+            1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s, axis.origin == "source", air
+        )
+        width = np.array([lobe_width(material) for material in task.scene.materials])
+        seen = width[np.unique(points.part[points.part >= 0])].min(initial=1.0)
+        peak = task.materials.values[:, 0] / (math.pi * width**2)
+        tree = Hierarchy.of(task.scene)
+        past = np.isinf(task.patches.radius)
+        at_edge = past | _patches(task, np.arange(len(past)), 1).uneven[:, 0]
+        return cls(
+            task, tree, Occluders.of(task.scene, tree), lasers, clock, COARSEST * np.minimum(width, seen), peak,
+            at_edge,
+        )  # fmt: skip
+
+    def levels(self) -> int:
+        """How often even pixels are quartered at most: once more than leaves patches of a bin."""
+        even = np.flatnonzero(~self.at_edge)
+        size = float(_patches(self.task, even[:: len(even) // SIZED + 1], 0).size.max(initial=0.0))
+        if size * self.clock.per_metre <= AT_ONCE and size <= TINY * self.tree.extent:
+            return 0
+        return int(np.clip(math.ceil(math.log2(size * self.clock.per_metre)) + 1, *LEVELS))
+
+    def edge_levels(self) -> int:
+        """How often pixels at edges are quartered."""
+        return max((k for k in EDGE_LEVELS if self.at_edge.sum() * 4**k <= MOST_AT_EDGES), default=1)
+
+    def seen(self, pairs: Ints, levels: int, fewer: int = 0) -> list[Seen]:
+        """What the pixels of some pairs see: the even ones quartered `levels` times, those at edges as often as
+        there is room for, or a few times less."""
+        at_edge, found = self.at_edge[pairs[:, 1]], []
+        for which in (np.flatnonzero(~at_edge), np.flatnonzero(at_edge)):
+            if len(which) == 0:
+                continue
+            pixels, own = np.unique(pairs[which, 1], return_inverse=True)
+            local = np.stack([pairs[which, 0], own.reshape(-1)], axis=1)
+            quartered = self.edge_levels() - fewer if at_edge[which[0]] else levels
+            found.append(Seen(which, local, _patches(self.task, pixels, quartered)))
+        return found
+
+    def gathered(self, pairs: Ints, seen: list[Seen], error: Floats, row_of_part: Ints) -> Gathered:
+        """The light of some pairs of laser point and pixel, with each part in its row.
+
+        error : (K,) L2 error that a cell of each part may make, photons; infinite for parts to be left out.
+        """
+        task, parts, rows = self.task, len(error), int(row_of_part.max()) + 1
+        histogram = np.zeros((len(pairs) * rows, task.capture.time.bins))
+        overflow, work = np.zeros(len(histogram)), np.zeros((parts, 2), np.int64)
+        seed = int(stream_seeds(task.seed, CLUSTER_STREAM, 0, np.zeros(1, np.int64))[0])
+        cutting = Cutting(
+            error, self.coarsest, self.peak, task.accuracy.occlusion != "off",
+            task.accuracy.occlusion == "auto", seed,
+        )  # fmt: skip
+        for some in seen:
+            gather(
+                some.pairs, some.which * rows, self.tree, self.occluders, self.lasers, some.patches,
+                task.materials.kind, task.materials.values, cutting, self.clock, row_of_part, histogram, overflow,
+                work,
+            )  # fmt: skip
+        of_pairs = histogram.reshape(len(pairs), rows, task.capture.time.bins)
+        return Gathered(of_pairs, overflow.reshape(len(pairs), rows).sum(axis=1), work[:, 0], work[:, 1])
+
+
+def _patches(task: WalkTask, pixels: Ints, levels: int) -> Patches:
+    return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
+
+
+def lobe_width(material: Material) -> float:
+    """Half width of a BRDF's narrowest lobe, rad, at most 1."""
+    match material:
+        case Phong(exponent=exponent) if exponent > 0 and material.specular > 0:
+            return min(math.sqrt(2 * math.log(2) / exponent), 1.0)
+        case GGX():
+            return min(1.3 * float(material.roughness) ** 2, 1.0)
+        case Retroreflector() if material.retro > 0:
+            return min(float(material.half_width_rad), 1.0)
+    return 1.0

@@ -1,0 +1,306 @@
+"""How finely surfaces and pixels are cut, found on some pairs of laser point and pixel that stand for all.
+
+Every part is cut ever more finely until what that changes is small in the whole and in each object's own light. A
+change tells of the error only where it was one: small triangles stay as they are over many steps and agree with
+themselves, so that a cutting is believed once a finer one, which agrees with it, took markedly more work.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from datagen.records.arrays import Bools, Floats, Ints
+from datagen.transport.cells.gathering import Gathered, Gathering, Seen
+
+TRIALS, MOST_TRIED = (12, 48), 1 << 23
+"""Fewest and most pairs of laser point and pixel on which the cutting is chosen, one in twenty in between; and values
+of their histograms at most."""
+COARSE = 1e300
+"""An error that every cell may make: surfaces are cut by distance alone."""
+FIRST, FINER, LEVELS = 0.03, 0.25, 12
+"""Error that a cell may make, relative to the norm of its part, after the coarsest cutting; what it is multiplied
+with from one cutting to the next, finer one; and the number of cuttings at most."""
+GROWN, LEAP = 1.5, FINER
+"""Work of a cutting that is finer in fact, relative to the one that it is compared with; and what the error of a cell
+is multiplied with where the last step was none."""
+REST = 1.6
+"""Error of a cutting, relative to its difference from the next: errors fall to about four tenths, and
+1 + 0.4 + 0.16 + … is this."""
+SETTLED = 0.3
+"""Share of the error to be met, for each of K parts over √K, under which a part is not cut further for the whole."""
+UNSEEN = 1e-4
+"""Norm that a part is taken to have at least, relative to the whole, when it is cut."""
+LOOKED_AT, EVENLY = 6, 0.25
+"""Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
+WITHIN, WITHIN_PARTS = 0.6, 0.65
+"""Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
+others may be worse."""
+MOST_PATCHES = 1 << 19
+"""Patches of all pixels at most."""
+PATCHES_SHARE = 0.15
+"""Share of the error to be met that may come of quartering pixels more seldom than in the trial."""
+FROM_FEWER = 0.5
+"""Error of a net of points, relative to its difference from one of a quarter of them: of order 3/4 in their number
+beside an edge."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The errors asked for, and which parts (K,) are objects.
+
+    faint : photons, per emitted photon and over all histograms, under which an object is not held to `part_target`.
+    """
+
+    target: float
+    part_target: float
+    faint: float
+    objects: Bools
+
+
+@dataclass
+class Work:
+    """Cells spread and rays asked so far."""
+
+    cells: int = 0
+    rays: int = 0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Some pairs of laser point and pixel that stand for all, the brighter the more often.
+
+    Attributes
+    ----------
+    pairs : (n, 2).
+    weight : (n,) how many of all pairs each stands for.
+    levels : how often their pixels are quartered at most.
+    """
+
+    gathering: Gathering
+    pairs: Ints
+    weight: Floats
+    levels: int
+    work: Work
+    seen: dict[tuple[int, int], list[Seen]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, gathering: Gathering, lit: Ints, asked: Asked) -> Trial:
+        """Drawn by what a rough look finds of the whole, which counts for half, and of each object."""
+        task, parts = gathering.task, len(asked.objects)
+        wanted = _trials(len(lit), parts * task.capture.time.bins)
+        looked = lit[_spread(len(lit), LOOKED_AT * wanted)]
+        rough = cls(
+            gathering, looked, np.full(len(looked), len(lit) / max(len(looked), 1)), gathering.levels(), Work()
+        )
+        if len(looked) <= wanted:
+            return rough
+        seen = rough.gathered(np.full(parts, COARSE), 0).histogram
+        whole, objects = (seen.sum(axis=1) ** 2).sum(axis=1), (seen**2).sum(axis=2)[:, asked.objects]
+        objects = objects[:, objects.sum(axis=0) > 0]
+        share = np.full(len(looked), EVENLY / len(looked))
+        if whole.any():
+            share += 0.5 * whole / whole.sum()
+        if objects.shape[1]:
+            share += 0.5 * (objects / objects.sum(axis=0)).mean(axis=1)
+        places, stands_for = _drawn(share, wanted)
+        return cls(gathering, looked[places], stands_for * len(lit) / len(looked), rough.levels, rough.work)
+
+    def some(self, which: Bools) -> Trial:
+        """Only some of the pairs."""
+        return Trial(self.gathering, self.pairs[which], self.weight[which], self.levels, self.work)
+
+    def gathered(self, cutting: Floats, levels: int, *, fewer: int = 0) -> Gathered:
+        """Their histograms with each part apart, such that squares add up to those of all pairs."""
+        if (levels, fewer) not in self.seen:
+            self.seen[levels, fewer] = self.gathering.seen(self.pairs, levels, fewer)
+        rows = np.arange(len(cutting))
+        found = self.gathering.gathered(self.pairs, self.seen[levels, fewer], cutting, rows)
+        self.work.cells += int(found.cells.sum())
+        self.work.rays += int(found.rays.sum())
+        return replace(found, histogram=found.histogram * np.sqrt(self.weight)[:, None, None])
+
+    def energy(self, histogram: Floats) -> Floats:
+        """(K,) photons of each part in all pairs."""
+        return np.asarray(np.einsum("nkt,n->k", histogram, np.sqrt(self.weight)))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The error that a cell of each part may make, and what that leaves.
+
+    Attributes
+    ----------
+    cutting : (K,) L2 error of a cell. tried : (K,) the finer one of the trial's `histogram`.
+    error, whole : L2 error and norm of the whole.
+    still, own : (K,) of each part.
+    held : (K,) which are held to an error of their own; limit : (K,) that error, infinite for the others.
+    histogram : (n, K, T) of the pairs tried.
+    """
+
+    cutting: Floats
+    tried: Floats
+    error: float
+    whole: float
+    still: Floats
+    own: Floats
+    held: Bools
+    limit: Floats
+    histogram: Floats
+
+
+def choose(trial: Trial, asked: Asked) -> Choice | None:
+    """The coarsest cutting of each part that does, found with ever finer ones; None where none does within
+    `max_lookins`, and where there is no light, which must be looked for harder."""
+    parts = len(asked.objects)
+    every, settled = np.arange(parts), np.zeros(parts, np.bool_)
+    found = trial.gathered(np.full(parts, COARSE), trial.levels)
+    runs, cuttings, cells = [found.histogram], [np.full(parts, COARSE)], [found.cells]
+    whole, own = float(np.linalg.norm(runs[0].sum(axis=1))), _norms(runs[0])
+    if whole == 0.0:
+        return None
+    cutting = FIRST / FINER * np.maximum(own, UNSEEN * whole) / math.sqrt(trial.weight.sum())
+    finest, stuck = np.zeros(parts, np.int64), np.zeros(parts, np.bool_)
+    while True:
+        cutting = cutting * np.where(stuck, LEAP, FINER)
+        before = trial.work.cells + trial.work.rays
+        found = trial.gathered(np.where(settled, np.inf, cutting), trial.levels)
+        found.histogram[:, settled] = runs[-1][:, settled]
+        runs.append(found.histogram)
+        cuttings.append(np.where(settled, cuttings[-1], cutting))
+        cells.append(np.where(settled, cells[-1], found.cells))
+        finest[~settled] = len(runs) - 1
+        whole, own = float(np.linalg.norm(runs[-1].sum(axis=1))), _norms(runs[-1])
+        held = asked.objects & (own > 0) & (trial.energy(runs[-1]) >= asked.faint)
+        limit = np.where(held, asked.part_target * own, np.inf)
+        still, last = _still(runs, finest), len(runs) > LEVELS
+        seen_through = GROWN * np.array(cells[:-1]) <= cells[-1]
+        known = seen_through | ~(held | (own > asked.target * whole)) | last
+        level = np.argmax(np.vstack([(still <= WITHIN_PARTS * limit) & known, np.ones(parts, np.bool_)]), axis=0)
+        error = _whole_error(runs, level, finest)
+        highest = np.where(settled, finest - 1, finest)
+        while error > WITHIN * asked.target * whole and (level < highest).any():
+            level[np.argmax(np.where(level < highest, still[np.minimum(level, len(still) - 1), every], -1.0))] += 1
+            error = _whole_error(runs, level, finest)
+        enough = error <= WITHIN * asked.target * whole
+        if enough and (level < finest).all():
+            chosen = np.stack([runs[n][:, k] for k, n in enumerate(level)], axis=1)
+            tried, left = np.array(cuttings), still[level, every]
+            spare = (WITHIN * asked.target * whole - error) / max(int(held.sum()), 1)
+            coarser, enough_of_part = _between(tried, still, level, np.minimum(WITHIN_PARTS * limit, left + spare))
+            error += float((enough_of_part - left).sum())
+            return Choice(coarser, tried[level, every], error, whole, enough_of_part, own, held, limit, chosen)
+        work = trial.work.cells + trial.work.rays
+        beyond = work + (work - before) / FINER > trial.gathering.task.accuracy.max_lookins * len(trial.pairs)
+        if last or beyond:
+            return None
+        # What does already is not cut further, unless the whole still wants it.
+        waits = math.sqrt(parts) * still[finest - 1, every] > SETTLED * asked.target * whole
+        settled |= (level < finest) & (enough | ~waits)
+        settled &= not settled.all()
+        stuck = cells[-1] < GROWN * cells[-2]
+
+
+@dataclass(frozen=True)
+class Quartering:
+    """How often even pixels are quartered, and the L2 error of their patches and those of pixels at edges, in the
+    whole and (K,) in each part."""
+
+    levels: int
+    error: float
+    of_parts: Floats
+
+
+def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quartering | None:
+    """As seldom as gives what the trial's own patches do; None where there is no room for so many of all `pixels`."""
+    at_edge = trial.gathering.at_edge[trial.pairs[:, 1]]
+    edges, even = trial.some(at_edge), trial.some(~at_edge)
+    fewer = edges.gathered(choice.tried, 0, fewer=1).histogram
+    beside = FROM_FEWER * (choice.histogram[at_edge] - fewer)
+    for levels in range(trial.levels + 1):
+        if levels > 0 and pixels * 4 ** (levels + 1) > MOST_PATCHES:
+            break
+        change = choice.histogram[~at_edge] - (
+            even.gathered(choice.tried, levels).histogram if levels < trial.levels else choice.histogram[~at_edge]
+        )
+        do = _norm(change) <= PATCHES_SHARE * asked.target * choice.whole
+        if do and (_norms(change) <= PATCHES_SHARE * choice.limit).all():
+            error = math.hypot(_norm(change), _norm(beside))
+            return Quartering(levels, error, np.hypot(_norms(change), _norms(beside)))
+    return None
+
+
+def _between(cuttings: Floats, still: Floats, level: Ints, wanted: Floats) -> tuple[Floats, Floats]:
+    """(K,) cuttings between the one of a level and the coarser one before it that leave errors of `wanted`, and what
+    they leave; the level's own where `wanted` is not between theirs. Errors go with a power of the cutting."""
+    every = np.arange(cuttings.shape[1])
+    fine, left = cuttings[level, every], still[level, every]
+    before = np.maximum(level - 1, 0)
+    coarse, more = cuttings[before, every], still[before, every]
+    between = (left > 0) & (left < wanted) & (wanted < more) & (fine < coarse) & (coarse < COARSE)
+    fine, left = fine.copy(), left.copy()
+    steps = np.log(wanted[between] / left[between]) / np.log(more[between] / left[between])
+    fine[between] *= (coarse[between] / fine[between]) ** steps
+    left[between] = wanted[between]
+    return fine, left
+
+
+def _still(runs: list[Floats], finest: Ints) -> Floats:
+    """(n − 1, K) L2 error that each part still has in each run, whose finest one for a part is number `finest`."""
+    every = np.arange(len(finest))
+    last = runs[-1]
+    still = np.array([_norms(run - last) for run in runs[:-1]])
+    return np.asarray(still + (REST - 1) * still[finest - 1, every])
+
+
+def _whole_error(runs: list[Floats], level: Ints, finest: Ints) -> float:
+    """L2 error of the sum over parts, each as it is in the run of its level."""
+    last = runs[-1].sum(axis=1)
+    chosen = sum(runs[n][:, k] for k, n in enumerate(level))
+    before = sum(runs[n - 1][:, k] for k, n in enumerate(finest))
+    return float(np.linalg.norm(chosen - last) + (REST - 1) * np.linalg.norm(before - last))
+
+
+def _norm(histograms: Floats) -> float:
+    """L2 norm of the sum over parts of (n, K, T)."""
+    return float(np.linalg.norm(histograms.sum(axis=1)))
+
+
+def _norms(histograms: Floats) -> Floats:
+    """(K,) L2 norm over laser points, pixels and bins of (n, K, T)."""
+    return np.asarray(np.sqrt((histograms**2).sum(axis=(0, 2))))
+
+
+def _drawn(share: Floats, wanted: int) -> tuple[Ints, Floats]:
+    """Places drawn with chances as their shares, and how many each stands for: those whose share is worth a place of
+    their own, and of the others in equal steps along the running sum."""
+    certain, left = np.zeros(len(share), np.bool_), wanted
+    while left > 0:
+        others = np.where(certain, 0.0, share)
+        more = ~certain & (left * others >= others.sum())
+        if not more.any():
+            break
+        certain |= more
+        left = wanted - int(certain.sum())
+    places = np.flatnonzero(certain)
+    if left <= 0:
+        return places, np.ones(len(places))
+    running = np.cumsum(others)
+    drawn = np.searchsorted(running, (np.arange(left) + 0.5) / left * running[-1] * (1 - 1e-12))
+    stands_for = running[-1] / (left * others[drawn])
+    order = np.argsort(np.concatenate([places, drawn]))
+    return np.concatenate([places, drawn])[order], np.concatenate([np.ones(len(places)), stands_for])[order]
+
+
+def _trials(pairs: int, values: int) -> int:
+    """On how many of so many pairs a cutting is tried, each with so many values of histograms."""
+    return int(np.clip(min(pairs // 20, MOST_TRIED // values), *TRIALS))
+
+
+def _spread(count: int, wanted: int) -> Ints:
+    """At most `wanted` of `count` indices, in no step with the rows of a scan."""
+    if count <= wanted:
+        return np.arange(count)
+    return np.unique(((np.arange(wanted) * (math.sqrt(5) - 1) / 2 + 0.5) % 1.0 * count).astype(np.int64))
