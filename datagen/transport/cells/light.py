@@ -16,12 +16,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.arrival import spread, widened
+from datagen.transport.cells.hierarchy import Hierarchy
 from datagen.transport.cells.occlusion import (
     RING,
+    Occluders,
     above,
     ball,
     corner,
@@ -32,6 +35,7 @@ from datagen.transport.cells.occlusion import (
     narrowed_to_box,
     shaded,
 )  # fmt: skip
+from datagen.transport.cells.patches import Patches
 from datagen.transport.sampling import mix
 
 COARSEST = 0.8
@@ -319,10 +323,11 @@ def _none_seen(x, a, b, c, z, f, candidates, first, middle, last, facet, number,
     return shaded(z, a, b, c, f, candidates, middle, last, facet, number, box, link, waiting)
 
 
-@njit(cache=True)
-def gather(  # type: ignore[no-untyped-def]
-    pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow
-):  # fmt: skip
+def gather(
+    pairs: Ints, row: Ints, tree: Hierarchy, occluders: Occluders, lasers: Lasers, patches: Patches,
+    kind: NDArray[np.integer], values: Floats, cutting: Cutting, clock: Clock, row_of_part: Ints, histogram: Floats,
+    overflow: Floats,
+) -> tuple[int, int]:  # fmt: skip
     """Add the primary of laser points and pixels to their histograms.
 
     pairs : (n, 2) laser point and pixel of each. row : (n,) first row of each, to which `row_of_part` (K,) is added.
@@ -333,10 +338,13 @@ def gather(  # type: ignore[no-untyped-def]
     # and how many times as large as itself a patch is that it stands for.
     tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 17))
     candidates, waiting = np.empty(1 << 14, np.int64), np.full(512, -1)
-    return _gather(
-        pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-        tag, cell, candidates, waiting,
+    # One loop for all materials: another one without their BRDFs (`brdf/models.py`) would be compiled as long again,
+    # and is faster by 4 % only.
+    cells, rays = _gather(
+        pairs, row, tree, occluders, lasers, patches, kind.astype(np.int64, copy=False), values, cutting, clock,
+        row_of_part, histogram, overflow, tag, cell, candidates, waiting,
     )  # fmt: skip
+    return int(cells), int(rays)
 
 
 # Without `_nrt=False` arrays are counted in and out of every function, a third of the time.

@@ -99,34 +99,56 @@ def _extent(points, count, axis):
     return low, high
 
 
+@njit(cache=True, inline="always")
+def _dot(p, q):
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@njit(cache=True, inline="always")
+def _cross(p, q):
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+
+
+@njit(cache=True)
+def _row(array, i):
+    return (array[i, 0], array[i, 1], array[i, 2])
+
+
+@njit(cache=True)
+def _from_to(points, i, j):
+    return (points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2])
+
+
+# One number at a time: numpy's cross product, and rows written at once, take the compiler four times as long.
 @njit(cache=True)
 def _axes_of_hull(hull):
     """Unit normals of planes that may bound the hull of a tile (points 0 … 7) and a cell (8 … 15): those of the
     axes, of the tile's faces, and for each edge of the tile's front the one that touches the cell."""
     axes = np.zeros((10, 3))
     axes[0, 0] = axes[1, 1] = axes[2, 2] = 1.0
-    found = 3
-    right, up = hull[1] - hull[0], hull[3] - hull[0]
-    for candidate in (right, up, np.cross(right, up)):
-        length = math.sqrt(np.dot(candidate, candidate))
+    found, first = 3, np.int64(0)
+    right, up = _from_to(hull, first, first + 1), _from_to(hull, first, first + 3)
+    for candidate in (right, up, _cross(right, up)):
+        length = math.sqrt(_dot(candidate, candidate))
         if length > 0.0:
-            axes[found] = candidate / length
+            for k in range(3):
+                axes[found, k] = candidate[k] / length
             found += 1
     for i in range(4):
-        edge = hull[(i + 1) % 4] - hull[i]
+        edge = _from_to(hull, i, (i + 1) % 4)
         best = -math.inf
         for b in range(8, 16):
-            normal = np.cross(edge, hull[b] - hull[i])
-            length = math.sqrt(np.dot(normal, normal))
+            x, y, z = _cross(edge, _from_to(hull, i, b))
+            length = math.sqrt(x * x + y * y + z * z)
             if length == 0.0:
                 continue
-            normal /= length
-            low, high = _extent(hull, 16, normal)
-            level = np.dot(normal, hull[i])
+            normal = (x / length, y / length, z / length)
+            low, high = _extent(hull, len(hull), normal)
+            level = _dot(normal, _row(hull, i))
             outside = max(low - level, level - high)
             if outside > best:
                 best = outside
-                axes[found] = normal
+                axes[found, 0], axes[found, 1], axes[found, 2] = normal
         found += best > -math.inf
     return axes[:found]
 
@@ -138,7 +160,7 @@ def _in_view(hull, numbers, bodies, gap):
     axes = _axes_of_hull(hull)
     extents = np.empty((len(axes), 2))
     for a in range(len(axes)):
-        extents[a] = _extent(hull, 16, axes[a])
+        extents[a, 0], extents[a, 1] = _extent(hull, len(hull), _row(axes, a))
     kept, n = np.empty(len(numbers), np.int32), 0
     for f in numbers:
         apart = False
@@ -147,15 +169,23 @@ def _in_view(hull, numbers, bodies, gap):
         for a in range(3, len(axes)):
             if apart:
                 break
-            least, most = _extent(corners[f], count[f], axes[a])
+            least, most = _extent(corners[f], count[f], _row(axes, a))
             apart = least > extents[a, 1] + gap or most < extents[a, 0] - gap
         if not apart and count[f] == 3:
-            least, most = _extent(hull, 16, normal[f])
+            least, most = _extent(hull, len(hull), _row(normal, f))
             apart = least > level[f] + gap or most < level[f] - gap
         if not apart:
             kept[n] = f
             n += 1
     return kept[:n]
+
+
+@njit(cache=True)
+def _put_tile(hull, tile_corners, t):
+    """Take tile t's corners for the hull's first eight points."""
+    for b in range(8):
+        for k in range(3):
+            hull[b, k] = tile_corners[t, b, k]
 
 
 @njit(cache=True)
@@ -179,13 +209,13 @@ def bodies_in_view(cells, grid, lift, tile_corners, bodies, gap):
             for k in range(3):
                 bit = (b >> k) & 1
                 hull[8 + b, k] = corner[k] + (index[k] + bit) * side + (2 * bit - 1) * lift
-        hull[:8] = tile_corners[whole]
+        _put_tile(hull, tile_corners, whole)
         seen = _in_view(hull, every, bodies, gap)
         counts[n] = len(seen)
         for f in seen:
             members.append(f)
         for t in range(whole):
-            hull[:8] = tile_corners[t]
+            _put_tile(hull, tile_corners, t)
             if len(seen) == 0 or (len(seen) <= FEW and len(_in_view(hull, seen, bodies, gap)) == 0):
                 clear[n] |= np.uint64(1) << np.uint64(t)
     return counts, np.array(members[1:], np.int32), clear
@@ -194,11 +224,6 @@ def bodies_in_view(cells, grid, lift, tile_corners, bodies, gap):
 @njit(cache=True, inline="always")
 def _to_corner(apex, tile_corners, t, i):
     return tile_corners[t, i, 0] - apex[0], tile_corners[t, i, 1] - apex[1], tile_corners[t, i, 2] - apex[2]
-
-
-@njit(cache=True, inline="always")
-def _cross(p, q):
-    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
 
 
 @njit(cache=True)
@@ -293,6 +318,8 @@ def prove(
     whole = len(tile_corners) - 1
     every = (np.uint64(1) << np.uint64(whole)) - np.uint64(1)
     out = np.zeros(len(position), np.uint64)
+    # As plain zeros these two would have `_prove_one` compiled once more for them.
+    start = no_more = np.int64(0)
     left, none, planes = np.empty(SHORTLIST, np.int32), np.empty(0, np.int32), np.empty((6, 4))
     for i in range(len(position)):
         apex = (
@@ -324,8 +351,8 @@ def prove(
                 if out[i] >> np.uint64(t) & np.uint64(1):
                     continue
                 behind = _prove_one(
-                    apex, t, left, 0, remaining, 0, none, count, corners, normal, level, low, high, tile_corners,
-                    tile_axis, tile_low, tile_high, heights, gap, own_gap, planes, thorough,
+                    apex, t, left, start, remaining, no_more, none, count, corners, normal, level, low, high,
+                    tile_corners, tile_axis, tile_low, tile_high, heights, gap, own_gap, planes, thorough,
                 )  # fmt: skip
                 if behind == 0:
                     out[i] |= np.uint64(1) << np.uint64(t)
