@@ -338,11 +338,9 @@ def gather(
     # and how many times as large as itself a patch is that it stands for.
     tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 17))
     candidates, waiting = np.empty(1 << 14, np.int64), np.full(512, -1)
-    # One loop for all materials: another one without their BRDFs (`brdf/models.py`) would be compiled as long again,
-    # and is faster by 4 % only.
     cells, rays = _gather(
-        pairs, row, tree, occluders, lasers, patches, kind.astype(np.int64, copy=False), values, cutting, clock,
-        row_of_part, histogram, overflow, tag, cell, candidates, waiting,
+        pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
+        tag, cell, candidates, waiting,
     )  # fmt: skip
     return int(cells), int(rays)
 
