@@ -16,15 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.arrival import spread, widened
-from datagen.transport.cells.hierarchy import Hierarchy
 from datagen.transport.cells.occlusion import (
     RING,
-    Occluders,
     above,
     ball,
     corner,
@@ -35,7 +32,6 @@ from datagen.transport.cells.occlusion import (
     narrowed_to_box,
     shaded,
 )  # fmt: skip
-from datagen.transport.cells.patches import Patches
 from datagen.transport.sampling import mix
 
 COARSEST = 0.8
@@ -323,11 +319,10 @@ def _none_seen(x, a, b, c, z, f, candidates, first, middle, last, facet, number,
     return shaded(z, a, b, c, f, candidates, middle, last, facet, number, box, link, waiting)
 
 
-def gather(
-    pairs: Ints, row: Ints, tree: Hierarchy, occluders: Occluders, lasers: Lasers, patches: Patches,
-    kind: NDArray[np.integer], values: Floats, cutting: Cutting, clock: Clock, row_of_part: Ints, histogram: Floats,
-    overflow: Floats,
-) -> tuple[int, int]:  # fmt: skip
+@njit(cache=True)
+def gather(  # type: ignore[no-untyped-def]
+    pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow
+):  # fmt: skip
     """Add the primary of laser points and pixels to their histograms.
 
     pairs : (n, 2) laser point and pixel of each. row : (n,) first row of each, to which `row_of_part` (K,) is added.
@@ -338,11 +333,10 @@ def gather(
     # and how many times as large as itself a patch is that it stands for.
     tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 17))
     candidates, waiting = np.empty(1 << 14, np.int64), np.full(512, -1)
-    cells, rays = _gather(
+    return _gather(
         pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
         tag, cell, candidates, waiting,
     )  # fmt: skip
-    return int(cells), int(rays)
 
 
 # Without `_nrt=False` arrays are counted in and out of every function, a third of the time.
