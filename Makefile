@@ -29,11 +29,12 @@ help:
 
 setup: $(STAMP)
 
+# Of 14 000 installed files a fifth is ever imported: each is compiled when it is.
 $(STAMP): pyproject.toml constraints.txt docker/system-packages.txt
 	@test -n "$(PYTHON)" || { echo "datagen: Python 3.11, 3.12 or 3.13 is needed; none was found on PATH" >&2; exit 2; }
 	@sh docker/install-system-packages.sh
 	@$(PYTHON) -m venv $(VENV) || { echo "datagen: $(PYTHON) -m venv failed; on Debian install python3-venv" >&2; exit 2; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[tests]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[tests]'
 	@touch $@
 
 demo: setup
@@ -41,7 +42,9 @@ demo: setup
 	$(BIN)/datagen info $(OUT)
 	$(BIN)/datagen show $(OUT) 0
 
-test: check tests
+# Types are checked beside the tests: mypy keeps one core busy for a minute.
+test: lint
+	@$(MAKE) --no-print-directory --jobs=2 types tests
 
 check: lint types
 

@@ -23,12 +23,15 @@ def stays_clear(footprint: NDArray[np.float64], triangles: NDArray[np.float64], 
 
     A triangle whose bounding box is further away than that is not asked.
     """
-    low_x, high_x = footprint[:, 0].min() - margin_m, footprint[:, 0].max() + margin_m
-    low_y, high_y = footprint[:, 1].min() - margin_m, footprint[:, 1].max() + margin_m
-    for triangle in triangles:
-        if triangle[:, 0].max() < low_x or triangle[:, 0].min() > high_x:
+    low_x, high_x = _extent(footprint, 1.0, 0.0)
+    low_y, high_y = _extent(footprint, 0.0, 1.0)
+    for k in range(len(triangles)):
+        triangle = triangles[k]
+        low, high = _extent(triangle, 1.0, 0.0)
+        if high < low_x - margin_m or low > high_x + margin_m:
             continue
-        if triangle[:, 1].max() < low_y or triangle[:, 1].min() > high_y:
+        low, high = _extent(triangle, 0.0, 1.0)
+        if high < low_y - margin_m or low > high_y + margin_m:
             continue
         if gap_between(footprint, triangle) < margin_m:
             return False

@@ -4,6 +4,7 @@ the test's own process."""
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,6 +31,7 @@ FIRST = (
     "physics/test_all_bounces.py",
     "report/test_show_pictures.py",
     "store/test_build.py",
+    "scene/test_rooms.py",
     "capture/test_configs_built.py",
     "report/test_datasets_shown.py",
     "report/test_reproduce.py",
@@ -45,6 +47,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return FIRST.index(file) if file in FIRST else len(FIRST)
 
     items.sort(key=rank)
+
+
+def pytest_collection_finish() -> None:
+    """The collector need not look again and again at what the libraries brought and stays."""
+    gc.freeze()
+
+
+@contextmanager
+def _nothing_collected() -> Iterator[None]:
+    """A compiler makes many objects and leaves few: looking for circles among them is a twelfth of its time."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
 
 
 @contextmanager
@@ -72,10 +91,11 @@ def a_kernel_is_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Itera
 
     def compiled(kernel: Any, signature: Any) -> Any:
         if isinstance(kernel._cache, NullCache):
-            return alone(kernel, signature)
+            with _nothing_collected():
+                return alone(kernel, signature)
         name = f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}".replace("<", "").replace(">", "")
         # The lock of this process's threads first: they wait for one another in the same order.
-        with global_compiler_lock, _held(locks / name):
+        with global_compiler_lock, _held(locks / name), _nothing_collected():
             return alone(kernel, signature)
 
     with pytest.MonkeyPatch.context() as patch:

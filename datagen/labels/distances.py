@@ -103,7 +103,7 @@ def _keep_nearest(triangles: Floats, asked: Ints, first: int, last: int, points:
     for k in range(last - first):
         for p in range(9):
             table[k, p] = np.inf
-        _lower(triangles, asked[first + k], points, 9, table[k])
+        _lower(triangles, asked[first + k], points, table.shape[1], table[k])
         if table[k, 8] < table[nearest, 8]:
             nearest = k
     u, v = _closest_point(triangles, asked[first + nearest], points)

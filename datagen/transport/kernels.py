@@ -10,19 +10,27 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.binning import put
-from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, pdf, sample
+from datagen.transport.brdf import LAMBERTIAN, Vector, dot, evaluate, pdf, sample
 from datagen.transport.sampling import mix
+
+Kinds = NDArray[np.integer]
+Contributions = tuple[Ints, Ints, Floats, Floats]
+"""Vertex or laser point, histogram row, fractional bin and energy of each."""
 
 
 @njit(cache=True, inline="always")
-def _at(array, i):
+def _at(array: Floats, i: int) -> Vector:
     return (array[i, 0], array[i, 1], array[i, 2])
 
 
 @njit(cache=True)
-def scatter(kind, values, part, normal, w_in, uv):
+def scatter(
+    kind: Kinds, values: Floats, part: Ints, normal: Floats, w_in: Floats, uv: Floats,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Directions (n, 3) drawn by each vertex's BRDF, and the throughput f cosθ / pdf (n,)."""
     directions, throughput = np.empty((len(part), 3)), np.empty(len(part))
     for i in range(len(part)):
@@ -36,7 +44,7 @@ def scatter(kind, values, part, normal, w_in, uv):
 
 
 @njit(cache=True)
-def random_numbers(streams, step, count):
+def random_numbers(streams: NDArray[np.uint64], step: int, count: int) -> Floats:
     """(n, count) independent uniform numbers in the open interval 0 … 1, a function of (stream, step)."""
     out = np.empty((len(streams), count))
     for i in range(len(streams)):
@@ -48,9 +56,10 @@ def random_numbers(streams, step, count):
 
 @njit(cache=True)
 def light_lookins(
-    face, position, owner, position1, normal1, to_laser1, part1, kind, values, face_normal, by_area_too, rays,
-    area_density,
-):  # fmt: skip
+    face: NDArray[np.int32], position: Floats, owner: Ints, position1: Floats, normal1: Floats, to_laser1: Floats,
+    part1: Ints, kind: Kinds, values: Floats, face_normal: Floats, by_area_too: Bools, rays: float,
+    area_density: float,
+) -> tuple[Ints, Floats, Floats, Floats, Floats]:  # fmt: skip
     """Which candidates are lit, their facing normal, direction and distance to the laser point, and their power."""
     kept = np.empty(len(face), np.int64)
     normal, to_laser_point = np.empty((len(face), 3)), np.empty((len(face), 3))
@@ -91,7 +100,7 @@ def light_lookins(
 
 
 @njit(cache=True, inline="always")
-def _is_near(position, kind, center, reach):
+def _is_near(position: Vector, kind: int, center: Floats, reach: float) -> bool:
     """Whether a vertex could overfill a footprint of a pixel; a lobe narrower than Lambert's always could."""
     if kind != LAMBERTIAN or reach == np.inf:
         return True
@@ -100,7 +109,10 @@ def _is_near(position, kind, center, reach):
 
 
 @njit(cache=True)
-def near_a_pixel(laser, position, part, kind, center, reach, first_laser, confocal):
+def near_a_pixel(
+    laser: Ints, position: Floats, part: Ints, kind: Kinds, center: Floats, reach: Floats, first_laser: int,
+    confocal: bool,
+) -> Ints:  # fmt: skip
     """Indices of the vertices that are near any of their pixels."""
     kept = np.empty(len(laser), np.int64)
     n = 0
@@ -116,11 +128,15 @@ def near_a_pixel(laser, position, part, kind, center, reach, first_laser, confoc
 
 @njit(cache=True)
 def gather(
-    start, stop, laser, position2, normal2, to_previous, part2, power, path, block, position3, normal3, to_sensor,
-    part3, weight3, footprint3, last_leg, patch_center, patch_reach, kind, values, points_per_vertex, attenuation,
-    first_laser, confocal, pixels, split_of_part, splits, per_metre, clock_start, device_leg, center, half_extent,
-    offset, tile3, clear, histogram, overflow, origins, spans, rows, positions, energies,
-):  # fmt: skip
+    start: int, stop: int, laser: Ints, position2: Floats, normal2: Floats, to_previous: Floats, part2: Ints,
+    power: Floats, path: Floats, block: Ints, position3: Floats, normal3: Floats, to_sensor: Floats, part3: Ints,
+    weight3: Floats, footprint3: Floats, last_leg: Floats, patch_center: Floats, patch_reach: Floats, kind: Kinds,
+    values: Floats, points_per_vertex: int, attenuation: float, first_laser: int, confocal: bool, pixels: int,
+    split_of_part: Ints, splits: int, per_metre: float, clock_start: float, device_leg: Floats, center: Floats,
+    half_extent: float, offset: float, tile3: NDArray[np.int8], clear: NDArray[np.uint64], histogram: Floats,
+    overflow: Floats, origins: NDArray[np.float32], spans: NDArray[np.float32], rows: Ints, positions: Floats,
+    energies: Floats,
+) -> tuple[int, int]:  # fmt: skip
     """Every connection of vertices start … stop that can carry energy: shadow ray, row, fractional bin, energy.
 
     Where the vertex is known to see the tile of the FoV point (`clear_sight.py`) the energy is added at once instead.
@@ -183,7 +199,9 @@ def gather(
 
 
 @njit(cache=True)
-def deposit(rows, positions, energies, hidden, histogram, overflow):
+def deposit(
+    rows: Ints, positions: Floats, energies: Floats, hidden: Bools, histogram: Floats, overflow: Floats,
+) -> None:  # fmt: skip
     """Add the contributions that nothing hides."""
     for k in range(len(rows)):
         if not hidden[k]:
@@ -192,11 +210,13 @@ def deposit(rows, positions, energies, hidden, histogram, overflow):
 
 @njit(cache=True)
 def inside_pixels(
-    position3, normal3, part3, direction, throughput, laser, position2, normal2, to_previous, part2, power, path,
-    kind, values, sensor, planes, solid_angle, patch_center, patch_reach, aperture_area, aperture_square,
-    attenuation, points_per_vertex, first_laser, confocal, pixels, split_of_part, splits, per_metre, clock_start,
-    device_leg,
-):  # fmt: skip
+    position3: Floats, normal3: Floats, part3: Ints, direction: Floats, throughput: Floats, laser: Ints,
+    position2: Floats, normal2: Floats, to_previous: Floats, part2: Ints, power: Floats, path: Floats, kind: Kinds,
+    values: Floats, sensor: Floats, planes: Floats, solid_angle: Floats, patch_center: Floats, patch_reach: Floats,
+    aperture_area: float, aperture_square: float, attenuation: float, points_per_vertex: int, first_laser: int,
+    confocal: bool, pixels: int, split_of_part: Ints, splits: int, per_metre: float, clock_start: float,
+    device_leg: Floats,
+) -> Contributions:  # fmt: skip
     """Followed rays that landed inside a pixel: vertex, row, fractional bin and energy, if the sensor sees them."""
     owners, rows = [np.int64(0)], [np.int64(0)]
     positions, energies = [0.0], [0.0]
@@ -244,9 +264,11 @@ def inside_pixels(
 
 @njit(cache=True)
 def laser_points_in_pixels(
-    laser, position1, normal1, to_laser, part1, leg, kind, values, sensor, planes, aperture_area, aperture_square,
-    attenuation, first_laser, confocal, pixels, row_offset, splits, per_metre, clock_start, device_leg,
-):  # fmt: skip
+    laser: Ints, position1: Floats, normal1: Floats, to_laser: Floats, part1: Ints, leg: Floats, kind: Kinds,
+    values: Floats, sensor: Floats, planes: Floats, aperture_area: float, aperture_square: float, attenuation: float,
+    first_laser: int, confocal: bool, pixels: int, row_offset: int, splits: int, per_metre: float, clock_start: float,
+    device_leg: Floats,
+) -> Contributions:  # fmt: skip
     """Laser points a pixel looks at (one bounce): laser point, row, fractional bin, energy, if the sensor sees."""
     owners, rows = [np.int64(0)], [np.int64(0)]
     positions, energies = [0.0], [0.0]

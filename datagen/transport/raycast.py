@@ -72,7 +72,8 @@ class Raycaster:
 
     def closest(self, origins: Floats, directions: Floats) -> Hits:
         """First surface along each ray: origins (n, 3) metres, off any surface; directions (n, 3) of any length."""
-        origins = np.broadcast_to(origins, directions.shape)
+        # A copy, so that `_refine` is compiled for one layout.
+        origins = np.array(np.broadcast_to(origins, directions.shape), order="C")
         face = self._met(origins, directions)
         return Hits(face, *_refine(face, origins, directions, self.corners, self.face_normal))
 

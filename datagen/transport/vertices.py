@@ -226,7 +226,12 @@ def scattered_rays(
 ) -> tuple[Hits, Floats, Floats]:
     """One ray from each vertex drawn by its BRDF: hits, unit directions (n, 3), throughput f cosθ / pdf (n,)."""
     directions, throughput = scatter(
-        materials.kind, materials.values, vertices.part, vertices.normal, vertices.to_previous, numbers[:, 1:3]
+        materials.kind,
+        materials.values,
+        vertices.part,
+        vertices.normal,
+        vertices.to_previous,
+        np.ascontiguousarray(numbers[:, 1:3]),
     )
     return caster.leaving(vertices.position, vertices.normal, directions), directions, throughput
 

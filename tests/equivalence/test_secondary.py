@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import secondary_by_walk
 import trimesh
+from lobe_sphere import values_along
 from numpy.typing import NDArray
-from physics.lobe_sphere import values_along
-from physics.sphere_chords import QUAD, SPOT, WIDTH_M, stored
 from rooms import bins_of_path, demonstration_room, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
 from secondary_by_walk import PLACES, RUNS, coarse, walked
+from sphere_chords import QUAD, SPOT, WIDTH_M, stored
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.errors import InputError

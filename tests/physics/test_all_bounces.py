@@ -35,7 +35,7 @@ def in_the_ball(albedo: float, subdivisions: int = 5) -> tuple[Scene, Capture, f
     return scene, capture, albedo**3 / np.pi / (4 * np.pi) * APERTURE_M2 * omega
 
 
-@pytest.mark.parametrize("albedo", [0.3, 0.8, 1.0])
+@pytest.mark.parametrize("albedo", [0.3, 1.0])
 def test_sphere_energy_for_three_to_six_bounces(albedo: float) -> None:
     """Each extra bounce multiplies the energy by ρ."""
     scene, capture, primary = in_the_ball(albedo)

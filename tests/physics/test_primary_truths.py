@@ -64,7 +64,7 @@ def plate_by_quadrature(points, center, right, up, normal, n, bins, start, width
     return out
 
 
-@pytest.mark.parametrize("side", [8, pytest.param(16, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("side", [5, pytest.param(16, marks=pytest.mark.nightly)])
 def test_rectangle_against_quadrature_per_3_mm_bin(side: int) -> None:
     """An unoccluded plate, confocal points, 300 bins of 3 mm: relative L1 under 1 % (docs/physics.md)."""
     center, right, up = np.array([1, 0.1, 0.05]), np.array([0.05, 0.13, 0]), np.array([0, 0, 0.13])
@@ -97,7 +97,7 @@ def ball() -> trimesh.Trimesh:
     return mesh
 
 
-@pytest.mark.parametrize("albedo", [0.3, 0.8, 1.0])
+@pytest.mark.parametrize("albedo", [0.3, 1.0])
 def test_inside_of_a_sphere_energy(ball: trimesh.Trimesh, albedo: float) -> None:
     """Every vertex after a bounce is uniform on the sphere, so L = ρ³/π · A Ω / (4π r²) whatever the geometry."""
     scene = Scene.from_parts([Part("sphere", ball, Lambertian(albedo), "structure")])

@@ -70,6 +70,7 @@ def test_replay_tells_when_the_scene_is_another(dataset: Path) -> None:
     assert again.moved_m == pytest.approx(1e-3 * 3**0.5)
 
 
+@pytest.mark.usefixtures("without_ticks")
 def test_show_writes_beside_the_dataset_and_leaves_it_alone(dataset: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in dataset.rglob("*")}
     written = show(dataset, 1)

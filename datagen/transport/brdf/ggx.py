@@ -209,10 +209,13 @@ def single_albedo(alpha: float, f0: float, cos_in: float, gauss: Floats) -> floa
     return total
 
 
+@lru_cache(maxsize=16)
 def unit_gauss(count: int) -> Floats:
     """(2, count): Gauss–Legendre nodes on 0 … 1 and weights that sum to 1."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
-    return np.stack([0.5 * (nodes + 1), 0.5 * weights])
+    gauss = np.stack([0.5 * (nodes + 1), 0.5 * weights])
+    gauss.flags.writeable = False
+    return gauss
 
 
 @lru_cache(maxsize=256)

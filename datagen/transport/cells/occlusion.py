@@ -138,8 +138,8 @@ def _boxes(low, high):  # type: ignore[no-untyped-def]
                     bounds[m, j] = min(bounds[m, j], low[f, j])
                     bounds[m, 3 + j] = max(bounds[m, 3 + j], high[f, j])
             cost[:] = 0.0
-            _swept(members, bounds, cost, 1)
-            _swept(members, bounds, cost, -1)
+            for step in (1, -1):
+                _swept(members, bounds, cost, step)
             best = 1
             for m in range(2, BINS):
                 if cost[m] < cost[best]:

@@ -114,7 +114,7 @@ def _middles(level: int, pixels: int) -> Floats:
     side = 1 << level
     knots = (np.arange(side) + 0.5) / side
     uv = np.stack([np.tile(knots, side), np.repeat(knots, side)], axis=1)
-    return np.ascontiguousarray(np.broadcast_to(uv, (pixels, side * side, 2)))
+    return np.broadcast_to(uv, (pixels, side * side, 2)).copy()
 
 
 def _across(pool: FovPool, corner: Floats, uv: Floats) -> Floats:

@@ -14,6 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats, Ints
+from datagen.transport.brdf import Vector
+
 FEW = 16
 """Bodies in view of a cell with which it is still worth while to ask for each tile alone."""
 SHORTLIST = 8
@@ -70,7 +73,7 @@ class Grid(NamedTuple):
 
 
 @njit(cache=True)
-def cells_of(position, grid):
+def cells_of(position: Floats, grid: Grid) -> Ints:
     """(n,) the cell each point lies in; one outside counts to the nearest."""
     corner, side, shape = grid
     out = np.empty(len(position), np.int64)
@@ -84,14 +87,14 @@ def cells_of(position, grid):
 
 
 @njit(cache=True, inline="always")
-def _height(point, normal, base):
-    return (
+def _height(point: Vector, normal: Floats, base: Floats) -> float:
+    return float(
         (point[0] - base[0]) * normal[0] + (point[1] - base[1]) * normal[1] + (point[2] - base[2]) * normal[2]
-    )  # fmt: skip
+    )
 
 
 @njit(cache=True)
-def _extent(points, count, axis):
+def _extent(points: Floats, count: int, axis: Vector) -> tuple[float, float]:
     low, high = math.inf, -math.inf
     for i in range(count):
         s = points[i, 0] * axis[0] + points[i, 1] * axis[1] + points[i, 2] * axis[2]
@@ -99,46 +102,68 @@ def _extent(points, count, axis):
     return low, high
 
 
+@njit(cache=True, inline="always")
+def _dot(p: Vector, q: Vector) -> float:
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@njit(cache=True, inline="always")
+def _cross(p: Vector, q: Vector) -> Vector:
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+
+
 @njit(cache=True)
-def _axes_of_hull(hull):
+def _row(array: Floats, i: int) -> Vector:
+    return (array[i, 0], array[i, 1], array[i, 2])
+
+
+@njit(cache=True)
+def _from_to(points: Floats, i: int, j: int) -> Vector:
+    return (points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2])
+
+
+# One number at a time: numpy's cross product, and rows written at once, take the compiler four times as long.
+@njit(cache=True)
+def _axes_of_hull(hull: Floats) -> Floats:
     """Unit normals of planes that may bound the hull of a tile (points 0 … 7) and a cell (8 … 15): those of the
     axes, of the tile's faces, and for each edge of the tile's front the one that touches the cell."""
     axes = np.zeros((10, 3))
     axes[0, 0] = axes[1, 1] = axes[2, 2] = 1.0
-    found = 3
-    right, up = hull[1] - hull[0], hull[3] - hull[0]
-    for candidate in (right, up, np.cross(right, up)):
-        length = math.sqrt(np.dot(candidate, candidate))
+    found, first = 3, int(np.int64(0))
+    right, up = _from_to(hull, first, first + 1), _from_to(hull, first, first + 3)
+    for candidate in (right, up, _cross(right, up)):
+        length = math.sqrt(_dot(candidate, candidate))
         if length > 0.0:
-            axes[found] = candidate / length
+            for k in range(3):
+                axes[found, k] = candidate[k] / length
             found += 1
     for i in range(4):
-        edge = hull[(i + 1) % 4] - hull[i]
+        edge = _from_to(hull, i, (i + 1) % 4)
         best = -math.inf
         for b in range(8, 16):
-            normal = np.cross(edge, hull[b] - hull[i])
-            length = math.sqrt(np.dot(normal, normal))
+            x, y, z = _cross(edge, _from_to(hull, i, b))
+            length = math.sqrt(x * x + y * y + z * z)
             if length == 0.0:
                 continue
-            normal /= length
-            low, high = _extent(hull, 16, normal)
-            level = np.dot(normal, hull[i])
+            normal = (x / length, y / length, z / length)
+            low, high = _extent(hull, len(hull), normal)
+            level = _dot(normal, _row(hull, i))
             outside = max(low - level, level - high)
             if outside > best:
                 best = outside
-                axes[found] = normal
+                axes[found, 0], axes[found, 1], axes[found, 2] = normal
         found += best > -math.inf
     return axes[:found]
 
 
 @njit(cache=True)
-def _in_view(hull, numbers, bodies, gap):
+def _in_view(hull: Floats, numbers: NDArray[np.int32], bodies: Bodies, gap: float) -> NDArray[np.int32]:
     """Which of the bodies `numbers` may meet a hull of a tile and a cell (16, 3)."""
     _, count, corners, normal, level, low, high = bodies
     axes = _axes_of_hull(hull)
     extents = np.empty((len(axes), 2))
     for a in range(len(axes)):
-        extents[a] = _extent(hull, 16, axes[a])
+        extents[a, 0], extents[a, 1] = _extent(hull, len(hull), _row(axes, a))
     kept, n = np.empty(len(numbers), np.int32), 0
     for f in numbers:
         apart = False
@@ -147,10 +172,10 @@ def _in_view(hull, numbers, bodies, gap):
         for a in range(3, len(axes)):
             if apart:
                 break
-            least, most = _extent(corners[f], count[f], axes[a])
+            least, most = _extent(corners[f], count[f], _row(axes, a))
             apart = least > extents[a, 1] + gap or most < extents[a, 0] - gap
         if not apart and count[f] == 3:
-            least, most = _extent(hull, 16, normal[f])
+            least, most = _extent(hull, len(hull), _row(normal, f))
             apart = least > level[f] + gap or most < level[f] - gap
         if not apart:
             kept[n] = f
@@ -159,7 +184,17 @@ def _in_view(hull, numbers, bodies, gap):
 
 
 @njit(cache=True)
-def bodies_in_view(cells, grid, lift, tile_corners, bodies, gap):
+def _put_tile(hull: Floats, tile_corners: Floats, t: int) -> None:
+    """Take tile t's corners for the hull's first eight points."""
+    for b in range(8):
+        for k in range(3):
+            hull[b, k] = tile_corners[t, b, k]
+
+
+@njit(cache=True)
+def bodies_in_view(
+    cells: Ints, grid: Grid, lift: float, tile_corners: Floats, bodies: Bodies, gap: float,
+) -> tuple[Ints, NDArray[np.int32], NDArray[np.uint64]]:  # fmt: skip
     """For each of `cells` the bodies that may meet the hull of the cell and the whole field of view, and the tiles
     that none of them stands in front of, whatever the place in the cell.
 
@@ -179,30 +214,25 @@ def bodies_in_view(cells, grid, lift, tile_corners, bodies, gap):
             for k in range(3):
                 bit = (b >> k) & 1
                 hull[8 + b, k] = corner[k] + (index[k] + bit) * side + (2 * bit - 1) * lift
-        hull[:8] = tile_corners[whole]
+        _put_tile(hull, tile_corners, whole)
         seen = _in_view(hull, every, bodies, gap)
         counts[n] = len(seen)
         for f in seen:
             members.append(f)
         for t in range(whole):
-            hull[:8] = tile_corners[t]
+            _put_tile(hull, tile_corners, t)
             if len(seen) == 0 or (len(seen) <= FEW and len(_in_view(hull, seen, bodies, gap)) == 0):
                 clear[n] |= np.uint64(1) << np.uint64(t)
     return counts, np.array(members[1:], np.int32), clear
 
 
 @njit(cache=True, inline="always")
-def _to_corner(apex, tile_corners, t, i):
+def _to_corner(apex: Vector, tile_corners: Floats, t: int, i: int) -> Vector:
     return tile_corners[t, i, 0] - apex[0], tile_corners[t, i, 1] - apex[1], tile_corners[t, i, 2] - apex[2]
 
 
-@njit(cache=True, inline="always")
-def _cross(p, q):
-    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
-
-
 @njit(cache=True)
-def _face_pyramid(apex, t, tile_corners, tile_axis, gap, planes):
+def _face_pyramid(apex: Vector, t: int, tile_corners: Floats, tile_axis: Floats, gap: float, planes: Floats) -> None:
     """The planes (6, 4) that bound the hull of an apex and tile t: a body is apart where normal · x < limit for all
     of its corners. Four sides over the tile's front, moved out as far as its back reaches; both ends."""
     least, most = math.inf, -math.inf
@@ -233,9 +263,11 @@ def _face_pyramid(apex, t, tile_corners, tile_axis, gap, planes):
 
 @njit(cache=True)
 def _prove_one(
-    apex, t, numbers, begin, end, allowed, left, count, corners, normal, level, low, high, tile_corners, tile_axis,
-    tile_low, tile_high, heights, gap, own_gap, planes, thorough,
-):  # fmt: skip
+    apex: Vector, t: int, numbers: NDArray[np.int32], begin: int, end: int, allowed: int, left: NDArray[np.int32],
+    count: Ints, corners: Floats, normal: Floats, level: Floats, low: Floats, high: Floats, tile_corners: Floats,
+    tile_axis: Floats, tile_low: Floats, tile_high: Floats, heights: Floats, gap: float, own_gap: float,
+    planes: Floats, thorough: bool,
+) -> int:  # fmt: skip
     """Which of the bodies numbers[begin … end] no plane separates from the hull of an apex and tile t.
 
     They go to `left`; returns how many, or allowed + 1 as soon as there are more.
@@ -277,9 +309,10 @@ def _prove_one(
 
 @njit(cache=True)
 def prove(
-    position, normal2, pixel, cells, first, listed, members, known, bodies, tiles, lift, gap, own_gap, tests,
-    thorough,
-):  # fmt: skip
+    position: Floats, normal2: Floats, pixel: Ints, cells: Ints, first: Ints, listed: Ints,
+    members: NDArray[np.int32], known: NDArray[np.uint64], bodies: Bodies, tiles: Tiles, lift: float, gap: float,
+    own_gap: float, tests: int, thorough: bool,
+) -> NDArray[np.uint64]:  # fmt: skip
     """(n,) one bit for each tile that nothing stands in front of, as seen from each vertex.
 
     pixel : (n,) the one pixel a vertex is joined to, or −1 for all. cells : (n,) cell of each vertex; first, listed,
@@ -293,6 +326,8 @@ def prove(
     whole = len(tile_corners) - 1
     every = (np.uint64(1) << np.uint64(whole)) - np.uint64(1)
     out = np.zeros(len(position), np.uint64)
+    # As plain zeros these two would have `_prove_one` compiled once more for them.
+    start = no_more = int(np.int64(0))
     left, none, planes = np.empty(SHORTLIST, np.int32), np.empty(0, np.int32), np.empty((6, 4))
     for i in range(len(position)):
         apex = (
@@ -324,8 +359,8 @@ def prove(
                 if out[i] >> np.uint64(t) & np.uint64(1):
                     continue
                 behind = _prove_one(
-                    apex, t, left, 0, remaining, 0, none, count, corners, normal, level, low, high, tile_corners,
-                    tile_axis, tile_low, tile_high, heights, gap, own_gap, planes, thorough,
+                    apex, t, left, start, remaining, no_more, none, count, corners, normal, level, low, high,
+                    tile_corners, tile_axis, tile_low, tile_high, heights, gap, own_gap, planes, thorough,
                 )  # fmt: skip
                 if behind == 0:
                     out[i] |= np.uint64(1) << np.uint64(t)
@@ -333,7 +368,10 @@ def prove(
 
 
 @njit(cache=True)
-def tiles_of_points(position, normal, weight, pixel, tiles_of_pixel, frames, shell, lift, own_gap, slack):
+def tiles_of_points(
+    position: Floats, normal: Floats, weight: Floats, pixel: Ints, tiles_of_pixel: Ints, frames: Floats,
+    shell: Floats, lift: float, own_gap: float, slack: float,
+) -> NDArray[np.int8]:  # fmt: skip
     """(P, Q) the tile whose box holds each FoV point, lifted, above every wall of the shell; −1 for none.
 
     frames : (T, 5, 3) of each tile: a corner of its box, three unit axes, its extents along them.

@@ -98,7 +98,7 @@ def _enter(corners: Floats, plane: NDArray[np.int32], cells: NDArray[np.int32]) 
                 edge[i, 1] = local[i, 2] * local[j, 0] - local[i, 0] * local[j, 2]
                 edge[i, 2] = local[i, 0] * local[j, 1] - local[i, 1] * local[j, 0]
                 if edge[i, 0] * local[k, 0] + edge[i, 1] * local[k, 1] + edge[i, 2] * local[k, 2] < 0.0:
-                    edge[i] *= -1.0
+                    edge[i, 0], edge[i, 1], edge[i, 2] = -edge[i, 0], -edge[i, 1], -edge[i, 2]
             for a in range(low_u, high_u + 1):
                 for b in range(low_v, high_v + 1):
                     u0, u1 = 2 * (a - margin) / n - 1, 2 * (a + 1 + margin) / n - 1
@@ -179,28 +179,35 @@ def _highest(triangle: Floats, base: Floats, normal: Floats) -> float:
 
 
 @njit(cache=True)
+def _normal_towards(sides: Floats, i: int, p: Floats, q: Floats, inner: Floats) -> None:
+    """Side i: p × q, or its opposite, whichever points the way of `inner`."""
+    x, y, z = p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+    sign = -1.0 if x * inner[0] + y * inner[1] + z * inner[2] < 0.0 else 1.0
+    sides[i, 0], sides[i, 1], sides[i, 2] = sign * x, sign * y, sign * z
+
+
+@njit(cache=True)
 def pyramids_clear(apexes: Floats, patch: Floats, corners: Floats, face_normal: Floats, tolerance: float) -> Bools:
     """Whether the pyramid from each apex (n, 3) to a flat patch (4, 3) is free of triangles (F, 3, 3)."""
     clear = np.ones(len(apexes), np.bool_)
-    sides = np.empty((5, 3))
-    span = np.empty((4, 3))
-    middle = np.empty(3)
+    sides, span, edge = np.empty((5, 3)), np.empty((4, 3)), np.empty((2, 3))
+    base, middle, inner, upward = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for k in range(3):
         middle[k] = (patch[0, k] + patch[1, k] + patch[2, k] + patch[3, k]) / 4
+        edge[0, k], edge[1, k] = patch[1, k] - patch[0, k], patch[3, k] - patch[0, k]
     for n in range(len(apexes)):
         apex = apexes[n]
-        for i in range(4):
-            for k in range(3):
+        for k in range(3):
+            inner[k], upward[k] = middle[k] - apex[k], apex[k] - middle[k]
+            for i in range(4):
                 span[i, k] = patch[i, k] - apex[k]
-        sides[4] = np.cross(patch[1] - patch[0], patch[3] - patch[0])
         for i in range(4):
-            sides[i] = np.cross(span[i], span[(i + 1) % 4])
-            if np.dot(sides[i], middle - apex) < 0.0:
-                sides[i] *= -1.0
-        # The base, too, turned to face inwards: towards the apex.
-        if np.dot(sides[4], apex - middle) < 0.0:
-            sides[4] *= -1.0
-        base = sides[4] / np.sqrt(np.dot(sides[4], sides[4]))
+            _normal_towards(sides, i, span[i], span[(i + 1) % 4], inner)
+        # The base, too, faces inwards: towards the apex.
+        _normal_towards(sides, len(span), edge[0], edge[1], upward)
+        length = np.sqrt(sides[4, 0] * sides[4, 0] + sides[4, 1] * sides[4, 1] + sides[4, 2] * sides[4, 2])
+        for k in range(3):
+            base[k] = sides[4, k] / length
         for f in range(len(corners)):
             low = high = height(apex, corners[f, 0], face_normal[f])
             for i in range(4):
