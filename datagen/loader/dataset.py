@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset, default_collate
 
 from datagen.errors import InputError
+from datagen.loader.draws import DrawCounter
 from datagen.loader.redrawn_noise import NoiseSource
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.record import recorded_shards
@@ -35,8 +36,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     counts : dtype that histograms are handed over in, since torch lacks most operations for uint16 and uint32.
         float32 is exact up to 2²⁴ counts a bin. `"stored"` leaves them as they are, the least to move from worker to
         device: cast them there, `batch["histogram"].to(device).float()`. Other fields keep their dtype.
-    redraw_noise : draw histograms anew from the stored transient, with the scene's own detector, every epoch: a
-        function of (`seed`, epoch, scene). Call `set_epoch` (or `EpochSampler.set_epoch`) before each epoch.
+    redraw_noise : draw histograms anew from the stored transient, with the scene's own detector, at every read: the
+        n-th read of a scene is its draw n, a function of (`seed`, n, scene). So every epoch has noise of its own
+        without any call, whatever wraps the dataset, samples from it or works for it; `set_epoch` fixes the count.
     seed : of the redrawn noise.
     check : compare every value with the digest in its commit record when it is first read, once for all workers and
         epochs. Costs about 1 ms a MiB of decoded values; without it missing and damaged files are still found, but
@@ -58,8 +60,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     >>> import datagen as dg, torch
     >>> def batches(path):
     ...     data = dg.TransientDataset(path, fields=("histogram", "depth"), redraw_noise=True)
-    ...     order = dg.EpochSampler(data, seed=0)
-    ...     yield from torch.utils.data.DataLoader(data, 16, sampler=order, collate_fn=dg.collate)
+    ...     yield from torch.utils.data.DataLoader(data, 16, shuffle=True, collate_fn=dg.collate)
     >>> next(batches("nowhere.zarr"))
     Traceback (most recent call last):
         ...
@@ -96,11 +97,10 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
                 f"redraw_noise: {path} has no field transient to draw from; build it with one (store.fields)"
             )
         self._noise = NoiseSource(manifest) if redraw_noise else None
+        self._draws = DrawCounter(self._schema.scenes) if redraw_noise else None
         self.scenes = self._scenes_there(manifest)
         self.seed = seed
-        # Shared memory: workers that outlive an epoch see the next one begin, and none checks what another has.
-        epoch: Any = torch.zeros((), dtype=torch.int64)
-        self._epoch: torch.Tensor = epoch.share_memory_()
+        # Shared memory: no worker checks what another has.
         stored = ["transient" if name == "histogram" and self._noise else name for name in self.selected]
         self._seen: dict[str, Any] = {
             name: torch.zeros(self._schema.scenes, dtype=torch.bool).share_memory_() for name in stored
@@ -124,11 +124,15 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """Open files stay with the process that opened them."""
         return self.__dict__ | {"_reader": None}
 
-    def set_epoch(self, epoch: int) -> None:
-        """The epoch that redrawn noise belongs to, also in workers that are running."""
-        if epoch < 0:
-            raise InputError(f"epoch = {epoch}: must be ≥ 0")
-        self._epoch.fill_(epoch)
+    def set_epoch(self, epoch: int, items: Sequence[int] | None = None) -> None:
+        """Fix the noise: the next read of every item (or of `items`) is its draw `epoch`, and later reads count on.
+
+        Never needed for fresh noise. It repeats the noise of an epoch, goes on where an earlier run ended, and makes
+        draws independent of reads that were begun and thrown away: workers that were fetching when an epoch was left.
+        Workers that are running see it. `EpochSampler` calls it when it begins.
+        """
+        if self._draws is not None:
+            self._draws.fix(epoch, self.scenes if items is None else self.scenes[np.asarray(items, np.int64)])
 
     def shape(self, field: str) -> tuple[int, ...]:
         """The shape of one scene's value of a field."""
@@ -193,9 +197,13 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return drawn.astype(self._counts)
 
     def _drawn(self, scenes: Sequence[int]) -> NDArray[np.integer[Any]]:
-        assert self._noise is not None
-        transients, epoch = self._stored("transient", scenes), int(self._epoch)
-        return np.stack([self._noise.draw(t, s, self.seed, epoch) for t, s in zip(transients, scenes, strict=True)])
+        assert self._noise is not None and self._draws is not None
+        transients, taken = self._stored("transient", scenes), self._draws.take(scenes)
+        drawn = [
+            self._noise.draw(transient, scene, self.seed, *draw)
+            for transient, scene, draw in zip(transients, scenes, taken, strict=True)
+        ]
+        return np.stack(drawn)
 
 
 class _Batch(list[dict[str, torch.Tensor]]):
