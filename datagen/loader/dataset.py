@@ -12,12 +12,14 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, default_collate
 
+from datagen.config.splits import BY_SHARE
 from datagen.errors import InputError
 from datagen.loader.draws import DrawCounter
 from datagen.loader.redrawn_noise import NoiseSource
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.record import recorded_shards
-from datagen.store.table import TABLE, read_table
+from datagen.store.schema import SPLITS_SINCE
+from datagen.store.table import TABLE, read_splits, read_table
 
 COUNT_TYPES = ("float32", "float64", "int32", "int64", "stored")
 
@@ -39,6 +41,10 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     redraw_noise : draw histograms anew from the stored transient, with the scene's own detector, at every read: the
         n-th read of a scene is its draw n, a function of (`seed`, n, scene). So every epoch has noise of its own
         without any call, whatever wraps the dataset, samples from it or works for it; `set_epoch` fixes the count.
+    split : the scenes of one split alone: `"train"`, `"val"`, `"test"`, or one that the configuration holds out by
+        what scenes show (`splits.held_out`). A room, and every scene that shows it, is in one split; growing a
+        dataset moves none.
+    fractions : of train, val and test, instead of the configuration's.
     seed : of the redrawn noise.
     check : compare every value with the digest in its commit record when it is first read, once for all workers and
         epochs. Costs about 1 ms a MiB of decoded values; without it missing and damaged files are still found, but
@@ -72,6 +78,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         path: str | Path,
         fields: Sequence[str] = ("histogram", "depth"),
         *,
+        split: str | None = None,
+        fractions: tuple[float, float, float] | None = None,
         counts: str = "float32",
         redraw_noise: bool = False,
         seed: int = 0,
@@ -99,6 +107,11 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         self._noise = NoiseSource(manifest) if redraw_noise else None
         self._draws = DrawCounter(self._schema.scenes) if redraw_noise else None
         self.scenes = self._scenes_there(manifest)
+        self.split = split
+        if split is not None:
+            self.scenes = self._scenes_of(split, fractions)
+        elif fractions is not None:
+            raise InputError("fractions: divide a dataset into splits; name the one to read, such as split='train'")
         self.seed = seed
         # Shared memory: no worker checks what another has.
         stored = ["transient" if name == "histogram" and self._noise else name for name in self.selected]
@@ -149,6 +162,25 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """A column of `samples.parquet` (scene parameters, error estimates) in the order of the items."""
         column: NDArray[np.generic] = read_table(self.path, [name], self._schema.scenes)[name].to_numpy()
         return column[self.scenes]
+
+    def _scenes_of(self, split: str, fractions: tuple[float, float, float] | None) -> NDArray[np.int64]:
+        """Those of the scenes that are there and belong to a split."""
+        splits = self._manifest.splits()
+        if split not in splits.names:
+            raise InputError(f"split = {split!r}: {self.path} has {', '.join(splits.names)}")
+        if fractions is not None:
+            if len(fractions) != 3 or min(fractions) < 0 or abs(sum(fractions) - 1) > 1e-6:
+                raise InputError(
+                    f"fractions = {fractions}: must be three numbers ≥ 0 (train, val, test) that add up to 1"
+                )
+            shares = dict(zip(BY_SHARE, map(float, fractions), strict=True))
+            splits = splits.model_copy(update=shares)
+        scenes = self._schema.scenes
+        if fractions is None and self._manifest.schema_version >= SPLITS_SINCE:
+            found = read_table(self.path, ["split"], scenes)["split"].to_pylist()
+        else:
+            found = read_splits(self.path, scenes, splits)
+        return self.scenes[[found[scene] == split for scene in self.scenes]]
 
     def _scenes_there(self, manifest: Manifest) -> NDArray[np.int64]:
         there, failed = self._shards_and_failures(manifest)

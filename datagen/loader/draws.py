@@ -44,8 +44,8 @@ class DrawCounter:
         for scene in scenes:
             draw, fixed = int(state[scene, 0]), bool(state[scene, 1])
             state[scene] = draw + 1, 0
-            # Stream 1 orders epochs.
-            taken.append((draw, 0 if fixed or rank == 0 else rank + 1))
+            # Streams 1 and 2 order epochs and deal out splits.
+            taken.append((draw, 0 if fixed or rank == 0 else rank + 2))
         return taken
 
     def __getstate__(self) -> dict[str, Any]:

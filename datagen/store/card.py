@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
     failures = {scene: reason for record in records for scene, reason in record.failures.items()}
     stored = sum(file.bytes for record in records for file in record.files.values())
     whole = len(records) == schema.shards
+    table = table_of(records, (), manifest.splits())
     names = ", ".join(f'"{field.name}"' for field in schema.fields if field.sharded)
     lines = [
         f"# {config['name']}",
@@ -51,6 +53,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         "run the same `datagen build` again to go on.",
         "",
         *_failure_lines(failures),
+        *(_split_lines(table) if whole else []),
         "## Fields",
         "",
         "Zarr v3 arrays in `data.zarr`, one scene along the first axis.",
@@ -65,7 +68,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         "",
         *_class_lines(schema),
         *_time_lines(config["capture"]),
-        *(_parameter_lines(table_of(records, ())) if whole else []),
+        *(_parameter_lines(table) if whole else []),
         "## Reading it",
         "",
         "```python",
@@ -102,6 +105,13 @@ def _failure_lines(failures: dict[int, str]) -> list[str]:
     shown = [f"- scene {scene}: {reason}" for scene, reason in sorted(failures.items())[:20]]
     shown += [f"- and {len(failures) - 20} more, see `{TABLE}`"] if len(failures) > 20 else []
     return [f"{len(failures)} scenes could not be made; their values are fill values:", "", *shown, ""]
+
+
+def _split_lines(table: pa.Table) -> list[str]:
+    """How many scenes each split has."""
+    scenes = Counter(name for name in table["split"].to_pylist() if name is not None)
+    told = ", ".join(f"{name} {count}" for name, count in scenes.most_common())
+    return [f"Splits (column `split` of `{TABLE}`; no room is in two): {told}.", ""]
 
 
 def _class_lines(schema: Schema) -> list[str]:

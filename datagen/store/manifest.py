@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
-from datagen.config import DatasetConfig, config_from_mapping
+from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping
 from datagen.config.scene_contents import Mesh
 from datagen.errors import InputError
 from datagen.store.arrays import GROUP, metadata_files, shard_shape
@@ -96,6 +97,13 @@ class Manifest:
                 f"{MANIFEST}: its fields are not those that its configuration gives; build the dataset anew"
             )
         return models
+
+    def splits(self) -> SplitsConfig:
+        """How its scenes are dealt out. Raises `InputError` for settings that are none."""
+        try:
+            return SplitsConfig.model_validate_json(json.dumps(self.config.get("splits", {})))
+        except pydantic.ValidationError as error:
+            raise InputError(f"{MANIFEST}: splits: {' '.join(str(error).split())}; {REMEDY}") from None
 
     def to_bytes(self) -> bytes:
         """The file `dataset.json`."""

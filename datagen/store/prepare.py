@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from datagen.config import DatasetConfig
+from datagen.config.dataset import WITHOUT_EFFECT
 from datagen.errors import CheckError, InputError
 from datagen.store.arrays import GROUP, metadata_files
 from datagen.store.environment import environment
@@ -158,7 +159,7 @@ def _taken_up(root: Path, config: DatasetConfig) -> Manifest:
 def _check_same(root: Path, old: Manifest, config: DatasetConfig) -> None:
     if config.fingerprint() == old.fingerprint:
         return
-    new = config.model_dump(mode="json", exclude={"name", "description", "scenes"})
+    new = config.model_dump(mode="json", exclude={*WITHOUT_EFFECT})
     for key, was, now in _differences(old.config, new):
         raise InputError(
             f"output {root}: holds a dataset made with {key} = {was}, this configuration has {now}; "

@@ -24,12 +24,15 @@ SCHEMA_VERSIONS = {
     4: "datagen 0.4: a seed yields other light where a configuration asks for an accuracy (the primary by cells, "
     "without noise), bins of the secondary hold what arrives between their edges; columns transient.part_error.*; "
     "`dataset.json` and commit records end in a checksum of their own, and must",
+    5: "datagen 0.5: a column `split` in the table",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
 SCHEMA_VERSION = max(SCHEMA_VERSIONS)
 CHECKSUMS_SINCE = 4
 """The first version whose `dataset.json` and commit records must carry a checksum of their own."""
+SPLITS_SINCE = 5
+"""The first version whose table says which split a scene belongs to."""
 CHUNK_BYTES = 4 * 2**20
 """A scene's chunk is cut (first along `laser`) when its raw bytes exceed this."""
 SHARD_BYTES = 256 * 2**20

@@ -14,12 +14,12 @@ from datagen.config import fingerprint_of
 from datagen.errors import CheckError, printable
 from datagen.store.card import CARD, card, croissant, write_card, write_croissant
 from datagen.store.environment import environment
-from datagen.store.files import JSON_BYTES, holds, json_bytes, sha256_of
+from datagen.store.files import JSON_BYTES, holds, json_bytes, sha256_of, write_if_changed
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, read_record, recorded_shards
-from datagen.store.schema import SCHEMA_VERSION
-from datagen.store.table import CROISSANT, TABLE, table_bytes, table_of, write_table
+from datagen.store.schema import SCHEMA_VERSION, SPLITS_SINCE
+from datagen.store.table import CROISSANT, TABLE, table_bytes, table_of
 
 
 def committed(
@@ -43,9 +43,14 @@ def committed(
 
 def finish(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
     """Write what a complete dataset has beside its arrays: the table, the cards."""
-    write_table(root, records, [field.name for field in manifest.schema.fields])
+    write_if_changed(root / TABLE, table_bytes(_table(manifest, records)))
     write_croissant(root, manifest)
     write_card(root, manifest, records)
+
+
+def _table(manifest: Manifest, records: Sequence[ShardRecord]) -> pa.Table:
+    splits = manifest.splits() if manifest.schema_version >= SPLITS_SINCE else None
+    return table_of(records, [field.name for field in manifest.schema.fields], splits)
 
 
 @dataclass(frozen=True)
@@ -142,7 +147,7 @@ def _summary_problems(root: Path, manifest: Manifest, records: Sequence[ShardRec
     if not (root / TABLE).is_file():
         yield f"{TABLE}: missing; build again to write it"
         return
-    table, now = table_of(records, [field.name for field in manifest.schema.fields]), environment()
+    table, now = _table(manifest, records), environment()
     # Another pyarrow writes the same table in other bytes.
     same_writer = manifest.versions["pyarrow"] == now["pyarrow"]
     if not holds(root / TABLE, table_bytes(table)) and (same_writer or not _tells(root / TABLE, table)):
