@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import operator
 import warnings
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,7 @@ from datagen.loader.redrawn_noise import NoiseSource
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.record import recorded_shards
 from datagen.store.schema import SPLITS_SINCE
-from datagen.store.table import TABLE, read_splits, read_table
+from datagen.store.table import TABLE, read_splits, read_table, stats_of_rows
 
 COUNT_TYPES = ("float32", "float64", "int32", "int64", "stored")
 
@@ -127,9 +129,16 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     def __getitem__(self, item: int) -> dict[str, torch.Tensor]:
         return self.__getitems__([item])[0]
 
+    def __repr__(self) -> str:
+        """Where from, how many samples of which split, and what an item holds."""
+        part = f" of split {self.split!r}" if self.split else ""
+        drawn = "histogram, drawn anew at every read" if self._noise else "histogram"
+        fields = (f"{drawn if name == 'histogram' else name} {self.shape(name)}" for name in self.selected)
+        return f"TransientDataset({str(self.path)!r}: {len(self)} scenes{part}; {', '.join(fields)})"
+
     def __getitems__(self, items: Sequence[int]) -> list[dict[str, torch.Tensor]]:
         """Several items in one read each field; the batch that a `DataLoader` asks for."""
-        scenes = [int(self.scenes[self._checked(int(item))]) for item in items]
+        scenes = [int(self.scenes[self._checked(item)]) for item in items]
         batch = {name: torch.from_numpy(self._values(name, scenes)) for name in self.selected}
         return _Batch(batch | {"scene": torch.tensor(scenes)})
 
@@ -162,6 +171,16 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """A column of `samples.parquet` (scene parameters, error estimates) in the order of the items."""
         column: NDArray[np.generic] = read_table(self.path, [name], self._schema.scenes)[name].to_numpy()
         return column[self.scenes]
+
+    @cached_property
+    def stats(self) -> dict[str, dict[str, float]]:
+        """Field → `mean` and `std` of all its values in this dataset (with `split`, in that split), of a histogram
+        those of log(1 + counts), and `nonzero`, the share of values that are not 0. Histograms, and labels that are
+        quantities; as stored, not as drawn anew.
+        """
+        if self._manifest.schema_version < SPLITS_SINCE:
+            raise InputError(f"stats: {self.path} is of an earlier schema version, which has none; build it anew")
+        return stats_of_rows(read_table(self.path, None, self._schema.scenes).take(self.scenes))
 
     def _scenes_of(self, split: str, fractions: tuple[float, float, float] | None) -> NDArray[np.int64]:
         """Those of the scenes that are there and belong to a split."""
@@ -205,10 +224,15 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         records = committed(self.path, manifest)
         return {record.shard for record in records}, {scene for record in records for scene in record.failures}
 
-    def _checked(self, item: int) -> int:
-        if not -len(self) <= item < len(self):
-            raise IndexError(f"item {item}: this dataset has {len(self)} items")
-        return item
+    def _checked(self, item: object) -> int:
+        try:
+            number = operator.index(item)  # type: ignore[arg-type]
+        except TypeError:
+            several = "; `torch.utils.data.Subset` has several" if isinstance(item, slice | list | tuple) else ""
+            raise InputError(f"item {item!r}: must be a whole number{several}") from None
+        if not -len(self) <= number < len(self):
+            raise IndexError(f"item {number}: this dataset has {len(self)} items")
+        return number
 
     def _stored(self, name: str, scenes: Sequence[int], dtype: np.dtype[Any] | None = None) -> NDArray[np.generic]:
         if self._reader is None:

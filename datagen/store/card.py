@@ -68,6 +68,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         "",
         *_class_lines(schema),
         *_time_lines(config["capture"]),
+        *_stats_lines(manifest),
         *(_parameter_lines(table) if whole else []),
         "## Reading it",
         "",
@@ -114,6 +115,19 @@ def _split_lines(table: pa.Table) -> list[str]:
     return [f"Splits (column `split` of `{TABLE}`; no room is in two): {told}.", ""]
 
 
+def _stats_lines(manifest: Manifest) -> list[str]:
+    """What to divide by, of the split to train with."""
+    of = (manifest.stats or {}).get("train", {})
+    rows = [f"| `{name}` | {s['mean']:.6g} | {s['std']:.6g} | {s['nonzero']:.4g} |" for name, s in of.items()]
+    head = [
+        "## Mean and spread",
+        "",
+        "Of the split `train`; of a histogram log(1 + counts); all in `dataset.json`.",
+        "",
+    ]
+    return [*head, "| field | mean | std | share not 0 |", "|---|---|---|---|", *rows, ""] if rows else []
+
+
 def _class_lines(schema: Schema) -> list[str]:
     """What numbers stand for, where they are classes."""
     lines: list[str] = []
@@ -142,7 +156,11 @@ def ranges(table: pa.Table) -> list[tuple[str, str, str, str]]:
     rows = []
     for name in table.column_names:
         column = table[name].drop_null()
-        if name in ("scene", "shard", "failure") or not pa.types.is_primitive(column.type):
+        if (
+            name in ("scene", "shard", "failure")
+            or name.startswith("stats.")
+            or not pa.types.is_primitive(column.type)
+        ):
             continue
         values = np.asarray(column.to_pylist(), np.float64)
         if len(values) and values.min() < values.max():

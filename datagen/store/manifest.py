@@ -28,6 +28,7 @@ from datagen.store.schema import (
     check_size,
     schema_of,
 )  # fmt: skip
+from datagen.store.table import COLUMNS, TABLE
 
 MANIFEST = "dataset.json"
 FORMAT = "datagen dataset"
@@ -35,7 +36,8 @@ REMEDY = "build the dataset again with its configuration, which writes it anew"
 _RENAMED_SINCE = {1: (("transport", "scramblings", "replicates"),)}
 """Schema version → (section, key then, key now) of its stored configuration."""
 _KEPT = (
-    "config", "meshes", "mesh_folder", "metadata", "versions", "commit", "hardware", "fingerprint", "schema_version",
+    "stats", "config", "meshes", "mesh_folder", "metadata", "versions", "commit", "hardware", "fingerprint",
+    "schema_version",
 )  # fmt: skip
 """Fields of `Manifest` that stand in the file as they are."""
 
@@ -54,6 +56,7 @@ class Manifest:
     meshes : mesh file → digest of its bytes.
     mesh_folder : where relative mesh paths start; None when there are none, so that no machine's paths are stored.
     metadata : `zarr.json` files → SHA-256.
+    stats : of a complete dataset: split → field → `mean`, `std` and `nonzero` of its values (`stats_of`).
     """
 
     config: dict[str, Any]
@@ -66,6 +69,7 @@ class Manifest:
     commit: str | None
     hardware: dict[str, Any]
     schema_version: int = SCHEMA_VERSION
+    stats: dict[str, dict[str, dict[str, float]]] | None = None
 
     @property
     def seed(self) -> int:
@@ -112,6 +116,7 @@ class Manifest:
         values |= {key: config[key] for key in ("name", "description")} | {"seed": self.seed}
         values |= {key: getattr(schema, key) for key in ("scenes", "scenes_per_shard", "shards")}
         values |= {"fingerprint": self.fingerprint, "fields": [_field_row(field, schema) for field in schema.fields]}
+        values |= {"samples": {"file": TABLE, "columns": COLUMNS}}
         return sealed(values | {key: getattr(self, key) for key in _KEPT if key not in values})
 
 
@@ -227,6 +232,7 @@ class _File:
     versions: dict[str, str]
     commit: str | None
     hardware: dict[str, str | int]
+    stats: dict[str, dict[str, dict[str, Finite]]] | None = None
 
 
 @cache
@@ -261,7 +267,7 @@ def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:
         or not {"processor", "cores", "system"} <= file.hardware.keys()
     ):
         raise InputError("versions, hardware: incomplete")
-    return Manifest(schema=schema, **{key: stated[key] for key in _KEPT})
+    return Manifest(schema=schema, **{"stats": None} | {key: stated[key] for key in _KEPT if key in stated})
 
 
 def _shortened(value: Any) -> str:

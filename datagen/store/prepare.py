@@ -153,7 +153,8 @@ def _taken_up(root: Path, config: DatasetConfig) -> Manifest:
         )
     schema = schema_of(config, old.schema.scenes_per_shard)
     values, metadata = config.model_dump(mode="json"), metadata_hashes(schema)
-    return replace(old, config=values, mesh_folder=mesh_folder(config), schema=schema, metadata=metadata)
+    stats = old.stats if (schema, values) == (old.schema, old.config) else None
+    return replace(old, config=values, mesh_folder=mesh_folder(config), schema=schema, metadata=metadata, stats=stats)
 
 
 def _check_same(root: Path, old: Manifest, config: DatasetConfig) -> None:

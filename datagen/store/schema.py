@@ -24,7 +24,7 @@ SCHEMA_VERSIONS = {
     4: "datagen 0.4: a seed yields other light where a configuration asks for an accuracy (the primary by cells, "
     "without noise), bins of the secondary hold what arrives between their edges; columns transient.part_error.*; "
     "`dataset.json` and commit records end in a checksum of their own, and must",
-    5: "datagen 0.5: a column `split` in the table",
+    5: "datagen 0.5: columns `split` and `stats.*` in the table, `stats` in `dataset.json`",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,17 +16,28 @@ from datagen.records import Scalar
 from datagen.store.files import read_json, sha256_of
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.splits import splits_of
+from datagen.store.stats import QUANTITIES, together
 
 TABLE = "samples.parquet"
 CROISSANT = "croissant.json"
 """The machine-readable card. It has the table's SHA-256."""
+COLUMNS = {
+    "scene": "number of the scene; rows are in its order",
+    "failure": "why the scene could not be made; null where it could",
+    "split": "train, val, test or a split held out by the configuration",
+    "transient.relative_error": "relative L2 error of the sample's transient; with a target its upper bound (95 %)",
+    "stats.FIELD.mean, .std, .nonzero": "of the sample's values of a field; of a histogram's log(1 + counts)",
+    "sha256.FIELD": "digest of the sample's decoded values",
+    "others": "what was drawn for the sample and decided about it; docs/configuration.md of datagen lists them",
+}
+"""What the table's columns are."""
 _OWN = ("scene", "shard", "failure", "split")
 
 
 def table_of(records: Sequence[ShardRecord], fields: Sequence[str], splits: SplitsConfig | None = None) -> pa.Table:
     """Columns: `scene`, `shard`, `failure` (null when there is none), `split` (with `splits`; null where there is a
-    failure), every parameter by its dotted name (null where a scene has none of that name), and `sha256.FIELD`. No
-    timings: the table depends on the configuration alone.
+    failure), every parameter by its dotted name (null where a scene has none of that name), `stats.FIELD.QUANTITY`
+    and `sha256.FIELD`. No timings: the table depends on the configuration alone.
     """
     rows = [(record.shard, scene) for record in records for scene in record.scenes]
     rows.sort(key=lambda row: row[1].index)
@@ -41,6 +53,10 @@ def table_of(records: Sequence[ShardRecord], fields: Sequence[str], splits: Spli
     names = dict.fromkeys(name for scene in scenes for name in scene.parameters)
     for name in names:
         columns[name if name not in _OWN else f"parameter.{name}"] = _column(scenes, name)
+    for name in dict.fromkeys(name for scene in scenes for name in scene.stats):
+        for quantity in QUANTITIES:
+            values = [scene.stats[name][quantity] if name in scene.stats else None for scene in scenes]
+            columns[f"stats.{name}.{quantity}"] = pa.array(values, pa.float64())
     for field in fields:
         columns[f"sha256.{field}"] = pa.array([scene.digests.get(field) for scene in scenes], pa.string())
     return pa.table(columns)
@@ -53,10 +69,27 @@ def table_bytes(table: pa.Table) -> bytes:
     return sink.getvalue()
 
 
+def stats_by_split(table: pa.Table) -> dict[str, dict[str, dict[str, float]]]:
+    """Split → field → `mean`, `std`, `nonzero` over the values of all its scenes."""
+    splits = table["split"].to_pylist()
+    rows = {name: [row for row, of in enumerate(splits) if of == name] for name in dict.fromkeys(splits) if name}
+    return {name: stats_of_rows(table.take(here)) for name, here in sorted(rows.items())}
+
+
+def stats_of_rows(table: pa.Table) -> dict[str, dict[str, float]]:
+    """Field → `mean`, `std`, `nonzero` over the values of all scenes of a table without failures."""
+    names = [name.split(".")[1] for name in table.column_names if re.fullmatch(r"stats\.\w+\.mean", name)]
+    columns = {name: [f"stats.{name}.{quantity}" for quantity in QUANTITIES] for name in names}
+    return {
+        name: together([dict(zip(QUANTITIES, row.values(), strict=True)) for row in table.select(of).to_pylist()])
+        for name, of in columns.items()
+    }
+
+
 def read_splits(root: Path, scenes: int, splits: SplitsConfig) -> list[str | None]:
     """The split of every scene of a dataset as `splits` has it, from what the table says of the scenes."""
     table = read_table(root, None, scenes)
-    names = [name for name in table.column_names if name not in _OWN and not name.startswith("sha256.")]
+    names = [name for name in table.column_names if name not in _OWN and not name.startswith(("sha256.", "stats."))]
     failed = table["failure"].is_valid().to_pylist()
     rows = table.select(names).to_pylist() if names else [{}] * scenes
     kept = [{name: value for name, value in row.items() if value is not None} for row in rows]
