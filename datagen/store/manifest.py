@@ -12,14 +12,16 @@ from typing import Annotated, Any, Literal
 import pydantic
 
 from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping
+from datagen.config.capture import TimeConfig
 from datagen.config.scene_contents import Mesh
 from datagen.errors import InputError
-from datagen.store.arrays import GROUP, metadata_files, shard_shape
+from datagen.store.arrays import COORDINATES, GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_whole, sealed
 from datagen.store.record import Digest, recorded_shards
 from datagen.store.schema import (
     CHECKSUMS_SINCE,
+    COORDINATES_SINCE,
     MOST_SCENES,
     SCHEMA_VERSION,
     SCHEMA_VERSIONS,
@@ -55,7 +57,7 @@ class Manifest:
     config : the configuration as plain values, with the key names of its `schema_version`.
     meshes : mesh file → digest of its bytes.
     mesh_folder : where relative mesh paths start; None when there are none, so that no machine's paths are stored.
-    metadata : `zarr.json` files → SHA-256.
+    metadata : `zarr.json` files, and those of coordinates → SHA-256.
     stats : of a complete dataset: split → field → `mean`, `std` and `nonzero` of its values (`stats_of`).
     """
 
@@ -122,14 +124,15 @@ class Manifest:
 
 def describe(config: DatasetConfig, schema: Schema) -> Manifest:
     """The manifest of a new dataset."""
-    values, meshes, metadata = config.model_dump(mode="json"), config.scene.mesh_digests(), metadata_hashes(schema)
+    values, meshes = config.model_dump(mode="json"), config.scene.mesh_digests()
+    metadata = metadata_hashes(schema, config.capture.time)
     made_by = environment(), commit(), hardware()
     return Manifest(values, meshes, mesh_folder(config), config.fingerprint(), schema, metadata, *made_by)
 
 
-def metadata_hashes(schema: Schema) -> dict[str, str]:
-    """`zarr.json` file → hex SHA-256 of its content."""
-    return {name: hashlib.sha256(content).hexdigest() for name, content in metadata_files(schema).items()}
+def metadata_hashes(schema: Schema, time: TimeConfig) -> dict[str, str]:
+    """File of `metadata_files` → hex SHA-256 of its content."""
+    return {name: hashlib.sha256(content).hexdigest() for name, content in metadata_files(schema, time).items()}
 
 
 def mesh_folder(config: DatasetConfig) -> str | None:
@@ -260,7 +263,8 @@ def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:
         check_size(field, schema.scenes_per_shard)
         if _field_row(field, schema) != row:
             raise InputError(f"field {field.name}: is cut into other chunks than datagen cuts it")
-    if set(file.metadata) != {f"{GROUP}/zarr.json", *(f"{GROUP}/{field.name}/zarr.json" for field in fields)}:
+    due = {f"{GROUP}/zarr.json", *(f"{GROUP}/{field.name}/zarr.json" for field in fields)}
+    if set(file.metadata) != due | set(COORDINATES if stated["schema_version"] >= COORDINATES_SINCE else ()):
         raise InputError("metadata: other files than its fields have")
     if (
         not {"datagen", "pyarrow"} <= file.versions.keys()
