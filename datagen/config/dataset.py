@@ -22,7 +22,7 @@ from datagen.config.transport import TransportConfig
 from datagen.config.yaml_text import MOST_CHARACTERS, parse_yaml
 from datagen.errors import InputError
 
-WITHOUT_EFFECT = ("name", "description", "scenes", "splits")
+WITHOUT_EFFECT = ("name", "description", "license", "scenes", "splits")
 """Settings that no sample depends on: a dataset may have others when it is taken up again."""
 
 
@@ -34,6 +34,8 @@ class DatasetConfig(Settings):
     """A short name for cards and pictures."""
     description: str = ""
     """What the dataset is for; stands on its card."""
+    license: Annotated[str, Field(max_length=200)] = ""
+    """What others may do with the dataset: an SPDX name such as CC-BY-4.0, or an address; stands on its cards."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """The dataset seed: together with a scene's index it fixes everything about that scene."""
     scenes: Annotated[int, Field(ge=1, le=100_000_000)] = 32

@@ -1,4 +1,4 @@
-"""`README.md`, the dataset card for people, and `croissant.json`, the same for machines (MLCommons Croissant 1.0)."""
+"""`README.md`, the dataset card for people."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ import numpy as np
 import pyarrow as pa
 
 from datagen.errors import printable
-from datagen.store.arrays import GROUP
 from datagen.store.environment import mixed
-from datagen.store.files import json_bytes, sha256_of, write_if_changed
+from datagen.store.files import write_if_changed
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
 from datagen.store.schema import Schema
-from datagen.store.table import CROISSANT, TABLE, table_of
+from datagen.store.table import TABLE, table_of
 
 CARD = "README.md"
 
@@ -85,6 +84,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         f"- seed {manifest.seed}; each scene depends on (seed, scene index) only",
         f"- configuration fingerprint `{manifest.fingerprint}`; the whole configuration stands in `dataset.json`",
         *(f"- mesh `{mesh}`, SHA-256 `{sha}`" for mesh, sha in manifest.meshes.items()),
+        f"- licence: {config.get('license') or 'none stated, so all rights are reserved'}",
         f"- code: commit {manifest.commit or 'unknown (not run from a checkout)'}",
         f"- versions: {', '.join(f'{name} {version}' for name, version in manifest.versions.items())}",
         f"- begun on: {manifest.hardware['processor']}, {manifest.hardware['system']}",
@@ -173,52 +173,3 @@ def _parameter_lines(table: pa.Table) -> list[str]:
     rows = [f"| `{name}` | {' | '.join(numbers)} |" for name, *numbers in ranges(table)]
     head = ["## What varies", "", f"From `{TABLE}`, which has a row for every scene.", ""]
     return [*head, "| parameter | least | median | most |", "|---|---|---|---|", *rows, ""] if rows else []
-
-
-def write_croissant(root: Path, manifest: Manifest) -> None:
-    """Write the machine-readable card; `samples.parquet` must be there."""
-    write_if_changed(root / CROISSANT, json_bytes(croissant(root, manifest)))
-
-
-_CROISSANT_CONTEXT = {
-    "@language": "en", "@vocab": "https://schema.org/", "sc": "https://schema.org/",
-    "cr": "http://mlcommons.org/croissant/", "dct": "http://purl.org/dc/terms/", "conformsTo": "dct:conformsTo",
-    "column": "cr:column", "dataType": {"@id": "cr:dataType", "@type": "@vocab"}, "extract": "cr:extract",
-    "field": "cr:field", "fileObject": "cr:fileObject", "fileSet": "cr:fileSet", "includes": "cr:includes",
-    "recordSet": "cr:recordSet", "source": "cr:source",
-}  # fmt: skip
-_CROISSANT_TYPES = {"string": "sc:Text", "double": "sc:Float", "bool": "sc:Boolean"}
-
-
-def croissant(root: Path, manifest: Manifest) -> dict[str, Any]:
-    """The Croissant 1.0 description: files, and a record set with the columns of the table."""
-    import pyarrow.parquet as pq
-
-    fields = "; ".join(f"{f.name} ({', '.join(f.dims)}) {f.dtype} {f.unit}" for f in manifest.schema.fields)
-    columns = [
-        {
-            "@type": "cr:Field", "@id": f"scenes/{column.name}", "name": column.name,
-            "dataType": _CROISSANT_TYPES.get(str(column.type), "sc:Integer"),
-            "source": {"fileObject": {"@id": TABLE}, "extract": {"column": column.name}},
-        }
-        for column in pq.read_schema(root / TABLE)
-    ]  # fmt: skip
-    table = {
-        "@type": "cr:FileObject", "@id": TABLE, "name": TABLE, "contentUrl": TABLE,
-        "encodingFormat": "application/vnd.apache.parquet", "sha256": sha256_of(root / TABLE),
-    }  # fmt: skip
-    group = {
-        "@type": "cr:FileSet", "@id": GROUP, "name": GROUP, "description": f"Zarr v3 group: {fields}",
-        "encodingFormat": "application/vnd.zarr", "includes": f"{GROUP}/**",
-    }  # fmt: skip
-    scenes = {
-        "@type": "cr:RecordSet", "@id": "scenes", "name": "scenes",
-        "description": "One record a scene: what was drawn, error estimates, SHA-256 of the decoded fields.",
-        "field": columns,
-    }  # fmt: skip
-    return {
-        "@context": _CROISSANT_CONTEXT, "@type": "sc:Dataset", "conformsTo": "http://mlcommons.org/croissant/1.0",
-        "name": manifest.config["name"],
-        "description": manifest.config["description"] or "Simulated non-line-of-sight single-photon measurements.",
-        "version": manifest.fingerprint[:12], "distribution": [table, group], "recordSet": [scenes],
-    }  # fmt: skip

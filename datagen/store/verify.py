@@ -12,7 +12,8 @@ import pyarrow.parquet as pq
 
 from datagen.config import fingerprint_of
 from datagen.errors import CheckError, printable
-from datagen.store.card import CARD, card, croissant, write_card, write_croissant
+from datagen.store.card import CARD, card, write_card
+from datagen.store.croissant import croissant, write_croissant
 from datagen.store.environment import environment
 from datagen.store.files import JSON_BYTES, holds, json_bytes, sha256_of, write_if_changed
 from datagen.store.manifest import MANIFEST, Manifest, read_manifest
@@ -47,7 +48,7 @@ def finish(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> No
     manifest = replace(manifest, stats=stats_by_split(table))
     write_if_changed(root / MANIFEST, manifest.to_bytes())
     write_if_changed(root / TABLE, table_bytes(table))
-    write_croissant(root, manifest)
+    write_croissant(root, manifest, records)
     write_card(root, manifest, records)
 
 
@@ -160,7 +161,10 @@ def _summary_problems(root: Path, manifest: Manifest, records: Sequence[ShardRec
         return
     # Another datagen may word the same facts otherwise.
     same_words = (manifest.versions["datagen"], manifest.schema_version) == (now["datagen"], SCHEMA_VERSION)
-    for name, text in ((CROISSANT, json_bytes(croissant(root, manifest))), (CARD, card(manifest, records).encode())):
+    for name, text in (
+        (CROISSANT, json_bytes(croissant(root, manifest, records))),
+        (CARD, card(manifest, records).encode()),
+    ):
         if not ((root / name).is_file() and (holds(root / name, text) or not same_words)):
             yield f"{name}: missing, or differs from what the dataset holds"
 

@@ -16,6 +16,7 @@ from fake_samples import fake_sample, small_config
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping, load_config
 from datagen.store import read_manifest, schema_of, verify
+from datagen.store.schema import SCHEMA_VERSION
 
 ROOT = Path(__file__).resolve().parents[2]
 EVERY_FIELD = [
@@ -117,6 +118,35 @@ def test_parquet_readers_find_rows_and_splits(dataset: Path) -> None:
     found = pq.read_table(dataset / "samples.parquet", filters=[("split", "==", "train")], columns=["scene"])
     assert found["scene"].to_pylist() == dg.TransientDataset(dataset, split="train").scenes.tolist()
     assert json.loads((dataset / "dataset.json").read_text())["samples"]["file"] == "samples.parquet"
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib", "ignore::DeprecationWarning:mlcroissant")
+def test_mlcroissant_opens_it_without_a_warning(dataset: Path) -> None:
+    mlcroissant = pytest.importorskip("mlcroissant", reason="mlcroissant is not installed")
+    opened = mlcroissant.Dataset(jsonld=str(dataset / "croissant.json"))
+    assert not opened.metadata.ctx.issues.errors and not opened.metadata.ctx.issues.warnings
+    scenes, arrays = (list(opened.records(name)) for name in ("scenes", "arrays"))
+    assert [row["scenes/scene"] for row in scenes] == list(range(12))
+    assert {row["scenes/split"] for row in scenes} <= {b"train", b"val", b"test"}
+    assert [row["arrays/name"] for row in arrays] == list(read_manifest(dataset).schema.by_name)
+
+
+def test_the_card_for_machines_is_whole(tmp_path: Path) -> None:
+    config = everything("confocal").model_copy(update={"license": "CC-BY-4.0"})
+    path = write_dataset(config, tmp_path / "set", fake_sample)
+    card = json.loads((path / "croissant.json").read_text())
+    assert (
+        card["license"] == "https://spdx.org/licenses/CC-BY-4.0.html" and card["version"] == f"{SCHEMA_VERSION}.12.0"
+    )
+    assert "- licence: CC-BY-4.0" in (path / "README.md").read_text()
+    for file_set in card["distribution"][1:]:
+        assert list(path.glob(file_set["includes"].removesuffix("**") + "zarr.json")), file_set["@id"]
+    described = {row["arrays/name"]: row["arrays/shape"] for row in card["recordSet"][1]["data"]}
+    group = zarr.open_group(path / "data.zarr", mode="r")
+    assert {name: ", ".join(map(str, array.shape)) for name, array in group.arrays() if name != "bin"} == described
+    assert all(card[f"rai:{name}"] for name in ("dataCollection", "dataBiases", "dataLimitations", "dataUseCases"))
+    write_dataset(config.model_copy(update={"license": ""}), path, fake_sample)
+    assert "no-permission" in (path / "croissant.json").read_text() and verify(path).problems == ()
 
 
 def test_an_earlier_group_is_as_it_was() -> None:
