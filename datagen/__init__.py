@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from datagen.detector import Exposure, Spad, detect, expected_histogram
     from datagen.effects import Decision, EffectDecisions, plan_effects
     from datagen.errors import CheckError, InputError
-    from datagen.loader import EpochSampler, TransientDataset, collate
+    from datagen.loader import EpochSampler, TransientDataset, collate, dense
     from datagen.paper.as_printed import AsPrinted, simulate_as_printed
     from datagen.records import (
         GGX,
@@ -49,7 +49,7 @@ __all__ = [
     "EffectDecisions", "EffectsConfig", "EpochSampler", "Exposure", "InputError", "Lambertian", "Laser", "Material",
     "OrenNayar", "Part", "Phong", "Pose", "Rectangle", "Retroreflector", "Sample", "Scene", "SceneConfig", "Sensor",
     "SinLobe", "Spad", "Spend", "TimeAxis", "Transient", "TransientDataset", "__version__", "build", "capture_for",
-    "collate", "detect", "expected_histogram", "generate_scene", "load_config", "plan_effects", "simulate",
+    "collate", "dense", "detect", "expected_histogram", "generate_scene", "load_config", "plan_effects", "simulate",
     "simulate_as_printed",
 ]  # fmt: skip
 _HOME = dict.fromkeys(__all__, "datagen.records") | {
@@ -69,6 +69,7 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "build": "datagen.building.build",
     "capture_for": "datagen.capture",
     "collate": "datagen.loader",
+    "dense": "datagen.loader",
     "detect": "datagen.detector",
     "expected_histogram": "datagen.detector",
     "generate_scene": "datagen.scene",

@@ -7,7 +7,9 @@ for epoch in range(10):  # each in another order, and with other noise
         batch["histogram"]          # (16, laser, pixel, bin) float32
 """
 
-from datagen.loader.dataset import TransientDataset, collate
+from datagen.loader.batch import collate
+from datagen.loader.dataset import TransientDataset
+from datagen.loader.events import dense
 from datagen.loader.sampler import EpochSampler
 
-__all__ = ["EpochSampler", "TransientDataset", "collate"]
+__all__ = ["EpochSampler", "TransientDataset", "collate", "dense"]

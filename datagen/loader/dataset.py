@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.utils.data import Dataset, default_collate
+from torch.utils.data import Dataset
 
 from datagen.config.splits import BY_SHARE
 from datagen.errors import InputError
+from datagen.loader.batch import Batch
 from datagen.loader.draws import DrawCounter
+from datagen.loader.events import events_of
 from datagen.loader.redrawn_noise import NoiseSource
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.record import recorded_shards
@@ -43,6 +45,10 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     redraw_noise : draw histograms anew from the stored transient, with the scene's own detector, at every read: the
         n-th read of a scene is its draw n, a function of (`seed`, n, scene). So every epoch has noise of its own
         without any call, whatever wraps the dataset, samples from it or works for it; `set_epoch` fixes the count.
+    representation : `"events"`: instead of `histogram` an item has `events`, (N, 3), the laser, pixel and bin of
+        every bin that is not empty (int16, int32 where an axis is longer), and `counts`, (N,), what is in them: an
+        input of networks for points, and less to move where most bins are empty. `collate` joins a batch, with the
+        sample's number as a first column, and `dense` makes histograms of it on any device.
     split : the scenes of one split alone: `"train"`, `"val"`, `"test"`, or one that the configuration holds out by
         what scenes show (`splits.held_out`). A room, and every scene that shows it, is in one split; growing a
         dataset moves none.
@@ -80,6 +86,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         path: str | Path,
         fields: Sequence[str] = ("histogram", "depth"),
         *,
+        representation: str = "dense",
         split: str | None = None,
         fractions: tuple[float, float, float] | None = None,
         counts: str = "float32",
@@ -102,6 +109,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if counts not in COUNT_TYPES:
             raise InputError(f"counts = {counts!r}: must be one of {', '.join(COUNT_TYPES)}")
         self._counts = None if counts == "stored" else np.dtype(counts)
+        if representation not in ("dense", "events"):
+            raise InputError(f"representation = {representation!r}: must be 'dense' or 'events'")
+        self._as_events = representation == "events" and "histogram" in self.selected
         if redraw_noise and "transient" not in self.fields:
             raise InputError(
                 f"redraw_noise: {path} has no field transient to draw from; build it with one (store.fields)"
@@ -139,8 +149,12 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     def __getitems__(self, items: Sequence[int]) -> list[dict[str, torch.Tensor]]:
         """Several items in one read each field; the batch that a `DataLoader` asks for."""
         scenes = [int(self.scenes[self._checked(item)]) for item in items]
-        batch = {name: torch.from_numpy(self._values(name, scenes)) for name in self.selected}
-        return _Batch(batch | {"scene": torch.tensor(scenes)})
+        values = {name: self._values(name, scenes) for name in self.selected}
+        events = events_of(values.pop("histogram")) if self._as_events else None
+        batch = {name: torch.from_numpy(of) for name, of in values.items()} | {"scene": torch.tensor(scenes)}
+        if events is None:
+            return Batch(batch)
+        return Batch(batch, *map(torch.from_numpy, (events[0], self._cast(events[1]))))
 
     def __getstate__(self) -> dict[str, Any]:
         """Open files stay with the process that opened them."""
@@ -243,14 +257,17 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     def _values(self, name: str, scenes: Sequence[int]) -> NDArray[np.generic]:
         if name != "histogram":
             return self._stored(name, scenes)
-        if self._noise is None:
-            return self._stored(name, scenes, self._counts)
-        drawn = self._drawn(scenes)
+        if self._as_events:
+            return self._stored(name, scenes) if self._noise is None else self._drawn(scenes)
+        return self._stored(name, scenes, self._counts) if self._noise is None else self._cast(self._drawn(scenes))
+
+    def _cast(self, counts: NDArray[np.generic]) -> NDArray[np.generic]:
         if self._counts is None:
-            return drawn
-        if self._counts.kind == "i" and int(drawn.max()) > np.iinfo(self._counts).max:
-            raise InputError(f"counts = {self._counts.name!r}: {int(drawn.max())} counts do not fit; use 'int64'")
-        return drawn.astype(self._counts)
+            return counts
+        most = int(np.max(counts, initial=0))
+        if self._counts.kind == "i" and most > np.iinfo(self._counts).max:
+            raise InputError(f"counts = {self._counts.name!r}: {most} counts do not fit; use 'int64'")
+        return counts.astype(self._counts)
 
     def _drawn(self, scenes: Sequence[int]) -> NDArray[np.integer[Any]]:
         assert self._noise is not None and self._draws is not None
@@ -260,17 +277,3 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             for transient, scene, draw in zip(transients, scenes, taken, strict=True)
         ]
         return np.stack(drawn)
-
-
-class _Batch(list[dict[str, torch.Tensor]]):
-    """Items whose tensors are rows of `whole`, so that collating them needs no copy."""
-
-    def __init__(self, whole: dict[str, torch.Tensor]) -> None:
-        self.whole = whole
-        super().__init__({name: values[row] for name, values in whole.items()} for row in range(len(whole["scene"])))
-
-
-def collate(items: list[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
-    """A `collate_fn` equal to torch's own that hands a batch read as a whole on as it is."""
-    whole: dict[str, torch.Tensor] = items.whole if isinstance(items, _Batch) else default_collate(items)
-    return whole
