@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -20,6 +21,8 @@ from datagen.store.schema import Schema
 from datagen.store.table import TABLE, table_of
 
 CARD = "README.md"
+_SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+_TAGS = ["non-line-of-sight", "single-photon", "transient-imaging", "synthetic"]
 
 
 def write_card(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
@@ -36,6 +39,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
     table = table_of(records, (), manifest.splits())
     names = ", ".join(f'"{field.name}"' for field in schema.fields if field.sharded)
     lines = [
+        *_front_matter(manifest, whole),
         f"# {config['name']}",
         "",
         *([config["description"], ""] if config["description"] else []),
@@ -92,6 +96,19 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         "",
     ]
     return printable("\n".join(lines).replace("\r\n", "\n"))
+
+
+def _front_matter(manifest: Manifest, whole: bool) -> list[str]:
+    """What the Hugging Face Hub reads of a card, in YAML: its viewer then shows the rows of the table."""
+    scenes, terms = manifest.schema.scenes, manifest.config.get("license", "")
+    size = next((name for most, name in _SIZES if scenes < most), "n>1M")
+    named = {"pretty_name": manifest.config["name"], "size_categories": [size], "tags": _TAGS}
+    if terms:
+        named |= {"license": "other", "license_link": terms} if "://" in terms else {"license": terms.lower()}
+    if whole:
+        named["configs"] = [{"config_name": "scenes", "data_files": TABLE}]
+    # JSON is YAML.
+    return ["---", *(f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in named.items()), "---", ""]
 
 
 def readable(size: float) -> str:

@@ -218,6 +218,7 @@ class _Config:
     description: str
     seed: Annotated[int, pydantic.Field(ge=0, lt=2**63)]
     capture: _Capture
+    license: str = ""
 
 
 @dataclass(frozen=True)

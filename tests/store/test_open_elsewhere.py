@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 import zarr
 from datasets import write_dataset
 from fake_samples import fake_sample, small_config
 
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping, load_config
-from datagen.store import read_manifest, schema_of, verify
+from datagen.store import committed, read_manifest, schema_of, verify
+from datagen.store.card import card as card_text
 from datagen.store.schema import SCHEMA_VERSION
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -147,6 +149,20 @@ def test_the_card_for_machines_is_whole(tmp_path: Path) -> None:
     assert all(card[f"rai:{name}"] for name in ("dataCollection", "dataBiases", "dataLimitations", "dataUseCases"))
     write_dataset(config.model_copy(update={"license": ""}), path, fake_sample)
     assert "no-permission" in (path / "croissant.json").read_text() and verify(path).problems == ()
+
+
+def test_the_hub_finds_rows_and_licence(tmp_path: Path) -> None:
+    for terms, found in (("CC-BY-4.0", "cc-by-4.0"), ("https://example.org/terms", "other"), ("", None)):
+        config = everything("confocal").model_copy(update={"license": terms, "name": 'a "name": with # marks'})
+        path = write_dataset(config, tmp_path / "set", fake_sample)
+        _, front, text = (path / "README.md").read_text().split("---\n", 2)
+        card = yaml.safe_load(front)
+        assert card.get("license") == found and card["pretty_name"] == config.name
+        assert card["configs"] == [{"config_name": "scenes", "data_files": "samples.parquet"}]
+        assert card["size_categories"] == ["n<1K"] and text.startswith("\n# a ")
+    (path / "build/shard-000001.json").unlink()
+    manifest = read_manifest(path)
+    assert "configs" not in yaml.safe_load(card_text(manifest, committed(path, manifest)).split("---\n", 2)[1])
 
 
 def test_an_earlier_group_is_as_it_was() -> None:
