@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
 from datagen.config.splits import BY_SHARE
-from datagen.errors import InputError
+from datagen.errors import CheckError, InputError
 from datagen.loader.batch import Batch
 from datagen.loader.draws import DrawCounter
 from datagen.loader.events import events_of
@@ -194,7 +195,11 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """
         if self._manifest.schema_version < SPLITS_SINCE:
             raise InputError(f"stats: {self.path} is of an earlier schema version, which has none; build it anew")
-        return stats_of_rows(read_table(self.path, None, self._schema.scenes).take(self.scenes))
+        rows = read_table(self.path, None, self._schema.scenes).take(self.scenes)
+        try:
+            return stats_of_rows(rows)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise CheckError(f"{self.path / TABLE}: its stats are not as datagen writes them ({error})") from None
 
     def _scenes_of(self, split: str, fractions: tuple[float, float, float] | None) -> NDArray[np.int64]:
         """Those of the scenes that are there and belong to a split."""
@@ -213,7 +218,12 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             found = read_table(self.path, ["split"], scenes)["split"].to_pylist()
         else:
             found = read_splits(self.path, scenes, splits)
-        return self.scenes[[found[scene] == split for scene in self.scenes]]
+        chosen = self.scenes[[found[scene] == split for scene in self.scenes]]
+        if not len(chosen):
+            others = Counter(found[scene] for scene in self.scenes)
+            there = ", ".join(f"{name} {count}" for name, count in others.items())
+            raise InputError(f"split = {split!r}: holds no scene of {self.path} ({there}); other fractions may help")
+        return chosen
 
     def _scenes_there(self, manifest: Manifest) -> NDArray[np.int64]:
         there, failed = self._shards_and_failures(manifest)

@@ -30,6 +30,7 @@ from datagen.store.schema import (
     check_size,
     schema_of,
 )  # fmt: skip
+from datagen.store.stats import FieldStats
 from datagen.store.table import COLUMNS, TABLE
 
 MANIFEST = "dataset.json"
@@ -236,7 +237,7 @@ class _File:
     versions: dict[str, str]
     commit: str | None
     hardware: dict[str, str | int]
-    stats: dict[str, dict[str, dict[str, Finite]]] | None = None
+    stats: dict[str, dict[str, FieldStats]] | None = None
 
 
 @cache

@@ -18,6 +18,7 @@ from datagen.errors import CheckError, InputError
 from datagen.store.arrays import shard_file
 from datagen.store.files import is_intact, parsed, read_whole, sealed, sha256_of
 from datagen.store.schema import Schema
+from datagen.store.stats import FieldStats
 
 BUILD = "build"
 
@@ -36,8 +37,8 @@ class SceneRecord:
     """Field → hex SHA-256 of the scene's values, little-endian, C order."""
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     seconds: Mapping[str, Finite] = field(default_factory=dict)
-    stats: Mapping[str, Mapping[str, Finite]] = field(default_factory=dict)
-    """Field → `mean`, `std`, `nonzero` of its values (`stats_of`); since schema version 5."""
+    stats: Mapping[str, FieldStats] = field(default_factory=dict)
+    """Since schema version 5."""
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,12 @@ The same bytes on any processor: sums are of integers, or exactly rounded.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated
 
 import numpy as np
+import pydantic
 from numpy.typing import NDArray
 
 LABELS = ("depth", "normal", "albedo", "shaded", "occupancy", "sdf")
@@ -17,15 +20,25 @@ WITH_STATS = ("histogram", *LABELS)
 _STEPS = 2.0**20
 """Labels are added up in steps of a millionth of their unit."""
 
-QUANTITIES = ("mean", "std", "nonzero")
-
-Stats = Mapping[str, float]
+_Sane = Annotated[float, pydantic.Field(ge=-1e100, le=1e100)]
 
 
-def stats_of(field: str, values: NDArray[np.generic]) -> dict[str, float]:
-    """Of one scene's values: `mean` and `std`, of a histogram those of log(1 + counts), and `nonzero`, the share of
+@dataclass(frozen=True)
+class FieldStats:
+    """Mean and standard deviation of a field's values, of a histogram those of log(1 + counts), and the share of
     values that are not 0 (in most labels 0 means that there is nothing).
     """
+
+    mean: _Sane
+    std: _Sane
+    nonzero: _Sane
+
+
+QUANTITIES = tuple(field.name for field in fields(FieldStats))
+
+
+def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
+    """Of one scene's values of a field."""
     size = max(values.size, 1)
     found = values[values != 0]
     if field == "histogram":
@@ -40,7 +53,7 @@ def stats_of(field: str, values: NDArray[np.generic]) -> dict[str, float]:
     else:
         exact = found.astype(np.float64)
         mean, square = (_sum(x) / size for x in (exact, exact * exact))
-    return {"mean": mean, "std": math.sqrt(max(square - mean * mean, 0.0)), "nonzero": found.size / size}
+    return FieldStats(mean, math.sqrt(max(square - mean * mean, 0.0)), found.size / size)
 
 
 def _sum(values: NDArray[np.float64]) -> float:
@@ -49,10 +62,10 @@ def _sum(values: NDArray[np.float64]) -> float:
     return int(np.rint(values * _STEPS).astype(np.int64).sum()) / _STEPS
 
 
-def together(scenes: Sequence[Stats]) -> dict[str, float]:
-    """Of all values of scenes of one shape, from each scene's; raises `ValueError` for no scene."""
+def together(scenes: Sequence[FieldStats]) -> dict[str, float]:
+    """Of all values of scenes of one shape, from each scene's, by the names of `FieldStats`."""
     if not scenes:
         raise ValueError("no scenes")
-    mean, nonzero = (math.fsum(scene[name] for scene in scenes) / len(scenes) for name in ("mean", "nonzero"))
-    square = math.fsum(scene["std"] ** 2 + scene["mean"] ** 2 for scene in scenes) / len(scenes)
-    return {"mean": mean, "std": math.sqrt(max(square - mean * mean, 0.0)), "nonzero": nonzero}
+    mean, nonzero = (math.fsum(getattr(of, name) for of in scenes) / len(scenes) for name in ("mean", "nonzero"))
+    square = math.fsum(of.std * of.std + of.mean * of.mean for of in scenes) / len(scenes)
+    return asdict(FieldStats(mean, math.sqrt(max(square - mean * mean, 0.0)), nonzero))

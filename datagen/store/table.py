@@ -16,7 +16,7 @@ from datagen.records import Scalar
 from datagen.store.files import read_json, sha256_of
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.splits import splits_of
-from datagen.store.stats import QUANTITIES, together
+from datagen.store.stats import QUANTITIES, FieldStats, together
 
 TABLE = "samples.parquet"
 CROISSANT = "croissant.json"
@@ -55,7 +55,7 @@ def table_of(records: Sequence[ShardRecord], fields: Sequence[str], splits: Spli
         columns[name if name not in _OWN else f"parameter.{name}"] = _column(scenes, name)
     for name in dict.fromkeys(name for scene in scenes for name in scene.stats):
         for quantity in QUANTITIES:
-            values = [scene.stats[name][quantity] if name in scene.stats else None for scene in scenes]
+            values = [getattr(scene.stats[name], quantity) if name in scene.stats else None for scene in scenes]
             columns[f"stats.{name}.{quantity}"] = pa.array(values, pa.float64())
     for field in fields:
         columns[f"sha256.{field}"] = pa.array([scene.digests.get(field) for scene in scenes], pa.string())
@@ -80,10 +80,12 @@ def stats_of_rows(table: pa.Table) -> dict[str, dict[str, float]]:
     """Field → `mean`, `std`, `nonzero` over the values of all scenes of a table without failures."""
     names = [name.split(".")[1] for name in table.column_names if re.fullmatch(r"stats\.\w+\.mean", name)]
     columns = {name: [f"stats.{name}.{quantity}" for quantity in QUANTITIES] for name in names}
-    return {
-        name: together([dict(zip(QUANTITIES, row.values(), strict=True)) for row in table.select(of).to_pylist()])
-        for name, of in columns.items()
-    }
+    found = {name: table.select(of).drop_null().to_pylist() for name, of in columns.items()}
+    return {name: together([FieldStats(**_short(row)) for row in rows]) for name, rows in found.items() if rows}
+
+
+def _short(row: dict[str, float]) -> dict[str, float]:
+    return {name.rpartition(".")[2]: value for name, value in row.items()}
 
 
 def read_splits(root: Path, scenes: int, splits: SplitsConfig) -> list[str | None]:

@@ -103,7 +103,11 @@ def chair_config(scenes: int = 40, **splits: Any) -> DatasetConfig:
 
 
 def scenes_of(path: Path, split: str, **options: Any) -> list[int]:
-    return [int(s) for s in dg.TransientDataset(path, ("depth",), split=split, **options).scenes]
+    try:
+        return [int(s) for s in dg.TransientDataset(path, ("depth",), split=split, **options).scenes]
+    except InputError as empty:
+        assert f"split = {split!r}: holds no scene" in str(empty)
+        return []
 
 
 def test_a_dataset_is_read_by_split(tmp_path: Path) -> None:
@@ -153,6 +157,18 @@ def test_failed_scenes_are_in_no_split(tmp_path: Path) -> None:
 def test_earlier_datasets_have_splits_too() -> None:
     earlier = Path(__file__).parents[1] / "regression/schema_3/dataset"
     assert sorted(chain(*(scenes_of(earlier, name) for name in SPLITS))) == [0, 1, 2]
+
+
+def test_a_split_without_scenes_is_refused(tmp_path: Path) -> None:
+    """All scenes show one room, so they are all in one split."""
+    path = write_dataset(
+        small_config(), tmp_path / "set", lambda c, i: dataclasses.replace(fake_sample(c, i), parameters={"room": 1})
+    )
+    found = splits_of([{"room": 1}] * 12, SplitsConfig())[0]
+    assert len(dg.TransientDataset(path, ("depth",), split=found)) == 12
+    for name in {*SPLITS} - {found}:
+        with pytest.raises(InputError, match=rf"split = '{name}': holds no scene of .*set \({found} 12\)"):
+            dg.TransientDataset(path, ("depth",), split=name)
 
 
 def test_wrong_splits_are_refused(tmp_path: Path) -> None:

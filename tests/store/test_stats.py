@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ import datagen as dg
 from datagen.building.build import build
 from datagen.errors import CheckError, InputError
 from datagen.store import verify
-from datagen.store.stats import QUANTITIES, stats_of, together
+from datagen.store.stats import QUANTITIES, FieldStats, stats_of, together
 
 FIELDS = ["histogram", "transient", "depth", "normal", "occupancy", "sdf"]
 
@@ -45,7 +46,7 @@ def test_they_are_mean_and_standard_deviation(counts: np.ndarray, label: np.ndar
         scenes = [stats_of(name, scene) for scene in values]
         scale = 1e-5 * max(1.0, float(np.abs(values.astype(float)).max()))
         for scene, of in zip(values, scenes, strict=True):
-            assert np.allclose(list(of.values()), plain(scene, name), rtol=1e-5, atol=scale)
+            assert np.allclose(astuple(of), plain(scene, name), rtol=1e-5, atol=scale)
         assert np.allclose(list(together(scenes).values()), plain(values, name), rtol=1e-5, atol=scale)
 
 
@@ -54,8 +55,8 @@ def test_adding_up_does_not_depend_on_order() -> None:
     assert stats_of("sdf", values) == stats_of("sdf", values[::-1]) == stats_of("sdf", np.sort(values))
     counts = np.random.default_rng(0).poisson(0.3, 100_000).astype(np.uint32)
     assert stats_of("histogram", counts) == stats_of("histogram", counts[::-1])
-    assert stats_of("histogram", np.array([0, 4_000_000_000], np.uint32))["nonzero"] == 0.5
-    assert stats_of("depth", np.zeros((2, 2), np.float32)) == {"mean": 0.0, "std": 0.0, "nonzero": 0.0}
+    assert stats_of("histogram", np.array([0, 4_000_000_000], np.uint32)).nonzero == 0.5
+    assert stats_of("depth", np.zeros((2, 2), np.float32)) == FieldStats(0.0, 0.0, 0.0)
 
 
 def test_a_dataset_has_them_by_split(dataset: Path) -> None:
@@ -88,6 +89,27 @@ def test_they_are_checked_and_kept(dataset: Path, tmp_path: Path) -> None:
     assert described.read_bytes() == content and verify(tmp_path / "set").problems == ()
     build(small_config(), tmp_path / "set", scenes=24, progress=False, sample_function=fake_sample)
     assert described.read_bytes() != content and verify(tmp_path / "set").problems == ()
+
+
+def test_stats_from_elsewhere_are_refused(tmp_path: Path) -> None:
+    path = write_dataset(small_config(), tmp_path / "set", fake_sample)
+    whole = (path / "build/shard-000000.json").read_bytes()
+    reseal(path / "build/shard-000000.json", lambda values: values["scenes"][1]["stats"].pop("depth"))
+    assert "samples.parquet: differs from what the commit records say" in verify(path).problems
+    for wrong in (
+        {"mean": 1.0},
+        {"mean": 1e308, "std": 1e308, "nonzero": 0.0},
+        {"mean": "x", "std": 0.0, "nonzero": 0.0},
+    ):
+        reseal(
+            path / "build/shard-000000.json",
+            lambda values, wrong=wrong: values["scenes"][1]["stats"].update(depth=wrong),
+        )
+        assert any("shard-000000.json: is not as datagen writes it" in problem for problem in verify(path).problems)
+        (path / "build/shard-000000.json").write_bytes(whole)
+    reseal(path / "dataset.json", lambda values: values["stats"]["train"].update(depth={"mean": 1.0}))
+    with pytest.raises(InputError, match=r"dataset\.json: damaged: .*stats\.train\.depth\.std"):
+        verify(path)
 
 
 def test_failed_scenes_do_not_count(tmp_path: Path) -> None:
