@@ -24,6 +24,7 @@ from datagen.loader.redrawn_noise import NoiseSource
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.record import recorded_shards
 from datagen.store.schema import SPLITS_SINCE
+from datagen.store.stats import QUANTITIES, WITH_STATS
 from datagen.store.table import TABLE, read_splits, read_table, stats_of_rows
 
 COUNT_TYPES = ("float32", "float64", "int32", "int64", "stored")
@@ -64,7 +65,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     Raises
     ------
-    InputError : the folder is no dataset, shards are not committed, or an unknown field.
+    InputError : the folder is no dataset, shards are not committed, an unknown field or split, or an empty split.
     CheckError : for what is missing, damaged or other than was written, mostly while reading; naming file, scene and
         remedy.
 
@@ -195,7 +196,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """
         if self._manifest.schema_version < SPLITS_SINCE:
             raise InputError(f"stats: {self.path} is of an earlier schema version, which has none; build it anew")
-        rows = read_table(self.path, None, self._schema.scenes).take(self.scenes)
+        columns = [f"stats.{name}.{of}" for name in WITH_STATS if name in self.fields for of in QUANTITIES]
+        rows = read_table(self.path, columns, self._schema.scenes).take(self.scenes)
         try:
             return stats_of_rows(rows)
         except (TypeError, ValueError, OverflowError) as error:
