@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 from datagen._version import __version__
 
 if TYPE_CHECKING:
-    from datagen.building.build import build
+    from datagen.building.build import BuildResult, build
     from datagen.capture import capture_for
-    from datagen.config import load_config
+    from datagen.config import DatasetConfig, EffectsConfig, SceneConfig, load_config
     from datagen.detector import Exposure, Spad, detect, expected_histogram
-    from datagen.effects import plan_effects
-    from datagen.loader import EpochSampler, TransientDataset, collate
+    from datagen.effects import Decision, EffectDecisions, plan_effects
+    from datagen.errors import CheckError, InputError
+    from datagen.loader import EpochSampler, TransientDataset, collate, dense
     from datagen.paper.as_printed import AsPrinted, simulate_as_printed
     from datagen.records import (
         GGX,
@@ -24,15 +25,18 @@ if TYPE_CHECKING:
         Capture,
         Lambertian,
         Laser,
+        Material,
         OrenNayar,
         Part,
         Phong,
+        Pose,
         Rectangle,
         Retroreflector,
         Sample,
         Scene,
         Sensor,
         SinLobe,
+        Spend,
         TimeAxis,
         Transient,
     )
@@ -41,20 +45,31 @@ if TYPE_CHECKING:
 
 # Type checkers want a literal; `_HOME` says at run time where each of these names is.
 __all__ = [
-    "GGX", "Accuracy", "AsPrinted", "Capture", "EpochSampler", "Exposure", "Lambertian", "Laser", "OrenNayar", "Part",
-    "Phong", "Rectangle", "Retroreflector", "Sample", "Scene", "Sensor", "SinLobe", "Spad", "TimeAxis", "Transient",
-    "TransientDataset", "__version__", "build", "capture_for", "collate", "detect", "expected_histogram",
-    "generate_scene", "load_config", "plan_effects", "simulate", "simulate_as_printed",
+    "GGX", "Accuracy", "AsPrinted", "BuildResult", "Capture", "CheckError", "DatasetConfig", "Decision",
+    "EffectDecisions", "EffectsConfig", "EpochSampler", "Exposure", "InputError", "Lambertian", "Laser", "Material",
+    "OrenNayar", "Part", "Phong", "Pose", "Rectangle", "Retroreflector", "Sample", "Scene", "SceneConfig", "Sensor",
+    "SinLobe", "Spad", "Spend", "TimeAxis", "Transient", "TransientDataset", "__version__", "build", "capture_for",
+    "collate", "dense", "detect", "expected_histogram", "generate_scene", "load_config", "plan_effects", "simulate",
+    "simulate_as_printed",
 ]  # fmt: skip
 _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "AsPrinted": "datagen.paper.as_printed",
+    "BuildResult": "datagen.building.build",
+    "CheckError": "datagen.errors",
+    "DatasetConfig": "datagen.config",
+    "Decision": "datagen.effects",
+    "EffectDecisions": "datagen.effects",
+    "EffectsConfig": "datagen.config",
     "EpochSampler": "datagen.loader",
     "Exposure": "datagen.detector",
+    "InputError": "datagen.errors",
+    "SceneConfig": "datagen.config",
     "Spad": "datagen.detector",
     "TransientDataset": "datagen.loader",
     "build": "datagen.building.build",
     "capture_for": "datagen.capture",
     "collate": "datagen.loader",
+    "dense": "datagen.loader",
     "detect": "datagen.detector",
     "expected_histogram": "datagen.detector",
     "generate_scene": "datagen.scene",

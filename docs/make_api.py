@@ -4,21 +4,38 @@ from __future__ import annotations
 
 import inspect
 import re
+import sys
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin
+
+import numpy as np
+import numpy.typing
+from pydantic import BaseModel
 
 import datagen
 
 PAGE = Path(__file__).with_name("api.md")
-STAGES = ("records", "config", "scene", "capture", "transport", "effects", "detector", "building", "loader", "paper")
+STAGES = (
+    "records",
+    "config",
+    "scene",
+    "capture",
+    "transport",
+    "effects",
+    "detector",
+    "building",
+    "loader",
+    "paper",
+    "errors",
+)
 INTRODUCTION = """\
 # API
 
 Every public name of `datagen` (`import datagen as dg`), in the order of the stages. Written from the docstrings by
 `make docs`; lengths are in metres, times in seconds, and arrays have the axes laser (L), pixel (P) and bin (T). Bad
-input raises `datagen.errors.InputError` with one line that names key, value, allowed range and remedy.
+input raises `InputError` with one line that names key, value, allowed range and remedy.
 """
 
 
@@ -28,8 +45,8 @@ def page() -> str:
     contents, sections = [INTRODUCTION], list[str]()
     for stage in STAGES:
         ours = sorted((not inspect.isclass(o), n) for n, o in named.items() if o.__module__.split(".")[1] == stage)
-        contents.append(f"- `{stage}/`: " + " · ".join(f"[{name}](#{name.lower()})" for _, name in ours))
-        sections += [f"## `datagen/{stage}/`\n", *(_entry(name, named.pop(name)) for _, name in ours)]
+        contents.append(f"- `{stage}`: " + " · ".join(f"[{name}](#{name.lower()})" for _, name in ours))
+        sections += [f"## `datagen.{stage}`\n", *(_entry(name, named.pop(name)) for _, name in ours)]
     if named:
         raise SystemExit(f"docs/make_api.py: {', '.join(named)} belong to none of the stages {', '.join(STAGES)}")
     return "\n".join([*contents, "", *sections])
@@ -49,6 +66,8 @@ def _entry(name: str, thing: Any) -> str:
 
 def _signature(name: str, thing: Callable[..., Any]) -> str:
     """`name(parameters) -> returned`, annotations as the source has them, on one line where it fits."""
+    if inspect.isclass(thing) and issubclass(thing, BaseModel | Exception):
+        return name  # the keys of a configuration stand in configs/schema.json
     signature = inspect.signature(thing)
     shown, keyword_only = list[str](), False
     for p in signature.parameters.values():
@@ -59,11 +78,28 @@ def _signature(name: str, thing: Callable[..., Any]) -> str:
             shown, keyword_only = [*shown, "*"], True
         stars = {p.VAR_POSITIONAL: "*", p.VAR_KEYWORD: "**"}.get(p.kind, "")
         default = "" if p.default is p.empty else f" = {getattr(p.default, '__name__', repr(p.default))}"
-        shown.append(f"{stars}{p.name}: {p.annotation}{default.replace('<factory>', '…')}")
+        shown.append(f"{stars}{p.name}: {written(p.annotation, thing)}{default.replace('<factory>', '…')}")
     returned = signature.return_annotation
-    tail = ")" if inspect.isclass(thing) or returned is signature.empty else f") -> {returned}"
+    tail = ")" if inspect.isclass(thing) or returned is signature.empty else f") -> {written(returned, thing)}"
     line = f"{name}({', '.join(shown)}{tail}"
     return line if len(line) <= 110 else f"{name}(\n    " + ",\n    ".join(shown) + f",\n{tail}"
+
+
+def written(annotation: str, thing: Any) -> str:
+    """An annotation as the source has it, but names of kinds of arrays and choices written out."""
+
+    def spelled(match: re.Match[str]) -> str:
+        kind = getattr(sys.modules[thing.__module__], match[0], None)
+        if match[0] in numpy.typing.__all__:
+            return match[0]
+        if get_origin(kind) is np.ndarray:
+            number = get_args(get_args(kind)[1])[0]
+            return f"NDArray[np.{(get_origin(number) or number).__name__}]"
+        if get_origin(kind) is None:
+            return match[0]
+        return re.sub(r"\b(?:[a-z]\w*\.)+(?=[A-Z])", "", str(kind))
+
+    return re.sub(r"(?<![\w.'\"])[A-Za-z_]\w*\b(?![.'\"])", spelled, annotation)
 
 
 def _markdown(thing: Any) -> str:

@@ -6,10 +6,12 @@ from datagen.config.detector import DetectorConfig
 from datagen.config.effects import EffectsConfig
 from datagen.config.labels import LabelsConfig
 from datagen.config.scene import SceneConfig
+from datagen.config.splits import SplitsConfig
 from datagen.config.store import StoreConfig
 from datagen.config.transport import TransportConfig
 
 __all__ = [
-    "CaptureConfig", "DatasetConfig", "DetectorConfig", "EffectsConfig", "LabelsConfig", "SceneConfig", "StoreConfig",
-    "TransportConfig", "config_from_mapping", "fingerprint_of", "json_schema", "load_config",
+    "CaptureConfig", "DatasetConfig", "DetectorConfig", "EffectsConfig", "LabelsConfig", "SceneConfig",
+    "SplitsConfig", "StoreConfig", "TransportConfig", "config_from_mapping", "fingerprint_of", "json_schema",
+    "load_config",
 ]  # fmt: skip

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import pydantic
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from datagen.config.base import Settings, raise_input_error
 from datagen.config.capture import CaptureConfig
@@ -16,10 +16,14 @@ from datagen.config.detector import DetectorConfig
 from datagen.config.effects import EffectsConfig
 from datagen.config.labels import LabelsConfig
 from datagen.config.scene import SceneConfig
+from datagen.config.splits import SplitsConfig
 from datagen.config.store import StoreConfig
 from datagen.config.transport import TransportConfig
 from datagen.config.yaml_text import MOST_CHARACTERS, parse_yaml
 from datagen.errors import InputError
+
+WITHOUT_EFFECT = ("name", "description", "license", "scenes", "splits")
+"""Settings that no sample depends on: a dataset may have others when it is taken up again."""
 
 
 class DatasetConfig(Settings):
@@ -30,6 +34,8 @@ class DatasetConfig(Settings):
     """A short name for cards and pictures."""
     description: str = ""
     """What the dataset is for; stands on its card."""
+    license: Annotated[str, Field(max_length=200)] = ""
+    """What others may do with the dataset: an SPDX name such as CC-BY-4.0, or an address; stands on its cards."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """The dataset seed: together with a scene's index it fixes everything about that scene."""
     scenes: Annotated[int, Field(ge=1, le=100_000_000)] = 32
@@ -41,9 +47,16 @@ class DatasetConfig(Settings):
     effects: EffectsConfig = EffectsConfig()
     labels: LabelsConfig = LabelsConfig()
     store: StoreConfig = StoreConfig()
+    splits: SplitsConfig = SplitsConfig()
+
+    @model_validator(mode="after")
+    def _splits_are_possible(self) -> Self:
+        if any(rule.classes for rule in self.splits.held_out):
+            self.splits.check_classes(self.scene.object_classes())
+        return self
 
     def fingerprint(self) -> str:
-        """Hex SHA-256 of everything that decides the samples' content: all settings but name, description and
+        """Hex SHA-256 of everything that decides the samples' content: all settings but name, description, splits and
         number of scenes (a dataset may grow), and the bytes of every mesh file named.
         """
         return fingerprint_of(self.model_dump(mode="json"), self.scene.mesh_digests())
@@ -57,7 +70,7 @@ class DatasetConfig(Settings):
 
 def fingerprint_of(settings: dict[str, Any], mesh_digests: dict[str, str]) -> str:
     """The fingerprint of a configuration given as plain values, such as a dataset keeps of its own."""
-    kept = {key: value for key, value in settings.items() if key not in ("name", "description", "scenes")}
+    kept = {key: value for key, value in settings.items() if key not in WITHOUT_EFFECT}
     text = json.dumps(kept | {"mesh_digests": mesh_digests}, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -1,15 +1,15 @@
 """Datasets as torch sees them. Nothing else in datagen imports torch.
 
-data = TransientDataset("out/rooms.zarr", fields=("histogram", "depth"))
-order = EpochSampler(data, seed=0)
-loader = DataLoader(data, batch_size=16, sampler=order, num_workers=2)
-for epoch in range(10):
-    order.set_epoch(epoch)
+data = TransientDataset("out/rooms.zarr", fields=("histogram", "depth"), redraw_noise=True)
+loader = DataLoader(data, batch_size=16, sampler=EpochSampler(data, seed=0), num_workers=2)
+for epoch in range(10):  # each in another order, and with other noise
     for batch in loader:
         batch["histogram"]          # (16, laser, pixel, bin) float32
 """
 
-from datagen.loader.dataset import TransientDataset, collate
+from datagen.loader.batch import collate
+from datagen.loader.dataset import TransientDataset
+from datagen.loader.events import dense
 from datagen.loader.sampler import EpochSampler
 
-__all__ = ["EpochSampler", "TransientDataset", "collate"]
+__all__ = ["EpochSampler", "TransientDataset", "collate", "dense"]

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import operator
 import warnings
+from collections import Counter
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.utils.data import Dataset, default_collate
+from torch.utils.data import Dataset
 
-from datagen.errors import InputError
+from datagen.config.splits import BY_SHARE
+from datagen.errors import CheckError, InputError
+from datagen.loader.batch import Batch
+from datagen.loader.draws import DrawCounter
+from datagen.loader.events import events_of
 from datagen.loader.redrawn_noise import NoiseSource
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.record import recorded_shards
-from datagen.store.table import TABLE, read_table
+from datagen.store.schema import SPLITS_SINCE
+from datagen.store.stats import QUANTITIES, WITH_STATS
+from datagen.store.table import TABLE, read_splits, read_table, stats_of_rows
 
 COUNT_TYPES = ("float32", "float64", "int32", "int64", "stored")
 
@@ -35,8 +44,17 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     counts : dtype that histograms are handed over in, since torch lacks most operations for uint16 and uint32.
         float32 is exact up to 2²⁴ counts a bin. `"stored"` leaves them as they are, the least to move from worker to
         device: cast them there, `batch["histogram"].to(device).float()`. Other fields keep their dtype.
-    redraw_noise : draw histograms anew from the stored transient, with the scene's own detector, every epoch: a
-        function of (`seed`, epoch, scene). Call `set_epoch` (or `EpochSampler.set_epoch`) before each epoch.
+    redraw_noise : draw histograms anew from the stored transient, with the scene's own detector, at every read: the
+        n-th read of a scene is its draw n, a function of (`seed`, n, scene). So every epoch has noise of its own
+        without any call, whatever wraps the dataset, samples from it or works for it; `set_epoch` fixes the count.
+    representation : `"events"`: instead of `histogram` an item has `events`, (N, 3), the laser, pixel and bin of
+        every bin that is not empty (int16, int32 where an axis is longer), and `counts`, (N,), what is in them: an
+        input of networks for points, and less to move where most bins are empty. `collate` joins a batch, with the
+        sample's number as a first column, and `dense` makes histograms of it on any device.
+    split : the scenes of one split alone: `"train"`, `"val"`, `"test"`, or one that the configuration holds out by
+        what scenes show (`splits.held_out`). A room, and every scene that shows it, is in one split; growing a
+        dataset moves none.
+    fractions : of train, val and test, instead of the configuration's.
     seed : of the redrawn noise.
     check : compare every value with the digest in its commit record when it is first read, once for all workers and
         epochs. Costs about 1 ms a MiB of decoded values; without it missing and damaged files are still found, but
@@ -47,7 +65,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     Raises
     ------
-    InputError : the folder is no dataset, shards are not committed, or an unknown field.
+    InputError : the folder is no dataset, shards are not committed, an unknown field or split, or an empty split.
     CheckError : for what is missing, damaged or other than was written, mostly while reading; naming file, scene and
         remedy.
 
@@ -58,8 +76,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     >>> import datagen as dg, torch
     >>> def batches(path):
     ...     data = dg.TransientDataset(path, fields=("histogram", "depth"), redraw_noise=True)
-    ...     order = dg.EpochSampler(data, seed=0)
-    ...     yield from torch.utils.data.DataLoader(data, 16, sampler=order, collate_fn=dg.collate)
+    ...     yield from torch.utils.data.DataLoader(data, 16, shuffle=True, collate_fn=dg.collate)
     >>> next(batches("nowhere.zarr"))
     Traceback (most recent call last):
         ...
@@ -71,6 +88,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         path: str | Path,
         fields: Sequence[str] = ("histogram", "depth"),
         *,
+        representation: str = "dense",
+        split: str | None = None,
+        fractions: tuple[float, float, float] | None = None,
         counts: str = "float32",
         redraw_noise: bool = False,
         seed: int = 0,
@@ -91,16 +111,23 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if counts not in COUNT_TYPES:
             raise InputError(f"counts = {counts!r}: must be one of {', '.join(COUNT_TYPES)}")
         self._counts = None if counts == "stored" else np.dtype(counts)
+        if representation not in ("dense", "events"):
+            raise InputError(f"representation = {representation!r}: must be 'dense' or 'events'")
+        self._as_events = representation == "events" and "histogram" in self.selected
         if redraw_noise and "transient" not in self.fields:
             raise InputError(
                 f"redraw_noise: {path} has no field transient to draw from; build it with one (store.fields)"
             )
         self._noise = NoiseSource(manifest) if redraw_noise else None
+        self._draws = DrawCounter(self._schema.scenes) if redraw_noise else None
         self.scenes = self._scenes_there(manifest)
+        self.split = split
+        if split is not None:
+            self.scenes = self._scenes_of(split, fractions)
+        elif fractions is not None:
+            raise InputError("fractions: divide a dataset into splits; name the one to read, such as split='train'")
         self.seed = seed
-        # Shared memory: workers that outlive an epoch see the next one begin, and none checks what another has.
-        epoch: Any = torch.zeros((), dtype=torch.int64)
-        self._epoch: torch.Tensor = epoch.share_memory_()
+        # Shared memory: no worker checks what another has.
         stored = ["transient" if name == "histogram" and self._noise else name for name in self.selected]
         self._seen: dict[str, Any] = {
             name: torch.zeros(self._schema.scenes, dtype=torch.bool).share_memory_() for name in stored
@@ -114,21 +141,36 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     def __getitem__(self, item: int) -> dict[str, torch.Tensor]:
         return self.__getitems__([item])[0]
 
+    def __repr__(self) -> str:
+        """Where from, how many samples of which split, and what an item holds."""
+        part = f" of split {self.split!r}" if self.split else ""
+        drawn = "histogram, drawn anew at every read" if self._noise else "histogram"
+        fields = (f"{drawn if name == 'histogram' else name} {self.shape(name)}" for name in self.selected)
+        return f"TransientDataset({str(self.path)!r}: {len(self)} scenes{part}; {', '.join(fields)})"
+
     def __getitems__(self, items: Sequence[int]) -> list[dict[str, torch.Tensor]]:
         """Several items in one read each field; the batch that a `DataLoader` asks for."""
-        scenes = [int(self.scenes[self._checked(int(item))]) for item in items]
-        batch = {name: torch.from_numpy(self._values(name, scenes)) for name in self.selected}
-        return _Batch(batch | {"scene": torch.tensor(scenes)})
+        scenes = [int(self.scenes[self._checked(item)]) for item in items]
+        values = {name: self._values(name, scenes) for name in self.selected}
+        events = events_of(values.pop("histogram")) if self._as_events else None
+        batch = {name: torch.from_numpy(of) for name, of in values.items()} | {"scene": torch.tensor(scenes)}
+        if events is None:
+            return Batch(batch)
+        return Batch(batch, *map(torch.from_numpy, (events[0], self._cast(events[1]))))
 
     def __getstate__(self) -> dict[str, Any]:
         """Open files stay with the process that opened them."""
         return self.__dict__ | {"_reader": None}
 
-    def set_epoch(self, epoch: int) -> None:
-        """The epoch that redrawn noise belongs to, also in workers that are running."""
-        if epoch < 0:
-            raise InputError(f"epoch = {epoch}: must be ≥ 0")
-        self._epoch.fill_(epoch)
+    def set_epoch(self, epoch: int, items: Sequence[int] | None = None) -> None:
+        """Fix the noise: the next read of every item (or of `items`) is its draw `epoch`, and later reads count on.
+
+        Never needed for fresh noise. It repeats the noise of an epoch, goes on where an earlier run ended, and makes
+        draws independent of reads that were begun and thrown away: workers that were fetching when an epoch was left.
+        Workers that are running see it. `EpochSampler` calls it when it begins.
+        """
+        if self._draws is not None:
+            self._draws.fix(epoch, self.scenes if items is None else self.scenes[np.asarray(items, np.int64)])
 
     def shape(self, field: str) -> tuple[int, ...]:
         """The shape of one scene's value of a field."""
@@ -145,6 +187,45 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """A column of `samples.parquet` (scene parameters, error estimates) in the order of the items."""
         column: NDArray[np.generic] = read_table(self.path, [name], self._schema.scenes)[name].to_numpy()
         return column[self.scenes]
+
+    @cached_property
+    def stats(self) -> dict[str, dict[str, float]]:
+        """Field → `mean` and `std` of all its values in this dataset (with `split`, in that split), of a histogram
+        those of log(1 + counts), and `nonzero`, the share of values that are not 0. Histograms, and labels that are
+        quantities; as stored, not as drawn anew.
+        """
+        if self._manifest.schema_version < SPLITS_SINCE:
+            raise InputError(f"stats: {self.path} is of an earlier schema version, which has none; build it anew")
+        columns = [f"stats.{name}.{of}" for name in WITH_STATS if name in self.fields for of in QUANTITIES]
+        rows = read_table(self.path, columns, self._schema.scenes).take(self.scenes)
+        try:
+            return stats_of_rows(rows)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise CheckError(f"{self.path / TABLE}: its stats are not as datagen writes them ({error})") from None
+
+    def _scenes_of(self, split: str, fractions: tuple[float, float, float] | None) -> NDArray[np.int64]:
+        """Those of the scenes that are there and belong to a split."""
+        splits = self._manifest.splits()
+        if split not in splits.names:
+            raise InputError(f"split = {split!r}: {self.path} has {', '.join(splits.names)}")
+        if fractions is not None:
+            if len(fractions) != 3 or min(fractions) < 0 or abs(sum(fractions) - 1) > 1e-6:
+                raise InputError(
+                    f"fractions = {fractions}: must be three numbers ≥ 0 (train, val, test) that add up to 1"
+                )
+            shares = dict(zip(BY_SHARE, map(float, fractions), strict=True))
+            splits = splits.model_copy(update=shares)
+        scenes = self._schema.scenes
+        if fractions is None and self._manifest.schema_version >= SPLITS_SINCE:
+            found = read_table(self.path, ["split"], scenes)["split"].to_pylist()
+        else:
+            found = read_splits(self.path, scenes, splits)
+        chosen = self.scenes[[found[scene] == split for scene in self.scenes]]
+        if not len(chosen):
+            others = Counter(found[scene] for scene in self.scenes)
+            there = ", ".join(f"{name} {count}" for name, count in others.items())
+            raise InputError(f"split = {split!r}: holds no scene of {self.path} ({there}); other fractions may help")
+        return chosen
 
     def _scenes_there(self, manifest: Manifest) -> NDArray[np.int64]:
         there, failed = self._shards_and_failures(manifest)
@@ -169,10 +250,15 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         records = committed(self.path, manifest)
         return {record.shard for record in records}, {scene for record in records for scene in record.failures}
 
-    def _checked(self, item: int) -> int:
-        if not -len(self) <= item < len(self):
-            raise IndexError(f"item {item}: this dataset has {len(self)} items")
-        return item
+    def _checked(self, item: object) -> int:
+        try:
+            number = operator.index(item)  # type: ignore[arg-type]
+        except TypeError:
+            several = "; `torch.utils.data.Subset` has several" if isinstance(item, slice | list | tuple) else ""
+            raise InputError(f"item {item!r}: must be a whole number{several}") from None
+        if not -len(self) <= number < len(self):
+            raise IndexError(f"item {number}: this dataset has {len(self)} items")
+        return number
 
     def _stored(self, name: str, scenes: Sequence[int], dtype: np.dtype[Any] | None = None) -> NDArray[np.generic]:
         if self._reader is None:
@@ -183,30 +269,23 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     def _values(self, name: str, scenes: Sequence[int]) -> NDArray[np.generic]:
         if name != "histogram":
             return self._stored(name, scenes)
-        if self._noise is None:
-            return self._stored(name, scenes, self._counts)
-        drawn = self._drawn(scenes)
+        if self._as_events:
+            return self._stored(name, scenes) if self._noise is None else self._drawn(scenes)
+        return self._stored(name, scenes, self._counts) if self._noise is None else self._cast(self._drawn(scenes))
+
+    def _cast(self, counts: NDArray[np.generic]) -> NDArray[np.generic]:
         if self._counts is None:
-            return drawn
-        if self._counts.kind == "i" and int(drawn.max()) > np.iinfo(self._counts).max:
-            raise InputError(f"counts = {self._counts.name!r}: {int(drawn.max())} counts do not fit; use 'int64'")
-        return drawn.astype(self._counts)
+            return counts
+        most = int(np.max(counts, initial=0))
+        if self._counts.kind == "i" and most > np.iinfo(self._counts).max:
+            raise InputError(f"counts = {self._counts.name!r}: {most} counts do not fit; use 'int64'")
+        return counts.astype(self._counts)
 
     def _drawn(self, scenes: Sequence[int]) -> NDArray[np.integer[Any]]:
-        assert self._noise is not None
-        transients, epoch = self._stored("transient", scenes), int(self._epoch)
-        return np.stack([self._noise.draw(t, s, self.seed, epoch) for t, s in zip(transients, scenes, strict=True)])
-
-
-class _Batch(list[dict[str, torch.Tensor]]):
-    """Items whose tensors are rows of `whole`, so that collating them needs no copy."""
-
-    def __init__(self, whole: dict[str, torch.Tensor]) -> None:
-        self.whole = whole
-        super().__init__({name: values[row] for name, values in whole.items()} for row in range(len(whole["scene"])))
-
-
-def collate(items: list[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
-    """A `collate_fn` equal to torch's own that hands a batch read as a whole on as it is."""
-    whole: dict[str, torch.Tensor] = items.whole if isinstance(items, _Batch) else default_collate(items)
-    return whole
+        assert self._noise is not None and self._draws is not None
+        transients, taken = self._stored("transient", scenes), self._draws.take(scenes)
+        drawn = [
+            self._noise.draw(transient, scene, self.seed, *draw)
+            for transient, scene, draw in zip(transients, scenes, taken, strict=True)
+        ]
+        return np.stack(drawn)

@@ -33,13 +33,15 @@ class NoiseSource:
         self._seed = manifest.seed
         self._decided: dict[int, tuple[Spad, Exposure, float]] = {}
 
-    def draw(self, transient: NDArray[np.generic], scene: int, seed: int, epoch: int) -> NDArray[np.integer[Any]]:
-        """Counts of a scene, (laser, pixel, bin): a function of (seed, epoch, scene)."""
+    def draw(
+        self, transient: NDArray[np.generic], scene: int, seed: int, number: int, stream: int = 0
+    ) -> NDArray[np.integer[Any]]:
+        """Counts of a scene, (laser, pixel, bin): a function of (seed, number of the draw, stream, scene)."""
         from datagen.detector import detect
 
         spad, exposure, tolerance = self._detector_of(scene, transient)
-        stream = seed_sequence(seed, scene, Purpose.LOADER, attempt=epoch)
-        noise_seed = int(stream.generate_state(1, np.uint64)[0])
+        key = seed_sequence(seed, scene, Purpose.LOADER, attempt=number, part=stream)
+        noise_seed = int(key.generate_state(1, np.uint64)[0])
         return detect(
             transient.astype(np.float64), self._time, spad, exposure, seed=noise_seed, tolerance=tolerance,
             approximate=self._detector.approximate,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sized
 
 import numpy as np
-from torch.utils.data import Sampler
+from numpy.typing import NDArray
+from torch.utils.data import ConcatDataset, Sampler, Subset
 
 from datagen.errors import InputError
 from datagen.loader.dataset import TransientDataset
@@ -16,7 +17,11 @@ class EpochSampler(Sampler[int]):
     """The order of an epoch, a function of (seed, epoch): shuffled, then dealt out to `ranks` training processes.
 
     `rank` is the number of this one. Each gets the same number of items: the order is continued from its start where
-    the items do not divide evenly. Also gives the dataset the epoch, so that redrawn noise follows.
+    the items do not divide evenly. Every iteration is the next epoch, the first of them 0 or what `set_epoch` says.
+
+    When an epoch begins, redrawn noise of the items becomes that of (seed of the dataset, epoch, scene), also through
+    `Subset` (`random_split`) and `ConcatDataset`: a run is repeated to the bit from any epoch on, for any number of
+    workers and ranks.
     """
 
     def __init__(self, data: Sized, seed: int = 0, *, shuffle: bool = True, rank: int = 0, ranks: int = 1) -> None:
@@ -26,17 +31,33 @@ class EpochSampler(Sampler[int]):
         self._rank, self._ranks, self._epoch = rank, ranks, 0
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch; call it before iterating."""
+        """The epoch that the next iteration is; those that follow count on from there."""
+        if epoch < 0:
+            raise InputError(f"epoch = {epoch}: must be ≥ 0")
         self._epoch = epoch
-        if isinstance(self._data, TransientDataset):
-            self._data.set_epoch(epoch)
 
     def __len__(self) -> int:
         return -(-len(self._data) // self._ranks)
 
     def __iter__(self) -> Iterator[int]:
+        # Not before the first item is asked for: until then workers may still be at the epoch before.
+        epoch, self._epoch = self._epoch, self._epoch + 1
         order = np.arange(len(self._data))
+        _fix_noise(self._data, epoch, order)
         if self._shuffle:
-            order = generator(self._seed, self._epoch, Purpose.LOADER, part=1).permutation(order)
+            order = generator(self._seed, epoch, Purpose.LOADER, part=1).permutation(order)
         dealt = np.resize(order, len(self) * self._ranks)
-        return iter(dealt[self._rank :: self._ranks].tolist())
+        yield from dealt[self._rank :: self._ranks].tolist()
+
+
+def _fix_noise(data: object, epoch: int, items: NDArray[np.int64]) -> None:
+    """`set_epoch` of the datasets below, of the scenes that these items of `data` are."""
+    if isinstance(data, TransientDataset):
+        data.set_epoch(epoch, items.tolist())
+    elif isinstance(data, Subset):
+        _fix_noise(data.dataset, epoch, np.asarray(data.indices, np.int64)[items])
+    elif isinstance(data, ConcatDataset):
+        ends = np.asarray(data.cumulative_sizes)
+        for part, dataset in enumerate(data.datasets):
+            begin = ends[part - 1] if part else 0
+            _fix_noise(dataset, epoch, items[(items >= begin) & (items < ends[part])] - begin)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec
 from zarr.storage import MemoryStore
 
+from datagen.config.capture import TimeConfig
 from datagen.store.schema import Field, Schema
 
 GROUP = "data.zarr"
@@ -21,13 +23,36 @@ def shard_file(field: Field, shard: int) -> str:
     return "/".join([GROUP, field.name, "c", str(shard), *["0"] * len(field.shape)])
 
 
-def metadata_files(schema: Schema) -> dict[str, bytes]:
-    """Every `zarr.json` of the group, path relative to the dataset → content, made in memory."""
+def metadata_files(schema: Schema, time: TimeConfig) -> dict[str, bytes]:
+    """Every `zarr.json` of the group, and its coordinates, path relative to the dataset → content, made in memory."""
     store = MemoryStore()
-    group = zarr.create_group(store)
+    geometry = " ".join(name for name, field in schema.by_name.items() if field.dtype == "float64")
+    group = zarr.create_group(store, attributes={"coordinates": geometry})
     for field in schema.fields:
         _create(group, field, schema)
+    _create_arrival_times(group, time)
+    with warnings.catch_warnings():
+        # No part of the standard yet: readers that know it open the group in one read, others ignore it.
+        warnings.filterwarnings("ignore", "Consolidated metadata", UserWarning)
+        zarr.consolidate_metadata(store)
     return {f"{GROUP}/{key}": store._store_dict[key].to_bytes() for key in sorted(store._store_dict)}
+
+
+COORDINATES = (f"{GROUP}/bin/zarr.json", f"{GROUP}/bin/c/0")
+"""Files of arrays that are not of scenes but of an axis; named as it is, as xarray and others expect."""
+
+
+def _create_arrival_times(group: zarr.Group, time: TimeConfig) -> None:
+    origin = "laser emission" if time.origin == "source" else "the laser point, without the legs of the device"
+    middles = 1000.0 * time.start_ns + time.bin_width_ps * (np.arange(time.bins) + 0.5)
+    # "ps" is no unit of time to those who decode units of time by themselves: the numbers stay numbers.
+    array = group.create_array(
+        "bin", shape=middles.shape, dtype=np.float64, chunks=middles.shape, compressors=[Crc32cCodec()],
+        dimension_names=("bin",), fill_value=float("nan"),
+        attributes={"units": "ps", "long_name": f"arrival time counted from {origin}: middle of the bin"}
+        | {"bin_width_ps": time.bin_width_ps},
+    )  # fmt: skip
+    array[:] = middles
 
 
 def array_to_write(root: Path, name: str) -> zarr.Array[Any]:
@@ -56,6 +81,6 @@ def _create(group: zarr.Group, field: Field, schema: Schema) -> None:
         compressors=[blosc, Crc32cCodec()],
         fill_value=float("nan") if dtype.kind == "f" else 0,
         dimension_names=field.dims,
-        attributes={"unit": field.unit, "meaning": field.meaning}
+        attributes={"units": field.unit, "long_name": field.meaning}
         | ({"classes": list(field.classes)} if field.classes else {}),
     )

@@ -1,8 +1,10 @@
-"""`README.md`, the dataset card for people, and `croissant.json`, the same for machines (MLCommons Croissant 1.0)."""
+"""`README.md`, the dataset card for people."""
 
 from __future__ import annotations
 
+import json
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,15 +13,16 @@ import numpy as np
 import pyarrow as pa
 
 from datagen.errors import printable
-from datagen.store.arrays import GROUP
 from datagen.store.environment import mixed
-from datagen.store.files import json_bytes, sha256_of, write_if_changed
+from datagen.store.files import write_if_changed
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
 from datagen.store.schema import Schema
-from datagen.store.table import CROISSANT, TABLE, table_of
+from datagen.store.table import TABLE, table_of
 
 CARD = "README.md"
+_SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+_TAGS = ["non-line-of-sight", "single-photon", "transient-imaging", "synthetic"]
 
 
 def write_card(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
@@ -33,8 +36,10 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
     failures = {scene: reason for record in records for scene, reason in record.failures.items()}
     stored = sum(file.bytes for record in records for file in record.files.values())
     whole = len(records) == schema.shards
+    table = table_of(records, (), manifest.splits())
     names = ", ".join(f'"{field.name}"' for field in schema.fields if field.sharded)
     lines = [
+        *_front_matter(manifest, whole),
         f"# {config['name']}",
         "",
         *([config["description"], ""] if config["description"] else []),
@@ -51,6 +56,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         "run the same `datagen build` again to go on.",
         "",
         *_failure_lines(failures),
+        *(_split_lines(table) if whole else []),
         "## Fields",
         "",
         "Zarr v3 arrays in `data.zarr`, one scene along the first axis.",
@@ -65,7 +71,8 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         "",
         *_class_lines(schema),
         *_time_lines(config["capture"]),
-        *(_parameter_lines(table_of(records, ())) if whole else []),
+        *_stats_lines(manifest),
+        *(_parameter_lines(table) if whole else []),
         "## Reading it",
         "",
         "```python",
@@ -81,6 +88,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         f"- seed {manifest.seed}; each scene depends on (seed, scene index) only",
         f"- configuration fingerprint `{manifest.fingerprint}`; the whole configuration stands in `dataset.json`",
         *(f"- mesh `{mesh}`, SHA-256 `{sha}`" for mesh, sha in manifest.meshes.items()),
+        f"- licence: {config.get('license') or 'none stated, so all rights are reserved'}",
         f"- code: commit {manifest.commit or 'unknown (not run from a checkout)'}",
         f"- versions: {', '.join(f'{name} {version}' for name, version in manifest.versions.items())}",
         f"- begun on: {manifest.hardware['processor']}, {manifest.hardware['system']}",
@@ -88,6 +96,19 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         "",
     ]
     return printable("\n".join(lines).replace("\r\n", "\n"))
+
+
+def _front_matter(manifest: Manifest, whole: bool) -> list[str]:
+    """What the Hugging Face Hub reads of a card, in YAML: its viewer then shows the rows of the table."""
+    scenes, terms = manifest.schema.scenes, manifest.config.get("license", "")
+    size = next((name for most, name in _SIZES if scenes < most), "n>1M")
+    named = {"pretty_name": manifest.config["name"], "size_categories": [size], "tags": _TAGS}
+    if terms:
+        named |= {"license": "other", "license_link": terms} if "://" in terms else {"license": terms.lower()}
+    if whole:
+        named["configs"] = [{"config_name": "scenes", "data_files": TABLE}]
+    # JSON is YAML.
+    return ["---", *(f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in named.items()), "---", ""]
 
 
 def readable(size: float) -> str:
@@ -102,6 +123,26 @@ def _failure_lines(failures: dict[int, str]) -> list[str]:
     shown = [f"- scene {scene}: {reason}" for scene, reason in sorted(failures.items())[:20]]
     shown += [f"- and {len(failures) - 20} more, see `{TABLE}`"] if len(failures) > 20 else []
     return [f"{len(failures)} scenes could not be made; their values are fill values:", "", *shown, ""]
+
+
+def _split_lines(table: pa.Table) -> list[str]:
+    """How many scenes each split has."""
+    scenes = Counter(name for name in table["split"].to_pylist() if name is not None)
+    told = ", ".join(f"{name} {count}" for name, count in scenes.most_common())
+    return [f"Splits (column `split` of `{TABLE}`; no room is in two): {told}.", ""]
+
+
+def _stats_lines(manifest: Manifest) -> list[str]:
+    """What to divide by, of the split to train with."""
+    of = (manifest.stats or {}).get("train", {})
+    rows = [f"| `{name}` | {s['mean']:.6g} | {s['std']:.6g} | {s['nonzero']:.4g} |" for name, s in of.items()]
+    head = [
+        "## Mean and spread",
+        "",
+        "Of the split `train`; of a histogram log(1 + counts); all in `dataset.json`.",
+        "",
+    ]
+    return [*head, "| field | mean | std | share not 0 |", "|---|---|---|---|", *rows, ""] if rows else []
 
 
 def _class_lines(schema: Schema) -> list[str]:
@@ -132,7 +173,11 @@ def ranges(table: pa.Table) -> list[tuple[str, str, str, str]]:
     rows = []
     for name in table.column_names:
         column = table[name].drop_null()
-        if name in ("scene", "shard", "failure") or not pa.types.is_primitive(column.type):
+        if (
+            name in ("scene", "shard", "failure")
+            or name.startswith("stats.")
+            or not pa.types.is_primitive(column.type)
+        ):
             continue
         values = np.asarray(column.to_pylist(), np.float64)
         if len(values) and values.min() < values.max():
@@ -145,52 +190,3 @@ def _parameter_lines(table: pa.Table) -> list[str]:
     rows = [f"| `{name}` | {' | '.join(numbers)} |" for name, *numbers in ranges(table)]
     head = ["## What varies", "", f"From `{TABLE}`, which has a row for every scene.", ""]
     return [*head, "| parameter | least | median | most |", "|---|---|---|---|", *rows, ""] if rows else []
-
-
-def write_croissant(root: Path, manifest: Manifest) -> None:
-    """Write the machine-readable card; `samples.parquet` must be there."""
-    write_if_changed(root / CROISSANT, json_bytes(croissant(root, manifest)))
-
-
-_CROISSANT_CONTEXT = {
-    "@language": "en", "@vocab": "https://schema.org/", "sc": "https://schema.org/",
-    "cr": "http://mlcommons.org/croissant/", "dct": "http://purl.org/dc/terms/", "conformsTo": "dct:conformsTo",
-    "column": "cr:column", "dataType": {"@id": "cr:dataType", "@type": "@vocab"}, "extract": "cr:extract",
-    "field": "cr:field", "fileObject": "cr:fileObject", "fileSet": "cr:fileSet", "includes": "cr:includes",
-    "recordSet": "cr:recordSet", "source": "cr:source",
-}  # fmt: skip
-_CROISSANT_TYPES = {"string": "sc:Text", "double": "sc:Float", "bool": "sc:Boolean"}
-
-
-def croissant(root: Path, manifest: Manifest) -> dict[str, Any]:
-    """The Croissant 1.0 description: files, and a record set with the columns of the table."""
-    import pyarrow.parquet as pq
-
-    fields = "; ".join(f"{f.name} ({', '.join(f.dims)}) {f.dtype} {f.unit}" for f in manifest.schema.fields)
-    columns = [
-        {
-            "@type": "cr:Field", "@id": f"scenes/{column.name}", "name": column.name,
-            "dataType": _CROISSANT_TYPES.get(str(column.type), "sc:Integer"),
-            "source": {"fileObject": {"@id": TABLE}, "extract": {"column": column.name}},
-        }
-        for column in pq.read_schema(root / TABLE)
-    ]  # fmt: skip
-    table = {
-        "@type": "cr:FileObject", "@id": TABLE, "name": TABLE, "contentUrl": TABLE,
-        "encodingFormat": "application/vnd.apache.parquet", "sha256": sha256_of(root / TABLE),
-    }  # fmt: skip
-    group = {
-        "@type": "cr:FileSet", "@id": GROUP, "name": GROUP, "description": f"Zarr v3 group: {fields}",
-        "encodingFormat": "application/vnd.zarr", "includes": f"{GROUP}/**",
-    }  # fmt: skip
-    scenes = {
-        "@type": "cr:RecordSet", "@id": "scenes", "name": "scenes",
-        "description": "One record a scene: what was drawn, error estimates, SHA-256 of the decoded fields.",
-        "field": columns,
-    }  # fmt: skip
-    return {
-        "@context": _CROISSANT_CONTEXT, "@type": "sc:Dataset", "conformsTo": "http://mlcommons.org/croissant/1.0",
-        "name": manifest.config["name"],
-        "description": manifest.config["description"] or "Simulated non-line-of-sight single-photon measurements.",
-        "version": manifest.fingerprint[:12], "distribution": [table, group], "recordSet": [scenes],
-    }  # fmt: skip

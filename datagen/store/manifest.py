@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -10,15 +11,17 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
-from datagen.config import DatasetConfig, config_from_mapping
+from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping
+from datagen.config.capture import TimeConfig
 from datagen.config.scene_contents import Mesh
 from datagen.errors import InputError
-from datagen.store.arrays import GROUP, metadata_files, shard_shape
+from datagen.store.arrays import COORDINATES, GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_whole, sealed
 from datagen.store.record import Digest, recorded_shards
 from datagen.store.schema import (
     CHECKSUMS_SINCE,
+    COORDINATES_SINCE,
     MOST_SCENES,
     SCHEMA_VERSION,
     SCHEMA_VERSIONS,
@@ -27,6 +30,8 @@ from datagen.store.schema import (
     check_size,
     schema_of,
 )  # fmt: skip
+from datagen.store.stats import FieldStats
+from datagen.store.table import COLUMNS, TABLE
 
 MANIFEST = "dataset.json"
 FORMAT = "datagen dataset"
@@ -34,7 +39,8 @@ REMEDY = "build the dataset again with its configuration, which writes it anew"
 _RENAMED_SINCE = {1: (("transport", "scramblings", "replicates"),)}
 """Schema version → (section, key then, key now) of its stored configuration."""
 _KEPT = (
-    "config", "meshes", "mesh_folder", "metadata", "versions", "commit", "hardware", "fingerprint", "schema_version",
+    "stats", "config", "meshes", "mesh_folder", "metadata", "versions", "commit", "hardware", "fingerprint",
+    "schema_version",
 )  # fmt: skip
 """Fields of `Manifest` that stand in the file as they are."""
 
@@ -52,7 +58,8 @@ class Manifest:
     config : the configuration as plain values, with the key names of its `schema_version`.
     meshes : mesh file → digest of its bytes.
     mesh_folder : where relative mesh paths start; None when there are none, so that no machine's paths are stored.
-    metadata : `zarr.json` files → SHA-256.
+    metadata : `zarr.json` files, and those of coordinates → SHA-256.
+    stats : of a complete dataset: split → field → `mean`, `std` and `nonzero` of its values (`stats_of`).
     """
 
     config: dict[str, Any]
@@ -65,6 +72,7 @@ class Manifest:
     commit: str | None
     hardware: dict[str, Any]
     schema_version: int = SCHEMA_VERSION
+    stats: dict[str, dict[str, dict[str, float]]] | None = None
 
     @property
     def seed(self) -> int:
@@ -97,6 +105,13 @@ class Manifest:
             )
         return models
 
+    def splits(self) -> SplitsConfig:
+        """How its scenes are dealt out. Raises `InputError` for settings that are none."""
+        try:
+            return SplitsConfig.model_validate_json(json.dumps(self.config.get("splits", {})))
+        except pydantic.ValidationError as error:
+            raise InputError(f"{MANIFEST}: splits: {' '.join(str(error).split())}; {REMEDY}") from None
+
     def to_bytes(self) -> bytes:
         """The file `dataset.json`."""
         schema, config = self.schema, self.config
@@ -104,19 +119,21 @@ class Manifest:
         values |= {key: config[key] for key in ("name", "description")} | {"seed": self.seed}
         values |= {key: getattr(schema, key) for key in ("scenes", "scenes_per_shard", "shards")}
         values |= {"fingerprint": self.fingerprint, "fields": [_field_row(field, schema) for field in schema.fields]}
+        values |= {"samples": {"file": TABLE, "columns": COLUMNS}}
         return sealed(values | {key: getattr(self, key) for key in _KEPT if key not in values})
 
 
 def describe(config: DatasetConfig, schema: Schema) -> Manifest:
     """The manifest of a new dataset."""
-    values, meshes, metadata = config.model_dump(mode="json"), config.scene.mesh_digests(), metadata_hashes(schema)
+    values, meshes = config.model_dump(mode="json"), config.scene.mesh_digests()
+    metadata = metadata_hashes(schema, config.capture.time)
     made_by = environment(), commit(), hardware()
     return Manifest(values, meshes, mesh_folder(config), config.fingerprint(), schema, metadata, *made_by)
 
 
-def metadata_hashes(schema: Schema) -> dict[str, str]:
-    """`zarr.json` file → hex SHA-256 of its content."""
-    return {name: hashlib.sha256(content).hexdigest() for name, content in metadata_files(schema).items()}
+def metadata_hashes(schema: Schema, time: TimeConfig) -> dict[str, str]:
+    """File of `metadata_files` → hex SHA-256 of its content."""
+    return {name: hashlib.sha256(content).hexdigest() for name, content in metadata_files(schema, time).items()}
 
 
 def mesh_folder(config: DatasetConfig) -> str | None:
@@ -202,6 +219,7 @@ class _Config:
     description: str
     seed: Annotated[int, pydantic.Field(ge=0, lt=2**63)]
     capture: _Capture
+    license: str = ""
 
 
 @dataclass(frozen=True)
@@ -219,6 +237,7 @@ class _File:
     versions: dict[str, str]
     commit: str | None
     hardware: dict[str, str | int]
+    stats: dict[str, dict[str, FieldStats]] | None = None
 
 
 @cache
@@ -246,14 +265,15 @@ def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:
         check_size(field, schema.scenes_per_shard)
         if _field_row(field, schema) != row:
             raise InputError(f"field {field.name}: is cut into other chunks than datagen cuts it")
-    if set(file.metadata) != {f"{GROUP}/zarr.json", *(f"{GROUP}/{field.name}/zarr.json" for field in fields)}:
+    due = {f"{GROUP}/zarr.json", *(f"{GROUP}/{field.name}/zarr.json" for field in fields)}
+    if set(file.metadata) != due | set(COORDINATES if stated["schema_version"] >= COORDINATES_SINCE else ()):
         raise InputError("metadata: other files than its fields have")
     if (
         not {"datagen", "pyarrow"} <= file.versions.keys()
         or not {"processor", "cores", "system"} <= file.hardware.keys()
     ):
         raise InputError("versions, hardware: incomplete")
-    return Manifest(schema=schema, **{key: stated[key] for key in _KEPT})
+    return Manifest(schema=schema, **{"stats": None} | {key: stated[key] for key in _KEPT if key in stated})
 
 
 def _shortened(value: Any) -> str:

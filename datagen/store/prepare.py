@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from datagen.config import DatasetConfig
+from datagen.config.dataset import WITHOUT_EFFECT
 from datagen.errors import CheckError, InputError
-from datagen.store.arrays import GROUP, metadata_files
+from datagen.store.arrays import COORDINATES, GROUP, metadata_files
 from datagen.store.environment import environment
 from datagen.store.files import PARTIAL, holds, own_path, write_if_changed
 from datagen.store.manifest import (
@@ -55,7 +56,7 @@ def planned(root: Path, config: DatasetConfig) -> Manifest:
         if restored is None:
             raise
         manifest = restored
-    files = [*WHEN_COMPLETE, "README.md", MANIFEST, BUILD]
+    files = [*WHEN_COMPLETE, "README.md", MANIFEST, BUILD, *COORDINATES]
     for name in [
         *files,
         *(f"{GROUP}/{field.name}/{below}" for field in manifest.schema.fields for below in ("zarr.json", "c")),
@@ -77,7 +78,7 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
         # It grows, or is mended: what described it as complete goes before anything else changes.
         forget_complete(root)
     write_if_changed(root / MANIFEST, content)
-    for name, metadata in metadata_files(manifest.schema).items():
+    for name, metadata in metadata_files(manifest.schema, config.capture.time).items():
         path = root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write_if_changed(path, metadata)
@@ -151,14 +152,15 @@ def _taken_up(root: Path, config: DatasetConfig) -> Manifest:
             "a dataset may only grow: ask for at least as many, or name another folder"
         )
     schema = schema_of(config, old.schema.scenes_per_shard)
-    values, metadata = config.model_dump(mode="json"), metadata_hashes(schema)
-    return replace(old, config=values, mesh_folder=mesh_folder(config), schema=schema, metadata=metadata)
+    values, metadata = config.model_dump(mode="json"), metadata_hashes(schema, config.capture.time)
+    stats = old.stats if (schema, values) == (old.schema, old.config) else None
+    return replace(old, config=values, mesh_folder=mesh_folder(config), schema=schema, metadata=metadata, stats=stats)
 
 
 def _check_same(root: Path, old: Manifest, config: DatasetConfig) -> None:
     if config.fingerprint() == old.fingerprint:
         return
-    new = config.model_dump(mode="json", exclude={"name", "description", "scenes"})
+    new = config.model_dump(mode="json", exclude={*WITHOUT_EFFECT})
     for key, was, now in _differences(old.config, new):
         raise InputError(
             f"output {root}: holds a dataset made with {key} = {was}, this configuration has {now}; "

@@ -18,11 +18,12 @@ from datagen.errors import CheckError, InputError
 from datagen.store.arrays import shard_file
 from datagen.store.files import is_intact, parsed, read_whole, sealed, sha256_of
 from datagen.store.schema import Schema
+from datagen.store.stats import FieldStats
 
 BUILD = "build"
 
 Parameter = Annotated[int, pydantic.Field(ge=-(2**63), lt=2**63)] | float | str | bool
-Seconds = Annotated[float, pydantic.Field(allow_inf_nan=False)]
+Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 Digest = Annotated[str, pydantic.Field(pattern=r"^[0-9a-f]{64}$")]
 
 
@@ -35,7 +36,9 @@ class SceneRecord:
     digests: Mapping[str, Digest] = field(default_factory=dict)
     """Field → hex SHA-256 of the scene's values, little-endian, C order."""
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
-    seconds: Mapping[str, Seconds] = field(default_factory=dict)
+    seconds: Mapping[str, Finite] = field(default_factory=dict)
+    stats: Mapping[str, FieldStats] = field(default_factory=dict)
+    """Since schema version 5."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +69,9 @@ class ShardRecord:
     fingerprint: str
     files: Mapping[str, FileRecord]
     scenes: tuple[SceneRecord, ...]
-    seconds: Mapping[str, Seconds]
-    started: Seconds
-    finished: Seconds
+    seconds: Mapping[str, Finite]
+    started: Finite
+    finished: Finite
     environment: Mapping[str, str]
 
     @property

@@ -24,12 +24,19 @@ SCHEMA_VERSIONS = {
     4: "datagen 0.4: a seed yields other light where a configuration asks for an accuracy (the primary by cells, "
     "without noise), bins of the secondary hold what arrives between their edges; columns transient.part_error.*; "
     "`dataset.json` and commit records end in a checksum of their own, and must",
+    5: "datagen 0.5: a name of an axis has one size in the group (volumes: voxel_depth, voxel_row, voxel_column; "
+    "hidden_bounds: bound), attributes units and long_name, a coordinate `bin` of arrival times; columns `split` and "
+    "`stats.*` in the table, `stats` in `dataset.json`",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
 SCHEMA_VERSION = max(SCHEMA_VERSIONS)
 CHECKSUMS_SINCE = 4
 """The first version whose `dataset.json` and commit records must carry a checksum of their own."""
+COORDINATES_SINCE = 5
+"""The first version that stores the arrival time of each bin, as a coordinate of its axis."""
+SPLITS_SINCE = 5
+"""The first version whose table says which split a scene belongs to."""
 CHUNK_BYTES = 4 * 2**20
 """A scene's chunk is cut (first along `laser`) when its raw bytes exceed this."""
 SHARD_BYTES = 256 * 2**20
@@ -42,7 +49,7 @@ MOST_SCENES = 100_000_000
 
 _MEASURED = ("scene", "laser", "pixel", "bin")
 _IMAGE = ("scene", "row", "column")
-_VOLUME = ("scene", "depth", "row", "column")
+_VOLUME = ("scene", "voxel_depth", "voxel_row", "voxel_column")
 
 
 @dataclass(frozen=True)
@@ -51,7 +58,7 @@ class Field:
 
     Attributes
     ----------
-    dims : dimension names; the first is `scene`.
+    dims : dimension names; the first is `scene`. A name has one size in a dataset.
     shape : the shape of one scene's value, without the scene axis.
     sharded : large fields have one chunk a scene in shards of K scenes; small ones one chunk of K scenes, no shard.
     classes : what the numbers 0, 1, 2 … of a field stand for, where they are classes.
@@ -228,7 +235,7 @@ def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
         ("relay_wall", rectangle, (3, 3), "the visible wall: centre and half extents right, up; NaN when unknown"),
         ("hidden_view", rectangle, (3, 3),
          "the rectangle label images look from: centre and half extents right, up; NaN when unknown"),
-        ("hidden_bounds", ("scene", "corner", "axis"), (2, 3),
+        ("hidden_bounds", ("scene", "bound", "axis"), (2, 3),
          "two opposite corners of the box that holds the hidden part; NaN when unknown"),
     )  # fmt: skip
     return tuple(Field(name, dims, shape, "float64", "m", text, sharded=False) for name, dims, shape, text in small)

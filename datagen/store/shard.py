@@ -19,6 +19,7 @@ from datagen.store.environment import made_with
 from datagen.store.files import PARTIAL, own_path, sha256_of, sync_folder, write_atomically
 from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, record_path
 from datagen.store.schema import Field, Schema
+from datagen.store.stats import WITH_STATS, stats_of
 
 
 def discard_shard(root: Path, schema: Schema, shard: int) -> None:
@@ -126,7 +127,8 @@ def _keep(
     for name, row in rows.items():
         values[name][index - first] = row
     digests = {field.name: digest(field, rows[field.name]) for field in schema.fields}
-    return SceneRecord(index, None, digests, parameters, seconds)
+    stats = {name: stats_of(name, rows[name]) for name in WITH_STATS if name in rows}
+    return SceneRecord(index, None, digests, parameters, seconds, stats)
 
 
 def _row(field: Field, sample: Sample) -> NDArray[np.generic]:

@@ -3,26 +3,41 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from datagen.config import SplitsConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Scalar
-from datagen.store.files import read_json, sha256_of, write_if_changed
+from datagen.store.files import read_json, sha256_of
 from datagen.store.record import SceneRecord, ShardRecord
+from datagen.store.splits import splits_of
+from datagen.store.stats import QUANTITIES, FieldStats, together
 
 TABLE = "samples.parquet"
 CROISSANT = "croissant.json"
 """The machine-readable card. It has the table's SHA-256."""
-_OWN = ("scene", "shard", "failure")
+COLUMNS = {
+    "scene": "number of the scene; rows are in its order",
+    "failure": "why the scene could not be made; null where it could",
+    "split": "train, val, test or a split held out by the configuration",
+    "transient.relative_error": "relative L2 error of the sample's transient; with a target its upper bound (95 %)",
+    "stats.FIELD.mean, .std, .nonzero": "of the sample's values of a field; of a histogram's log(1 + counts)",
+    "sha256.FIELD": "digest of the sample's decoded values",
+    "others": "what was drawn for the sample and decided about it; docs/configuration.md of datagen lists them",
+}
+"""What the table's columns are."""
+_OWN = ("scene", "shard", "failure", "split")
 
 
-def table_of(records: Sequence[ShardRecord], fields: Sequence[str]) -> pa.Table:
-    """Columns: `scene`, `shard`, `failure` (null when there is none), every parameter by its dotted name (null where
-    a scene has none of that name), and `sha256.FIELD`. No timings: the table depends on the configuration alone.
+def table_of(records: Sequence[ShardRecord], fields: Sequence[str], splits: SplitsConfig | None = None) -> pa.Table:
+    """Columns: `scene`, `shard`, `failure` (null when there is none), `split` (with `splits`; null where there is a
+    failure), every parameter by its dotted name (null where a scene has none of that name), `stats.FIELD.QUANTITY`
+    and `sha256.FIELD`. No timings: the table depends on the configuration alone.
     """
     rows = [(record.shard, scene) for record in records for scene in record.scenes]
     rows.sort(key=lambda row: row[1].index)
@@ -32,9 +47,16 @@ def table_of(records: Sequence[ShardRecord], fields: Sequence[str]) -> pa.Table:
         "shard": pa.array([shard for shard, _ in rows], pa.int32()),
         "failure": pa.array([scene.failure for scene in scenes], pa.string()),
     }
+    if splits is not None:
+        shown = [scene.parameters if scene.failure is None else None for scene in scenes]
+        columns["split"] = pa.array(splits_of(shown, splits), pa.string())
     names = dict.fromkeys(name for scene in scenes for name in scene.parameters)
     for name in names:
         columns[name if name not in _OWN else f"parameter.{name}"] = _column(scenes, name)
+    for name in dict.fromkeys(name for scene in scenes for name in scene.stats):
+        for quantity in QUANTITIES:
+            values = [getattr(scene.stats[name], quantity) if name in scene.stats else None for scene in scenes]
+            columns[f"stats.{name}.{quantity}"] = pa.array(values, pa.float64())
     for field in fields:
         columns[f"sha256.{field}"] = pa.array([scene.digests.get(field) for scene in scenes], pa.string())
     return pa.table(columns)
@@ -47,13 +69,37 @@ def table_bytes(table: pa.Table) -> bytes:
     return sink.getvalue()
 
 
-def write_table(root: Path, records: Sequence[ShardRecord], fields: Sequence[str]) -> None:
-    """Write `samples.parquet` into a dataset."""
-    write_if_changed(root / TABLE, table_bytes(table_of(records, fields)))
+def stats_by_split(table: pa.Table) -> dict[str, dict[str, dict[str, float]]]:
+    """Split → field → `mean`, `std`, `nonzero` over the values of all its scenes."""
+    splits = table["split"].to_pylist()
+    rows = {name: [row for row, of in enumerate(splits) if of == name] for name in dict.fromkeys(splits) if name}
+    return {name: stats_of_rows(table.take(here)) for name, here in sorted(rows.items())}
 
 
-def read_table(root: Path, columns: Sequence[str], scenes: int) -> pa.Table:
-    """Some columns of the table of a dataset of so many scenes.
+def stats_of_rows(table: pa.Table) -> dict[str, dict[str, float]]:
+    """Field → `mean`, `std`, `nonzero` over the values of all scenes of a table without failures."""
+    names = [name.split(".")[1] for name in table.column_names if re.fullmatch(r"stats\.\w+\.mean", name)]
+    columns = {name: [f"stats.{name}.{quantity}" for quantity in QUANTITIES] for name in names}
+    found = {name: table.select(of).drop_null().to_pylist() for name, of in columns.items()}
+    return {name: together([FieldStats(**_short(row)) for row in rows]) for name, rows in found.items() if rows}
+
+
+def _short(row: dict[str, float]) -> dict[str, float]:
+    return {name.rpartition(".")[2]: value for name, value in row.items()}
+
+
+def read_splits(root: Path, scenes: int, splits: SplitsConfig) -> list[str | None]:
+    """The split of every scene of a dataset as `splits` has it, from what the table says of the scenes."""
+    table = read_table(root, None, scenes)
+    names = [name for name in table.column_names if name not in _OWN and not name.startswith(("sha256.", "stats."))]
+    failed = table["failure"].is_valid().to_pylist()
+    rows = table.select(names).to_pylist() if names else [{}] * scenes
+    kept = [{name: value for name, value in row.items() if value is not None} for row in rows]
+    return splits_of([None if no else row for no, row in zip(failed, kept, strict=True)], splits)
+
+
+def read_table(root: Path, columns: Sequence[str] | None, scenes: int) -> pa.Table:
+    """Some columns of the table of a dataset of so many scenes, or all.
 
     Raises `CheckError` when it is not the file whose hash `croissant.json` has, `InputError` for an unknown column.
     """
@@ -72,7 +118,7 @@ def read_table(root: Path, columns: Sequence[str], scenes: int) -> pa.Table:
             if file.metadata.num_rows != scenes:
                 raise CheckError(f"{path}: {file.metadata.num_rows} rows for {scenes} scenes; {remedy}")
             known = file.schema_arrow.names
-            for name in columns:
+            for name in columns or ():
                 if name not in known:
                     raise InputError(f"parameters: {name!r} is no column of {path}; it has {', '.join(known)}")
             return file.read(columns)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -12,14 +12,15 @@ import pyarrow.parquet as pq
 
 from datagen.config import fingerprint_of
 from datagen.errors import CheckError, printable
-from datagen.store.card import CARD, card, croissant, write_card, write_croissant
+from datagen.store.card import CARD, card, write_card
+from datagen.store.croissant import croissant, write_croissant
 from datagen.store.environment import environment
-from datagen.store.files import JSON_BYTES, holds, json_bytes, sha256_of
-from datagen.store.manifest import Manifest, read_manifest
+from datagen.store.files import JSON_BYTES, holds, json_bytes, sha256_of, write_if_changed
+from datagen.store.manifest import MANIFEST, Manifest, read_manifest
 from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, read_record, recorded_shards
-from datagen.store.schema import SCHEMA_VERSION
-from datagen.store.table import CROISSANT, TABLE, table_bytes, table_of, write_table
+from datagen.store.schema import SCHEMA_VERSION, SPLITS_SINCE
+from datagen.store.table import CROISSANT, TABLE, stats_by_split, table_bytes, table_of
 
 
 def committed(
@@ -42,10 +43,18 @@ def committed(
 
 
 def finish(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
-    """Write what a complete dataset has beside its arrays: the table, the cards."""
-    write_table(root, records, [field.name for field in manifest.schema.fields])
-    write_croissant(root, manifest)
+    """Write what a complete dataset has beside its arrays: the table, the cards, `stats` in `dataset.json`."""
+    table = _table(manifest, records)
+    manifest = replace(manifest, stats=stats_by_split(table))
+    write_if_changed(root / MANIFEST, manifest.to_bytes())
+    write_if_changed(root / TABLE, table_bytes(table))
+    write_croissant(root, manifest, records)
     write_card(root, manifest, records)
+
+
+def _table(manifest: Manifest, records: Sequence[ShardRecord]) -> pa.Table:
+    splits = manifest.splits() if manifest.schema_version >= SPLITS_SINCE else None
+    return table_of(records, [field.name for field in manifest.schema.fields], splits)
 
 
 @dataclass(frozen=True)
@@ -142,7 +151,9 @@ def _summary_problems(root: Path, manifest: Manifest, records: Sequence[ShardRec
     if not (root / TABLE).is_file():
         yield f"{TABLE}: missing; build again to write it"
         return
-    table, now = table_of(records, [field.name for field in manifest.schema.fields]), environment()
+    table, now = _table(manifest, records), environment()
+    if manifest.schema_version >= SPLITS_SINCE and manifest.stats != stats_by_split(table):
+        yield "dataset.json: its stats differ from what the commit records say"
     # Another pyarrow writes the same table in other bytes.
     same_writer = manifest.versions["pyarrow"] == now["pyarrow"]
     if not holds(root / TABLE, table_bytes(table)) and (same_writer or not _tells(root / TABLE, table)):
@@ -150,7 +161,10 @@ def _summary_problems(root: Path, manifest: Manifest, records: Sequence[ShardRec
         return
     # Another datagen may word the same facts otherwise.
     same_words = (manifest.versions["datagen"], manifest.schema_version) == (now["datagen"], SCHEMA_VERSION)
-    for name, text in ((CROISSANT, json_bytes(croissant(root, manifest))), (CARD, card(manifest, records).encode())):
+    for name, text in (
+        (CROISSANT, json_bytes(croissant(root, manifest, records))),
+        (CARD, card(manifest, records).encode()),
+    ):
         if not ((root / name).is_file() and (holds(root / name, text) or not same_words)):
             yield f"{name}: missing, or differs from what the dataset holds"
 

@@ -121,29 +121,6 @@ def test_the_order_is_a_function_of_seed_and_epoch() -> None:
         EpochSampler(range(10), rank=3, ranks=3)
 
 
-def test_noise_is_redrawn_from_seed_epoch_and_scene(dataset: Path) -> None:
-    def histograms(epoch: int, seed: int = 0, workers: int = 0) -> torch.Tensor:
-        data = TransientDataset(dataset, ("histogram",), redraw_noise=True, seed=seed)
-        order = EpochSampler(data, shuffle=False)
-        order.set_epoch(epoch)
-        return torch.cat([batch["histogram"] for batch in DataLoader(data, 5, sampler=order, num_workers=workers)])
-
-    first = histograms(0)
-    assert torch.equal(first, histograms(0)) and torch.equal(first, histograms(0, workers=2))
-    assert not torch.equal(first, histograms(1)) and not torch.equal(first, histograms(0, seed=1))
-
-
-def test_workers_that_outlive_an_epoch_see_the_next(dataset: Path) -> None:
-    data = TransientDataset(dataset, ("histogram",), redraw_noise=True)
-    loader = DataLoader(data, 12, num_workers=1, persistent_workers=True, multiprocessing_context="fork")
-    epochs = []
-    for epoch in (0, 1, 0):
-        data.set_epoch(epoch)
-        (batch,) = loader
-        epochs.append(batch["histogram"])
-    assert torch.equal(epochs[0], epochs[2]) and not torch.equal(epochs[0], epochs[1])
-
-
 def test_redrawn_noise_has_the_detectors_mean(dataset: Path) -> None:
     """χ² over all bins of the sum of 200 epochs against the exact mean, at a significance level of 10⁻⁶."""
     from scipy.stats import chi2

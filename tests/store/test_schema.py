@@ -69,7 +69,7 @@ def test_metadata_follows_the_store_layout() -> None:
     import json
 
     config = small_config()
-    files = metadata_files(schema_of(config))
+    files = metadata_files(schema_of(config), config.capture.time)
     histogram = json.loads(files["data.zarr/histogram/zarr.json"])
     assert histogram["dimension_names"] == ["scene", "laser", "pixel", "bin"]
     assert histogram["shape"] == [12, 4, 1, 16] and histogram["chunk_grid"]["configuration"]["chunk_shape"][0] == 4

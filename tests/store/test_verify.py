@@ -13,8 +13,9 @@ from fake_samples import fake_sample, reseal, small_config
 
 from datagen.building.build import build
 from datagen.errors import InputError
-from datagen.store import DatasetReader, read_manifest, verify
-from datagen.store.card import croissant, readable
+from datagen.store import DatasetReader, committed, read_manifest, verify
+from datagen.store.card import readable
+from datagen.store.croissant import croissant
 from datagen.store.info import info
 
 SHARD = "data.zarr/histogram/c/1/0/0/0"
@@ -133,7 +134,7 @@ def test_the_table_has_a_row_for_every_scene(dataset: Path) -> None:
 def test_cards_agree_with_the_dataset(dataset: Path) -> None:
     card = (dataset / "README.md").read_text()
     assert "Complete: 12 scenes in 3 shards" in card and "| `depth` | scene, row, column | 12, 4, 5 |" in card
-    described = croissant(dataset, read_manifest(dataset))
+    described = croissant(dataset, read_manifest(dataset), committed(dataset, read_manifest(dataset)))
     columns = [field["source"]["extract"]["column"] for field in described["recordSet"][0]["field"]]
     assert columns == pq.read_schema(dataset / "samples.parquet").names
 

@@ -1,0 +1,87 @@
+"""The section `splits`: which scenes are to train, validate and test with, which are held out by what they show."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from datagen.config.base import Settings, near_hint
+from datagen.config.scene_contents import Name
+
+BY_SHARE = ("train", "val", "test")
+"""Splits that scenes are dealt out to by share."""
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Names = tuple[Annotated[str, Field(min_length=1)], ...]
+Range = tuple[Share, Share] | None
+
+
+class HeldOut(Settings):
+    """A split of all scenes that show something, and that no other split has: every key given must be met."""
+
+    name: Name
+    """The split's name."""
+    classes: Names = ()
+    """Classes of objects; an object of any of them is enough."""
+    layouts: Names = ()
+    """Kinds of layout, or `left` and `right` for the side to which it turns."""
+    materials: Names = ()
+    """Materials of the catalogue, on any surface."""
+    files: Names = ()
+    """Mesh files, as `path` names them; of a folder, the way from there follows."""
+    along: Range = None
+    """An object's centre lies here: shares of the hidden part, as `along` of an object."""
+    across: Range = None
+    """The same across the hidden part; with `along`, one object must be in both."""
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Self:
+        if self.name in BY_SHARE:
+            raise ValueError(f"name = {self.name!r}: is dealt out by share; choose another name")
+        if not (self.classes or self.layouts or self.materials or self.files or self.along or self.across):
+            raise ValueError(f"{self.name}: says nothing; name classes, layouts, materials, files, along or across")
+        for key, bounds in (("along", self.along), ("across", self.across)):
+            if bounds is not None and bounds[0] > bounds[1]:
+                raise ValueError(f"{key} = {list(bounds)}: the first must not exceed the second")
+        return self
+
+
+class SplitsConfig(Settings):
+    """How scenes are dealt out. May be changed at any time: no sample depends on it."""
+
+    train: Share = 0.8
+    """Share of the rooms, of those that are not held out."""
+    val: Share = 0.1
+    test: Share = 0.1
+    held_out: Annotated[tuple[HeldOut, ...], Field(max_length=100)] = ()
+    """Splits by what a scene shows; a scene belongs to the first that it meets."""
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if abs(sum(self.shares) - 1) > 1e-6:
+            raise ValueError(f"train, val, test = {', '.join(map(str, self.shares))}: must add up to 1")
+        names = [rule.name for rule in self.held_out]
+        if len(set(names)) < len(names):
+            raise ValueError(f"held_out: a split is named twice ({', '.join(names)})")
+        return self
+
+    @property
+    def shares(self) -> tuple[float, float, float]:
+        """Shares of train, val and test."""
+        return self.train, self.val, self.test
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All splits."""
+        return (*BY_SHARE, *(rule.name for rule in self.held_out))
+
+    def check_classes(self, known: tuple[str, ...]) -> None:
+        """Raise `ValueError` for a class that no object can have."""
+        for rule in self.held_out:
+            for name in rule.classes:
+                if name not in known:
+                    raise ValueError(
+                        f"splits.held_out {rule.name}: no object of scene.contents has the class {name!r}; "
+                        f"{near_hint(name, known)}There are {', '.join(known)}"
+                    )

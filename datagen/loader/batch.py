@@ -1,0 +1,42 @@
+"""Items that were read together, and how they become a batch."""
+
+from __future__ import annotations
+
+import torch
+from torch.utils.data import default_collate
+
+
+class Batch(list[dict[str, torch.Tensor]]):
+    """Items whose tensors are rows of `whole`, so that collating them needs no copy.
+
+    events, counts : of all items, by item; an item has its own rows without the column that says whose they are.
+    """
+
+    def __init__(
+        self, whole: dict[str, torch.Tensor], events: torch.Tensor | None = None, counts: torch.Tensor | None = None
+    ) -> None:
+        items = [{name: values[row] for name, values in whole.items()} for row in range(len(whole["scene"]))]
+        self.whole = whole
+        if events is not None and counts is not None:
+            self.whole = whole | {"events": events, "counts": counts}
+            sizes = torch.bincount(events[:, 0], minlength=len(items)).tolist()
+            rows = zip(events[:, 1:].split(sizes), counts.split(sizes), strict=True)
+            items = [item | {"events": e, "counts": c} for item, (e, c) in zip(items, rows, strict=True)]
+        super().__init__(items)
+
+
+def collate(items: list[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
+    """A `collate_fn` equal to torch's own that hands a batch read as a whole on as it is, and every type of numbers.
+
+    Of samples as events, `events` become (N, 4): sample of the batch, laser, pixel, bin; `counts` (N,) go with them.
+    """
+    if isinstance(items, Batch):
+        return items.whole
+    same = [{name: value for name, value in item.items() if name not in ("events", "counts")} for item in items]
+    whole: dict[str, torch.Tensor] = default_collate(same)
+    if "events" not in items[0]:
+        return whole
+    number = torch.repeat_interleave(torch.tensor([len(item["events"]) for item in items]))
+    rows = torch.cat([item["events"] for item in items])
+    events = torch.cat([number[:, None].to(rows.dtype), rows], dim=1)
+    return whole | {"events": events, "counts": torch.cat([item["counts"] for item in items])}

@@ -1,0 +1,63 @@
+"""Histograms as what is in them: most bins of a histogram are empty."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+
+
+def events_of(histograms: NDArray[np.generic]) -> tuple[NDArray[np.signedinteger[Any]], NDArray[np.generic]]:
+    """Of histograms (n, L, P, T): (N, 4) histogram, laser, pixel and bin of every bin that is not empty, in this
+    order, and (N,) its counts. Indices are int16, or int32 where an axis is too long for that.
+    """
+    flat = histograms.reshape(-1)
+    filled = np.flatnonzero(flat != 0)  # twice as fast as without the comparison
+    short = max(histograms.shape) <= np.iinfo(np.int16).max
+    events = np.empty((len(filled), histograms.ndim), np.int16 if short else np.int32)
+    rest = filled.astype(np.int32) if histograms.size < 2**31 else filled
+    for axis in reversed(range(histograms.ndim)):
+        size = histograms.shape[axis]
+        above = rest // size
+        events[:, axis] = rest - above * size
+        rest = above
+    return events, flat[filled]
+
+
+def dense(events: torch.Tensor, counts: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
+    """Histograms of float32, of a batch's `events` and `counts`, on their device.
+
+    Parameters
+    ----------
+    events : (N, 4) sample of the batch, laser, pixel, bin; of one sample (N, 3) laser, pixel, bin.
+    counts : (N,) any type.
+    shape : (samples, L, P, T), or (L, P, T): `(len(batch["scene"]), *data.shape("histogram"))`.
+
+    Raises
+    ------
+    InputError : shape and events do not fit together.
+
+    Examples
+    --------
+    >>> import datagen as dg, torch
+    >>> dg.dense(torch.tensor([[0, 0, 1], [1, 0, 3]]), torch.tensor([5, 7]), (2, 1, 4)).int().tolist()
+    [[[0, 5, 0, 0]], [[0, 0, 0, 7]]]
+    """
+    if events.ndim != 2 or events.shape[1] != len(shape) or counts.shape != events.shape[:1]:
+        raise InputError(
+            f"events {tuple(events.shape)}, counts {tuple(counts.shape)}, shape {tuple(shape)}: must be (N, axes), "
+            "(N,) and a size for each axis"
+        )
+    out = torch.zeros(math.prod(shape), dtype=torch.float32, device=events.device)
+    # Columns are the axes, the last of them the fastest.
+    flat = torch.zeros(len(events), dtype=torch.int64, device=events.device)
+    for axis, size in enumerate(shape):
+        flat = flat * size + events[:, axis]
+    out[flat] = counts.to(torch.float32)
+    return out.view(*shape)

@@ -1,0 +1,140 @@
+"""`croissant.json`, the card for machines: MLCommons Croissant 1.1 with the fields of its Responsible-AI extension.
+
+It is written from what a dataset holds, and has the SHA-256 of `samples.parquet`.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from datagen.store.arrays import GROUP
+from datagen.store.files import json_bytes, sha256_of, write_if_changed
+from datagen.store.manifest import Manifest
+from datagen.store.record import ShardRecord
+from datagen.store.schema import Field
+from datagen.store.table import COLUMNS, CROISSANT, TABLE
+
+NO_LICENSE = "https://choosealicense.com/no-permission/"
+"""What it means that a configuration names no licence."""
+_CONTEXT: dict[str, Any] = {
+    "@language": "en", "@vocab": "https://schema.org/", "arrayShape": "cr:arrayShape", "citeAs": "cr:citeAs",
+    "column": "cr:column", "conformsTo": "dct:conformsTo", "containedIn": "cr:containedIn",
+    "cr": "http://mlcommons.org/croissant/", "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"}, "dct": "http://purl.org/dc/terms/",
+    "description": {"@container": "@language"}, "equivalentProperty": "cr:equivalentProperty",
+    "examples": {"@id": "cr:examples", "@type": "@json"}, "extract": "cr:extract", "field": "cr:field",
+    "fileObject": "cr:fileObject", "fileProperty": "cr:fileProperty", "fileSet": "cr:fileSet", "format": "cr:format",
+    "includes": "cr:includes", "isArray": "cr:isArray", "isLiveDataset": "cr:isLiveDataset",
+    "jsonPath": "cr:jsonPath", "key": "cr:key", "md5": "cr:md5", "name": {"@container": "@language"},
+    "parentField": "cr:parentField", "path": "cr:path", "rai": "http://mlcommons.org/croissant/RAI/",
+    "recordSet": "cr:recordSet", "references": "cr:references", "regex": "cr:regex", "repeated": "cr:repeated",
+    "replace": "cr:replace", "samplingRate": "cr:samplingRate", "sc": "https://schema.org/",
+    "separator": "cr:separator", "source": "cr:source", "subField": "cr:subField", "transform": "cr:transform",
+}  # fmt: skip
+_TYPES = {"string": "sc:Text", "double": "sc:Float", "bool": "sc:Boolean"}
+_RESPONSIBLE = {
+    "rai:dataCollection": "Simulated: rooms are drawn at random as the configuration in dataset.json declares, light "
+    "is followed from a laser around a corner and back, and a model of a single-photon detector counts it. Nothing "
+    "was measured.",
+    "rai:dataCollectionType": "Software Collection",
+    "rai:dataAnnotationProtocol": "Labels are computed from the geometry of each room.",
+    "rai:dataBiases": "Rooms, objects and materials are as likely as the configuration makes them, not as they are "
+    "in buildings. Material values are estimates.",
+    "rai:dataLimitations": "Nothing transmits light; further limits are listed in datagen's README.md. The error of "
+    "each transient stands in samples.parquet.",
+    "rai:dataUseCases": "To train and compare methods of non-line-of-sight imaging; no substitute for a measurement.",
+    "rai:dataSocialImpact": "Seeing around corners serves rescue and road safety, and could serve surveillance.",
+    "rai:personalSensitiveInformation": "None: figures of persons are parametric shapes.",
+}
+
+
+def write_croissant(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
+    """Write the card for machines; `samples.parquet` must be there."""
+    write_if_changed(root / CROISSANT, json_bytes(croissant(root, manifest, records)))
+
+
+def croissant(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> dict[str, Any]:
+    """The description: files; a record a scene with the columns of the table; a record an array of the group.
+
+    Its version is schema version . scenes . 0: growing adds, and breaks nothing. Its date is that of the last shard.
+    """
+    config, fields = manifest.config, manifest.schema.fields
+    made = datetime.datetime.fromtimestamp(max(record.finished for record in records), datetime.UTC)
+    terms = config.get("license") or NO_LICENSE
+    name = config["name"]
+    made_by = (
+        f"datagen {manifest.versions['datagen']}, seed {manifest.seed}, configuration {manifest.fingerprint[:12]}"
+    )
+    cite = (
+        f"@misc{{{name}, title = {{{name}: simulated non-line-of-sight single-photon measurements}}, "
+        f"year = {{{made.year}}}, note = {{{made_by}}}}}"
+    )
+    return {
+        "@context": _CONTEXT, "@type": "sc:Dataset", "conformsTo": "http://mlcommons.org/croissant/1.1",
+        "name": name,
+        "description": config["description"] or "Simulated non-line-of-sight single-photon measurements.",
+        "version": f"{manifest.schema_version}.{manifest.schema.scenes}.0",
+        "license": terms if "://" in terms else f"https://spdx.org/licenses/{terms}.html",
+        "url": "https://doi.org/10.3390/s24206522", "citeAs": cite, "datePublished": made.date().isoformat(),
+        **_RESPONSIBLE,
+        "distribution": [_table_file(root), *map(_shards, fields)],
+        "recordSet": [_scenes(root), _arrays(manifest)],
+    }  # fmt: skip
+
+
+def _table_file(root: Path) -> dict[str, Any]:
+    return {
+        "@type": "cr:FileObject", "@id": TABLE, "name": TABLE, "description": "One row a scene.",
+        "contentUrl": TABLE, "encodingFormat": "application/x-parquet", "sha256": sha256_of(root / TABLE),
+    }  # fmt: skip
+
+
+def _shards(field: Field) -> dict[str, Any]:
+    axes = f"Zarr v3 array ({', '.join(field.dims)}) of {field.dtype}, {field.unit}"
+    return {
+        "@type": "cr:FileSet", "@id": f"{GROUP}/{field.name}", "name": field.name,
+        "description": f"{axes}: {field.meaning}.", "encodingFormat": "application/vnd.zarr",
+        "includes": f"{GROUP}/{field.name}/**",
+    }  # fmt: skip
+
+
+def _scenes(root: Path) -> dict[str, Any]:
+    import pyarrow.parquet as pq
+
+    columns = [
+        {
+            "@type": "cr:Field", "@id": f"scenes/{column.name}", "name": column.name,
+            "description": COLUMNS.get(column.name, COLUMNS["others"]),
+            "dataType": _TYPES.get(str(column.type), "sc:Integer"),
+            "source": {"fileObject": {"@id": TABLE}, "extract": {"column": column.name}},
+        }
+        for column in pq.read_schema(root / TABLE)
+    ]  # fmt: skip
+    return {
+        "@type": "cr:RecordSet", "@id": "scenes", "name": "scenes",
+        "description": "One record a scene: its split, what was drawn, error estimates, statistics, digests.",
+        "key": {"@id": "scenes/scene"}, "field": columns,
+    }  # fmt: skip
+
+
+def _arrays(manifest: Manifest) -> dict[str, Any]:
+    names = ("name", "path", "axes", "shape", "dtype", "unit", "meaning")
+    data = [
+        {
+            "arrays/name": field.name, "arrays/path": f"{GROUP}/{field.name}", "arrays/axes": ", ".join(field.dims),
+            "arrays/shape": ", ".join(map(str, (manifest.schema.scenes, *field.shape))),
+            "arrays/dtype": field.dtype, "arrays/unit": field.unit, "arrays/meaning": field.meaning,
+        }
+        for field in manifest.schema.fields
+    ]  # fmt: skip
+    return {
+        "@type": "cr:RecordSet", "@id": "arrays", "name": "arrays",
+        "description": "One record an array of the Zarr group; scene i is index i of the first axis.",
+        "field": [
+            {"@type": "cr:Field", "@id": f"arrays/{name}", "name": name, "dataType": "sc:Text"} for name in names
+        ],
+        "data": data,
+    }  # fmt: skip

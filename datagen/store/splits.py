@@ -1,0 +1,84 @@
+"""Which split a scene belongs to: by what it shows where that is held out, else by a share, by a fixed draw."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.config.splits import BY_SHARE, HeldOut, SplitsConfig
+from datagen.records import Scalar
+from datagen.seeding import Purpose, seed_sequence
+
+Parameters = Mapping[str, Scalar]
+NOT_OF_THE_ROOM = (
+    "attempts", "draws", "scene.", "capture.", "detector.", "exposure.", "effect.", "decision.", "sampler.",
+    "transient.", "transport.", "histogram.", "stats.",
+)  # fmt: skip
+"""Parameters that do not say what was drawn for the room begin so: two scenes that differ in these alone show one."""
+_BLOCK = 10
+"""Of so many rooms one after the other each tenth is dealt out once, so that small datasets have all splits too."""
+
+
+def splits_of(scenes: Sequence[Parameters | None], splits: SplitsConfig) -> list[str | None]:
+    """The split of every scene, by its parameters; None where these are, of a scene that could not be made.
+
+    A room goes where the first scene that shows it goes, by that scene's number alone: neither growing nor anything
+    else that is drawn moves it, and no room is on two sides.
+    """
+    first: dict[tuple[tuple[str, Scalar], ...], int] = {}
+    rooms = [first.setdefault(_room(of), scene) if of else scene for scene, of in enumerate(scenes)]
+    share = _shares(len(scenes))[rooms]
+    ends = np.cumsum(splits.shares)[:-1] - 1e-9
+    dealt = np.searchsorted(ends, share, side="right")
+    return [
+        None if of is None else _held_out(of, splits) or BY_SHARE[number]
+        for of, number in zip(scenes, dealt, strict=True)
+    ]
+
+
+def _held_out(parameters: Parameters, splits: SplitsConfig) -> str | None:
+    return next((rule.name for rule in splits.held_out if _shows(parameters, rule)), None)
+
+
+def _room(parameters: Parameters) -> tuple[tuple[str, Scalar], ...]:
+    """What tells a room from another; all of the parameters, where none is of a room."""
+    own = tuple(item for item in parameters.items() if not item[0].startswith(NOT_OF_THE_ROOM))
+    return tuple(sorted(own or parameters.items()))
+
+
+def _shares(scenes: int) -> NDArray[np.float64]:
+    """In 0 … 1 for every scene number: random, yet a tenth of each ten numbers in each tenth. The first numbers are
+    the same however many there are.
+    """
+    blocks = -(-scenes // _BLOCK)
+    drawn = np.random.Philox(seed_sequence(0, 0, Purpose.LOADER, part=2)).random_raw(blocks * 2 * _BLOCK)
+    keys, within = np.moveaxis(drawn.reshape(blocks, 2, _BLOCK), 1, 0)
+    order = np.argsort(np.argsort(keys, axis=1), axis=1)
+    return np.asarray((order + within / 2.0**64) / _BLOCK).ravel()[:scenes]
+
+
+def _shows(parameters: Parameters, rule: HeldOut) -> bool:
+    """Whether a scene meets every key of a rule."""
+    where = (
+        (rule.classes, _values(parameters, ".class")),
+        (rule.layouts, {parameters.get("layout.kind"), parameters.get("layout.turn")}),
+        (rule.materials, _values(parameters, ".material")),
+        (rule.files, _values(parameters, ".file")),
+    )
+    if any(wanted and not found.intersection(wanted) for wanted, found in where):
+        return False
+    return not (rule.along or rule.across) or any(
+        _within(parameters[name], rule.along) and _within(parameters.get(f"{name[:-6]}.across", -1.0), rule.across)
+        for name in parameters
+        if name.endswith(".along")
+    )
+
+
+def _values(parameters: Parameters, suffix: str) -> set[Scalar | None]:
+    return {value for name, value in parameters.items() if name.endswith(suffix)}
+
+
+def _within(value: Scalar, bounds: tuple[float, float] | None) -> bool:
+    return bounds is None or (isinstance(value, float | int) and bounds[0] <= value <= bounds[1])

@@ -1,0 +1,71 @@
+"""Mean and spread of what a network is fed: counts as log(1 + n), and labels; taken of each scene when written.
+
+The same bytes on any processor: sums are of integers, or exactly rounded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+LABELS = ("depth", "normal", "albedo", "shaded", "occupancy", "sdf")
+"""Labels that are quantities, not indices."""
+WITH_STATS = ("histogram", *LABELS)
+_STEPS = 2.0**20
+"""Labels are added up in steps of a millionth of their unit."""
+
+_Sane = Annotated[float, pydantic.Field(ge=-1e100, le=1e100)]
+
+
+@dataclass(frozen=True)
+class FieldStats:
+    """Mean and standard deviation of a field's values, of a histogram those of log(1 + counts), and the share of
+    values that are not 0 (in most labels 0 means that there is nothing).
+    """
+
+    mean: _Sane
+    std: _Sane
+    nonzero: _Sane
+
+
+QUANTITIES = tuple(field.name for field in fields(FieldStats))
+
+
+def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
+    """Of one scene's values of a field."""
+    size = max(values.size, 1)
+    found = values[values != 0]
+    if field == "histogram":
+        if values.dtype.itemsize <= 2:
+            every = np.bincount(found)  # as `unique`, and several times as fast
+            counts, times = np.flatnonzero(every), every[every > 0]
+        else:
+            counts, times = np.unique(found, return_counts=True)
+        logs = [math.log1p(count) for count in counts.tolist()]
+        mean = math.fsum(n * log for n, log in zip(times.tolist(), logs, strict=True)) / size
+        square = math.fsum(n * log * log for n, log in zip(times.tolist(), logs, strict=True)) / size
+    else:
+        exact = found.astype(np.float64)
+        mean, square = (_sum(x) / size for x in (exact, exact * exact))
+    return FieldStats(mean, math.sqrt(max(square - mean * mean, 0.0)), found.size / size)
+
+
+def _sum(values: NDArray[np.float64]) -> float:
+    if float(np.abs(values).max(initial=0.0)) * values.size * _STEPS > 2.0**62:
+        return math.fsum(values.tolist())
+    return int(np.rint(values * _STEPS).astype(np.int64).sum()) / _STEPS
+
+
+def together(scenes: Sequence[FieldStats]) -> dict[str, float]:
+    """Of all values of scenes of one shape, from each scene's, by the names of `FieldStats`."""
+    if not scenes:
+        raise ValueError("no scenes")
+    mean, nonzero = (math.fsum(getattr(of, name) for of in scenes) / len(scenes) for name in ("mean", "nonzero"))
+    square = math.fsum(of.std * of.std + of.mean * of.mean for of in scenes) / len(scenes)
+    return asdict(FieldStats(mean, math.sqrt(max(square - mean * mean, 0.0)), nonzero))

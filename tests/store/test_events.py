@@ -1,0 +1,105 @@
+"""Samples as events: what is in the bins that are not empty, and back; batches keep every type of numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from datasets import write_dataset
+from fake_samples import fake_sample, small_config
+from torch.utils.data import ConcatDataset, DataLoader, Subset
+
+import datagen as dg
+from datagen.config import DatasetConfig
+from datagen.errors import InputError
+from datagen.loader.events import events_of
+from datagen.records import Sample
+
+
+def one_dark(config: DatasetConfig, index: int) -> Sample:
+    """As `fake_sample`, scene 3 without a single count."""
+    sample = fake_sample(config, index)
+    if index == 3:
+        dark = {**sample.arrays, "histogram": np.zeros_like(sample.arrays["histogram"])}
+        sample = dataclasses.replace(sample, arrays=dark)
+    return sample
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config = small_config(detector={"mode": "ideal", "photons_per_pulse": 100.0, "cycles": 100})
+    return write_dataset(config, tmp_path_factory.mktemp("events") / "set", one_dark)
+
+
+@pytest.mark.parametrize(
+    ("counts", "dtype"), [("stored", torch.uint16), ("float32", torch.float32), ("int64", torch.int64)]
+)
+@pytest.mark.parametrize("workers", [0, 2])
+def test_events_are_the_histograms(dataset: Path, counts: str, dtype: torch.dtype, workers: int) -> None:
+    whole = next(iter(DataLoader(dg.TransientDataset(dataset), 12)))
+    data = dg.TransientDataset(dataset, representation="events", counts=counts)
+    joined: ConcatDataset[Any] = ConcatDataset([Subset(data, [0, 1, 2]), Subset(data, range(3, 12))])
+    for parts in (data, Subset(data, range(12)), joined):
+        loader: DataLoader[Any] = DataLoader(
+            parts, 12, collate_fn=dg.collate, num_workers=workers, multiprocessing_context="fork" if workers else None
+        )
+        (batch,) = loader
+        assert set(batch) == {"events", "counts", "depth", "scene"}
+        assert batch["events"].dtype == torch.int16 and batch["counts"].dtype == dtype
+        assert batch["counts"].long().min() > 0 and len(batch["events"]) == int((whole["histogram"] > 0).sum())
+        back = dg.dense(batch["events"], batch["counts"], (12, *data.shape("histogram")))
+        assert back.dtype == torch.float32 and torch.equal(back, whole["histogram"])
+        assert torch.equal(batch["depth"], whole["depth"])
+
+
+@pytest.mark.parametrize("shape", [(2, 3, 1, 5), (1, 1, 1, 40_000), (3, 1, 2, 1), (2, 70, 70, 70)])
+def test_indices_are_numpys(shape: tuple[int, ...]) -> None:
+    histograms = np.random.default_rng(0).poisson(0.1, shape).astype(np.uint8)
+    events, counts = events_of(histograms)
+    assert events.dtype == (np.int32 if max(shape) > 32767 else np.int16)
+    assert np.array_equal(events, np.argwhere(histograms)) and np.array_equal(counts, histograms[histograms > 0])
+
+
+def test_an_item_has_its_own_events(dataset: Path) -> None:
+    data, stored = dg.TransientDataset(dataset, representation="events"), dg.TransientDataset(dataset)
+    for item in (*range(12), -1):
+        sample = data[item]
+        assert sample["events"].shape == (len(sample["counts"]), 3)
+        assert torch.equal(dg.dense(sample["events"], sample["counts"], (4, 1, 16)), stored[item]["histogram"])
+    assert data[3]["events"].shape == (0, 3), "a scene without a count"
+    assert len(data.__getitems__([3, 3])) == 2
+
+
+def test_redrawn_noise_comes_as_events_too(dataset: Path) -> None:
+    plain = dg.TransientDataset(dataset, ("histogram",), redraw_noise=True)
+    events = dg.TransientDataset(dataset, ("histogram",), redraw_noise=True, representation="events")
+    for _ in range(2):
+        expected, found = plain[2]["histogram"], events[2]
+        assert torch.equal(dg.dense(found["events"], found["counts"], (4, 1, 16)), expected)
+
+
+def test_other_fields_do_not_change(dataset: Path) -> None:
+    data = dg.TransientDataset(dataset, ("depth", "transient"), representation="events")
+    assert set(data[0]) == {"depth", "transient", "scene"}
+
+
+def test_what_does_not_fit_is_refused(dataset: Path) -> None:
+    with pytest.raises(InputError, match="representation = 'sparse': must be 'dense' or 'events'"):
+        dg.TransientDataset(dataset, representation="sparse")
+    events, counts = torch.zeros((5, 4), dtype=torch.int32), torch.ones(5)
+    for shape, n in (((4, 1, 16), 5), ((1, 4, 1, 16), 4)):
+        with pytest.raises(InputError, match="a size for each axis"):
+            dg.dense(events, counts[:n], shape)
+
+
+def test_batches_keep_small_types(dataset: Path) -> None:
+    """Also of a list of items, which is what wrappers hand over."""
+    data = dg.TransientDataset(dataset, counts="stored")
+    apart = dg.collate([data[1], data[2]])
+    together = dg.collate(data.__getitems__([1, 2]))
+    assert apart["histogram"].dtype == together["histogram"].dtype == torch.uint16
+    assert all(torch.equal(apart[name], together[name]) for name in together)

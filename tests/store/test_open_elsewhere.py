@@ -1,0 +1,171 @@
+"""Tools that people already use open a dataset as it is: xarray, pandas and other Parquet readers, mlcroissant."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+import zarr
+from datasets import write_dataset
+from fake_samples import fake_sample, small_config
+
+import datagen as dg
+from datagen.config import DatasetConfig, config_from_mapping, load_config
+from datagen.store import committed, read_manifest, schema_of, verify
+from datagen.store.card import card as card_text
+from datagen.store.schema import SCHEMA_VERSION
+
+ROOT = Path(__file__).resolve().parents[2]
+EVERY_FIELD = [
+    "histogram", "transient", "transient_stderr", "depth", "normal", "albedo", "part_id", "shaded", "occupancy",
+    "sdf", "objects",
+]  # fmt: skip
+TIME = {"bins": 16, "bin_width_ps": 250.0, "start_ns": 3.0, "origin": "source"}
+SCAN = {"rows": 2, "columns": 3}
+CAPTURES: dict[str, dict[str, Any]] = {
+    "confocal": {"pairing": "confocal", "scan": SCAN, "time": TIME},
+    "exhaustive": {"pairing": "exhaustive", "scan": SCAN, "field_of_view": {"rows": 2, "columns": 2}, "time": TIME},
+    "flood": {
+        "pairing": "exhaustive", "illumination": "flood", "scan": {"rows": 2, "columns": 4},
+        "field_of_view": {"rows": 2, "columns": 2}, "time": TIME,
+    },
+}  # fmt: skip
+
+
+def everything(capture: str) -> DatasetConfig:
+    contents = [{"kind": "box", "count": 2}, {"kind": "library", "classes": ["chair"]}]
+    return small_config(
+        scene={"contents": contents}, capture=CAPTURES[capture],
+        labels={"rows": 6, "columns": 8, "voxels": [4, 5, 7]},
+        store={"fields": EVERY_FIELD, "scenes_per_shard": 4},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=CAPTURES)
+def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(everything(request.param), tmp_path_factory.mktemp("elsewhere") / "set", fake_sample)
+
+
+def configs() -> list[DatasetConfig]:
+    ready = [load_config(path) for path in sorted((ROOT / "configs").glob("*.yaml"))]
+    return [everything(capture) for capture in CAPTURES] + [
+        config.model_copy(update={"store": config.store.model_copy(update={"fields": tuple(EVERY_FIELD)})})
+        for config in ready
+    ]
+
+
+def test_a_name_of_an_axis_has_one_size() -> None:
+    for config in configs():
+        sizes: dict[str, set[int]] = {"bin": {config.capture.time.bins}}
+        schema = schema_of(config)
+        for field in schema.fields:
+            for name, size in zip(field.dims, (schema.scenes, *field.shape), strict=True):
+                sizes.setdefault(name, set()).add(size)
+        assert all(len(of) == 1 for of in sizes.values()), (config.name, sizes)
+        assert not sizes.keys() & schema.by_name.keys(), "a field of many axes is no coordinate"
+
+
+def test_arrays_say_their_units(dataset: Path) -> None:
+    group = zarr.open_group(dataset / "data.zarr", mode="r")
+    assert set(group.array_keys()) == {"bin", *read_manifest(dataset).schema.by_name}
+    for name, array in group.arrays():
+        assert array.attrs["units"] and array.attrs["long_name"], name
+    first, last = np.asarray(group["bin"][:])[[0, -1]]
+    assert (first, last) == (3125.0, 3125.0 + 15 * 250.0) and group["bin"].attrs["units"] == "ps"
+    assert "laser emission" in str(group["bin"].attrs["long_name"])
+
+
+def test_a_changed_or_lost_coordinate_is_found(tmp_path: Path) -> None:
+    path = write_dataset(everything("confocal"), tmp_path / "set", fake_sample)
+    coordinate = path / "data.zarr/bin/c/0"
+    whole = coordinate.read_bytes()
+    coordinate.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    assert verify(path).problems == (
+        "data.zarr/bin/c/0: its bytes have changed since they were written (SHA-256 differs)",
+    )
+    coordinate.unlink()
+    assert verify(path).problems == ("data.zarr/bin/c/0: missing",)
+    write_dataset(everything("confocal"), path, fake_sample)
+    assert coordinate.read_bytes() == whole and verify(path).problems == ()
+
+
+def test_xarray_opens_it(dataset: Path) -> None:
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed (extra `tests`)")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        opened = xarray.open_zarr(dataset / "data.zarr", chunks=None)
+    schema = read_manifest(dataset).schema
+    assert opened.histogram.dims == ("scene", "laser", "pixel", "bin") and opened.histogram.dtype == np.uint16
+    assert "_FillValue" not in opened.histogram.encoding | opened.histogram.attrs
+    assert opened.histogram.attrs["units"] == "counts" and opened.depth.attrs["units"] == "m"
+    assert opened.bin.dtype == np.float64 and opened.bin.dims == ("bin",) and opened.bin.attrs["units"] == "ps"
+    assert {"bin", "laser_points", "sensor_pixels", "laser_position", "relay_wall"} <= set(opened.coords)
+    assert set(opened.data_vars) | set(opened.coords) == {"bin", *schema.by_name}
+    data = dg.TransientDataset(dataset, tuple(schema.by_name), counts="stored")
+    for name in schema.by_name:
+        assert opened[name].dtype == schema.by_name[name].dtype
+        assert np.array_equal(opened[name][5].values, data[5][name].numpy()), name
+    early = opened.histogram.sel(bin=slice(0, 4000)).isel(scene=2).sum("bin")
+    assert np.array_equal(early, data[2]["histogram"].numpy()[..., :4].sum(-1, dtype=np.int64))
+
+
+def test_parquet_readers_find_rows_and_splits(dataset: Path) -> None:
+    import pyarrow.parquet as pq
+
+    found = pq.read_table(dataset / "samples.parquet", filters=[("split", "==", "train")], columns=["scene"])
+    assert found["scene"].to_pylist() == dg.TransientDataset(dataset, split="train").scenes.tolist()
+    assert json.loads((dataset / "dataset.json").read_text())["samples"]["file"] == "samples.parquet"
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib", "ignore::DeprecationWarning:mlcroissant")
+def test_mlcroissant_opens_it_without_a_warning(dataset: Path) -> None:
+    mlcroissant = pytest.importorskip("mlcroissant", reason="mlcroissant is not installed")
+    opened = mlcroissant.Dataset(jsonld=str(dataset / "croissant.json"))
+    assert not opened.metadata.ctx.issues.errors and not opened.metadata.ctx.issues.warnings
+    scenes, arrays = (list(opened.records(name)) for name in ("scenes", "arrays"))
+    assert [row["scenes/scene"] for row in scenes] == list(range(12))
+    assert {row["scenes/split"] for row in scenes} <= {b"train", b"val", b"test"}
+    assert [row["arrays/name"] for row in arrays] == list(read_manifest(dataset).schema.by_name)
+
+
+def test_the_card_for_machines_is_whole(tmp_path: Path) -> None:
+    config = everything("confocal").model_copy(update={"license": "CC-BY-4.0"})
+    path = write_dataset(config, tmp_path / "set", fake_sample)
+    card = json.loads((path / "croissant.json").read_text())
+    assert (
+        card["license"] == "https://spdx.org/licenses/CC-BY-4.0.html" and card["version"] == f"{SCHEMA_VERSION}.12.0"
+    )
+    assert "- licence: CC-BY-4.0" in (path / "README.md").read_text()
+    for file_set in card["distribution"][1:]:
+        assert list(path.glob(file_set["includes"].removesuffix("**") + "zarr.json")), file_set["@id"]
+    described = {row["arrays/name"]: row["arrays/shape"] for row in card["recordSet"][1]["data"]}
+    group = zarr.open_group(path / "data.zarr", mode="r")
+    assert {name: ", ".join(map(str, array.shape)) for name, array in group.arrays() if name != "bin"} == described
+    assert all(card[f"rai:{name}"] for name in ("dataCollection", "dataBiases", "dataLimitations", "dataUseCases"))
+    write_dataset(config.model_copy(update={"license": ""}), path, fake_sample)
+    assert "no-permission" in (path / "croissant.json").read_text() and verify(path).problems == ()
+
+
+def test_the_hub_finds_rows_and_licence(tmp_path: Path) -> None:
+    for terms, found in (("CC-BY-4.0", "cc-by-4.0"), ("https://example.org/terms", "other"), ("", None)):
+        config = everything("confocal").model_copy(update={"license": terms, "name": 'a "name": with # marks'})
+        path = write_dataset(config, tmp_path / "set", fake_sample)
+        _, front, text = (path / "README.md").read_text().split("---\n", 2)
+        card = yaml.safe_load(front)
+        assert card.get("license") == found and card["pretty_name"] == config.name
+        assert card["configs"] == [{"config_name": "scenes", "data_files": "samples.parquet"}]
+        assert card["size_categories"] == ["n<1K"] and text.startswith("\n# a ")
+    (path / "build/shard-000001.json").unlink()
+    manifest = read_manifest(path)
+    assert "configs" not in yaml.safe_load(card_text(manifest, committed(path, manifest)).split("---\n", 2)[1])
+
+
+def test_an_earlier_group_is_as_it_was() -> None:
+    earlier = ROOT / "tests/regression/schema_4/dataset"
+    assert read_manifest(earlier).schema.by_name["occupancy"].dims == ("scene", "depth", "row", "column")
+    assert config_from_mapping({}).splits.shares == (0.8, 0.1, 0.1)

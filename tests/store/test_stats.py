@@ -1,0 +1,169 @@
+"""What a dataset says of itself: mean and spread of what a network is fed, its own description, its errors."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import astuple
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import zarr
+from datasets import write_dataset
+from fake_samples import fails_at_5, fake_sample, reseal, small_config
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import datagen as dg
+from datagen.building.build import build
+from datagen.errors import CheckError, InputError
+from datagen.store import verify
+from datagen.store.stats import QUANTITIES, FieldStats, stats_of, together
+
+FIELDS = ["histogram", "transient", "depth", "normal", "occupancy", "sdf"]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config = small_config(
+        store={"fields": FIELDS, "scenes_per_shard": 4}, labels={"rows": 4, "columns": 5, "voxels": [2, 2, 2]}
+    )
+    return write_dataset(config, tmp_path_factory.mktemp("stats") / "set", fake_sample)
+
+
+def plain(values: np.ndarray, name: str) -> list[float]:
+    seen = np.log1p(values.astype(float)) if name == "histogram" else values.astype(float)
+    return [float(seen.mean()), float(seen.std()), float((values != 0).mean())]
+
+
+@settings(deadline=None, max_examples=40)
+@given(arrays(np.uint16, (3, 2, 7)), arrays(np.float32, (3, 4), elements=st.floats(-1e4, 1e4, width=32)))
+def test_they_are_mean_and_standard_deviation(counts: np.ndarray, label: np.ndarray) -> None:
+    for name, values in (("histogram", counts), ("sdf", label), ("sdf", label * np.float32(1e15))):
+        scenes = [stats_of(name, scene) for scene in values]
+        scale = 1e-5 * max(1.0, float(np.abs(values.astype(float)).max()))
+        for scene, of in zip(values, scenes, strict=True):
+            assert np.allclose(astuple(of), plain(scene, name), rtol=1e-5, atol=scale)
+        assert np.allclose(list(together(scenes).values()), plain(values, name), rtol=1e-5, atol=scale)
+
+
+def test_adding_up_does_not_depend_on_order() -> None:
+    values = np.random.default_rng(0).normal(0, 3, 100_000).astype(np.float32)
+    assert stats_of("sdf", values) == stats_of("sdf", values[::-1]) == stats_of("sdf", np.sort(values))
+    counts = np.random.default_rng(0).poisson(0.3, 100_000).astype(np.uint32)
+    assert stats_of("histogram", counts) == stats_of("histogram", counts[::-1])
+    assert stats_of("histogram", np.array([0, 4_000_000_000], np.uint32)).nonzero == 0.5
+    assert stats_of("depth", np.zeros((2, 2), np.float32)) == FieldStats(0.0, 0.0, 0.0)
+
+
+def test_a_dataset_has_them_by_split(dataset: Path) -> None:
+    stored = {name: np.asarray(zarr.open_array(dataset / "data.zarr" / name, mode="r")[:]) for name in FIELDS}
+    described = json.loads((dataset / "dataset.json").read_text())
+    for split in (None, "train", "test"):
+        data = dg.TransientDataset(dataset, ("histogram",), split=split)
+        assert set(data.stats) == {*FIELDS} - {"transient"}
+        for name, of in data.stats.items():
+            assert np.allclose(
+                [of[q] for q in QUANTITIES], plain(stored[name][data.scenes], name), rtol=1e-5, atol=1e-6
+            )
+        assert split is None or described["stats"][split] == data.stats
+    assert data.parameters("stats.depth.mean")[0] == pytest.approx(stored["depth"][data.scenes[0]].mean(), abs=1e-5)
+    assert "transient.relative_error" in described["samples"]["columns"]
+    card = (dataset / "README.md").read_text()
+    assert f"| `depth` | {described['stats']['train']['depth']['mean']:.6g} |" in card
+
+
+def test_they_are_checked_and_kept(dataset: Path, tmp_path: Path) -> None:
+    build(small_config(), tmp_path / "set", progress=False, sample_function=fake_sample)
+    described = tmp_path / "set/dataset.json"
+    content, when = described.read_bytes(), described.stat().st_mtime_ns
+    build(small_config(), tmp_path / "set", progress=False, sample_function=fake_sample)
+    assert (described.read_bytes(), described.stat().st_mtime_ns) == (content, when)
+    reseal(described, lambda values: values["stats"]["train"]["depth"].update(mean=7.0))
+    found = verify(tmp_path / "set").problems
+    assert found[0] == "dataset.json: its stats differ from what the commit records say" and len(found) == 2
+    build(small_config(), tmp_path / "set", progress=False, sample_function=fake_sample)
+    assert described.read_bytes() == content and verify(tmp_path / "set").problems == ()
+    build(small_config(), tmp_path / "set", scenes=24, progress=False, sample_function=fake_sample)
+    assert described.read_bytes() != content and verify(tmp_path / "set").problems == ()
+
+
+def test_stats_from_elsewhere_are_refused(tmp_path: Path) -> None:
+    path = write_dataset(small_config(), tmp_path / "set", fake_sample)
+    whole = (path / "build/shard-000000.json").read_bytes()
+    reseal(path / "build/shard-000000.json", lambda values: values["scenes"][1]["stats"].pop("depth"))
+    assert "samples.parquet: differs from what the commit records say" in verify(path).problems
+    for wrong in (
+        {"mean": 1.0},
+        {"mean": 1e308, "std": 1e308, "nonzero": 0.0},
+        {"mean": "x", "std": 0.0, "nonzero": 0.0},
+    ):
+        reseal(
+            path / "build/shard-000000.json",
+            lambda values, wrong=wrong: values["scenes"][1]["stats"].update(depth=wrong),
+        )
+        assert any("shard-000000.json: is not as datagen writes it" in problem for problem in verify(path).problems)
+        (path / "build/shard-000000.json").write_bytes(whole)
+    reseal(path / "dataset.json", lambda values: values["stats"]["train"].update(depth={"mean": 1.0}))
+    with pytest.raises(InputError, match=r"dataset\.json: damaged: .*stats\.train\.depth\.std"):
+        verify(path)
+
+
+def test_failed_scenes_do_not_count(tmp_path: Path) -> None:
+    with pytest.raises(CheckError):
+        build(small_config(), tmp_path / "set", progress=False, sample_function=fails_at_5)
+    with pytest.warns(UserWarning, match="left out"):
+        data = dg.TransientDataset(tmp_path / "set", ("depth",))
+    depth = np.stack([item["depth"].numpy() for item in data.__getitems__(range(11))])
+    assert data.stats["depth"]["mean"] == pytest.approx(depth.mean(), abs=1e-5)
+
+
+def test_earlier_datasets_have_none() -> None:
+    data = dg.TransientDataset(Path(__file__).parents[1] / "regression/schema_4/dataset", ("depth",))
+    with pytest.raises(InputError, match=r"stats: .* is of an earlier schema version, which has none"):
+        data.stats  # noqa: B018
+
+
+def test_a_dataset_says_what_it_is(dataset: Path) -> None:
+    data = dg.TransientDataset(dataset, ("histogram", "depth"), split="train", redraw_noise=True)
+    assert repr(data) == (
+        f"TransientDataset('{dataset}': {len(data)} scenes of split 'train'; "
+        "histogram, drawn anew at every read (4, 1, 16), depth (4, 5))"
+    )
+    assert "\n" not in repr(data) and "12 scenes; depth (4, 5)" in repr(dg.TransientDataset(dataset, ("depth",)))
+
+
+def test_items_are_numbers(dataset: Path) -> None:
+    data = dg.TransientDataset(dataset, ("depth",))
+    for number in (2, np.int64(2), torch.tensor(2), -10):
+        assert int(data[number]["scene"]) == 2  # type: ignore[index]
+    for wrong, told in (
+        (slice(0, 3), "Subset` has several"),
+        ([1, 2], "has several"),
+        (1.0, "number$"),
+        ("a", "number$"),
+    ):
+        with pytest.raises(InputError, match=f"must be a whole.*{told}") as refused:
+            data[wrong]  # type: ignore[index]
+        assert "\n" not in str(refused.value)
+    for outside in (12, -13):
+        with pytest.raises(IndexError, match=f"item {outside}: this dataset has 12 items"):
+            data[outside]
+    assert len(list(data)) == 12, "a loop ends where the items do"
+
+
+def cost_of_stats() -> float:
+    """Processor milliseconds for a sample of 1024 × 512 counts with its labels: what a build pays for them."""
+    counts = np.random.default_rng(0).poisson(0.2, (1024, 1, 512)).astype(np.uint16)
+    volume = np.random.default_rng(0).normal(0, 1, (64, 64, 64)).astype(np.float32)
+    began = time.process_time()
+    for _ in range(20):
+        stats_of("histogram", counts), stats_of("sdf", volume)
+    return (time.process_time() - began) / 20 * 1e3
+
+
+if __name__ == "__main__":
+    print(f"{cost_of_stats():.1f} ms a sample")
