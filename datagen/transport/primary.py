@@ -85,10 +85,10 @@ class Primary:
 
 def smooth(task: WalkTask) -> bool:
     """Whether every BRDF of the scene varies slowly enough for cells."""
-    return min(_width(material) for material in task.scene.materials) >= NARROWEST_RAD
+    return min(lobe_width(material) for material in task.scene.materials) >= NARROWEST_RAD
 
 
-def _width(material: Material) -> float:
+def lobe_width(material: Material) -> float:
     """Half width of a BRDF's narrowest lobe, rad, at most 1."""
     match material:
         case Phong(exponent=exponent) if exponent > 0 and material.specular > 0:
@@ -122,7 +122,7 @@ class _Seen:
     patches: Patches
 
 
-def _patches(task: WalkTask, pixels: Ints, levels: int) -> Patches:
+def patches_of(task: WalkTask, pixels: Ints, levels: int) -> Patches:
     return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
 
 
@@ -150,12 +150,12 @@ class _Gathering:
         clock = Clock(
             1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s, axis.origin == "source", air
         )
-        width = np.array([_width(material) for material in task.scene.materials])
+        width = np.array([lobe_width(material) for material in task.scene.materials])
         seen = width[np.unique(points.part[points.part >= 0])].min(initial=1.0)
         peak = task.materials.values[:, 0] / (math.pi * width**2)
         tree = Hierarchy.of(task.scene)
         past = np.isinf(task.patches.radius)
-        at_edge = past | _patches(task, np.arange(len(past)), 1).uneven[:, 0]
+        at_edge = past | patches_of(task, np.arange(len(past)), 1).uneven[:, 0]
         return cls(
             task, tree, Occluders.of(task.scene, tree), lasers, clock, COARSEST * np.minimum(width, seen), peak,
             at_edge,
@@ -171,7 +171,7 @@ class _Gathering:
             if at_edge[which[0]]:
                 levels = max((k for k in EDGE_LEVELS if self.at_edge.sum() * 4**k <= MOST_AT_EDGES), default=1)
             local = np.stack([pairs[which, 0], own.reshape(-1)], axis=1)
-            found.append(_Seen(which, local, _patches(self.task, pixels, levels)))
+            found.append(_Seen(which, local, patches_of(self.task, pixels, levels)))
         return found
 
     def gathered(self, pairs: Ints, seen: list[_Seen], error: Floats, row_of_part: Ints) -> _Gathered:
@@ -201,7 +201,7 @@ def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: f
 
     faint : photons, per emitted photon and over all histograms, under which an object's light is not held to that.
     """
-    gathering, pairs = _Gathering.of(task), _pairs(task)
+    gathering, pairs = _Gathering.of(task), pairs_of(task)
     asked = _Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
     trial = _Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
     choice = _choose(trial, asked)
@@ -272,7 +272,7 @@ class _Trial:
         """Drawn in equal steps along the running sum of what a rough look finds of the whole and of each object."""
         task, parts = gathering.task, len(asked.objects)
         wanted = _trials(len(lit), parts * task.capture.time.bins)
-        looked = lit[_spread(len(lit), LOOKED_AT * wanted)]
+        looked = lit[spread_evenly(len(lit), LOOKED_AT * wanted)]
         rough = cls(gathering, looked, np.full(len(looked), len(lit) / max(len(looked), 1)), _Work())
         if len(looked) <= wanted:
             return rough
@@ -387,7 +387,7 @@ def _trials(pairs: int, values: int) -> int:
     return int(np.clip(min(pairs // 20, MOST_TRIED // values), *TRIALS))
 
 
-def _pairs(task: WalkTask) -> Ints:
+def pairs_of(task: WalkTask) -> Ints:
     """(n, 2) laser point and pixel of each histogram, in their order; laser rays that met nothing with them."""
     lasers, pixels, _ = task.capture.shape
     if task.capture.pairing == "confocal":
@@ -395,7 +395,7 @@ def _pairs(task: WalkTask) -> Ints:
     return np.stack(np.divmod(np.arange(lasers * pixels), pixels), axis=1)
 
 
-def _spread(count: int, wanted: int) -> Ints:
+def spread_evenly(count: int, wanted: int) -> Ints:
     """At most `wanted` of `count` indices, in no step with the rows of a scan."""
     if count <= wanted:
         return np.arange(count)

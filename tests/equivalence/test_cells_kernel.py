@@ -11,7 +11,7 @@ from datagen import Accuracy, Capture, Lambertian, Part, Scene
 from datagen.transport.cells.arrival import spread
 from datagen.transport.cells.hierarchy import Hierarchy
 from datagen.transport.cells.occlusion import Occluders, hidden, narrowed, narrowed_to_box
-from datagen.transport.primary import _Gathering, _pairs
+from datagen.transport.primary import _Gathering, pairs_of
 from datagen.transport.solver import prepared
 
 
@@ -86,7 +86,7 @@ def test_candidates_hide_what_all_triangles_do() -> None:
 def histograms(scene: Scene, capture: Capture, occlusion: str, error: float) -> tuple[np.ndarray, int, int]:
     accuracy = Accuracy(target=0.02, occlusion=occlusion)  # type: ignore[arg-type]
     gathering = _Gathering.of(prepared(scene, capture, accuracy, 0, split_parts=True))
-    pairs, parts = _pairs(gathering.task), len(scene.part_names)
+    pairs, parts = pairs_of(gathering.task), len(scene.part_names)
     seen = gathering.seen(pairs, 1)
     coarse = gathering.gathered(pairs, seen, np.full(parts, 1e300), np.arange(parts)).histogram
     allowed = error * np.maximum(np.linalg.norm(coarse, axis=(0, 2)), 1e-3 * np.linalg.norm(coarse))
@@ -158,7 +158,7 @@ def test_a_tent_is_the_integral_of_its_light(seed: int) -> None:
 def test_a_part_whose_error_is_boundless_is_left_out() -> None:
     task = prepared(furnished_box(), one_point_capture(), Accuracy(target=0.02), 0, split_parts=True)
     gathering = _Gathering.of(task)
-    pairs, parts = _pairs(task), len(task.scene.part_names)
+    pairs, parts = pairs_of(task), len(task.scene.part_names)
     error = np.full(parts, 1e300)
     error[0] = np.inf
     found = gathering.gathered(pairs, gathering.seen(pairs, 0), error, np.arange(parts))
