@@ -87,6 +87,8 @@ def secondary_by_cells(task: WalkTask, limit: float, own: float, faint: float = 
     tried = lit[spread_evenly(len(lit), int(np.clip(len(lit) // 20, *TRIALS)))]
     share = math.sqrt(len(tried) / len(lit))
     patches = scan.patches_to_begin
+    if scan.light(pairs[tried[:1]], 0, patches, np.inf).pairs > MOST_PAIRS:
+        return None
     runs = [scan.light(pairs[tried], 0, patches, np.inf)]
     scale = float(runs[0].photons.sum() / max(runs[0].gain, 1e-300))
     if scale == 0.0:
