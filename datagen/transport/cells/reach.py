@@ -90,26 +90,16 @@ def reach_of(
         cell, number, part = np.empty((room, COLUMNS)), np.empty((room, NUMBERS)), np.empty(room, np.int64)
         first = np.zeros(len(ends.part) + 1, np.int64)
         rays = _cut(
-            ends,
-            tree,
-            occluders,
-            materials.kind,
-            materials.values,
-            coarsest,
-            error,
-            asked,
-            seed,
-            first,
-            cell,
-            number,
-            part,
-        )
+            ends, tree, occluders, materials.kind, materials.values, coarsest, error, asked, seed, first, cell,
+            number, part, np.empty(128, np.int64), np.empty((128, 3, 3)), np.empty(128), np.zeros(1, np.int64),
+            np.full(512, -1),
+        )  # fmt: skip
         if rays >= 0:
             return Reach(first, cell[: first[-1]], number[: first[-1]], part[: first[-1]]), rays
         room *= 4
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
 def lit(y, n, p, ends, kind, values):  # type: ignore[no-untyped-def]
     """w(y) but for what hides it, and the path, for a surface with its normal n towards end p."""
     position, normal, to_device, part, weight, longer, footprint = ends
@@ -157,7 +147,7 @@ def longest(a, b, c):  # type: ignore[no-untyped-def]
     return 0 if ab >= bc and ab >= ca else 1 if bc >= ca else 2, math.sqrt(max(ab, bc, ca))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
 def condense(cell, k, number, to, p, ends, kind, values):  # type: ignore[no-untyped-def]
     """What other cells know of cell k of end p, but for its normal, the direction to its end and the blur.
 
@@ -207,7 +197,7 @@ def _one_of(first, last, area_before, word):  # type: ignore[no-untyped-def]
     return low
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
 def _mean(position, part, weight, p):  # type: ignore[no-untyped-def]
     """The middle of an end, and the number of a point of it, −1 if it has none."""
     x = y = z = 0.0
@@ -221,7 +211,7 @@ def _mean(position, part, weight, p):  # type: ignore[no-untyped-def]
     return (x, y, z), one
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
 def _faces_any(box, at, p, position, normal, part):  # type: ignore[no-untyped-def]
     """Whether some of a box lies above the surface at any point of an end."""
     for q in range(part.shape[1]):
@@ -230,7 +220,7 @@ def _faces_any(box, at, p, position, normal, part):  # type: ignore[no-untyped-d
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
 def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
     """Variance of the path to y over an end's points, m²."""
     variance = 0.0
@@ -242,17 +232,33 @@ def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
     return variance * ends.part.shape[1] / max(ends.part.shape[1] - 1, 1)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
 def _cut(  # type: ignore[no-untyped-def]
-    ends, tree, occluders, kind, values, coarsest, error, asked, seed, first, cell, known, part_of
+    ends,
+    tree,
+    occluders,
+    kind,
+    values,
+    coarsest,
+    error,
+    asked,
+    seed,
+    first,
+    cell,
+    known,
+    part_of,
+    boxes,
+    waits,
+    wait_area,
+    candidates,
+    waiting,
 ):
     """Fill `first`, `cell`, `known` and `part_of`; returns the rays asked, or −1 where there is no room."""
     corners, normal, area_before, around, children = tree.corners, tree.normal, tree.area, tree.box, tree.children
     span, roots, smallest, flat = tree.span, tree.roots, SMALLEST * tree.extent, occluders.flat
     facet, number, box, link = occluders.facet, occluders.number, occluders.box, occluders.link
     position, normals, part, weight = ends.position, ends.normal, ends.part, ends.weight
-    boxes, waits, wait_area = np.empty(128, np.int64), np.empty((128, 3, 3)), np.empty(128)
-    candidates, waiting, some = np.zeros(1, np.int64), np.full(512, -1), min(len(number), 1) if asked else 0
+    some = min(len(number), 1) if asked else 0
     count, rays, points = 0, 0, part.shape[1]
     for p in range(len(part)):
         first[p] = count
@@ -329,7 +335,9 @@ def _cut(  # type: ignore[no-untyped-def]
                                 continue
                             y = half(get(waits[top], side, 0), get(waits[top], (side + 1) % 3, 0))
                             wait_area[top] *= 0.5
-                            waits[top + 1], wait_area[top + 1] = waits[top], wait_area[top]
+                            wait_area[top + 1] = wait_area[top]
+                            for j in range(3):
+                                put(waits[top + 1], j, 0, get(waits[top], j, 0))
                             put(waits[top], side, 0, y)
                             put(waits[top + 1], (side + 1) % 3, 0, y)
                             top += 2
