@@ -84,7 +84,7 @@ class Gathering:
         peak = task.materials.values[:, 0] / (math.pi * width**2)
         tree = Hierarchy.of(task.scene)
         past = np.isinf(task.patches.radius)
-        at_edge = past | _patches(task, np.arange(len(past)), 1).uneven[:, 0]
+        at_edge = past | patches_of(task, np.arange(len(past)), 1).uneven[:, 0]
         return cls(
             task, tree, Occluders.of(task.scene, tree), lasers, clock, COARSEST * np.minimum(width, seen), peak,
             at_edge,
@@ -93,7 +93,7 @@ class Gathering:
     def levels(self) -> int:
         """How often even pixels are quartered at most: once more than leaves patches of a bin."""
         even = np.flatnonzero(~self.at_edge)
-        size = float(_patches(self.task, even[:: len(even) // SIZED + 1], 0).size.max(initial=0.0))
+        size = float(patches_of(self.task, even[:: len(even) // SIZED + 1], 0).size.max(initial=0.0))
         if size * self.clock.per_metre <= AT_ONCE and size <= TINY * self.tree.extent:
             return 0
         return int(np.clip(math.ceil(math.log2(size * self.clock.per_metre)) + 1, *LEVELS))
@@ -112,7 +112,7 @@ class Gathering:
             pixels, own = np.unique(pairs[which, 1], return_inverse=True)
             local = np.stack([pairs[which, 0], own.reshape(-1)], axis=1)
             quartered = self.edge_levels() - fewer if at_edge[which[0]] else levels
-            found.append(Seen(which, local, _patches(self.task, pixels, quartered)))
+            found.append(Seen(which, local, patches_of(self.task, pixels, quartered)))
         return found
 
     def gathered(self, pairs: Ints, seen: list[Seen], error: Floats, row_of_part: Ints) -> Gathered:
@@ -138,7 +138,7 @@ class Gathering:
         return Gathered(of_pairs, overflow.reshape(len(pairs), rows).sum(axis=1), work[:, 0], work[:, 1])
 
 
-def _patches(task: WalkTask, pixels: Ints, levels: int) -> Patches:
+def patches_of(task: WalkTask, pixels: Ints, levels: int) -> Patches:
     return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
 
 

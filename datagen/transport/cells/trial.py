@@ -91,7 +91,7 @@ class Trial:
         """Drawn by what a rough look finds of the whole, which counts for half, and of each object."""
         task, parts = gathering.task, len(asked.objects)
         wanted = _trials(len(lit), parts * task.capture.time.bins)
-        looked = lit[_spread(len(lit), LOOKED_AT * wanted)]
+        looked = lit[spread_evenly(len(lit), LOOKED_AT * wanted)]
         rough = cls(
             gathering, looked, np.full(len(looked), len(lit) / max(len(looked), 1)), gathering.levels(), Work()
         )
@@ -299,7 +299,7 @@ def _trials(pairs: int, values: int) -> int:
     return int(np.clip(min(pairs // 20, MOST_TRIED // values), *TRIALS))
 
 
-def _spread(count: int, wanted: int) -> Ints:
+def spread_evenly(count: int, wanted: int) -> Ints:
     """At most `wanted` of `count` indices, in no step with the rows of a scan."""
     if count <= wanted:
         return np.arange(count)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from datagen.records import Spend
 from datagen.records.arrays import Floats
 from datagen.transport.averages import Estimate, split_rows
-from datagen.transport.cost import CELL, CELL_RAY
+from datagen.transport.cost import CELL, CELL_PAIR, CELL_RAY, PAIR_RAY
 from datagen.transport.primary import Primary, primary_by_cells, smooth
+from datagen.transport.secondary_cells import Secondary, secondary_by_cells
 from datagen.transport.target.allocation import REPLICATES, Allotment, next_allotments, one_more
 from datagen.transport.target.confidence import bound_factor, total_variance
 from datagen.transport.target.strata import Known, Stratum, square_norm
@@ -30,6 +31,9 @@ NOTHING_AFTER = 1 << 16
 SEARCH_GROWTH = 8
 PRIMARY_SHARE = 0.4
 """Share of the target that the primary from cells may use where other components are sampled: it costs far less."""
+SECONDARY_SHARE, SECONDARY_OWN = 0.5, 2.0
+"""Share of the target that the secondary from cells may use; and the error of its own light, which comes when the
+primary's is past, relative to that of an object's."""
 LEAST_LEFT = 0.1
 """Share of the square of the target that is left to samples at least."""
 
@@ -37,9 +41,10 @@ LEAST_LEFT = 0.1
 def meet_target(task: WalkTask) -> Estimate:
     """A transient whose relative L2 error, in all and in each object's primary, is within what `Accuracy` asks.
 
-    The primary comes from cells, without noise (`primary.py`), and what it leaves of the error is met by sampling the
-    other components. Where cells are not the means (a narrow lobe, a pixel that looks past its wall, more cells than
-    `max_lookins` would leave rays) all components are sampled, and only the whole is held to an error.
+    The primary and the secondary come from cells, without noise (`primary.py`, `secondary_cells.py`), and what they
+    leave of the error is met by sampling the other components. Where cells are not the means (a narrow lobe, a pixel
+    that looks past its wall, more cells than `max_lookins` would leave rays) all components are sampled, or all but
+    the primary, and only the whole is held to an error.
     """
     accuracy, splits = task.accuracy, task.splits
     assert accuracy.target is not None
@@ -47,39 +52,77 @@ def meet_target(task: WalkTask) -> Estimate:
         return _nothing(task)
     if not smooth(task):
         return _sampled(task, None)
-    others = replace(task, splits=replace(splits, components=splits.others, parts=()))
-    share = PRIMARY_SHARE if others.splits.components else 1.0
+    share = PRIMARY_SHARE if splits.others else 1.0
     primary = primary_by_cells(task, share * accuracy.target, accuracy.each_part, accuracy.faint_part)
     if primary is None:
         return _sampled(task, None)
-    whole = sum(primary.rows[1:], start=primary.rows[0])
-    known = Known(whole, primary.error * float(np.linalg.norm(whole)))
-    if others.splits.components:
-        rest = _sampled(others, known)
+    found = {"primary": _of_primary(primary)}
+    if "secondary" in splits.components and accuracy.strongest is None:
+        limit = SECONDARY_SHARE * accuracy.target * float(np.linalg.norm(found["primary"].light))
+        own = min(SECONDARY_OWN * accuracy.each_part, 1.0)
+        secondary = secondary_by_cells(task, limit, own, accuracy.faint_part)
+        if secondary is not None:
+            found["secondary"] = _of_secondary(secondary)
+    left = tuple(name for name in splits.others if name not in found)
+    known = Known(
+        sum((one.light for one in found.values()), start=np.zeros(task.capture.shape)),
+        sum(one.error for one in found.values()),
+    )
+    if left:
+        rest = _sampled(replace(task, splits=replace(splits, components=left, parts=())), known)
     else:
         spend = Spend({}, {}, {}, {}, 1, 0.0, "target met")
-        rest = Estimate({}, {}, np.zeros_like(whole), np.zeros(whole.shape[:2]), spend, primary.error, True)
-    return _joined(task, primary, whole, rest)
+        error = known.error / float(np.linalg.norm(known.light))
+        rest = Estimate({}, {}, np.zeros(task.capture.shape), np.zeros(task.capture.shape[:2]), spend, error, True)
+    return _joined(task, found, primary, rest)
 
 
-def _joined(task: WalkTask, primary: Primary, whole: Floats, rest: Estimate) -> Estimate:
-    """The primary from cells with the other components from samples; its error is taken as the same share of every
-    bin."""
+@dataclass(frozen=True)
+class _Found:
+    """What cells gave of a component: light (L, P, T), overflow (L, P), L2 error, cost, and cells in all."""
+
+    light: Floats
+    overflow: Floats
+    error: float
+    cost: float
+    cells: int
+
+
+def _of_primary(primary: Primary) -> _Found:
+    whole = sum(primary.rows[1:], start=primary.rows[0])
     cost = CELL * primary.cells + CELL_RAY * primary.rays
-    total = cost + rest.spend.cost
+    return _Found(whole, primary.overflow, primary.error * float(np.linalg.norm(whole)), cost, primary.cells)
+
+
+def _of_secondary(secondary: Secondary) -> _Found:
+    cost = CELL_PAIR * secondary.pairs + PAIR_RAY * secondary.rays
+    return _Found(secondary.histogram, secondary.overflow, secondary.error, cost, secondary.pairs)
+
+
+def _joined(task: WalkTask, found: dict[str, _Found], primary: Primary, rest: Estimate) -> Estimate:
+    """What cells gave with the other components from samples; its error is taken as the same share of every bin."""
+    total = sum(one.cost for one in found.values()) + rest.spend.cost
     lasers = max(int((task.points.part >= 0).sum()), 1)
-    components = {name: whole if name == "primary" else rest.components[name] for name in task.splits.components}
+    share = {name: share * rest.spend.cost for name, share in rest.spend.share.items()}
+    share |= {name: one.cost for name, one in found.items()}
+    components = {
+        name: found[name].light if name in found else rest.components[name] for name in task.splits.components
+    }
     spend = Spend(
-        lookins=dict(rest.spend.lookins) | {"primary": primary.cells / lasers},
-        share={name: share * rest.spend.cost / total for name, share in rest.spend.share.items()}
-        | {"primary": cost / total if total > 0 else 0.0},
-        way=dict(rest.spend.way) | {"primary": "cells"}, fov_samples=dict(rest.spend.fov_samples) | {"primary": 1},
+        lookins=dict(rest.spend.lookins) | {name: one.cells / lasers for name, one in found.items()},
+        share={name: value / total if total > 0 else 0.0 for name, value in share.items()},
+        way=dict(rest.spend.way) | dict.fromkeys(found, "cells"),
+        fov_samples=dict(rest.spend.fov_samples) | dict.fromkeys(found, 1),
         rounds=rest.spend.rounds, cost=total, outcome=rest.spend.outcome,
     )  # fmt: skip
+    stderr, overflow = rest.stderr, rest.overflow
+    for one in found.values():
+        norm = float(np.linalg.norm(one.light))
+        stderr = np.hypot(stderr, one.error / norm * one.light if norm > 0.0 else 0.0)
+        overflow = overflow + one.overflow
     return Estimate(
-        components, dict(zip(task.splits.parts, primary.rows, strict=False)),
-        np.hypot(rest.stderr, primary.error * whole), rest.overflow + primary.overflow, spend, rest.error_bound,
-        rest.met_target, dict(primary.part_errors),
+        components, dict(zip(task.splits.parts, primary.rows, strict=False)), stderr, overflow, spend,
+        rest.error_bound, rest.met_target, dict(primary.part_errors),
     )  # fmt: skip
 
 

@@ -1,0 +1,258 @@
+"""Light of four bounces from pairs of cells: one that the laser point lights, and one that the pixel sees.
+
+With the light aᵢ w₁(i) and aⱼ w₃(j) of `reach.py`, cells i and j with their middles R apart,
+
+    energy = w₁(i) aᵢ · f_i cosθ cosθ′ V / R² · f_j · w₃(j) a_j,        arriving at (R₁ + R + R₃)/c,
+
+exact to second order in the cells' size over R, R₁ and R₃. Where that is too large for the pair's energy the larger
+of the two is halved, again and again. The path is taken as linear over both cells, which gives its mean and variance;
+its distribution, that of two triangles folded, is taken for a tent of the same.
+
+A tent is three knots of a running integral of second degree, so its shares of all bins are nine numbers, added up
+twice when all pairs are done.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from datagen.transport.brdf import dot, evaluate
+from datagen.transport.cells.occlusion import less
+from datagen.transport.cells.reach import (
+    ALONG,
+    BACK,
+    BLUR,
+    COLUMNS,
+    ENERGY,
+    LENGTH,
+    LONG,
+    NORMAL,
+    NUMBERS,
+    PATH,
+    SIZE,
+    SPAN,
+    WEIGHT,
+    condense,
+    get,
+    half,
+    lit,
+    longest,
+    put,
+)
+from datagen.transport.raycast import lifted_and_scaled
+
+NARROWEST = 0.25
+"""Half width of the narrowest tent, in bins."""
+SHAPE = 0.1
+"""L2 error of a tent that is many bins wide, relative to its norm."""
+DEEPEST = 64
+"""Pairs that wait to be cut, at most."""
+AT, VARIANCE, PHOTONS, FIGURES = 0, 1, 2, 3
+
+
+@njit(cache=True, error_model="numpy")
+def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-untyped-def]
+    """Energy of a pair of cells if nothing hides them from each other, their distance, the path's mean and variance.
+
+    With C = Σ p pᵀ the covariance of a cell's points, the mean over them of cosθ cosθ′/R² is 1 + Σ p·H·p/2 of that at
+    their middles, H the matrix of its second derivatives, relative to it; and the mean path is longer by that of R,
+    and by what it and the light have in common.
+    """
+    d = less(get(two, j, 0), get(one, i, 0))
+    n1, n2 = get(one, i, NORMAL), get(two, j, NORMAL)
+    up, down = dot(d, n1), -dot(d, n2)
+    if up <= 0.0 or down <= 0.0:
+        return 0.0, 1.0, 0.0, 0.0
+    square = dot(d, d)
+    r = math.sqrt(square)
+    per = 1.0 / r
+    w, back = (d[0] * per, d[1] * per, d[2] * per), (-d[0] * per, -d[1] * per, -d[2] * per)
+    f1 = evaluate(kind[part1], values[part1], n1, get(one, i, BACK), w)
+    f2 = evaluate(kind[part2], values[part2], n2, back, get(two, j, BACK))
+    variance, more, turned, shift = one[i, BLUR] + two[j, BLUR], 0.0, 0.0, 0.0
+    path = one[i, LENGTH] + r + two[j, LENGTH]
+    for k in range(2):
+        p, q = get(one, i, SPAN + 3 * k), get(two, j, SPAN + 3 * k)
+        along_p, along_q = dot(w, p), dot(w, q)
+        # By how much the path, and the two cosines, change along them.
+        longer_p, longer_q = one[i, ALONG + k] - along_p, two[j, ALONG + k] + along_q
+        by_p, by_q = up * dot(n2, p), down * dot(n1, q)
+        sizes = dot(p, p) + dot(q, q)
+        variance += longer_p * longer_p + longer_q * longer_q
+        shift += by_p * longer_p + by_q * longer_q + 4.0 * up * down * per * (along_p * longer_p - along_q * longer_q)
+        path += 0.5 * per * (sizes - along_p * along_p - along_q * along_q)
+        more += 12.0 * per * per * (along_p * along_p + along_q * along_q) - 2.0 * per * per * sizes
+        turned += 4.0 * per * (by_p * along_p - by_q * along_q)
+    # Where cells are as large as their distance the series says nothing: what it adds is held to bounds.
+    whole = up * down * (1.0 + min(more, 1.0) if more > 0.0 else 1.0 / (1.0 - more))
+    whole = max(whole + turned, 0.25 * whole)
+    farthest = math.sqrt(variance)
+    path += min(max(shift / whole, -farthest), farthest)
+    energy = one[i, ENERGY] * f1 * f2 * two[j, ENERGY] * whole * (per * per) * (per * per)
+    return energy, r, path, variance
+
+
+@njit(cache=True, error_model="numpy")
+def _error(one, i, two, j, energy, keen, r, variance):  # type: ignore[no-untyped-def]
+    """L2 error that a pair of cells may make; variance in bins²."""
+    h1, h2 = one[i, LONG], two[j, LONG]
+    size = (h1 + h2) / r
+    near1, near2 = h1 / one[i, LENGTH], h2 / two[j, LENGTH]
+    wrong = keen * (size * size + near1 * near1 + near2 * near2) + SHAPE * min(variance, 1.0)
+    return energy * wrong / math.sqrt(math.sqrt(1.0 + 24.0 * variance))
+
+
+@njit(cache=True, error_model="numpy")
+def _halved(cell, number, k, p, ends, kind, values):  # type: ignore[no-untyped-def]
+    """Cut cell k of end p on its longest side: its halves at k and k + 1."""
+    side, _ = longest(get(cell, k, 0), get(cell, k, 3), get(cell, k, 6))
+    other = (side + 1) % 3
+    y = half(get(cell, k, 3 * side), get(cell, k, 3 * other))
+    w, path = lit(y, get(number, k, NORMAL), p, ends, kind, values)
+    cell[k, SIZE] *= 0.5
+    _copy(cell, k, cell, k + 1)
+    _copy(number, k, number, k + 1)
+    for at, vertex in ((k, side), (k + 1, other)):
+        put(cell, at, 3 * vertex, y)
+        cell[at, WEIGHT + vertex], cell[at, PATH + vertex] = w, path
+        condense(cell, at, number, at, p, ends, kind, values)
+
+
+@njit(cache=True)
+def _copy(array, k, to, at):  # type: ignore[no-untyped-def]
+    for column in range(array.shape[1]):
+        to[at, column] = array[k, column]
+
+
+@njit(cache=True)
+def room_for(count):  # type: ignore[no-untyped-def]
+    """What waits to be cut, and arrays for so many pairs."""
+    near = (
+        np.empty((DEEPEST + 2, COLUMNS)), np.empty((DEEPEST + 2, NUMBERS)), np.empty((DEEPEST + 2, COLUMNS)),
+        np.empty((DEEPEST + 2, NUMBERS)),
+    )  # fmt: skip
+    found = np.empty((count, FIGURES)), np.empty(count, np.int64)
+    return near, found, (np.empty((count, 3), np.float32), np.empty((count, 3), np.float32))
+
+
+@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+def join(  # type: ignore[no-untyped-def]
+    begin, begin_cell, pairs, gain, zero, row, ends1, first1, cell1, number1, part1, ends2, first2, cell2, number2,
+    part2, same, kind, values, sharp, allowed, air, per_metre, offset, scale, near1, known1, near2, known2, figures,
+    rows, origin, span,
+):  # fmt: skip
+    """Pairs of cells of ends that are lit and ends that see, from pair of ends `begin` on, while there is room.
+
+    pairs : (n, 2) ends. gain : (n,) photons for an energy of one. row : (n,) histogram of each.
+    zero : (n,) bins before those of the path between the ends. same : whether the two ends of each pair are one, so
+        that each pair of cells stands for itself and its reverse. sharp : (K,) 1/width² of each part's BRDF.
+    allowed : L2 error that a pair of cells may make, for a gain of one.
+    Returns where it stopped, and how many pairs of cells were found.
+    """
+    count = 0
+    last, margin = len(rows), 4 * DEEPEST
+    for k in range(begin, len(pairs)):
+        p, q = pairs[k, 0], pairs[k, 1]
+        for i in range(begin_cell if k == begin and begin_cell >= 0 else first1[p], first1[p + 1]):
+            if count + first2[q + 1] - first2[q] + margin > last:
+                return k, i, count
+            a = part1[i]
+            for j in range(i + 1 if same else first2[q], first2[q + 1]):
+                b = part2[j]
+                keen = max(sharp[a], sharp[b])
+                energy, r, path, variance = _joined(number1, i, number2, j, a, b, kind, values)
+                if not energy > 0.0:
+                    continue
+                variance *= per_metre * per_metre
+                if not _error(number1, i, number2, j, energy, keen, r, variance) > allowed:
+                    _note(
+                        number1, i, number2, j, path, variance, energy, per_metre, zero[k], gain[k], air, row[k],
+                        count, offset, scale, figures, rows, origin, span,
+                    )  # fmt: skip
+                    count += 1
+                    continue
+                _copy(cell1, i, near1, 0)
+                _copy(number1, i, known1, 0)
+                _copy(cell2, j, near2, 0)
+                _copy(number2, j, known2, 0)
+                top, left = 1, last - count - (first2[q + 1] - j)
+                while top > 0:
+                    top -= 1
+                    energy, r, path, variance = _joined(known1, top, known2, top, a, b, kind, values)
+                    if not energy > 0.0:
+                        continue
+                    variance *= per_metre * per_metre
+                    if (
+                        _error(known1, top, known2, top, energy, keen, r, variance) > allowed
+                        and top < DEEPEST
+                        and top + 2 < left
+                    ):
+                        _copy(near1, top, near1, top + 1)
+                        _copy(known1, top, known1, top + 1)
+                        _copy(near2, top, near2, top + 1)
+                        _copy(known2, top, known2, top + 1)
+                        if known1[top, LONG] >= known2[top, LONG]:
+                            _halved(near1, known1, top, p, ends1, kind, values)
+                        else:
+                            _halved(near2, known2, top, q, ends2, kind, values)
+                        top += 2
+                        continue
+                    _note(
+                        known1, top, known2, top, path, variance, energy, per_metre, zero[k], gain[k], air, row[k],
+                        count, offset, scale, figures, rows, origin, span,
+                    )  # fmt: skip
+                    count += 1
+                    left -= 1
+    return len(pairs), -1, count
+
+
+@njit(cache=True, error_model="numpy")
+def _note(  # type: ignore[no-untyped-def]
+    one, i, two, j, path, variance, energy, per_metre, zero, gain, air, row, count, offset, scale, figures, rows,
+    origin, span,
+):  # fmt: skip
+    """Write down when and how a pair's light arrives, and the ray between them."""
+    figures[count, AT], figures[count, VARIANCE] = path * per_metre - zero, variance
+    figures[count, PHOTONS] = energy * gain * (math.exp(-air * path) if air > 0.0 else 1.0)
+    rows[count] = row
+    a = lifted_and_scaled(get(one, i, 0), get(one, i, NORMAL), offset, scale)
+    b = lifted_and_scaled(get(two, j, 0), get(two, j, NORMAL), offset, scale)
+    for k in range(3):
+        origin[count, k], span[count, k] = a[k], b[k] - a[k]
+
+
+@njit(cache=True, error_model="numpy")
+def arrive(count, figures, rows, hidden, knots, photons):  # type: ignore[no-untyped-def]
+    """Add the tents of those pairs that nothing hides from each other.
+
+    knots : (n, T + 3) second differences of the histograms, and what the last two bins beyond need.
+    photons : (n,) all photons, inside the window and outside.
+    """
+    for k in range(count):
+        if hidden[k]:
+            continue
+        row, at, energy = rows[k], figures[k, AT], figures[k, PHOTONS]
+        wide = max(math.sqrt(6.0 * figures[k, VARIANCE]), NARROWEST)
+        weight = energy / (wide * wide)
+        photons[row] += energy
+        _knot(knots, row, at - wide, weight)
+        _knot(knots, row, at, -2.0 * weight)
+        _knot(knots, row, at + wide, weight)
+
+
+@njit(cache=True, error_model="numpy")
+def _knot(knots, row, at, weight):  # type: ignore[no-untyped-def]
+    """Add a knot: what has come by time x > at grows as weight (x − at)²/2."""
+    last = knots.shape[1] - 3
+    if at < 0.0:
+        knots[row, 0] += weight * (0.5 - at)
+        knots[row, 1] += weight * (0.5 + at)
+    elif at < last:
+        m = int(at)
+        f = at - m
+        knots[row, m] += weight * 0.5 * (1.0 - f) * (1.0 - f)
+        knots[row, m + 1] += weight * (0.5 + f - f * f)
+        knots[row, m + 2] += weight * 0.5 * f * f

@@ -1,0 +1,287 @@
+"""The secondary of a scan without noise: light of four bounces, from pairs of cells.
+
+A laser point lights cells, a pixel sees cells (`cells/reach.py`), and every cell of the one gives light to every
+cell of the other (`cells/pairs.py`); pairs that bring much of the light, or are near each other, are cut further.
+How fine that must be is found on some pairs of laser point and pixel, with ever finer cells, until the next finer
+ones make little difference. The error of what is chosen is thus known without noise.
+
+Cells are cut for each laser point and each pixel on its own, L + P times for an exhaustive scan. One ray is asked
+between the middles of each pair of cells.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.records.arrays import Floats, Ints
+from datagen.transport.brdf.table import LAMBERTIAN
+from datagen.transport.cells.gathering import lobe_width, patches_of
+from datagen.transport.cells.hierarchy import Hierarchy
+from datagen.transport.cells.occlusion import Occluders
+from datagen.transport.cells.pairs import arrive, join, room_for
+from datagen.transport.cells.reach import Ends, reach_of
+from datagen.transport.cells.trial import spread_evenly
+from datagen.transport.primary import pairs_of
+from datagen.transport.sampling import stream_seeds
+from datagen.transport.walk import WalkTask
+from datagen.units import path_from_time
+
+CLUSTER_STREAM = 66
+COARSEST, LIGHT, PAIR = 1.2, 0.05, 1e-3
+"""Of the coarsest cells: the largest, relative to its distance; its error, relative to the light of its end; and the
+error of a pair, relative to the light of all pairs."""
+LIGHT_FINER, FINER, REST, LEVELS = 0.5, 0.25, 2.0, 8
+"""What the two errors are multiplied with from one level to the next, finer one; the error of a level, relative to
+its difference from the next, for errors fall to about half; and the number of levels at most."""
+WITHIN = 0.7
+"""Share of the error to be met that its estimate may reach on the pairs tried: others may be worse."""
+TRIALS = (8, 48)
+"""Fewest and most pairs of laser point and pixel on which the level is chosen, one in twenty in between."""
+MOST_PAIRS = 1 << 16
+"""Pairs of cells for each of these up to which they cost less than samples."""
+GROWTH = 2.5
+"""Pairs of cells from one level to the next, about."""
+PATCH_LEVELS, PATCHES_SHARE, FROM_QUARTERS = 3, 0.25, 4 / 3
+"""How often pixels are quartered at most; the share of the error that may come of it; and that error, relative to
+what quartering them once more changes."""
+CONFOCAL_AT_ONCE, EXHAUSTIVE_AT_ONCE, PAIRS_AT_ONCE = 512, 4096, 1 << 18
+ROUNDING = 1e-12
+"""What is left of a histogram where its light has ended, relative to its highest bin."""
+
+
+Singles = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Secondary:
+    """The secondary of all laser points and pixels.
+
+    Attributes
+    ----------
+    histogram : (L, P, T), overflow : (L, P), in photons.
+    error : L2 error of it, in photons, as estimated.
+    pairs, rays : how many pairs of cells and rays, those of trials with them.
+    """
+
+    histogram: Floats
+    overflow: Floats
+    error: float
+    pairs: int
+    rays: int
+
+
+def secondary_by_cells(task: WalkTask, limit: float, own: float, faint: float = 0.0) -> Secondary | None:
+    """The secondary with an L2 error of at most `limit`, in photons, and of `own` relative to its own norm.
+
+    Returns nothing if that would take more work than samples do. The second is given up for the first.
+
+    faint : photons, per emitted photon and over all histograms, under which it is not held to the second.
+    """
+    scan = _Scan.of(task)
+    pairs = pairs_of(task)
+    lit = np.flatnonzero(task.points.part[pairs[:, 0]] >= 0)
+    if len(lit) == 0:
+        return None
+    tried = lit[spread_evenly(len(lit), int(np.clip(len(lit) // 20, *TRIALS)))]
+    share = math.sqrt(len(tried) / len(lit))
+    patches = scan.patches_to_begin
+    if scan.light(pairs[tried[:1]], 0, patches, np.inf).pairs > MOST_PAIRS:
+        return None
+    runs = [scan.light(pairs[tried], 0, patches, np.inf)]
+    scale = float(runs[0].photons.sum() / max(runs[0].gain, 1e-300))
+    if scale == 0.0:
+        return None
+    runs = [scan.light(pairs[tried], 0, patches, PAIR * scale)]
+    while True:
+        norm = float(np.linalg.norm(runs[-1].histogram))
+        held = runs[-1].photons.sum() / share**2 >= faint
+        wanted = min(limit * share, own * norm) if held else limit * share
+        if len(runs) == 1:
+            patches, of_patches = _patches_for(scan, pairs[tried], patches, runs[0], PAIR * scale, wanted)
+            if patches < 0:
+                return None
+        else:
+            still = _still([run.histogram for run in runs]) + of_patches
+            fine = np.flatnonzero(still <= WITHIN * wanted)
+            if len(fine):
+                level = int(fine[0])
+                break
+            if len(runs) > LEVELS or runs[-1].pairs * GROWTH > MOST_PAIRS * len(tried):
+                if still[-1] > WITHIN * limit * share:
+                    return None
+                level = len(still) - 1
+                break
+        n = len(runs)
+        runs.append(scan.light(pairs[tried], n, patches, PAIR * FINER**n * scale))
+    if len(tried) == len(pairs):
+        found = runs[-1]
+        error = float((REST - 1) * np.linalg.norm(runs[-1].histogram - runs[-2].histogram)) + of_patches
+    else:
+        found = scan.light(pairs, level, patches, PAIR * FINER**level * scale)
+        error = float(still[level]) / share
+    shape = task.capture.shape
+    work = [*runs, found]
+    return Secondary(
+        found.histogram.reshape(shape), (found.photons - found.histogram.sum(axis=1)).clip(0.0).reshape(shape[:2]),
+        error, sum(run.pairs for run in work), sum(run.rays for run in work),
+    )  # fmt: skip
+
+
+def _patches_for(
+    scan: _Scan, pairs: Ints, level: int, coarse: _Light, allowed: float, wanted: float
+) -> tuple[int, float]:
+    """How often pixels have to be quartered, −1 for too often, and the L2 error that this leaves."""
+    if not scan.extended:
+        return level, 0.0
+    while level < PATCH_LEVELS:
+        finer = scan.light(pairs, 0, level + 1, allowed)
+        off = FROM_QUARTERS * float(np.linalg.norm(finer.histogram - coarse.histogram))
+        if off <= PATCHES_SHARE * wanted:
+            return level, off
+        level, coarse = level + 1, finer
+    return -1, 0.0
+
+
+def _still(histograms: list[Floats]) -> Floats:
+    """(n − 1,) L2 error that each run still has, the last of them apart."""
+    off = np.array([float(np.linalg.norm(run - histograms[-1])) for run in histograms[:-1]])
+    return np.asarray(off + (REST - 1) * off[-1])
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Histograms (n, T) and all photons (n,) of pairs; the sum of their gains; pairs of cells and rays."""
+
+    histogram: Floats
+    photons: Floats
+    gain: float
+    pairs: int
+    rays: int
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """A scene and a capture as the compiled loops want them; the ends of pixels are made when they are asked for."""
+
+    task: WalkTask
+    tree: Hierarchy
+    occluders: Occluders
+    width: Floats
+    extended: bool
+    """Whether some pixel is larger than a point."""
+    patches_to_begin: int
+    room: tuple[tuple[Floats, ...], tuple[Floats, Ints], tuple[Singles, Singles]] = field(
+        default_factory=lambda: room_for(PAIRS_AT_ONCE)
+    )
+
+    @classmethod
+    def of(cls, task: WalkTask) -> _Scan:
+        tree = Hierarchy.of(task.scene)
+        width = np.array([lobe_width(material) for material in task.scene.materials])
+        several = patches_of(task, np.arange(len(task.patches.radius)), 1).uneven[:, 0].any()
+        at_edge = bool(several or np.isinf(task.patches.radius).any())
+        small = task.patches.radius.max(initial=0.0) < 1e-3 * task.caster.half_extent_m
+        return cls(task, tree, Occluders.of(task.scene, tree), width, not small or at_edge, 2 if at_edge else 0)
+
+    def light(self, pairs: Ints, level: int, patches: int, allowed: float) -> _Light:
+        """The secondary of some pairs of laser point and pixel, by cells of a level."""
+        bins = self.task.capture.time.bins
+        knots, photons = np.zeros((len(pairs), bins + 3)), np.zeros(len(pairs))
+        gain, count, rays = 0.0, 0, 0
+        at_once = CONFOCAL_AT_ONCE if self.task.capture.pairing == "confocal" else EXHAUSTIVE_AT_ONCE
+        for start in range(0, len(pairs), at_once):
+            run = slice(start, start + at_once)
+            of_run, joined, asked = self._add(
+                pairs[run], start, LIGHT * LIGHT_FINER**level, patches, allowed, knots, photons
+            )
+            gain, count, rays = gain + of_run, count + joined, rays + asked
+        histogram = np.cumsum(np.cumsum(knots, axis=1), axis=1)[:, :bins]
+        histogram[histogram < ROUNDING * histogram.max(axis=1, initial=0.0, keepdims=True)] = 0.0
+        return _Light(histogram, photons, gain, count, rays)
+
+    def _add(
+        self, pairs: Ints, first: int, error: float, patches: int, allowed: float, knots: Floats, photons: Floats
+    ) -> tuple[float, int, int]:
+        """Add the knots of a run of pairs; returns the sum of their gains, pairs of cells and rays."""
+        task, axis, air = self.task, self.task.capture.time, self.task.scene.attenuation_per_m
+        device, asked = axis.origin == "source", task.accuracy.occlusion != "off"
+        lasers, i = np.unique(pairs[:, 0], return_inverse=True)
+        pixels, p = np.unique(pairs[:, 1], return_inverse=True)
+        seed = int(stream_seeds(task.seed, CLUSTER_STREAM, first, np.zeros(1, np.int64))[0])
+        lit, leg1 = self._lasers(lasers)
+        seen, weight, leg3 = self._pixels(pixels, patches, device)
+        materials, coarsest = task.materials, COARSEST * self.width
+        ones, rays = reach_of(lit, self.tree, self.occluders, materials, coarsest, error, True, seed)
+        same = self._same(lit, seen, pairs)
+        twos = ones
+        if not same:
+            twos, more = reach_of(seen, self.tree, self.occluders, materials, coarsest, error, asked, seed)
+            rays += more
+        legs = leg1[i] + leg3[p]
+        gain = (np.exp(-air * legs) * weight[p]).astype(np.float64)
+        per_metre = 1.0 / float(path_from_time(axis.width_s))
+        zero = axis.start_s / axis.width_s - (legs * per_metre if device else np.zeros(len(legs)))
+        caster = task.caster
+        scale = np.array([*caster.center, caster.half_extent_m])
+        waiting, (figures, rows), (origin, span) = self.room
+        local = np.stack([i.reshape(-1), p.reshape(-1)], axis=1)
+        row, sharp = first + np.arange(len(pairs)), 1.0 / self.width**2
+        at, cell, count = 0, -1, 0
+        while at < len(pairs):
+            at, cell, found = join(
+                at, cell, local, 2.0 * gain if same else gain, zero, row, lit, ones.first, ones.cell, ones.number,
+                ones.part, seen, twos.first, twos.cell, twos.number, twos.part, same, materials.kind,
+                materials.values, sharp, allowed, air, per_metre, caster.offset_m, scale, *waiting, figures, rows,
+                origin, span,
+            )  # fmt: skip
+            count += found
+            if asked and len(self.occluders.number):
+                hidden = caster.occluded_scaled(origin[:found], span[:found])
+                rays += found
+            else:
+                hidden = np.zeros(found, np.bool_)
+            arrive(found, figures, rows, hidden, knots, photons)
+        return float(gain.sum()), count, rays
+
+    def _same(self, lit: Ends, seen: Ends, pairs: Ints) -> bool:
+        """Whether each laser point is its own pixel, so that light may go round either way."""
+        if self.task.capture.pairing != "confocal" or seen.part.shape[1] > 1 or len(lit.part) != len(seen.part):
+            return False
+        if (lit.part != seen.part).any() or (pairs[:, 0] != pairs[:, 1]).any():
+            return False
+        near = 1e-6 * self.tree.extent
+        alike = np.abs(lit.position - seen.position).max(axis=(1, 2)) < near
+        kinds = self.task.materials.kind[lit.part[:, 0]]
+        alike &= (kinds == LAMBERTIAN) | (np.abs(lit.to_device - seen.to_device).max(axis=(1, 2)) < 1e-6)
+        return bool((alike | (lit.part[:, 0] < 0)).all()) and not seen.footprint.max(initial=0.0) > near * near * 1e6
+
+    def _lasers(self, lasers: Ints) -> tuple[Ends, Floats]:
+        points = self.task.points
+        one = np.ones((len(lasers), 1))
+        ends = Ends(
+            np.nan_to_num(points.position[lasers])[:, None], points.normal[lasers][:, None].copy(),
+            points.to_laser[lasers][:, None].copy(), points.part[lasers][:, None].copy(), one, 0 * one, 0 * one,
+        )  # fmt: skip
+        return ends, np.nan_to_num(points.leg[lasers])
+
+    def _pixels(self, pixels: Ints, level: int, device: bool) -> tuple[Ends, Floats, Floats]:
+        """The finest patches of some pixels as ends; their weight (n,), m² sr, and distance to the sensor (n,), m."""
+        patches = patches_of(self.task, pixels, level)
+        finest = slice((4**level - 1) // 3, None)
+        part, weight, leg = patches.part[:, finest], patches.weight[:, finest], patches.leg[:, finest]
+        weight = np.where(part >= 0, weight, 0.0)
+        whole = weight.sum(axis=1)
+        share = weight / np.where(whole > 0, whole, 1.0)[:, None]
+        mean = (share * np.where(part >= 0, leg, 0.0)).sum(axis=1)
+        longer = np.where(part >= 0, leg - mean[:, None], 0.0) if device else np.zeros_like(leg)
+        part = np.where(weight > 0, part, -1)
+        position, normal, to_sensor, footprint = (
+            np.ascontiguousarray(values[:, finest])
+            for values in (patches.position, patches.normal, patches.to_sensor, patches.footprint)
+        )
+        ends = Ends(position, normal, to_sensor, np.ascontiguousarray(part), share, longer, footprint)
+        return ends, whole, mean

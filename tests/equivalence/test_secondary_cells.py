@@ -1,0 +1,181 @@
+"""The secondary from pairs of cells: that of the walk, of a sphere in closed form, and the laws that both obey.
+
+Against the walk: its mean over `RUNS` seeds, Student's t at 10⁻³ over all numbers compared, and the error that was
+asked of the cells on top.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from rooms import bins_of_path, furnished_box, square_pixels
+from scipy import stats
+
+from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen.transport import secondary_cells
+from datagen.transport.fov import PixelCones
+from datagen.transport.primary import pairs_of
+from datagen.transport.secondary_cells import Secondary, secondary_by_cells
+from datagen.transport.solver import prepared
+
+RUNS, LEVEL, OWN = 8, 1e-3, 0.04
+DEVICE = (1.5, 0.1, 1.3)
+TIME = bins_of_path(160, 0.1, 0.0)
+COARSE = 16
+"""Bins that are added up, so that each holds many paths and its spread is near normal."""
+SPOTS = np.array([[0, -0.9, 0.6], [0, 0.3, 1.7], [0, 0.9, 1.1]])
+
+
+def of_cells(scene: Scene, capture: Capture, own: float = OWN, occlusion: str = "auto") -> Secondary:
+    accuracy = Accuracy(target=0.02, max_bounces=4, occlusion=occlusion)  # type: ignore[arg-type]
+    found = secondary_by_cells(prepared(scene, capture, accuracy, 0, split_parts=False), np.inf, own)
+    assert found is not None
+    assert (found.histogram >= 0).all()
+    return found
+
+
+def numbers(light: NDArray[np.float64], overflow: NDArray[np.float64]) -> NDArray[np.float64]:
+    """All energy, that outside the window, of each laser point and pixel, and by coarse bins of time."""
+    by_time = light.sum(axis=(0, 1)).reshape(-1, COARSE).sum(axis=1)
+    return np.concatenate([[light.sum()], (light.sum(axis=2) + overflow).ravel(), by_time])
+
+
+def scan(
+    pairing: str, half_side_m: float, origin: str = "wall", device: tuple[float, float, float] = DEVICE
+) -> Capture:
+    pixels = SPOTS if pairing == "confocal" else SPOTS[:2] + np.array([0, 0.2, -0.1])
+    sensor = Sensor(device, square_pixels(pixels, half_side_m))
+    return Capture(Laser(DEVICE, SPOTS), sensor, replace(TIME, origin=origin), pairing)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("scene", "capture", "occlusion"),
+    [
+        (furnished_box(), scan("confocal", 5e-4), "auto"),
+        (furnished_box(), scan("confocal", 0.2, "source"), "auto"),
+        (furnished_box(), scan("exhaustive", 0.05, "source"), "auto"),
+        (replace(furnished_box(), attenuation_per_m=0.3), scan("exhaustive", 0.02, "source"), "auto"),
+    ],
+    ids=["confocal points", "confocal 0.4 m", "exhaustive", "attenuation"],
+)
+def test_the_walk_gives_the_same(scene: Scene, capture: Capture, occlusion: str) -> None:
+    cells = of_cells(scene, capture, occlusion=occlusion)
+    walk = Accuracy(1 << 14, 4, 4, 1)
+    ours, runs = numbers(cells.histogram, cells.overflow), []
+    for seed in range(RUNS):
+        both = simulate(scene, capture, walk, seed=seed)
+        three = simulate(scene, capture, replace(walk, max_bounces=3), seed=seed)
+        runs.append(numbers(both.components["secondary"], both.overflow - three.overflow))
+    walked = np.array(runs)
+    own = OWN * np.maximum(ours, 0.1 * ours[1:].max())
+    allowed = stats.t.isf(LEVEL / 2 / len(ours), RUNS - 1) * stats.sem(walked, axis=0) + own
+    off = np.abs(ours - walked.mean(axis=0))
+    assert (off <= allowed).all(), np.column_stack([ours, walked.mean(axis=0), allowed])[off > allowed]
+    assert stats.sem(walked[:, 0]) < 0.02 * walked[:, 0].mean()
+
+
+def in_the_ball(albedo: float) -> tuple[Scene, Capture, float]:
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    ball.apply_scale(np.sqrt(4 * np.pi / ball.area))
+    scene = Scene.from_parts([Part("sphere", ball, Lambertian(albedo), "structure")])
+    spot = ball.triangles_center[0]
+    across = np.cross(spot, [0, 0, 1.0])
+    across /= np.linalg.norm(across)
+    up = np.cross(across, spot)
+    quad = [spot + 1e-3 * (a * across + b * up) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    device = (0.0, 0.0, 0.0)
+    capture = Capture(
+        Laser(device, [ball.triangles_center[700]]), Sensor(device, [quad], 0.02), bins_of_path(130, 0.05, 0)
+    )
+    solid_angle = PixelCones.of(capture.sensor).solid_angle[0]
+    return scene, capture, albedo**3 / np.pi / (4 * np.pi) * np.pi * 0.02**2 * solid_angle
+
+
+@pytest.mark.parametrize("albedo", [0.3, 1.0])
+def test_in_a_sphere_each_bounce_multiplies_by_the_albedo(albedo: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """ρ times the primary's ρ³/π · A Ω/(4π r²); each bounce falls anywhere on the sphere alike."""
+    monkeypatch.setattr(secondary_cells, "MOST_PAIRS", 1 << 21)
+    scene, capture, primary = in_the_ball(albedo)
+    found = of_cells(scene, capture, own=0.02)
+    light = found.histogram[0, 0]
+    assert light.sum() + found.overflow.sum() == pytest.approx(primary * albedo, rel=0.01)
+    ends = capture.laser.targets[0], capture.sensor.pixels[0].mean(axis=0)
+    first, second = np.random.default_rng(1).normal(size=(2, 1 << 21, 3))
+    first, second = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (first, second))
+    legs = first - ends[0] / np.linalg.norm(ends[0]), second - first, ends[1] / np.linalg.norm(ends[1]) - second
+    path = sum(np.linalg.norm(leg, axis=1) for leg in legs)
+    truth = np.histogram(path, 130, (0, 6.5))[0] / len(path) * primary * albedo
+    assert np.linalg.norm(light - truth) < 0.03 * np.linalg.norm(truth)
+
+
+def test_errors_fall_from_level_to_level_as_two_of_them_foretell() -> None:
+    capture = scan("exhaustive", 5e-4)
+    task = prepared(furnished_box(), capture, Accuracy(target=0.02, max_bounces=4), 0, split_parts=False)
+    found, pairs = secondary_cells._Scan.of(task), pairs_of(task)
+    scale = (of_all := found.light(pairs, 0, 0, np.inf)).photons.sum() / of_all.gain
+    runs = [
+        found.light(pairs, k, 0, secondary_cells.PAIR * secondary_cells.FINER**k * scale).histogram for k in range(6)
+    ]
+    norm = np.linalg.norm(runs[-1])
+    errors = [np.linalg.norm(run - runs[-1]) / norm for run in runs[:-1]]
+    assert errors[0] < 0.1
+    assert errors[4] < 0.3 * errors[0]
+    for k in range(1, 4):
+        # What two levels say of the coarser one, against the finest of all.
+        assert errors[k - 1] < secondary_cells._still(runs[: k + 1])[-1] / norm
+
+
+def test_light_goes_either_way() -> None:
+    """Reciprocity: laser point and pixel change places, and each divides by what its pixel is worth."""
+    a, b, h = SPOTS[0], SPOTS[2], 5e-4
+    found = []
+    for laser, pixel in ((a, b), (b, a)):
+        capture = Capture(Laser(DEVICE, [laser]), Sensor(DEVICE, square_pixels([pixel], h)), TIME)
+        d = np.array(DEVICE) - pixel
+        worth = PixelCones.of(capture.sensor).solid_angle[0]
+        assert d[0] > 0
+        found.append(of_cells(furnished_box(), capture, own=0.03).histogram[0, 0] / worth)
+    assert np.linalg.norm(found[0] - found[1]) < 0.03 * np.linalg.norm(found[0])
+    assert found[0].sum() == pytest.approx(found[1].sum(), rel=0.01)
+
+
+def test_confocal_halves_are_the_whole() -> None:
+    """A laser point that is its own pixel takes each pair of cells once; with the sensor elsewhere, or another
+    capture's pairing, both ends are cut, and the light is the same."""
+    confocal, alone = scan("confocal", 5e-4), []
+    together = of_cells(furnished_box(), confocal, own=0.03)
+    for k, spot in enumerate(SPOTS):
+        one = Capture(Laser(DEVICE, [spot]), Sensor(DEVICE, square_pixels([spot], 5e-4)), TIME)
+        alone.append(of_cells(furnished_box(), one, own=0.03).histogram[0, 0])
+        assert np.linalg.norm(alone[k] - together.histogram[k, 0]) < 0.03 * np.linalg.norm(alone[k])
+
+
+def test_a_target_takes_cells_for_both_and_repeats_to_the_byte() -> None:
+    capture = scan("confocal", 5e-4)
+    found = simulate(furnished_box(), capture, Accuracy(target=0.02, max_bounces=4), seed=3)
+    again = simulate(furnished_box(), capture, Accuracy(target=0.02, max_bounces=4), seed=3)
+    assert found.spend is not None
+    assert found.spend.way == {"primary": "cells", "secondary": "cells"}
+    assert sum(found.spend.share.values()) == pytest.approx(1.0)
+    assert found.met_target
+    assert found.error_bound is not None and found.error_bound <= 0.02
+    assert found.total.tobytes() == again.total.tobytes()
+    higher = simulate(furnished_box(), capture, Accuracy(target=0.05, max_bounces=5), seed=3)
+    assert higher.spend is not None
+    assert higher.spend.way == {"primary": "cells", "secondary": "cells", "higher": "walk"}
+
+
+def test_glossy_surfaces_are_reciprocal_too() -> None:
+    """A wide GGX lobe on one part: the walk's total, within its scatter and the error asked."""
+    scene = furnished_box()
+    glossy = replace(scene, materials=(*scene.materials[:-1], GGX(0.6, 0.7)))
+    capture = scan("exhaustive", 5e-4)
+    ours = of_cells(glossy, capture).histogram.sum()
+    walk = [
+        simulate(glossy, capture, Accuracy(1 << 13, 4, 4, 1), seed=s).components["secondary"].sum() for s in range(8)
+    ]
+    assert abs(ours - np.mean(walk)) < OWN * ours + stats.t.isf(LEVEL / 2, 7) * stats.sem(walk)
