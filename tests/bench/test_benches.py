@@ -61,7 +61,8 @@ def test_accuracy(config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str
     options = ["--seconds", "1", "--repeats", "2", "--laser-points", "2", "--scene", "1"]
     printed = printed_by(["accuracy", config, str(tmp_path / "out"), *options], capsys)
     lookins = [row for row in rows_of(printed, "swept") if row[0] == "lookins"]
-    assert float(lookins[-1][3].split()[0]) < float(lookins[0][3].split()[0])
+    # How many rows a second leaves time for is the machine's affair.
+    assert len(lookins) == 1 or float(lookins[-1][3].split()[0]) < float(lookins[0][3].split()[0])
     assert "What to choose" in printed and "2 of its 9 laser points" in printed
     assert (tmp_path / "out/accuracy.png").read_bytes()[:4] == b"\x89PNG"
 

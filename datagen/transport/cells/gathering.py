@@ -71,6 +71,7 @@ class Gathering:
 
     @classmethod
     def of(cls, task: WalkTask) -> Gathering:
+        """That of a task, with its surfaces in one tree."""
         points, axis, air = task.points, task.capture.time, task.scene.attenuation_per_m
         lasers = Lasers(
             points.position, points.normal, points.to_laser, points.part, np.exp(-air * np.nan_to_num(points.leg)),
@@ -139,6 +140,7 @@ class Gathering:
 
 
 def patches_of(task: WalkTask, pixels: Ints, levels: int) -> Patches:
+    """Those of some pixels, quartered `levels` times at most."""
     return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
 
 
