@@ -26,7 +26,7 @@ SCHEMA_VERSIONS = {
     "`dataset.json` and commit records end in a checksum of their own, and must",
     5: "datagen 0.5: a name of an axis has one size in the group (volumes: voxel_depth, voxel_row, voxel_column; "
     "hidden_bounds: bound), attributes units and long_name, a coordinate `bin` of arrival times; columns `split` and "
-    "`stats.*` in the table, `stats` in `dataset.json`",
+    "`stats.*` in the table, `stats` in `dataset.json`; with a target a seed yields other light",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
