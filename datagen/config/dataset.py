@@ -56,8 +56,8 @@ class DatasetConfig(Settings):
         return self
 
     def fingerprint(self) -> str:
-        """Hex SHA-256 of everything that decides the samples' content: all settings but name, description, splits and
-        number of scenes (a dataset may grow), and the bytes of every mesh file named.
+        """Hex SHA-256 of everything that decides the samples' content: all settings but those `WITHOUT_EFFECT` (a
+        dataset may grow), and the bytes of every mesh file named.
         """
         return fingerprint_of(self.model_dump(mode="json"), self.scene.mesh_digests())
 

@@ -25,18 +25,19 @@ _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000
 _TAGS = ["non-line-of-sight", "single-photon", "transient-imaging", "synthetic"]
 
 
-def write_card(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
+def write_card(root: Path, manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | None = None) -> None:
     """Write the card; it says how much of the dataset is there."""
-    write_if_changed(root / CARD, card(manifest, records).encode())
+    write_if_changed(root / CARD, card(manifest, records, table).encode())
 
 
-def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
+def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | None = None) -> str:
     """The card's text, from the manifest and the commit records alone: no date, no timing, no claim beyond them."""
     schema, config = manifest.schema, manifest.config
     failures = {scene: reason for record in records for scene, reason in record.failures.items()}
     stored = sum(file.bytes for record in records for file in record.files.values())
     whole = len(records) == schema.shards
-    table = table_of(records, (), manifest.splits())
+    if whole and table is None:
+        table = table_of(records, (), manifest.splits())
     names = ", ".join(f'"{field.name}"' for field in schema.fields if field.sharded)
     lines = [
         *_front_matter(manifest, whole),
@@ -56,7 +57,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         "run the same `datagen build` again to go on.",
         "",
         *_failure_lines(failures),
-        *(_split_lines(table) if whole else []),
+        *(_split_lines(table) if table is not None else []),
         "## Fields",
         "",
         "Zarr v3 arrays in `data.zarr`, one scene along the first axis.",
@@ -72,7 +73,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         *_class_lines(schema),
         *_time_lines(config["capture"]),
         *_stats_lines(manifest),
-        *(_parameter_lines(table) if whole else []),
+        *(_parameter_lines(table) if table is not None else []),
         "## Reading it",
         "",
         "```python",

@@ -49,7 +49,7 @@ def finish(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> No
     write_if_changed(root / MANIFEST, manifest.to_bytes())
     write_if_changed(root / TABLE, table_bytes(table))
     write_croissant(root, manifest, records)
-    write_card(root, manifest, records)
+    write_card(root, manifest, records, table)
 
 
 def _table(manifest: Manifest, records: Sequence[ShardRecord]) -> pa.Table:
@@ -161,10 +161,11 @@ def _summary_problems(root: Path, manifest: Manifest, records: Sequence[ShardRec
         return
     # Another datagen may word the same facts otherwise.
     same_words = (manifest.versions["datagen"], manifest.schema_version) == (now["datagen"], SCHEMA_VERSION)
-    for name, text in (
-        (CROISSANT, json_bytes(croissant(root, manifest, records))),
-        (CARD, card(manifest, records).encode()),
-    ):
+    texts = {CROISSANT: b"", CARD: b""}
+    if same_words:
+        texts[CROISSANT] = json_bytes(croissant(root, manifest, records))
+        texts[CARD] = card(manifest, records, table).encode()
+    for name, text in texts.items():
         if not ((root / name).is_file() and (holds(root / name, text) or not same_words)):
             yield f"{name}: missing, or differs from what the dataset holds"
 

@@ -53,14 +53,15 @@ def smooth(task: WalkTask) -> bool:
     return min(lobe_width(material) for material in task.scene.materials) >= NARROWEST_RAD
 
 
-def primary_by_cells(task: WalkTask, target: float, part_target: float, faint: float = 0.0) -> Primary | None:
+def primary_by_cells(gathering: Gathering, target: float, part_target: float, faint: float = 0.0) -> Primary | None:
     """The primary with a relative L2 error of at most `target`, and of `part_target` in each object's own light.
 
     Returns nothing if that would take more work than `max_lookins`, or no light is found.
 
     faint : photons, per emitted photon and over all histograms, under which an object's light is not held to that.
     """
-    gathering, pairs = Gathering.of(task), pairs_of(task)
+    task = gathering.task
+    pairs = pairs_of(task)
     asked = Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
     trial = Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
     choice = choose(trial, asked)

@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf.table import LAMBERTIAN
-from datagen.transport.cells.gathering import lobe_width, patches_of
-from datagen.transport.cells.hierarchy import Hierarchy
-from datagen.transport.cells.occlusion import Occluders
+from datagen.transport.cells.gathering import Gathering, patches_of
 from datagen.transport.cells.pairs import arrive, join, room_for
 from datagen.transport.cells.reach import Ends, reach_of
 from datagen.transport.cells.trial import spread_evenly
@@ -74,14 +72,14 @@ class Secondary:
     rays: int
 
 
-def secondary_by_cells(task: WalkTask, limit: float, own: float, faint: float = 0.0) -> Secondary | None:
+def secondary_by_cells(gathering: Gathering, limit: float, own: float, faint: float = 0.0) -> Secondary | None:
     """The secondary with an L2 error of at most `limit`, in photons, and of `own` relative to its own norm.
 
     Returns nothing if that would take more work than samples do. The second is given up for the first.
 
     faint : photons, per emitted photon and over all histograms, under which it is not held to the second.
     """
-    scan = _Scan.of(task)
+    scan, task = _Scan.of(gathering), gathering.task
     pairs = pairs_of(task)
     lit = np.flatnonzero(task.points.part[pairs[:, 0]] >= 0)
     if len(lit) == 0:
@@ -167,10 +165,7 @@ class _Light:
 class _Scan:
     """A scene and a capture as the compiled loops want them; the ends of pixels are made when they are asked for."""
 
-    task: WalkTask
-    tree: Hierarchy
-    occluders: Occluders
-    width: Floats
+    gathering: Gathering
     extended: bool
     """Whether some pixel is larger than a point."""
     patches_to_begin: int
@@ -179,13 +174,15 @@ class _Scan:
     )
 
     @classmethod
-    def of(cls, task: WalkTask) -> _Scan:
-        tree = Hierarchy.of(task.scene)
-        width = np.array([lobe_width(material) for material in task.scene.materials])
-        several = patches_of(task, np.arange(len(task.patches.radius)), 1).uneven[:, 0].any()
-        at_edge = bool(several or np.isinf(task.patches.radius).any())
+    def of(cls, gathering: Gathering) -> _Scan:
+        task, at_edge = gathering.task, bool(gathering.at_edge.any())
         small = task.patches.radius.max(initial=0.0) < 1e-3 * task.caster.half_extent_m
-        return cls(task, tree, Occluders.of(task.scene, tree), width, not small or at_edge, 2 if at_edge else 0)
+        return cls(gathering, not small or at_edge, 2 if at_edge else 0)
+
+    @property
+    def task(self) -> WalkTask:
+        """What is asked of the scene."""
+        return self.gathering.task
 
     def light(self, pairs: Ints, level: int, patches: int, allowed: float) -> _Light:
         """The secondary of some pairs of laser point and pixel, by cells of a level."""
@@ -208,18 +205,19 @@ class _Scan:
     ) -> tuple[float, int, int]:
         """Add the knots of a run of pairs; returns the sum of their gains, pairs of cells and rays."""
         task, axis, air = self.task, self.task.capture.time, self.task.scene.attenuation_per_m
+        tree, occluders, width = self.gathering.tree, self.gathering.occluders, self.gathering.width
         device, asked = axis.origin == "source", task.accuracy.occlusion != "off"
         lasers, i = np.unique(pairs[:, 0], return_inverse=True)
         pixels, p = np.unique(pairs[:, 1], return_inverse=True)
         seed = int(stream_seeds(task.seed, CLUSTER_STREAM, first, np.zeros(1, np.int64))[0])
         lit, leg1 = self._lasers(lasers)
         seen, weight, leg3 = self._pixels(pixels, patches, device)
-        materials, coarsest = task.materials, COARSEST * self.width
-        ones, rays = reach_of(lit, self.tree, self.occluders, materials, coarsest, error, True, seed)
+        materials, coarsest = task.materials, COARSEST * width
+        ones, rays = reach_of(lit, tree, occluders, materials, coarsest, error, True, seed)
         same = self._same(lit, seen, pairs)
         twos = ones
         if not same:
-            twos, more = reach_of(seen, self.tree, self.occluders, materials, coarsest, error, asked, seed)
+            twos, more = reach_of(seen, tree, occluders, materials, coarsest, error, asked, seed)
             rays += more
         legs = leg1[i] + leg3[p]
         gain = (np.exp(-air * legs) * weight[p]).astype(np.float64)
@@ -229,7 +227,7 @@ class _Scan:
         scale = np.array([*caster.center, caster.half_extent_m])
         waiting, (figures, rows), (origin, span) = self.room
         local = np.stack([i.reshape(-1), p.reshape(-1)], axis=1)
-        row, sharp = first + np.arange(len(pairs)), 1.0 / self.width**2
+        row, sharp = first + np.arange(len(pairs)), 1.0 / width**2
         at, cell, count = 0, -1, 0
         while at < len(pairs):
             at, cell, found = join(
@@ -239,7 +237,7 @@ class _Scan:
                 origin, span,
             )  # fmt: skip
             count += found
-            if asked and len(self.occluders.number):
+            if asked and len(occluders.number):
                 hidden = caster.occluded_scaled(origin[:found], span[:found])
                 rays += found
             else:
@@ -253,7 +251,7 @@ class _Scan:
             return False
         if (lit.part != seen.part).any() or (pairs[:, 0] != pairs[:, 1]).any():
             return False
-        near = 1e-6 * self.tree.extent
+        near = 1e-6 * self.gathering.tree.extent
         alike = np.abs(lit.position - seen.position).max(axis=(1, 2)) < near
         kinds = self.task.materials.kind[lit.part[:, 0]]
         alike &= (kinds == LAMBERTIAN) | (np.abs(lit.to_device - seen.to_device).max(axis=(1, 2)) < 1e-6)

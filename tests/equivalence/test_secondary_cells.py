@@ -17,6 +17,7 @@ from scipy import stats
 
 from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
 from datagen.transport import secondary_cells
+from datagen.transport.cells.gathering import Gathering
 from datagen.transport.fov import PixelCones
 from datagen.transport.primary import pairs_of
 from datagen.transport.secondary_cells import Secondary, secondary_by_cells
@@ -32,7 +33,8 @@ SPOTS = np.array([[0, -0.9, 0.6], [0, 0.3, 1.7], [0, 0.9, 1.1]])
 
 def of_cells(scene: Scene, capture: Capture, own: float = OWN, occlusion: str = "auto") -> Secondary:
     accuracy = Accuracy(target=0.02, max_bounces=4, occlusion=occlusion)  # type: ignore[arg-type]
-    found = secondary_by_cells(prepared(scene, capture, accuracy, 0, split_parts=False), np.inf, own)
+    task = prepared(scene, capture, accuracy, 0, split_parts=False)
+    found = secondary_by_cells(Gathering.of(task), np.inf, own)
     assert found is not None
     assert (found.histogram >= 0).all()
     return found
@@ -115,7 +117,7 @@ def test_in_a_sphere_each_bounce_multiplies_by_the_albedo(albedo: float, monkeyp
 def test_errors_fall_from_level_to_level_as_two_of_them_foretell() -> None:
     capture = scan("exhaustive", 5e-4)
     task = prepared(furnished_box(), capture, Accuracy(target=0.02, max_bounces=4), 0, split_parts=False)
-    found, pairs = secondary_cells._Scan.of(task), pairs_of(task)
+    found, pairs = secondary_cells._Scan.of(Gathering.of(task)), pairs_of(task)
     scale = (of_all := found.light(pairs, 0, 0, np.inf)).photons.sum() / of_all.gain
     runs = [
         found.light(pairs, k, 0, secondary_cells.PAIR * secondary_cells.FINER**k * scale).histogram for k in range(6)

@@ -35,6 +35,11 @@ def small_config(**changes: object) -> DatasetConfig:
     return config_from_mapping(values | changes)
 
 
+def noisy_config() -> DatasetConfig:
+    """`small_config` with a detector whose noise can be drawn anew."""
+    return small_config(detector={"mode": "ideal", "photons_per_pulse": 100.0, "cycles": 100})
+
+
 def large_config() -> DatasetConfig:
     """`small_config` with 4096 bins: a shard of transients is larger than any other file."""
     return small_config(capture={"scan": {"rows": 2, "columns": 2}, "time": {"bins": 4096}})

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from datasets import write_dataset
-from fake_samples import fake_sample, small_config
+from fake_samples import fake_sample, noisy_config
 from torch.utils.data import ConcatDataset, DataLoader, Subset
 
 import datagen as dg
@@ -31,8 +31,7 @@ def one_dark(config: DatasetConfig, index: int) -> Sample:
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    config = small_config(detector={"mode": "ideal", "photons_per_pulse": 100.0, "cycles": 100})
-    return write_dataset(config, tmp_path_factory.mktemp("events") / "set", one_dark)
+    return write_dataset(noisy_config(), tmp_path_factory.mktemp("events") / "set", one_dark)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 import torch
-from fake_samples import fake_sample, small_config
+from datasets import write_dataset
+from fake_samples import fake_sample, noisy_config
 from torch.utils.data import (
     ConcatDataset,
     DataLoader,
@@ -22,7 +23,6 @@ from torch.utils.data import (
     random_split,
 )
 
-from datagen.building.build import build
 from datagen.errors import InputError
 from datagen.loader import EpochSampler, TransientDataset, collate
 
@@ -32,10 +32,7 @@ EPOCHS = 3
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("noise") / "set"
-    config = small_config(detector={"mode": "ideal", "photons_per_pulse": 100.0, "cycles": 100})
-    build(config, root, progress=False, sample_function=fake_sample)
-    return root
+    return write_dataset(noisy_config(), tmp_path_factory.mktemp("noise") / "set", fake_sample)
 
 
 @pytest.fixture

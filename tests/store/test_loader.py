@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 import zarr
-from fake_samples import fails_at_5, fake_sample, small_config
+from datasets import write_dataset
+from fake_samples import fails_at_5, fake_sample, noisy_config, small_config
 from torch.utils.data import DataLoader
 
 from datagen.building.build import build
@@ -20,10 +21,7 @@ from datagen.loader import EpochSampler, TransientDataset, collate
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("loader") / "set"
-    config = small_config(detector={"mode": "ideal", "photons_per_pulse": 100.0, "cycles": 100})
-    build(config, root, progress=False, sample_function=fake_sample)
-    return root
+    return write_dataset(noisy_config(), tmp_path_factory.mktemp("loader") / "set", fake_sample)
 
 
 @pytest.fixture(params=["in memory", "from shards"])

@@ -64,6 +64,8 @@ class Gathering:
     occluders: Occluders
     lasers: Lasers
     clock: Clock
+    width: Floats
+    """(K,) rad, half width of the narrowest lobe of each part."""
     coarsest: Floats
     peak: Floats
     at_edge: Bools
@@ -87,8 +89,8 @@ class Gathering:
         past = np.isinf(task.patches.radius)
         at_edge = past | patches_of(task, np.arange(len(past)), 1).uneven[:, 0]
         return cls(
-            task, tree, Occluders.of(task.scene, tree), lasers, clock, COARSEST * np.minimum(width, seen), peak,
-            at_edge,
+            task, tree, Occluders.of(task.scene, tree), lasers, clock, width, COARSEST * np.minimum(width, seen),
+            peak, at_edge,
         )  # fmt: skip
 
     def levels(self) -> int:

@@ -19,6 +19,10 @@ from datagen.records.arrays import Floats, Ints
 
 LEAF = 2
 """Most triangles of a box that is not halved."""
+CLUSTER = 4
+"""Triangles of a box up to which each is a cell of its own; not below `LEAF`."""
+SMALLEST = 1e-8
+"""Smallest cell that is cut, relative to the scene."""
 MORTON_BITS = 16
 ON_PLANE = 1e-9
 """Distance from a plane, relative to the scene, below which a point lies on it."""
@@ -156,3 +160,17 @@ def _boxes(corners, ends, leaf):  # type: ignore[no-untyped-def]
 def _wait(waiting, top, first, last, parent):  # type: ignore[no-untyped-def]
     waiting[top, 0], waiting[top, 1], waiting[top, 2] = first, last, parent
     return top + 1
+
+
+@njit(cache=True)
+def one_of(first, last, area_before, word):  # type: ignore[no-untyped-def]
+    """One of the triangles first … last, drawn by area."""
+    wanted = area_before[first] + (np.float64(word) + 0.5) * 2.0**-32 * (area_before[last] - area_before[first])
+    low, high = first, last
+    while high - low > 1:
+        middle = (low + high) // 2
+        if area_before[middle] <= wanted:
+            low = middle
+        else:
+            high = middle
+    return low

@@ -20,18 +20,9 @@ from numba import njit
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.arrival import spread, widened
-from datagen.transport.cells.occlusion import (
-    RING,
-    above,
-    ball,
-    corner,
-    distance,
-    hidden,
-    less,
-    narrowed,
-    narrowed_to_box,
-    shaded,
-)  # fmt: skip
+from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less, longest, put
+from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, one_of
+from datagen.transport.cells.occlusion import RING, hidden, narrowed, narrowed_to_box, shaded
 from datagen.transport.sampling import mix
 
 COARSEST = 0.8
@@ -49,12 +40,8 @@ AT_ONCE = 0.01
 TURNS, FEWEST = 16, 1 / 64
 """Light up to which one quarter of a pixel stands for the others: relative to the error that a cell may make, and to
 what all of the part might bring."""
-SMALLEST = 1e-8
-"""Smallest cell that is cut, relative to the scene."""
 BOX, FRESH, CELL = 0, 1, 2
 """What waits to be looked at: a box, a cell, a cell whose vertices' light is known."""
-CLUSTER = 4
-"""Triangles of a box up to which each is a cell of its own; not below `hierarchy.LEAF`."""
 
 
 class Lasers(NamedTuple):
@@ -99,11 +86,6 @@ class Clock(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _at(array, i):  # type: ignore[no-untyped-def]
-    return (array[i, 0], array[i, 1], array[i, 2])
-
-
-@njit(cache=True, error_model="numpy")
 def _weight(y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint):  # type: ignore[no-untyped-def]
     """w(y) but for power, sensor and air, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
     path: a point, its normal, and the direction on to the device."""
@@ -138,20 +120,13 @@ def _push(tag, top, what, at, q, first, middle, last):  # type: ignore[no-untype
 @njit(cache=True)
 def _put(cell, k, vertex, y, w, path):  # type: ignore[no-untyped-def]
     """Vertex 0, 1 or 2 of waiting cell k, and what is known there."""
-    j = 5 * vertex
-    cell[k, j], cell[k, j + 1], cell[k, j + 2], cell[k, j + 3], cell[k, j + 4] = y[0], y[1], y[2], w, path
+    put(cell, k, 5 * vertex, y)
+    cell[k, 5 * vertex + 3], cell[k, 5 * vertex + 4] = w, path
 
 
 @njit(cache=True)
 def _vertex(cell, k, vertex):  # type: ignore[no-untyped-def]
-    j = 5 * vertex
-    return (cell[k, j], cell[k, j + 1], cell[k, j + 2])
-
-
-@njit(cache=True)
-def _half(a, b):  # type: ignore[no-untyped-def]
-    """The point between two."""
-    return (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]))
+    return get(cell, k, 5 * vertex)
 
 
 @njit(cache=True)
@@ -164,14 +139,8 @@ def _copy(cell, k, to):  # type: ignore[no-untyped-def]
 def _middle(cell, k):  # type: ignore[no-untyped-def]
     """The middle of waiting cell k, the side that is its longest, and that side's length."""
     a, b, c = _vertex(cell, k, 0), _vertex(cell, k, 1), _vertex(cell, k, 2)
-    u, v, w = less(b, a), less(c, b), less(a, c)
-    ab, bc, ca = dot(u, u), dot(v, v), dot(w, w)
-    side = 0 if ab >= bc and ab >= ca else 1 if bc >= ca else 2
-    return (
-        ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3),
-        side,
-        math.sqrt(max(ab, bc, ca)),
-    )
+    side, h = longest(a, b, c)
+    return ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3), side, h
 
 
 @njit(cache=True)
@@ -271,16 +240,8 @@ def _anywhere(first, last, area_before, corners, word):  # type: ignore[no-untyp
     """A point drawn uniformly on the triangles first … last, and which it lies on."""
     u = math.sqrt((np.float64(mix(word, np.uint64(1))) + 0.5) * 2.0**-32)
     v = (np.float64(mix(word, np.uint64(2))) + 0.5) * 2.0**-32
-    wanted = area_before[first]
-    wanted += (np.float64(word) + 0.5) * 2.0**-32 * (area_before[last] - area_before[first])
-    low, high = first, last
-    while high - low > 1:
-        middle = (low + high) // 2
-        if area_before[middle] <= wanted:
-            low = middle
-        else:
-            high = middle
-    return low, _on(corners, low, 1 - u, u * (1 - v), u * v)
+    f = one_of(first, last, area_before, word)
+    return f, _on(corners, f, 1 - u, u * (1 - v), u * v)
 
 
 @njit(cache=True, error_model="numpy")
@@ -377,9 +338,9 @@ def _gather(  # type: ignore[no-untyped-def]
         i, p = pairs[pair, 0], pairs[pair, 1]
         if part1[i] < 0 or (part3[p, 0] < 0 and not uneven3[p, 0]):
             continue
-        x, k1 = _at(position1, i), part1[i]
-        n1, lit, z = _at(normal1, i), power1[i], corner(position3, p, 0)
-        lit_from, kind1, values1 = (x, n1, _at(to_laser1, i)), kind[k1], values[k1]
+        x, k1 = get(position1, i, 0), part1[i]
+        n1, lit, z = get(normal1, i, 0), power1[i], corner(position3, p, 0)
+        lit_from, kind1, values1 = (x, n1, get(to_laser1, i, 0)), kind[k1], values[k1]
         apart = last_leg and not (x[0] == z[0] and x[1] == z[1] and x[2] == z[2])
         for k in range(len(roots)):
             if allowed[k] == np.inf:
@@ -402,7 +363,6 @@ def _gather(  # type: ignore[no-untyped-def]
                 seen_from, kind3, values3 = (z, n3, corner(to_sensor3, p, q)), kind[k3], values[k3]
                 share, size, footprint = cell[top, 16], size3[p, q], footprint3[p, q]
                 gain = lit * weight3[p, q] * share
-                may = allowed[k]
                 few = halve = False
                 if quarter:
                     if what == BOX:
@@ -413,7 +373,7 @@ def _gather(  # type: ignore[no-untyped-def]
                     else:
                         m, side, h = _middle(cell, top)
                         area, rise = cell[top, 15], _highest(cell, top, x, n1)
-                        height = abs(dot(less(x, _vertex(cell, top, 0)), _at(normal, at)))
+                        height = abs(dot(less(x, _vertex(cell, top, 0)), get(normal, at, 0)))
                         halve = h > max(size, SMALLEST * extent)
                     if rise <= 0.0 or most3[p, q] <= 0.0:
                         continue
@@ -423,13 +383,13 @@ def _gather(  # type: ignore[no-untyped-def]
                         most = at_most
                     # Whatever of the patch is seen, its light is little: one quarter stands for it, and such cells
                     # take turns, so that what one has too much of its neighbours lack.
-                    few = at_most <= min(TURNS * may, most * FEWEST)
+                    few = at_most <= min(TURNS * allowed[k], most * FEWEST)
                     turn += few and share == 1.0
                     if halve and not few:
                         if what == BOX:
                             top = _push_boxes(tag, cell, top, children[at], q, first, middle, last)
                         else:
-                            y = _half(_vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3))
+                            y = half(_vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3))
                             top = _push_halves(tag, cell, top, side, y, 0.0, 0.0, FRESH, at, q, first, middle, last)
                         continue
                 device = leg1[i] + leg3[p, q] if clock.device else 0.0
@@ -440,12 +400,14 @@ def _gather(  # type: ignore[no-untyped-def]
                     many = end - start > CLUSTER
                     if many:
                         area = area_before[end] - area_before[start]
-                        small, near3 = _small(around, at, x, z, gain * peak[k1] * peak[k] * peak[k3] * area, may)
+                        small, near3 = _small(
+                            around, at, x, z, gain * peak[k1] * peak[k] * peak[k3] * area, allowed[k]
+                        )
                         quarter = small and quarters and size > 0.3 * near3
                         if small and not quarter:
                             word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
                             f, y = _anywhere(start, end, area_before, corners, word)
-                            n = _at(normal, f)
+                            n = get(normal, f, 0)
                             w, r1, r3 = _weight(
                                 y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
                             )
@@ -483,7 +445,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             top = _push(tag, top, FRESH, f, q, first, middle, last)
                         continue
                 if what != BOX and not quarter:
-                    f, n = at, _at(normal, at)
+                    f, n = at, get(normal, at, 0)
                     if _highest(cell, top, x, n1) <= 0.0 or _highest(cell, top, z, n3) <= 0.0:
                         continue
                     a, b, c = _vertex(cell, top, 0), _vertex(cell, top, 1), _vertex(cell, top, 2)
@@ -504,7 +466,7 @@ def _gather(  # type: ignore[no-untyped-def]
                         m, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
                     )
                     cut, quarter, over, bend = _judged(
-                        cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], may, quarters, per_metre
+                        cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre
                     )
                     if height1 * height3 <= 0.0 or abs(height3) < flat:
                         # This side does not light the patch's middle; it may light parts of a large one.
@@ -514,7 +476,7 @@ def _gather(  # type: ignore[no-untyped-def]
                     if not (quarter or over > 0.0):
                         continue
                     # Seen or not, it can make no larger error than it may.
-                    visible, faint = 1.0, over <= may
+                    visible, faint = 1.0, over <= allowed[k]
                     if not quarter and proofs and first < last < enough and (cut or not faint):
                         half_way = narrowed(
                             x, a, b, c, f, candidates, first, middle, last, facet, number, box, link, flat, waiting
@@ -538,13 +500,13 @@ def _gather(  # type: ignore[no-untyped-def]
                             seen = 0
                             for j in range(3):
                                 rays += 1
-                                y = _half(m, _vertex(cell, top, j))
+                                y = half(m, _vertex(cell, top, j))
                                 seen += _seen(
                                     y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
                                 )
                             visible = seen / 3
                             # What three rays do not find may still be there: it is cut a little less eagerly.
-                            cut = seen < 3 and (PARTLY if seen > 0 else UNFOUND) * over > may
+                            cut = seen < 3 and (PARTLY if seen > 0 else UNFOUND) * over > allowed[k]
                             if seen == 0 and (
                                 not cut
                                 or _none_seen(
@@ -571,7 +533,7 @@ def _gather(  # type: ignore[no-untyped-def]
                     if h <= SMALLEST * extent:
                         continue
                     # Across the longest side.
-                    y = _half(_vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3))
+                    y = half(_vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3))
                     w, r1, r3 = _weight(
                         y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
                     )

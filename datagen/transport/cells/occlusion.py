@@ -15,6 +15,7 @@ from numba import njit
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot
+from datagen.transport.cells.geometry import above, ball, corner, cross, distance, less, unit
 from datagen.transport.cells.hierarchy import ON_PLANE, Hierarchy
 
 TINY = 1e-300
@@ -95,7 +96,7 @@ def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-u
             for side in range(6):
                 one, other = (i, j) if side < 3 else (j, i)
                 a, b = corner(corners, one, side % 3), corner(corners, one, (side + 1) % 3)
-                outward = _unit(cross(less(b, a), n))
+                outward = unit(cross(less(b, a), n))
                 if dot(less(corner(corners, one, (side + 2) % 3), a), outward) > 0.0:
                     outward = (-outward[0], -outward[1], -outward[2])
                 beyond = True
@@ -186,37 +187,6 @@ def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
         total += members[m]
         for j in range(3):
             low[j], high[j] = min(low[j], bounds[m, j]), max(high[j], bounds[m, 3 + j])
-
-
-@njit(cache=True, error_model="numpy")
-def less(a, b):  # type: ignore[no-untyped-def]
-    """a − b, of vectors."""
-    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
-
-
-@njit(cache=True, error_model="numpy")
-def cross(a, b):  # type: ignore[no-untyped-def]
-    """The vector product."""
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-
-
-@njit(cache=True, error_model="numpy")
-def distance(a, b):  # type: ignore[no-untyped-def]
-    """|a − b|, of points."""
-    d = less(a, b)
-    return np.sqrt(dot(d, d))
-
-
-@njit(cache=True, error_model="numpy")
-def _unit(n):  # type: ignore[no-untyped-def]
-    length = np.sqrt(dot(n, n))
-    return (n[0] / length, n[1] / length, n[2] / length)
-
-
-@njit(cache=True, error_model="numpy")
-def corner(corners, f, k):  # type: ignore[no-untyped-def]
-    """Corner k of triangle f."""
-    return (corners[f, k, 0], corners[f, k, 1], corners[f, k, 2])
 
 
 @njit(cache=True, error_model="numpy")
@@ -355,14 +325,6 @@ def _pair_listed(waiting, tail, one):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def ball(box, k):  # type: ignore[no-untyped-def]
-    """Middle and radius of the ball round a box."""
-    size = (box[k, 3] - box[k, 0], box[k, 4] - box[k, 1], box[k, 5] - box[k, 2])
-    middle = (box[k, 0] + 0.5 * size[0], box[k, 1] + 0.5 * size[1], box[k, 2] + 0.5 * size[2])
-    return middle, 0.5 * np.sqrt(dot(size, size))
-
-
-@njit(cache=True, error_model="numpy")
 def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, link, flat, waiting):  # type: ignore[no-untyped-def]
     """Those of the candidates first … last that may stand between x and some point of the triangle a, b, c on
     triangle `of`, boxes opened while they are few: written from `free` on; returns the end. None left is a proof.
@@ -420,15 +382,6 @@ def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, 
         candidates[end] = k
         end += 1
     return end
-
-
-@njit(cache=True, error_model="numpy")
-def above(box, k, x, n):  # type: ignore[no-untyped-def]
-    """How far the highest corner of a box lies above the plane through x with normal n."""
-    height = 0.0
-    for j in range(3):
-        height += max(n[j] * (box[k, j] - x[j]), n[j] * (box[k, 3 + j] - x[j]))
-    return height
 
 
 @njit(cache=True, error_model="numpy")

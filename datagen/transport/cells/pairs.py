@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 
 from datagen.transport.brdf import dot, evaluate
-from datagen.transport.cells.occlusion import less
+from datagen.transport.cells.geometry import get, half, less, longest, put
 from datagen.transport.cells.reach import (
     ALONG,
     BACK,
@@ -36,11 +36,7 @@ from datagen.transport.cells.reach import (
     SPAN,
     WEIGHT,
     condense,
-    get,
-    half,
     lit,
-    longest,
-    put,
 )
 from datagen.transport.raycast import lifted_and_scaled
 

@@ -20,16 +20,13 @@ from numba import njit
 
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot, evaluate
-from datagen.transport.cells.hierarchy import Hierarchy
-from datagen.transport.cells.occlusion import Occluders, above, ball, corner, distance, hidden, less, shaded
+from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less, longest, put
+from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, Hierarchy, one_of
+from datagen.transport.cells.occlusion import Occluders, hidden, shaded
 from datagen.transport.sampling import mix
 
 PARTLY, UNFOUND = 4.0, 0.4
 """Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
-SMALLEST = 1e-8
-"""Smallest cell that is cut, relative to the scene."""
-CLUSTER = 4
-"""Triangles of a box up to which each is a cell of its own; not below `hierarchy.LEAF`."""
 
 WEIGHT, PATH, SIZE, COLUMNS = 9, 12, 15, 16
 """Columns of a cell: nine coordinates of its vertices, w and path there, and the area of it that is not hidden."""
@@ -121,32 +118,6 @@ def lit(y, n, p, ends, kind, values):  # type: ignore[no-untyped-def]
     return w, path / whole
 
 
-@njit(cache=True)
-def half(a, b):  # type: ignore[no-untyped-def]
-    """The point between two."""
-    return (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]))
-
-
-@njit(cache=True)
-def put(cell, k, j, v):  # type: ignore[no-untyped-def]
-    """Three numbers from column j on."""
-    cell[k, j], cell[k, j + 1], cell[k, j + 2] = v[0], v[1], v[2]
-
-
-@njit(cache=True)
-def get(cell, k, j):  # type: ignore[no-untyped-def]
-    """Three numbers from column j on."""
-    return (cell[k, j], cell[k, j + 1], cell[k, j + 2])
-
-
-@njit(cache=True)
-def longest(a, b, c):  # type: ignore[no-untyped-def]
-    """Which side of a triangle is its longest, and how long."""
-    u, v, w = less(b, a), less(c, b), less(a, c)
-    ab, bc, ca = dot(u, u), dot(v, v), dot(w, w)
-    return 0 if ab >= bc and ab >= ca else 1 if bc >= ca else 2, math.sqrt(max(ab, bc, ca))
-
-
 @njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
 def condense(cell, k, number, to, p, ends, kind, values):  # type: ignore[no-untyped-def]
     """What other cells know of cell k of end p, but for its normal, the direction to its end and the blur.
@@ -181,20 +152,6 @@ def condense(cell, k, number, to, p, ends, kind, values):  # type: ignore[no-unt
     put(number, to, SPAN + 3, (two * s[0], two * s[1], two * s[2]))
     number[to, ALONG], number[to, ALONG + 1] = one * (rb - ra), two * (rc - 0.5 * (ra + rb))
     _, number[to, LONG] = longest(a, b, c)
-
-
-@njit(cache=True)
-def _one_of(first, last, area_before, word):  # type: ignore[no-untyped-def]
-    """One of the triangles first … last, drawn by area."""
-    wanted = area_before[first] + (np.float64(word) + 0.5) * 2.0**-32 * (area_before[last] - area_before[first])
-    low, high = first, last
-    while high - low > 1:
-        middle = (low + high) // 2
-        if area_before[middle] <= wanted:
-            low = middle
-        else:
-            high = middle
-    return low
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
@@ -234,25 +191,9 @@ def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
 def _cut(  # type: ignore[no-untyped-def]
-    ends,
-    tree,
-    occluders,
-    kind,
-    values,
-    coarsest,
-    error,
-    asked,
-    seed,
-    first,
-    cell,
-    known,
-    part_of,
-    boxes,
-    waits,
-    wait_area,
-    candidates,
-    waiting,
-):
+    ends, tree, occluders, kind, values, coarsest, error, asked, seed, first, cell, known, part_of, boxes, waits,
+    wait_area, candidates, waiting,
+):  # fmt: skip
     """Fill `first`, `cell`, `known` and `part_of`; returns the rays asked, or −1 where there is no room."""
     corners, normal, area_before, around, children = tree.corners, tree.normal, tree.area, tree.box, tree.children
     span, roots, smallest, flat = tree.span, tree.roots, SMALLEST * tree.extent, occluders.flat
@@ -281,7 +222,7 @@ def _cut(  # type: ignore[no-untyped-def]
                         closed += 2
                         continue
                     word = mix(mix(np.uint64(seed), np.uint64(p)), np.uint64(at))
-                    start = _one_of(start, end, area_before, word)
+                    start = one_of(start, end, area_before, word)
                     end = start + 1
                 for f in range(start, end):
                     n = get(normal, f, 0)
@@ -304,12 +245,17 @@ def _cut(  # type: ignore[no-untyped-def]
                         a, b, c = get(waits[top], 0, 0), get(waits[top], 1, 0), get(waits[top], 2, 0)
                         m = ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3)
                         side, h = longest(a, b, c)
-                        wm, r = lit(m, n, p, ends, kind, values)
-                        wa, ra = lit(a, n, p, ends, kind, values)
-                        wb, rb = lit(b, n, p, ends, kind, values)
-                        wc, rc = lit(c, n, p, ends, kind, values)
+                        if count == len(cell):
+                            return -1
+                        # It is written where it will stand if it stays.
+                        brightest, r = lit(m, n, p, ends, kind, values)
+                        for j in range(3):
+                            y = get(waits[top], j, 0)
+                            put(cell, count, 3 * j, y)
+                            cell[count, WEIGHT + j], cell[count, PATH + j] = lit(y, n, p, ends, kind, values)
+                            brightest = max(brightest, cell[count, WEIGHT + j])
                         size = wait_area[top]
-                        ratio, over = h / distance(m, x), size * max(wm, wa, wb, wc)
+                        ratio, over = h / distance(m, x), size * brightest
                         if not over > 0.0 and ratio < coarsest[k]:
                             continue
                         cut = cluster == 0.0 and (ratio > coarsest[k] or over * ratio * ratio > error)
@@ -342,13 +288,6 @@ def _cut(  # type: ignore[no-untyped-def]
                             put(waits[top + 1], (side + 1) % 3, 0, y)
                             top += 2
                             continue
-                        if count == len(cell):
-                            return -1
-                        put(cell, count, 0, a)
-                        put(cell, count, 3, b)
-                        put(cell, count, 6, c)
-                        put(cell, count, WEIGHT, (wa, wb, wc))
-                        put(cell, count, PATH, (ra, rb, rc))
                         cell[count, SIZE] = visible * size
                         put(known, count, NORMAL, n)
                         back = distance(x, m)

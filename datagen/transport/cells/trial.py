@@ -23,9 +23,8 @@ COARSE = 1e300
 FIRST, FINER, LEVELS = 0.03, 0.25, 12
 """Error that a cell may make, relative to the norm of its part, after the coarsest cutting; what it is multiplied
 with from one cutting to the next, finer one; and the number of cuttings at most."""
-GROWN, LEAP = 1.5, FINER
-"""Work of a cutting that is finer in fact, relative to the one that it is compared with; and what the error of a cell
-is multiplied with where the last step was none."""
+GROWN = 1.5
+"""Cells of a cutting that is finer in fact, relative to the one that it is compared with."""
 REST = 1.6
 """Error of a cutting, relative to its difference from the next: errors fall to about four tenths, and
 1 + 0.4 + 0.16 + … is this."""
@@ -158,13 +157,13 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
     every, settled = np.arange(parts), np.zeros(parts, np.bool_)
     found = trial.gathered(np.full(parts, COARSE), trial.levels)
     runs, cuttings, cells = [found.histogram], [np.full(parts, COARSE)], [found.cells]
-    whole, own = float(np.linalg.norm(runs[0].sum(axis=1))), _norms(runs[0])
+    whole, own = _norm(runs[0]), _norms(runs[0])
     if whole == 0.0:
         return None
     cutting = FIRST / FINER * np.maximum(own, UNSEEN * whole) / math.sqrt(trial.weight.sum())
-    finest, stuck = np.zeros(parts, np.int64), np.zeros(parts, np.bool_)
+    finest = np.zeros(parts, np.int64)
     while True:
-        cutting = cutting * np.where(stuck, LEAP, FINER)
+        cutting = FINER * cutting
         before = trial.work.cells + trial.work.rays
         found = trial.gathered(np.where(settled, np.inf, cutting), trial.levels)
         found.histogram[:, settled] = runs[-1][:, settled]
@@ -172,7 +171,7 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         cuttings.append(np.where(settled, cuttings[-1], cutting))
         cells.append(np.where(settled, cells[-1], found.cells))
         finest[~settled] = len(runs) - 1
-        whole, own = float(np.linalg.norm(runs[-1].sum(axis=1))), _norms(runs[-1])
+        whole, own = _norm(runs[-1]), _norms(runs[-1])
         held = asked.objects & (own > 0) & (trial.energy(runs[-1]) >= asked.faint)
         limit = np.where(held, asked.part_target * own, np.inf)
         still, last = _still(runs, finest), len(runs) > LEVELS
@@ -200,7 +199,6 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         waits = math.sqrt(parts) * still[finest - 1, every] > SETTLED * asked.target * whole
         settled |= (level < finest) & (enough | ~waits)
         settled &= not settled.all()
-        stuck = cells[-1] < GROWN * cells[-2]
 
 
 @dataclass(frozen=True)
@@ -216,15 +214,14 @@ class Quartering:
 def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quartering | None:
     """As seldom as gives what the trial's own patches do; None where there is no room for so many of all `pixels`."""
     at_edge = trial.gathering.at_edge[trial.pairs[:, 1]]
-    edges, even = trial.some(at_edge), trial.some(~at_edge)
+    edges, even, finest = trial.some(at_edge), trial.some(~at_edge), choice.histogram[~at_edge]
     fewer = edges.gathered(choice.tried, 0, fewer=1).histogram
     beside = FROM_FEWER * (choice.histogram[at_edge] - fewer)
     for levels in range(trial.levels + 1):
         if levels > 0 and pixels * 4 ** (levels + 1) > MOST_PATCHES:
             break
-        change = choice.histogram[~at_edge] - (
-            even.gathered(choice.tried, levels).histogram if levels < trial.levels else choice.histogram[~at_edge]
-        )
+        found = even.gathered(choice.tried, levels).histogram if levels < trial.levels else finest
+        change = finest - found
         do = _norm(change) <= PATCHES_SHARE * asked.target * choice.whole
         if do and (_norms(change) <= PATCHES_SHARE * choice.limit).all():
             error = math.hypot(_norm(change), _norm(beside))

@@ -9,6 +9,7 @@ import numpy as np
 from datagen.records import Spend
 from datagen.records.arrays import Floats
 from datagen.transport.averages import Estimate, split_rows
+from datagen.transport.cells.gathering import Gathering
 from datagen.transport.cost import CELL, CELL_PAIR, CELL_RAY, PAIR_RAY
 from datagen.transport.primary import Primary, primary_by_cells, smooth
 from datagen.transport.secondary_cells import Secondary, secondary_by_cells
@@ -53,14 +54,15 @@ def meet_target(task: WalkTask) -> Estimate:
     if not smooth(task):
         return _sampled(task, None)
     share = PRIMARY_SHARE if splits.others else 1.0
-    primary = primary_by_cells(task, share * accuracy.target, accuracy.each_part, accuracy.faint_part)
+    gathering = Gathering.of(task)
+    primary = primary_by_cells(gathering, share * accuracy.target, accuracy.each_part, accuracy.faint_part)
     if primary is None:
         return _sampled(task, None)
     found = {"primary": _of_primary(primary)}
     if "secondary" in splits.components and accuracy.strongest is None:
         limit = SECONDARY_SHARE * accuracy.target * float(np.linalg.norm(found["primary"].light))
         own = min(SECONDARY_OWN * accuracy.each_part, 1.0)
-        secondary = secondary_by_cells(task, limit, own, accuracy.faint_part)
+        secondary = secondary_by_cells(gathering, limit, own, accuracy.faint_part)
         if secondary is not None:
             found["secondary"] = _of_secondary(secondary)
     left = tuple(name for name in splits.others if name not in found)
