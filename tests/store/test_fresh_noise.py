@@ -104,7 +104,9 @@ def loaders(data: TransientDataset) -> Iterator[tuple[str, Any]]:
     yield "DistributedSampler", alive(DataLoader(data, 5, sampler=DistributedSampler(data, 1, 0)))
     # What Lightning does: a loader of the same dataset with a sampler of its own, at every fit.
     yield "an injected sampler", made_anew(sampler=DistributedSampler(data, 1, 0, shuffle=False), **fork)
-    yield "spawned workers", itertools.repeat(DataLoader(data, 6, num_workers=1, multiprocessing_context="spawn"), 2)
+    # A process that is started after the first epoch is handed where the dataset stands.
+    spawned = DataLoader(data, 6, num_workers=1, multiprocessing_context="spawn")
+    yield "a spawned worker", iter([DataLoader(data, 5), spawned])
 
 
 @pytest.mark.parametrize("number", range(12))
