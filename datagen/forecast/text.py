@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from datagen.building.engines import check_workers
 from datagen.config import DatasetConfig
 from datagen.errors import InputError
 from datagen.forecast.forecast import Forecast, Outcome, forecast, outcomes, records_of
@@ -34,8 +35,7 @@ def make_forecast(config: DatasetConfig, workers: int = 1, budget_s: float = BUD
     """
     from datagen.pipeline import check_inputs
 
-    if workers < 1:
-        raise InputError(f"--workers {workers}: must be ≥ 1")
+    check_workers(workers)
     if not 0 < budget_s < math.inf:
         raise InputError(f"--seconds {budget_s:g}: must be > 0, such as {BUDGET_S:g}")
     check_inputs(config)
