@@ -114,6 +114,8 @@ def build(
     began = time.monotonic()
     check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
     check_kind("path", path, str, os.PathLike, remedy="name the folder to make")
+    if str(path) == "":
+        raise InputError("OUT = '': names no folder; name the one to make")
     if scenes is not None:
         config = config.with_scenes(scenes)
     root = Path(path)

@@ -103,13 +103,16 @@ def load_config(path: str | Path) -> DatasetConfig:
 
 
 def config_from_mapping(
-    values: dict[str, Any], source: str = "configuration", base_directory: str | Path = "."
+    values: dict[str, Any], source: str = "configuration", base_directory: str | Path | None = "."
 ) -> DatasetConfig:
-    """The configuration that plain values describe; `base_directory` is where relative mesh paths start."""
+    """The configuration that plain values describe; `base_directory` is where relative mesh paths start, None where
+    no mesh file need be there."""
     try:
         # JSON mode: strict about types, yet a list may stand for a tuple.
         text = json.dumps(values)
-        return DatasetConfig.model_validate_json(text, context={"base_directory": str(base_directory)})
+        return DatasetConfig.model_validate_json(
+            text, context=None if base_directory is None else {"base_directory": str(base_directory)}
+        )
     except pydantic.ValidationError as error:
         raise_input_error(source, error, DatasetConfig)
         raise

@@ -20,7 +20,7 @@ from datagen.effects.trial import few_samples
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scalar, Scene, TimeAxis, Transient
 from datagen.records.checks import check_kind, check_number, check_seed
-from datagen.transport import simulate
+from datagen.transport import transient_of
 
 EFFECTS: tuple[Effect[Any], ...] = (*TRANSPORT_EFFECTS, *DETECTOR_EFFECTS)
 """Every effect there is, one row each, in the order in which light meets them."""
@@ -145,7 +145,7 @@ def plan_effects(
     if transient is None:
         reduced_scene, reduced = decided.apply_transport(scene, capture, accuracy)
         few = few_samples(reduced, FORESEEN_LOOKINS)
-        transient = simulate(reduced_scene, capture, few, seed=seed, split_parts=False)
+        transient = transient_of(reduced_scene, capture, few, seed=seed, split_parts=False)
     seen = (transient.total, capture.time, spad, exposure or Exposure())
     return decided + decide_detector_effects(*seen, settings, tolerance)
 

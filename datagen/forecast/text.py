@@ -18,7 +18,8 @@ from datagen.store.card import readable
 from datagen.store.environment import cores, environment, hardware
 from datagen.store.files import finite, json_bytes, write_atomically
 
-BUDGET_S = 15.0
+BUDGET_S = 1.5
+"""Enough for three or four scenes of an ordinary scan; a plan is to be answered at once."""
 BUSY = 0.8
 """Pilots that got a smaller share of a core than this were held up by other processes, which the plan then says."""
 

@@ -81,9 +81,23 @@ def simulate(
     accuracy = Accuracy() if accuracy is None else accuracy
     check_kind("accuracy", accuracy, Accuracy, remedy="an error to be met is Accuracy(target=0.05)")
     check_seed(seed)
+    found = transient_of(scene, capture, accuracy, seed, split_parts=split_parts)
+    if found.overflow.any() and not found.total.any():
+        start, stop = capture.time.start_s * 1e9, capture.time.stop_s * 1e9
+        warn(
+            f"simulate: all light arrives outside the time axis, {start:.4g} … {stop:.4g} ns; is the scene in m?",
+            InputWarning, stacklevel=2,
+        )  # fmt: skip
+    return found
+
+
+def transient_of(
+    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool = True
+) -> Transient:
+    """`simulate` of what was checked already, such as the scenes of a dataset; it warns of nothing."""
     if capture.illumination == "flood":
         one_by_one = replace(capture, illumination="scan")
-        return flooded(simulate(scene, one_by_one, accuracy, seed, split_parts=split_parts))
+        return flooded(transient_of(scene, one_by_one, accuracy, seed, split_parts=split_parts))
     began = clock_time.perf_counter()
     task = prepared(scene, capture, accuracy, seed, split_parts=split_parts)
     ready = clock_time.perf_counter()
@@ -95,16 +109,9 @@ def simulate(
         estimate = _with_factorised(task, average)
     finished = clock_time.perf_counter()
     seconds = {"prepare": ready - began, "trace": traced - ready, "secondary": finished - traced}
-    found = Transient(
+    return Transient(
         time=capture.time, laser_points=task.points.position, seconds=seconds, rays=task.sight.rays, **vars(estimate)
     )
-    if found.overflow.any() and not found.total.any():
-        start, stop = capture.time.start_s * 1e9, capture.time.stop_s * 1e9
-        warn(
-            f"simulate: all light arrives outside the time axis, {start:.4g} … {stop:.4g} ns; is the scene in m?",
-            InputWarning, stacklevel=2,
-        )  # fmt: skip
-    return found
 
 
 def prepared(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool) -> WalkTask:
