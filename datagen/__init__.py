@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from datagen.config import DatasetConfig, EffectsConfig, SceneConfig, load_config
     from datagen.detector import Exposure, Spad, detect, expected_histogram
     from datagen.effects import Decision, EffectDecisions, plan_effects
-    from datagen.errors import CheckError, InputError
+    from datagen.errors import CheckError, InputError, InputWarning
     from datagen.loader import EpochSampler, TransientDataset, collate, dense
     from datagen.paper.as_printed import AsPrinted, simulate_as_printed
     from datagen.records import (
@@ -46,11 +46,11 @@ if TYPE_CHECKING:
 # Type checkers want a literal; `_HOME` says at run time where each of these names is.
 __all__ = [
     "GGX", "Accuracy", "AsPrinted", "BuildResult", "Capture", "CheckError", "DatasetConfig", "Decision",
-    "EffectDecisions", "EffectsConfig", "EpochSampler", "Exposure", "InputError", "Lambertian", "Laser", "Material",
-    "OrenNayar", "Part", "Phong", "Pose", "Rectangle", "Retroreflector", "Sample", "Scene", "SceneConfig", "Sensor",
-    "SinLobe", "Spad", "Spend", "TimeAxis", "Transient", "TransientDataset", "__version__", "build", "capture_for",
-    "collate", "dense", "detect", "expected_histogram", "generate_scene", "load_config", "plan_effects", "simulate",
-    "simulate_as_printed",
+    "EffectDecisions", "EffectsConfig", "EpochSampler", "Exposure", "InputError", "InputWarning", "Lambertian",
+    "Laser", "Material", "OrenNayar", "Part", "Phong", "Pose", "Rectangle", "Retroreflector", "Sample", "Scene",
+    "SceneConfig", "Sensor", "SinLobe", "Spad", "Spend", "TimeAxis", "Transient", "TransientDataset",
+    "__version__", "build", "capture_for", "collate", "dense", "detect", "expected_histogram", "generate_scene",
+    "load_config", "plan_effects", "simulate", "simulate_as_printed",
 ]  # fmt: skip
 _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "AsPrinted": "datagen.paper.as_printed",
@@ -63,6 +63,7 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "EpochSampler": "datagen.loader",
     "Exposure": "datagen.detector",
     "InputError": "datagen.errors",
+    "InputWarning": "datagen.errors",
     "SceneConfig": "datagen.config",
     "Spad": "datagen.detector",
     "TransientDataset": "datagen.loader",

@@ -14,17 +14,28 @@ from datagen.errors import CheckError
 from datagen.exit_status import guarded
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
 @click.version_option(__version__, message="datagen %(version)s")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Datasets for machine learning on non-line-of-sight single-photon data."""
+    _help_alone(context)
+
+
+def _help_alone(context: click.Context) -> None:
+    """Print the help of a group that is named without a command."""
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
 
 
 @cli.command()
 @click.argument("config")
 @click.option("--scenes", type=int, help="Instead of the configuration's number of scenes.")
 @click.option("--workers", type=int, default=1, show_default=True, help="Processes of the build, one core each.")
-@click.option("--seconds", type=float, default=15.0, show_default=True, help="Budget for simulating pilot scenes.")
+@click.option("--seconds", type=float, default=1.5, show_default=True, help="Budget for simulating pilot scenes.")
 @click.option("--json", "json_path", help="Write the forecast to this file, too.")
 @click.option("--against", help="A dataset built from CONFIG: show what it came to beside what was expected.")
 def plan(
@@ -189,9 +200,11 @@ class _Benches(click.Group):
             formatter.write_dl(list(self.MODULES.items()))
 
 
-@cli.group(cls=_Benches)
-def bench() -> None:
+@cli.group(cls=_Benches, invoke_without_command=True)
+@click.pass_context
+def bench(context: click.Context) -> None:
     """Measure speed; tables name the machine."""
+    _help_alone(context)
 
 
 @cli.command()

@@ -10,6 +10,10 @@ class InputError(ValueError):
     """
 
 
+class InputWarning(UserWarning):
+    """Input that is legal and most likely not meant: an aperture of 20 m, bins of 100 s, a scene in millimetres."""
+
+
 class CheckError(RuntimeError):
     """A check that was asked for did not pass (exit status 1): a corrupt dataset, scenes that failed."""
 

@@ -20,7 +20,7 @@ from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
 from datagen.seeding import Purpose, derived_seed
-from datagen.transport import simulate
+from datagen.transport import transient_of
 
 
 def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig | None = None) -> Sample:
@@ -43,7 +43,7 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
         own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
         lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
         accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
-        transient = simulate(lit, capture, accuracy, seed=own_seed, split_parts=False)
+        transient = transient_of(lit, capture, accuracy, seed=own_seed, split_parts=False)
     with _timed(seconds, "effects"):
         effects += detector_effects(config, transient, spad, exposure)
     with _timed(seconds, "detector"):

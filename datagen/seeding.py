@@ -29,8 +29,9 @@ def seed_sequence(
     dataset_seed: int, scene_index: int, purpose: Purpose, attempt: int = 0, part: int = 0
 ) -> np.random.SeedSequence:
     """The seed sequence of one purpose of one scene (numpy's `SeedSequence`, spawn key as path)."""
-    if dataset_seed < 0 or scene_index < 0:
-        raise InputError(f"seed={dataset_seed}, index={scene_index}: both must be integers ≥ 0")
+    for name, value in (("seed", dataset_seed), ("index", scene_index)):
+        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 0:
+            raise InputError(f"{name} = {value!r}: must be an integer ≥ 0")
     return np.random.SeedSequence(dataset_seed, spawn_key=(int(purpose), scene_index, attempt, part))
 
 

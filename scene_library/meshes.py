@@ -13,15 +13,8 @@ from scene_library.solids import Solid
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 
-_ROTATION_UP = {
-    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
-    "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
-    "x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
-    "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
-}
-"""Rotations (rows) that take the named axis of the file to +z."""
+FRONTS = {"z": "-y", "-z": "y", "y": "z", "-y": "-z", "x": "-y", "-x": "-y"}
+"""Axis of the file that points up → the one that points to the front where nothing is said."""
 
 
 class BadMesh(ValueError):
@@ -30,9 +23,17 @@ class BadMesh(ValueError):
 
 @dataclass(frozen=True)
 class MeshOptions:
-    """How a file is read. `up`: its upward axis; `max_triangles`: simplify above that number, None: never."""
+    """How a file is read.
+
+    Attributes
+    ----------
+    up : its upward axis.
+    front : the axis that its front looks along, across `up`; None: that of `FRONTS`.
+    max_triangles : simplify above that number; None: never.
+    """
 
     up: str = "z"
+    front: str | None = None
     max_triangles: int | None = None
 
 
@@ -65,12 +66,25 @@ def _unit(path: Path, options: MeshOptions) -> Solid:
     _check_steps(vertices)
     if options.max_triangles is not None and len(faces) > options.max_triangles:
         vertices, faces = cleaned(*simplified(vertices, faces, options.max_triangles))
-    vertices = vertices @ np.array(_ROTATION_UP[options.up], np.float64).T
+    vertices = vertices @ _upright(options.up, options.front or FRONTS[options.up]).T
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     if not high[2] - low[2] > 1e-9 * float((high - low).max()):
-        raise BadMesh(f"is flat along its upward axis {options.up}, so it has no height to scale; set another `up`")
+        across = ", ".join(axis for axis in "xyz" if axis != options.up[-1])
+        raise BadMesh(
+            f"is flat along its upward axis {options.up}, so it has no height to scale; set another `up` ({across})"
+        )
     vertices = (vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]) / (high[2] - low[2])
     return Solid.of(vertices, faces)
+
+
+def _upright(up: str, front: str) -> NDArray[np.float64]:
+    """(3, 3) rotation that takes the file's axis `up` to +z and its axis `front` to −y."""
+    z, y = _axis(up), -_axis(front)
+    return np.stack([np.cross(y, z), y, z]) + 0.0
+
+
+def _axis(name: str) -> NDArray[np.float64]:
+    return np.asarray((-1.0 if name.startswith("-") else 1.0) * np.eye(3)["xyz".index(name[-1])])
 
 
 def _check_steps(vertices: NDArray[np.float64]) -> None:
@@ -114,9 +128,30 @@ def _pieces(loaded: Any) -> Any:
         transform, name = loaded.graph[node]
         geometry = loaded.geometry[name]
         faces = getattr(geometry, "faces", None)
+        if faces is None:
+            faces = _strips(geometry)
         if faces is not None and len(faces):
             vertices = np.asarray(geometry.vertices, np.float64)
             yield vertices @ transform[:3, :3].T + transform[:3, 3], np.asarray(faces, np.int64)
+
+
+def _strips(geometry: Any) -> NDArray[np.int64] | None:
+    """(F, 3) triangles of the strips of a PLY file (element `tristrips`), which trimesh reads and leaves aside; −1
+    ends a strip. None where there are none."""
+    data = getattr(geometry, "metadata", {}).get("_ply_raw", {}).get("tristrips", {}).get("data")
+    if data is None or not len(data):
+        return None
+    lists = next(iter(data.values())) if isinstance(data, dict) else data[data.dtype.names[0]]["f1"]
+    found = [np.empty((0, 3), np.int64)]
+    for strip in lists:
+        for piece in np.split(np.asarray(strip, np.int64), np.flatnonzero(np.less(strip, 0))):
+            piece = piece[piece >= 0]
+            if len(piece) > 2:
+                corners = np.lib.stride_tricks.sliding_window_view(piece, 3)
+                # Every second triangle of a strip runs the other way round.
+                odd = np.arange(len(corners))[:, None] % 2 == 1
+                found.append(np.where(odd, corners[:, [1, 0, 2]], corners))
+    return np.concatenate(found)
 
 
 def cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -33,13 +33,36 @@ def rotation(angle_rad: float) -> NDArray[np.float64]:
 
 
 def convex_hull(points: ArrayLike) -> Polygon:
-    """Counter-clockwise convex hull of (n, 2) points (Qhull); the points must not lie on one line."""
+    """Counter-clockwise convex hull of (n, 2) points (Qhull); of points on one line, a strip a hair wide."""
     p = np.asarray(points, np.float64)
     if len(p) <= 4 and _is_convex(p):
         return p if signed_area(p) > 0 else p[::-1]
+    strip = _strip_about(p)
+    if strip is not None:
+        return strip
     from scipy.spatial import ConvexHull
 
     return np.asarray(p[ConvexHull(p).vertices])
+
+
+_HAIR = 1e-6
+"""Width over length below which points lie on one line, and that of the strip about them."""
+
+
+def _strip_about(p: Polygon) -> Polygon | None:
+    """The rectangle about points that lie on one line, as the plan of an upright sheet does; None: they do not."""
+    far = p[np.argmax(((p - p[0]) ** 2).sum(axis=1))] - p[0]
+    length = float(np.linalg.norm(far))
+    if length == 0:
+        return None
+    along = far / length
+    axes = np.stack([along, [-along[1], along[0]]])
+    low, high = ((p - p[0]) @ axes.T).min(axis=0), ((p - p[0]) @ axes.T).max(axis=0)
+    if high[1] - low[1] > _HAIR * length:
+        return None
+    hair = np.array([0.0, 0.5 * _HAIR * length])
+    (t0, s0), (t1, s1) = low - hair, high + hair
+    return np.asarray(np.array([[t0, s0], [t1, s0], [t1, s1], [t0, s1]]) @ axes + p[0])
 
 
 def _is_convex(p: Polygon) -> bool:

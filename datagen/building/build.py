@@ -7,6 +7,8 @@ workers, any engine, and any number of interruptions.
 
 from __future__ import annotations
 
+import math
+import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
@@ -23,6 +25,7 @@ from datagen.building.time_limit import LONGEST_SCENE_S, overtime
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
+from datagen.records.checks import check_kind, check_number
 from datagen.store.environment import made_with, mixed
 
 SampleFunction = Callable[[DatasetConfig, int], Sample]
@@ -109,6 +112,10 @@ def build(
     (True, 2, (4, 1, 64))
     """
     began = time.monotonic()
+    check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
+    check_kind("path", path, str, os.PathLike, remedy="name the folder to make")
+    if str(path) == "":
+        raise InputError("OUT = '': names no folder; name the one to make")
     if scenes is not None:
         config = config.with_scenes(scenes)
     root = Path(path)
@@ -153,6 +160,7 @@ def build(
 def _check_scene_seconds(scene_seconds: float | None, engine: str) -> None:
     if scene_seconds is None:
         return
+    check_number("build", "scene_seconds", scene_seconds, -math.inf, math.inf, "seconds")
     if not 0 < scene_seconds <= LONGEST_SCENE_S:
         raise InputError(f"--scene-seconds {scene_seconds:g}: must be > 0 and ≤ {LONGEST_SCENE_S:g}")
     if engine != "local":
@@ -287,6 +295,7 @@ def parse_shards(text: str | None, shards: int) -> list[int]:
     """`"0-99"`, `"3,7-9"` → shard numbers, ascending; None: all of them."""
     if text is None:
         return list(range(shards))
+    check_kind("shards", text, str, remedy="such as '0-99'")
     chosen: set[int] = set()
     for piece in text.split(","):
         first, dash, last = piece.partition("-")

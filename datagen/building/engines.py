@@ -16,6 +16,7 @@ from typing import Any, NoReturn, Protocol
 
 from datagen.errors import InputError
 
+MOST_WORKERS = 4096
 SHARDS_PER_PROCESS = 16
 """A worker process is replaced after so many shards, so that no leak in a library lasts."""
 PATIENCE_S = 3.0
@@ -204,10 +205,16 @@ class DaskCluster:
             self._cluster.close()
 
 
+def check_workers(workers: int) -> None:
+    """Raise `InputError` unless so many processes can be asked for."""
+    if not isinstance(workers, int) or isinstance(workers, bool) or not 1 <= workers <= MOST_WORKERS:
+        raise InputError(f"--workers {workers}: must be ≥ 1 and ≤ {MOST_WORKERS}, one a core")
+
+
 def check_engine(engine: str, workers: int, scheduler: str | None) -> None:
-    """Raise `InputError` for an engine that is none, no workers, Dask not installed, a scheduler without Dask."""
-    if workers < 1:
-        raise InputError(f"--workers {workers}: must be ≥ 1")
+    """Raise `InputError` for an engine that is none, no workers or too many, Dask not installed, a scheduler without
+    Dask."""
+    check_workers(workers)
     if engine not in ("local", "dask"):
         raise InputError(f"--engine {engine}: must be local or dask")
     if engine == "local" and scheduler is not None:

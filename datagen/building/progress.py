@@ -29,7 +29,7 @@ class Progress:
     def under_way(self, scenes: int) -> None:
         """Scenes finished in shards that are not."""
         if self._bar is not None:
-            self._bar.n = min(self._total, self._done + scenes)
+            self._advance(self._done + scenes)
             self._bar.refresh()
 
     def shard_done(self, shard: int, scenes: int, failures: int) -> None:
@@ -37,7 +37,7 @@ class Progress:
         self._done += scenes
         self._failures += failures
         if self._bar is not None:
-            self._bar.n = self._done
+            self._advance(self._done)
             self._bar.set_postfix(failed=self._failures) if self._failures else self._bar.refresh()
             return
         rate = (self._done - self._at_start) / max(time.monotonic() - self._started, 1e-9)
@@ -46,6 +46,11 @@ class Progress:
         self.say(
             f"shard {shard}: {self._done} of {self._total} scenes{failed}, {rate:.2f} scenes/s, {left:.0f} s left"
         )
+
+    def _advance(self, scenes: int) -> None:
+        """Never back: a shard that ends hides what others have under way until they are asked again, and one whose
+        worker died begins anew."""
+        self._bar.n = max(self._bar.n, min(self._total, scenes))
 
     def say(self, line: str) -> None:
         """A line of text, above the bar where there is one."""

@@ -12,6 +12,7 @@ from datagen.config.scans import GridScan, PointsScan
 from datagen.errors import InputError
 from datagen.records import Capture, Laser, Rectangle, Scene, Sensor
 from datagen.records.arrays import Floats
+from datagen.records.checks import check_kind
 from datagen.seeding import Purpose, generator
 
 CONFOCAL_PIXEL_M = 0.05
@@ -41,6 +42,8 @@ def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, in
     >>> capture.shape, capture.laser.targets.shape
     ((256, 1, 512), (256, 3))
     """
+    check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
+    check_kind("scene", scene, Scene)
     settings = config.capture
     wall = scene.relay_wall
     if wall is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -21,7 +22,9 @@ from datagen.config.store import StoreConfig
 from datagen.config.transport import TransportConfig
 from datagen.config.yaml_text import MOST_CHARACTERS, parse_yaml
 from datagen.errors import InputError
+from datagen.records.checks import check_kind
 
+MOST_SCENES = 100_000_000
 WITHOUT_EFFECT = ("name", "description", "license", "scenes", "splits")
 """Settings that no sample depends on: a dataset may have others when it is taken up again."""
 
@@ -38,7 +41,7 @@ class DatasetConfig(Settings):
     """What others may do with the dataset: an SPDX name such as CC-BY-4.0, or an address; stands on its cards."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """The dataset seed: together with a scene's index it fixes everything about that scene."""
-    scenes: Annotated[int, Field(ge=1, le=100_000_000)] = 32
+    scenes: Annotated[int, Field(ge=1, le=MOST_SCENES)] = 32
     """How many scenes."""
     scene: SceneConfig = SceneConfig()
     capture: CaptureConfig = CaptureConfig()
@@ -63,8 +66,8 @@ class DatasetConfig(Settings):
 
     def with_scenes(self, scenes: int) -> DatasetConfig:
         """The same dataset with another number of scenes (same seed, same first scenes)."""
-        if scenes < 1:
-            raise InputError(f"--scenes {scenes}: must be ≥ 1")
+        if not isinstance(scenes, int) or isinstance(scenes, bool) or not 1 <= scenes <= MOST_SCENES:
+            raise InputError(f"--scenes {scenes}: must be ≥ 1 and ≤ {MOST_SCENES}")
         return self.model_copy(update={"scenes": scenes})
 
 
@@ -85,6 +88,7 @@ def load_config(path: str | Path) -> DatasetConfig:
     >>> config.scene.layout.kind, config.capture.shape
     ('l_corridor', (256, 1, 512))
     """
+    check_kind("path", path, str, os.PathLike, remedy="name a YAML file")
     path = Path(path)
     try:
         with path.open(encoding="utf-8") as file:
@@ -99,13 +103,16 @@ def load_config(path: str | Path) -> DatasetConfig:
 
 
 def config_from_mapping(
-    values: dict[str, Any], source: str = "configuration", base_directory: str | Path = "."
+    values: dict[str, Any], source: str = "configuration", base_directory: str | Path | None = "."
 ) -> DatasetConfig:
-    """The configuration that plain values describe; `base_directory` is where relative mesh paths start."""
+    """The configuration that plain values describe; `base_directory` is where relative mesh paths start, None where
+    no mesh file need be there."""
     try:
         # JSON mode: strict about types, yet a list may stand for a tuple.
         text = json.dumps(values)
-        return DatasetConfig.model_validate_json(text, context={"base_directory": str(base_directory)})
+        return DatasetConfig.model_validate_json(
+            text, context=None if base_directory is None else {"base_directory": str(base_directory)}
+        )
     except pydantic.ValidationError as error:
         raise_input_error(source, error, DatasetConfig)
         raise

@@ -12,10 +12,10 @@ from datagen.config.base import near_hint
 from datagen.config.distributions import Count, Distribution, Fraction, Length, Uniform, support, within
 from datagen.config.scene_files import (
     RESERVED_NAMES,
+    Axis,
     FolderPath,
     MeshPath,
     TriangleBudget,
-    UpAxis,
     classed_files,
     is_placed,
     label_of,
@@ -150,11 +150,20 @@ class MeshItem(Standing):
 
     height_m: Length = Uniform(uniform=(0.5, 1.5))
     """The object is scaled to this height."""
-    up: UpAxis = "z"
+    up: Axis = "z"
     """The axis of the file that points up."""
+    front: Axis | None = None
+    """The axis of the file that the object's front looks along, across `up`; its width, depth and box follow from it.
+    Left out: -y of a file that is z up, z of one that is y up."""
     max_triangles: TriangleBudget = None
     """Simplify to at most this many triangles; left out: never."""
     sizes = ("height_m",)
+
+    @model_validator(mode="after")
+    def _front_across_up(self) -> Self:
+        if self.front is not None and self.front[-1] == self.up[-1]:
+            raise ValueError(f"front = {self.front!r}: must lie across up = {self.up!r}; choose another axis")
+        return self
 
 
 class Mesh(MeshItem):

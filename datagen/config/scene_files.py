@@ -45,7 +45,7 @@ def _existing_folder(path: str, info: ValidationInfo) -> str:
 
 MeshPath = Annotated[str, Field(min_length=1), AfterValidator(_existing_file)]
 FolderPath = Annotated[str, Field(min_length=1), AfterValidator(_existing_folder)]
-UpAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 TriangleBudget = Annotated[int, Field(ge=4)] | None
 
 

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from datagen.config.base import Settings, near_hint
 from datagen.config.scene_contents import Name
+from datagen.errors import InputError
 
 BY_SHARE = ("train", "val", "test")
 """Splits that scenes are dealt out to by share."""
@@ -65,6 +66,16 @@ class SplitsConfig(Settings):
         if len(set(names)) < len(names):
             raise ValueError(f"held_out: a split is named twice ({', '.join(names)})")
         return self
+
+    def with_shares(self, shares: tuple[float, float, float]) -> SplitsConfig:
+        """The same with other shares of train, val and test. Raises `InputError` for what are none."""
+        try:
+            dealt = dict(zip(BY_SHARE, map(float, shares), strict=True))
+            return type(self).model_validate(self.model_dump() | dealt)
+        except (TypeError, ValueError):
+            raise InputError(
+                f"fractions = {shares}: must be three numbers ≥ 0 (train, val, test) that add up to 1"
+            ) from None
 
     @property
     def shares(self) -> tuple[float, float, float]:

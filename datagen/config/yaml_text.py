@@ -1,4 +1,5 @@
-"""YAML text → plain values, safely: YAML 1.2 numbers (`1e6` is one), no repeated keys, the line named in errors."""
+"""YAML text → plain values, safely: YAML 1.2 numbers (`1e6` is one), merge keys (`<<: *shared`), no repeated keys,
+the line named in errors."""
 
 from __future__ import annotations
 
@@ -26,16 +27,36 @@ _Loader.yaml_implicit_resolvers = {
 }
 
 
+_MERGE = "tag:yaml.org,2002:merge"
+
+
 def _mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[str, Any]:
+    merged: dict[str, Any] = {}
     seen: dict[str, Any] = {}
     for key_node, value_node in node.value:
+        if key_node.tag == _MERGE:
+            merged |= _merged(loader, value_node)
+            continue
         key = loader.construct_object(key_node, deep=True)
         if not isinstance(key, str):
             raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is not text", key_node.start_mark)
         if key in seen:
             raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", key_node.start_mark)
         seen[key] = loader.construct_object(value_node, deep=True)
-    return seen
+    return merged | seen
+
+
+def _merged(loader: yaml.SafeLoader, node: yaml.Node) -> dict[str, Any]:
+    """What `<<` stands for: a mapping, or several of which the first has precedence; own keys go before all."""
+    values = loader.construct_object(node, deep=True)
+    merged: dict[str, Any] = {}
+    for value in reversed(values) if isinstance(values, list) else [values]:
+        if not isinstance(value, dict):
+            raise yaml.constructor.ConstructorError(
+                None, None, "<<: needs a mapping, or a list of such", node.start_mark
+            )
+        merged |= value
+    return merged
 
 
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)

@@ -18,11 +18,12 @@ from datagen.detector.flux import Cycle, checked_transient, cycle_of, flux_per_c
 from datagen.detector.poisson import draw_poisson
 from datagen.detector.renewal import pieces_of
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choices, Sampler, SamplerChoice, choose, summarise
-from datagen.detector.spad import Exposure, Spad, check_integer, check_number
+from datagen.detector.spad import Exposure, Spad
 from datagen.detector.streams import Stream, streams_of
 from datagen.detector.tdc import Tdc
 from datagen.errors import InputError
 from datagen.records import TimeAxis
+from datagen.records.checks import check_integer, check_kind, check_number, shown
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.integer]
@@ -82,7 +83,12 @@ def detect_and_choice(
 ) -> tuple[Counts, SamplerChoice]:  # fmt: skip
     """`detect` and `choose_sampler` in one pass, for which the flux is worked out once."""
     check_number("detect", "tolerance", tolerance, 0.0, 1.0, "a relative bias, such as 1e-3")
-    kind = np.dtype(dtype)
+    try:
+        kind = np.dtype(dtype)
+    except TypeError:
+        raise InputError(
+            f"detect: dtype = {shown(dtype)}: an integer type such as int64 or uint16 is needed"
+        ) from None
     if kind.kind not in "iu":
         raise InputError(f"detect: dtype {kind} given; counts need an integer type such as int64 or uint16")
     setup = _Setup.of(transient, time, spad, exposure, first_laser, first_pixel)
@@ -193,6 +199,12 @@ class _Setup:
         cls, transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, first_laser: int, first_pixel: int
     ) -> _Setup:
         """Check the arguments of a call; raises `InputError`."""
+        for argument, given, kind in (
+            ("time", time, TimeAxis),
+            ("spad", spad, Spad),
+            ("exposure", exposure, Exposure),
+        ):
+            check_kind(argument, given, kind)
         for name, value in (("first_laser", first_laser), ("first_pixel", first_pixel)):
             check_integer("detect", name, value, 0, 2**62)
         values = checked_transient(transient, time, exposure.photons_per_pulse)

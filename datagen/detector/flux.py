@@ -18,6 +18,7 @@ from datagen.detector.irf import Kernel, response_kernel, spread
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 from datagen.records import TimeAxis
+from datagen.records.checks import as_reals
 
 Array = NDArray[np.float64]
 
@@ -240,10 +241,7 @@ def hot_pixels(spad: Spad, pixels: int, first_pixel: int = 0) -> NDArray[np.bool
 
 def checked_transient(transient: ArrayLike, time: TimeAxis, photons_per_pulse: float) -> Array:
     """(laser, pixel, bin) float64 view of a transient, refused with its first offending entry named."""
-    try:
-        values = np.asarray(transient, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError("transient: an array of real numbers (laser, pixel, bin) is needed") from None
+    values = as_reals("transient", transient)
     if values.ndim not in (1, 3):
         raise InputError(f"transient: shape {values.shape} given; (laser, pixel, bin) or (bin,) is needed")
     if values.shape[-1] != time.bins or values.size == 0:

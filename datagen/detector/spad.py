@@ -8,6 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from datagen.errors import InputError
+from datagen.records.checks import check_choice, check_flag, check_integer, check_number
 
 Mode = Literal["ideal", "synchronous", "free_running"]
 """`ideal`: every avalanche-capable event is counted. `synchronous`: armed afresh at the start of each laser cycle.
@@ -83,7 +84,9 @@ class Spad:
         times = self.afterpulse_times_s
         times = tuple(times) if isinstance(times, (tuple, list, np.ndarray)) else (times,)
         object.__setattr__(self, "afterpulse_times_s", times)
-        object.__setattr__(self, "afterpulse_weights", tuple(self.afterpulse_weights))
+        weights = self.afterpulse_weights
+        weights = tuple(weights) if isinstance(weights, (tuple, list, np.ndarray)) else (weights,)
+        object.__setattr__(self, "afterpulse_weights", weights)
         for name, low, high, remedy in (
             ("pde", 0.0, 1.0, "it is a probability; give 0.3 for 30 %"),
             ("dark_count_rate_hz", 0.0, 1e12, "counts per second"),
@@ -102,10 +105,8 @@ class Spad:
         for name in ("array_columns", "counter_max"):
             if getattr(self, name) is not None:
                 check_integer("Spad", name, getattr(self, name), 1, 2**62)
-        if self.mode not in get_args(Mode):
-            raise InputError(f"Spad.mode = {self.mode!r}: must be one of {', '.join(get_args(Mode))}")
-        if not isinstance(self.paralyzable, bool):
-            raise InputError(f"Spad.paralyzable = {self.paralyzable!r}: must be True or False")
+        check_choice("Spad.mode", self.mode, get_args(Mode))
+        check_flag("Spad.paralyzable", self.paralyzable)
         if self.paralyzable and (self.afterpulse_probability > 0 or self.crosstalk_probability > 0):
             raise InputError(
                 "Spad.paralyzable = True with afterpulsing or crosstalk: the three together are not modelled; "
@@ -189,16 +190,3 @@ class Exposure:
     def period_s(self) -> float:
         """Seconds from one laser pulse to the next."""
         return 1.0 / self.repetition_rate_hz
-
-
-def check_number(record: str, name: str, value: object, low: float, high: float, remedy: str) -> None:
-    """Raise `InputError` unless `value` is a real number in low … high."""
-    is_number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    if not is_number or not low <= value <= high:  # type: ignore[operator]
-        raise InputError(f"{record}.{name} = {value!r}: must be a number in {low:g} … {high:g} ({remedy})")
-
-
-def check_integer(record: str, name: str, value: object, low: int, high: int) -> None:
-    """Raise `InputError` unless `value` is an integer in low … high."""
-    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not low <= value <= high:
-        raise InputError(f"{record}.{name} = {value!r}: must be an integer in {low} … {high}")

@@ -19,7 +19,8 @@ from datagen.effects.transport_effects import TRANSPORT_EFFECTS
 from datagen.effects.trial import few_samples
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scalar, Scene, TimeAxis, Transient
-from datagen.transport import simulate
+from datagen.records.checks import check_kind, check_number, check_seed
+from datagen.transport import transient_of
 
 EFFECTS: tuple[Effect[Any], ...] = (*TRANSPORT_EFFECTS, *DETECTOR_EFFECTS)
 """Every effect there is, one row each, in the order in which light meets them."""
@@ -123,6 +124,20 @@ def plan_effects(
     ------
     InputError : a scene or capture that `simulate` refuses.
     """
+    check_kind("scene", scene, Scene)
+    check_kind("capture", capture, Capture)
+    given = (
+        (accuracy, Accuracy),
+        (spad, Spad),
+        (exposure, Exposure),
+        (settings, EffectsConfig),
+        (transient, Transient),
+    )
+    for name, (value, kind) in zip(("accuracy", "spad", "exposure", "settings", "transient"), given, strict=True):
+        if value is not None:
+            check_kind(name, value, kind)
+    check_number("plan_effects", "tolerance", tolerance, 0.0, 1.0, "a relative bias, such as 1e-3")
+    check_seed(seed)
     accuracy = accuracy or Accuracy()
     decided = decide_transport_effects(scene, capture, accuracy, settings, seed)
     if spad is None:
@@ -130,7 +145,7 @@ def plan_effects(
     if transient is None:
         reduced_scene, reduced = decided.apply_transport(scene, capture, accuracy)
         few = few_samples(reduced, FORESEEN_LOOKINS)
-        transient = simulate(reduced_scene, capture, few, seed=seed, split_parts=False)
+        transient = transient_of(reduced_scene, capture, few, seed=seed, split_parts=False)
     seen = (transient.total, capture.time, spad, exposure or Exposure())
     return decided + decide_detector_effects(*seen, settings, tolerance)
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Accuracy, Capture, Scene
-from datagen.transport import simulate
+from datagen.transport import transient_of
 from datagen.transport.cost import BIN, CALL, RAY
 
 SHARE = 0.02
@@ -136,11 +136,11 @@ def run_trial(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> 
     lasers, pixels = _spread(len(capture.laser.targets), size.lasers), _spread(capture.shape[1], size.pixels)
     copies = 2 if size.at_once else 1
     twice = capture.excerpt(np.tile(lasers, copies), np.tile(pixels, copies))
-    made = [simulate(scene, twice, few, seed=seed, split_parts=False)]
+    made = [transient_of(scene, twice, few, seed=seed, split_parts=False)]
     # The factorised form shares its points between laser points, whose noise is then no longer their own.
     if not size.at_once or (made[0].spend is not None and "factorised" in "".join(made[0].spend.way.values())):
         once = capture.excerpt(lasers, pixels)
-        made.append(simulate(scene, once, few, seed=(seed + 1) % 2**64, split_parts=False))
+        made.append(transient_of(scene, once, few, seed=(seed + 1) % 2**64, split_parts=False))
     shape = capture.excerpt(lasers, pixels).shape[:2]
     return Trial(_paired([run.components for run in made], shape))
 

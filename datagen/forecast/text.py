@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from datagen.building.engines import check_workers
 from datagen.config import DatasetConfig
 from datagen.errors import InputError
 from datagen.forecast.forecast import Forecast, Outcome, forecast, outcomes, records_of
@@ -17,7 +18,8 @@ from datagen.store.card import readable
 from datagen.store.environment import cores, environment, hardware
 from datagen.store.files import finite, json_bytes, write_atomically
 
-BUDGET_S = 15.0
+BUDGET_S = 1.5
+"""Enough for three or four scenes of an ordinary scan; a plan is to be answered at once."""
 BUSY = 0.8
 """Pilots that got a smaller share of a core than this were held up by other processes, which the plan then says."""
 
@@ -34,8 +36,7 @@ def make_forecast(config: DatasetConfig, workers: int = 1, budget_s: float = BUD
     """
     from datagen.pipeline import check_inputs
 
-    if workers < 1:
-        raise InputError(f"--workers {workers}: must be ≥ 1")
+    check_workers(workers)
     if not 0 < budget_s < math.inf:
         raise InputError(f"--seconds {budget_s:g}: must be > 0, such as {BUDGET_S:g}")
     check_inputs(config)

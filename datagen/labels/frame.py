@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from datagen.errors import InputError
-from datagen.records import Scene
+from datagen.records import Rectangle, Scene
 from datagen.records.arrays import Floats
 
 
@@ -41,6 +41,11 @@ class ViewFrame:
                 "labels: this scene has no hidden_view, the rectangle from which label images are seen; "
                 "give Scene.from_parts(..., hidden_view=Rectangle.of(center, right, up))"
             )
+        return cls.about(view)
+
+    @classmethod
+    def about(cls, view: Rectangle) -> ViewFrame:
+        """The frame at the centre of a rectangle; raises `InputError` when it has no area."""
         width, height = float(np.linalg.norm(view.right)), float(np.linalg.norm(view.up))
         if not (0 < width < np.inf and 0 < height < np.inf):
             raise InputError(

@@ -5,6 +5,9 @@ from __future__ import annotations
 import torch
 from torch.utils.data import default_collate
 
+from datagen.errors import InputError
+from datagen.records.checks import check_kind
+
 
 class Batch(list[dict[str, torch.Tensor]]):
     """Items whose tensors are rows of `whole`, so that collating them needs no copy.
@@ -32,6 +35,9 @@ def collate(items: list[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
     """
     if isinstance(items, Batch):
         return items.whole
+    check_kind("items", items, list, tuple, remedy="the items of a batch")
+    if not items or not all(isinstance(item, dict) for item in items):
+        raise InputError("items: a list of a dataset's items is needed, one at least")
     same = [{name: value for name, value in item.items() if name not in ("events", "counts")} for item in items]
     whole: dict[str, torch.Tensor] = default_collate(same)
     if "events" not in items[0]:

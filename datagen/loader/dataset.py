@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import os
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -15,12 +16,12 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from datagen.config.splits import BY_SHARE
 from datagen.errors import CheckError, InputError
 from datagen.loader.batch import Batch
 from datagen.loader.draws import DrawCounter
 from datagen.loader.events import events_of
 from datagen.loader.redrawn_noise import NoiseSource
+from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.record import recorded_shards
 from datagen.store.schema import SPLITS_SINCE
@@ -96,6 +97,11 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         seed: int = 0,
         check: bool = True,
     ) -> None:
+        check_kind("path", path, str, os.PathLike, remedy="name the folder that build made")
+        check_seed(seed)
+        check_kind("fields", fields, str, Sequence, remedy="such as ('histogram', 'depth')")
+        for name, flag in (("redraw_noise", redraw_noise), ("check", check)):
+            check_flag(name, flag)
         self.path = Path(path).resolve()
         self._manifest = manifest = read_manifest(path)
         self._schema = manifest.schema
@@ -209,12 +215,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if split not in splits.names:
             raise InputError(f"split = {split!r}: {self.path} has {', '.join(splits.names)}")
         if fractions is not None:
-            if len(fractions) != 3 or min(fractions) < 0 or abs(sum(fractions) - 1) > 1e-6:
-                raise InputError(
-                    f"fractions = {fractions}: must be three numbers ≥ 0 (train, val, test) that add up to 1"
-                )
-            shares = dict(zip(BY_SHARE, map(float, fractions), strict=True))
-            splits = splits.model_copy(update=shares)
+            splits = splits.with_shares(fractions)
         scenes = self._schema.scenes
         if fractions is None and self._manifest.schema_version >= SPLITS_SINCE:
             found = read_table(self.path, ["split"], scenes)["split"].to_pylist()

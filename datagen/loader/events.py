@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
+from datagen.records.checks import check_kind
 
 
 def events_of(histograms: NDArray[np.generic]) -> tuple[NDArray[np.signedinteger[Any]], NDArray[np.generic]]:
@@ -49,6 +50,9 @@ def dense(events: torch.Tensor, counts: torch.Tensor, shape: Sequence[int]) -> t
     >>> dg.dense(torch.tensor([[0, 0, 1], [1, 0, 3]]), torch.tensor([5, 7]), (2, 1, 4)).int().tolist()
     [[[0, 5, 0, 0]], [[0, 0, 0, 7]]]
     """
+    check_kind("events", events, torch.Tensor)
+    check_kind("counts", counts, torch.Tensor)
+    check_kind("shape", shape, Sequence, remedy="a size for each axis")
     if events.ndim != 2 or events.shape[1] != len(shape) or counts.shape != events.shape[:1]:
         raise InputError(
             f"events {tuple(events.shape)}, counts {tuple(counts.shape)}, shape {tuple(shape)}: must be (N, axes), "

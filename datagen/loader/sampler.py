@@ -10,6 +10,7 @@ from torch.utils.data import ConcatDataset, Sampler, Subset
 
 from datagen.errors import InputError
 from datagen.loader.dataset import TransientDataset
+from datagen.records.checks import check_flag, check_integer, check_kind, check_seed
 from datagen.seeding import Purpose, generator
 
 
@@ -25,6 +26,11 @@ class EpochSampler(Sampler[int]):
     """
 
     def __init__(self, data: Sized, seed: int = 0, *, shuffle: bool = True, rank: int = 0, ranks: int = 1) -> None:
+        check_kind("data", data, Sized, remedy="such as a TransientDataset")
+        check_seed(seed)
+        check_flag("shuffle", shuffle)
+        check_integer("EpochSampler", "ranks", ranks, 1, 2**31)
+        check_integer("EpochSampler", "rank", rank, -(2**31), 2**31)
         if ranks < 1 or not 0 <= rank < ranks:
             raise InputError(f"rank = {rank}, ranks = {ranks}: rank must lie in 0 … ranks − 1")
         self._data, self._seed, self._shuffle = data, seed, shuffle
@@ -32,8 +38,7 @@ class EpochSampler(Sampler[int]):
 
     def set_epoch(self, epoch: int) -> None:
         """The epoch that the next iteration is; those that follow count on from there."""
-        if epoch < 0:
-            raise InputError(f"epoch = {epoch}: must be ≥ 0")
+        check_integer("EpochSampler", "epoch", epoch, 0, 2**62)
         self._epoch = epoch
 
     def __len__(self) -> int:

@@ -18,6 +18,7 @@ from datagen.errors import InputError
 from datagen.paper.as_printed_paths import Lighting, PrintedRoom, arriving, leaving, lighting, observe, place_lookins
 from datagen.paper.as_printed_sampling import Grid, half_cube, ray_grid
 from datagen.records import Capture, Scene, Transient
+from datagen.records.checks import check_kind
 from datagen.transport.binning import put
 from datagen.transport.factorised.convolution import Paths, Sums, double_sum, keep_strongest
 
@@ -122,7 +123,10 @@ def simulate_as_printed(scene: Scene, capture: Capture, settings: AsPrinted | No
     ------
     InputError : for a BRDF that the paper does not have, or a pixel that is no convex quadrilateral.
     """
-    settings = settings or AsPrinted()
+    check_kind("scene", scene, Scene)
+    check_kind("capture", capture, Capture)
+    settings = AsPrinted() if settings is None else settings
+    check_kind("settings", settings, AsPrinted)
     began = clock_time.perf_counter()
     room = PrintedRoom.of(scene, capture, settings.unit_m)
     lasers, pixels, bins = capture.shape

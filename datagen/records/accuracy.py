@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from datagen.errors import InputError
+from datagen.records.checks import check_choice, check_flag, check_number, shown
 
 MAX_BOUNCES = 64
 TARGETS = (1e-4, 1.0)
@@ -110,16 +111,15 @@ class Accuracy:
         number = isinstance(self.secondary, int) and not isinstance(self.secondary, bool) and self.secondary >= 1
         if not number and self.secondary not in ("all", "none", "strongest"):
             raise InputError(
-                f"Accuracy.secondary = {self.secondary!r}: must be 'all', 'none', 'strongest' or an integer ≥ 1"
+                f"Accuracy.secondary = {shown(self.secondary)}: must be 'all', 'none', 'strongest' or an integer ≥ 1"
             )
-        if self.occlusion not in ("auto", "on", "off"):
-            raise InputError(f"Accuracy.occlusion = {self.occlusion!r}: must be 'auto', 'on' or 'off'")
+        check_choice("Accuracy.occlusion", self.occlusion, ("auto", "on", "off"))
         if self.strongest is not None and self.observed is None:
             raise InputError(
                 f"Accuracy.secondary = {self.secondary!r}: ranks observed points' paths; set observed, such as 3600"
             )
-        if not 0 <= self.faint_part < float("inf"):
-            raise InputError(f"Accuracy.faint_part = {self.faint_part!r}: must be a finite number ≥ 0 (photons)")
+        check_flag("Accuracy.direct", self.direct)
+        check_number("Accuracy", "faint_part", self.faint_part, 0.0, 1e30, "photons")
         if self.target is not None:
             self._check_target(self.target)
         if self.part_target is not None:

@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
+from warnings import warn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.records.arrays import Floats, Ints
+from datagen.records.checks import as_points, check_choice, check_flag, check_integer, check_kind, check_number
 
 Origin = Literal["source", "wall"]
 Pairing = Literal["exhaustive", "confocal"]
 Illumination = Literal["scan", "flood"]
 
 
-def _points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Floats:
-    array = np.array(value, np.float64)
-    fits = array.ndim == len(shape) and all(w is None or w == g for g, w in zip(array.shape, shape, strict=False))
-    if not fits or array.size == 0:
-        wanted = ", ".join("n" if s is None else str(s) for s in shape)
-        raise InputError(f"{name}: shape {array.shape} given, ({wanted}) needed with n ≥ 1")
-    if not np.isfinite(array).all():
-        raise InputError(f"{name}: contains NaN or infinity; all coordinates must be finite metres")
-    array.setflags(write=False)
-    return array
-
-
-def _check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise InputError(f"{name} = {value!r}: must be one of {', '.join(allowed)}")
+WIDEST_APERTURE_M = 1.0
+WIDEST_BIN_S = 1e-3
+"""Above these a number was most likely given in another unit, which is warned of."""
+MOST_BINS = 2**26
+MOST_VALUES = 2**36
 
 
 @dataclass(frozen=True, init=False)
@@ -58,8 +51,8 @@ class Laser:
     targets: Floats
 
     def __init__(self, position: ArrayLike, targets: ArrayLike) -> None:
-        object.__setattr__(self, "position", _points("Laser.position", position, (3,)))
-        object.__setattr__(self, "targets", _points("Laser.targets", targets, (None, 3)))
+        object.__setattr__(self, "position", as_points("Laser.position", position, (3,)))
+        object.__setattr__(self, "targets", as_points("Laser.targets", targets, (None, 3)))
         if (np.linalg.norm(self.targets - self.position, axis=1) == 0).any():
             raise InputError("Laser.targets: a target equals the laser position; it gives no direction")
 
@@ -90,10 +83,15 @@ class Sensor:
     def __init__(
         self, position: ArrayLike, pixels: ArrayLike, aperture_radius_m: float = 0.02, finite_aperture: bool = False
     ) -> None:
-        object.__setattr__(self, "position", _points("Sensor.position", position, (3,)))
-        object.__setattr__(self, "pixels", _points("Sensor.pixels", pixels, (None, 4, 3)))
-        if not 0 < aperture_radius_m < np.inf:
-            raise InputError(f"Sensor.aperture_radius_m = {aperture_radius_m}: must be a positive length in metres")
+        object.__setattr__(self, "position", as_points("Sensor.position", position, (3,)))
+        object.__setattr__(self, "pixels", as_points("Sensor.pixels", pixels, (None, 4, 3)))
+        check_number("Sensor", "aperture_radius_m", aperture_radius_m, 1e-12, 1e9, "metres; 2 cm is 0.02")
+        check_flag("Sensor.finite_aperture", finite_aperture)
+        if aperture_radius_m > WIDEST_APERTURE_M:
+            warn(
+                f"Sensor.aperture_radius_m = {aperture_radius_m:g}: more than a metre; is it in metres?",
+                InputWarning, stacklevel=2,
+            )  # fmt: skip
         object.__setattr__(self, "aperture_radius_m", float(aperture_radius_m))
         object.__setattr__(self, "finite_aperture", bool(finite_aperture))
 
@@ -114,9 +112,10 @@ class Sensor:
         >>> print(sensor.pixels[0].mean(axis=0))  # the middle of the pixel at the top left
         [3.  0.3 1.2]
         """
-        if rows < 1 or cols < 1:
-            raise InputError(f"Sensor.grid: rows={rows}, cols={cols}; both must be ≥ 1")
-        c, r, u = (np.asarray(v, np.float64) for v in (center, right, up))
+        check_integer("Sensor.grid", "rows", rows, 1, 2**20)
+        check_integer("Sensor.grid", "cols", cols, 1, 2**20)
+        named = (("center", center), ("right", right), ("up", up))
+        c, r, u = (as_points(f"Sensor.grid: {name}", value, (3,)) for name, value in named)
         across = np.linspace(-1, 1, cols + 1)
         upward = np.linspace(1, -1, rows + 1)
         knots = c + across[None, :, None] * r + upward[:, None, None] * u
@@ -158,13 +157,16 @@ class TimeAxis:
     origin: Origin = "source"
 
     def __post_init__(self) -> None:
-        if not isinstance(self.bins, (int, np.integer)) or self.bins < 1:
-            raise InputError(f"TimeAxis.bins = {self.bins!r}: must be an integer ≥ 1")
-        if not 0 < self.width_s < np.inf:
-            raise InputError(f"TimeAxis.width_s = {self.width_s}: must be a positive time in seconds")
-        if not np.isfinite(self.start_s):
-            raise InputError(f"TimeAxis.start_s = {self.start_s}: must be finite")
-        _check_choice("TimeAxis.origin", self.origin, get_args(Origin))
+        check_integer("TimeAxis", "bins", self.bins, 1, MOST_BINS)
+        check_number("TimeAxis", "width_s", self.width_s, 1e-18, 1e9, "seconds; 100 ps is 100e-12")
+        check_number("TimeAxis", "start_s", self.start_s, -1e9, 1e9, "seconds; 20 ns is 20e-9")
+        check_choice("TimeAxis.origin", self.origin, get_args(Origin))
+        if self.width_s > WIDEST_BIN_S:
+            warn(
+                f"TimeAxis.width_s = {self.width_s:g}: in a bin light goes {299_792.458 * self.width_s:.3g} km; "
+                "is it in seconds?",
+                InputWarning, stacklevel=3,
+            )  # fmt: skip
 
     @property
     def edges_s(self) -> Floats:
@@ -213,8 +215,11 @@ class Capture:
     illumination: Illumination = "scan"
 
     def __post_init__(self) -> None:
-        _check_choice("Capture.pairing", self.pairing, get_args(Pairing))
-        _check_choice("Capture.illumination", self.illumination, get_args(Illumination))
+        check_kind("Capture.laser", self.laser, Laser)
+        check_kind("Capture.sensor", self.sensor, Sensor)
+        check_kind("Capture.time", self.time, TimeAxis)
+        check_choice("Capture.pairing", self.pairing, get_args(Pairing))
+        check_choice("Capture.illumination", self.illumination, get_args(Illumination))
         if self.illumination == "flood" and self.pairing == "confocal":
             raise InputError(
                 "Capture.illumination = 'flood' with pairing = 'confocal': a flood lights all points at once; "
@@ -225,6 +230,10 @@ class Capture:
             raise InputError(
                 f"Capture.pairing = 'confocal' with {lasers} laser targets and {pixels} pixels: "
                 "a confocal scan needs exactly one pixel for each laser target"
+            )
+        if math.prod(self.shape) > MOST_VALUES:
+            raise InputError(
+                f"Capture.shape = {self.shape}: more than 2^36 values; take fewer points, pixels or bins"
             )
 
     @property

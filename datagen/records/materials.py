@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from numbers import Real
 
 from datagen.errors import InputError
+from datagen.records.checks import shown
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,10 @@ class Material:
     def _check(self, name: str, low: float, high: float, reason: str) -> None:
         """Raises `InputError` unless the field is a real number in low … high."""
         value = getattr(self, name)
-        if not isinstance(value, Real) or not low <= float(value) <= high:
-            raise InputError(f"{type(self).__name__}.{name} = {value}: must lie in {low:g} … {high:g}, {reason}")
+        if not isinstance(value, Real) or isinstance(value, bool) or not low <= float(value) <= high:
+            raise InputError(
+                f"{type(self).__name__}.{name} = {shown(value)}: must lie in {low:g} … {high:g}, {reason}"
+            )
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,9 @@ class SinLobe(Material):
             x = y = z = math.nan
         length = math.hypot(x, y, z)
         if not 0.0 < length < math.inf:
-            raise InputError(f"SinLobe.axis = {self.axis}: must be three finite numbers, not all 0; use (0, 0, 1)")
+            raise InputError(
+                f"SinLobe.axis = {shown(self.axis)}: must be three finite numbers, not all 0; use (0, 0, 1)"
+            )
         object.__setattr__(self, "axis", (x / length, y / length, z / length))
 
 

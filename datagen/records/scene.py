@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
+from datagen.records.checks import as_points, as_reals, check_choice, check_kind, check_number, check_places, shown
 from datagen.records.materials import Material
 
 if TYPE_CHECKING:
@@ -35,16 +36,25 @@ class Pose:
     label: str
     axes: Floats
 
+    def __post_init__(self) -> None:
+        check_kind("Pose.label", self.label, str)
+        axes = as_points("Pose.axes", self.axes, (3, 3))
+        if not np.allclose(axes @ axes.T, np.eye(3), atol=1e-6):
+            raise InputError(f"Pose.axes of {self.label!r}: its rows must be orthogonal unit vectors")
+        object.__setattr__(self, "axes", axes)
+
     @classmethod
     def upright(cls, label: str, rotation_deg: float = 0.0) -> Pose:
         """Height along z; width and depth along x and y, rotated by `rotation_deg` about z."""
+        check_number("Pose.upright", "rotation_deg", rotation_deg, -1e9, 1e9, "degrees")
         c, s = np.cos(np.radians(rotation_deg)), np.sin(np.radians(rotation_deg))
         return cls(label, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
 
 
 @dataclass(frozen=True)
 class Part:
-    """A named surface with one material; `Scene.from_parts` checks it, and raises `InputError` for what it refuses.
+    """A named surface with one material. Raises `InputError` for what is of another type; `Scene.from_parts` checks
+    its triangles.
 
     Attributes
     ----------
@@ -70,6 +80,15 @@ class Part:
     role: Role = "object"
     pose: Pose | None = None
 
+    def __post_init__(self) -> None:
+        check_kind("Part.name", self.name, str)
+        if not hasattr(self.mesh, "vertices") or not hasattr(self.mesh, "faces"):
+            raise InputError(f"Part {self.name!r}: mesh = {shown(self.mesh)}: a trimesh.Trimesh in metres is needed")
+        check_kind(f"Part {self.name!r}: material", self.material, Material, remedy="such as Lambertian(0.8)")
+        check_choice(f"Part {self.name!r}: role", self.role, get_args(Role))
+        if self.pose is not None:
+            check_kind(f"Part {self.name!r}: pose", self.pose, Pose)
+
 
 @dataclass(frozen=True)
 class Rectangle:
@@ -79,13 +98,20 @@ class Rectangle:
     right: Floats
     up: Floats
 
+    def __post_init__(self) -> None:
+        for name in ("center", "right", "up"):
+            object.__setattr__(self, name, as_points(f"Rectangle.{name}", getattr(self, name), (3,)))
+
     @classmethod
     def of(cls, center: ArrayLike, right: ArrayLike, up: ArrayLike) -> Rectangle:
-        """Build from anything array-like; raises `InputError` when the half extents are not perpendicular."""
-        c, r, u = (np.asarray(v, np.float64) for v in (center, right, up))
-        if abs(float(r @ u)) > 1e-9 * float(np.linalg.norm(r) * np.linalg.norm(u)):
-            raise InputError("Rectangle: right and up must be perpendicular half-extent vectors")
-        return cls(c, r, u)
+        """Build from anything array-like; raises `InputError` for half extents that are not perpendicular, or 0."""
+        made = cls(
+            *(as_points(f"Rectangle.{n}", v, (3,)) for n, v in (("center", center), ("right", right), ("up", up)))
+        )
+        across = float(np.linalg.norm(made.right) * np.linalg.norm(made.up))
+        if across == 0 or abs(float(made.right @ made.up)) > 1e-9 * across:
+            raise InputError("Rectangle: right and up must be perpendicular half-extent vectors, neither of them 0")
+        return made
 
     @property
     def normal(self) -> Floats:
@@ -140,8 +166,21 @@ class Scene:
     poses: Mapping[str, Pose] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.attenuation_per_m < np.inf:
-            raise InputError(f"Scene.attenuation_per_m = {self.attenuation_per_m}: must be a finite number ≥ 0 (1/m)")
+        check_number("Scene", "attenuation_per_m", self.attenuation_per_m, 0.0, 1e12, "1/m; 0 for clear air")
+        for name, shape in (("vertices", (3,)), ("triangles", (3,)), ("face_part", ())):
+            array = getattr(self, name)
+            if not isinstance(array, np.ndarray) or array.ndim != 1 + len(shape) or array.shape[1:] != shape:
+                wanted = ", ".join(("n", *map(str, shape)))
+                raise InputError(f"Scene.{name} = {shown(array)}: an array ({wanted}) needed; see Scene.from_parts")
+        parts = len(self.part_names)
+        if not len(self.triangles) == len(self.face_part) or not parts == len(self.materials) == len(self.roles):
+            raise InputError(
+                f"Scene: {len(self.triangles)} triangles with {len(self.face_part)} of face_part, {parts} part_names "
+                f"with {len(self.materials)} materials and {len(self.roles)} roles; each needs as many"
+            )
+        for name in ("relay_wall", "hidden_view"):
+            if getattr(self, name) is not None:
+                check_kind(f"Scene.{name}", getattr(self, name), Rectangle, remedy="such as Rectangle.of(...)")
 
     @classmethod
     def from_parts(
@@ -151,8 +190,8 @@ class Scene:
     ) -> Scene:  # fmt: skip
         """Join parts into one scene. Zero-area triangles are dropped; parts keep their order.
 
-        Raises `InputError` for no parts, a repeated name, vertices that are not finite, indices out of range,
-        or a part left with no area.
+        Raises `InputError` for no parts, a repeated name, vertices that are not finite or beyond 10⁹ m, indices out
+        of range, or a part left with no area.
 
         >>> import trimesh
         >>> import datagen as dg
@@ -163,13 +202,19 @@ class Scene:
         >>> scene.part_names, scene.triangles.shape, len(scene.faces_of("box"))
         (('wall', 'box'), (24, 3), 12)
         """
+        if isinstance(parts, Part) or not isinstance(parts, Iterable):
+            raise InputError(f"Scene.from_parts: parts = {shown(parts)}: a list of Part is needed")
         parts = list(parts)
+        for number, part in enumerate(parts):
+            check_kind(f"Scene.from_parts: parts[{number}]", part, Part)
         if not parts:
             raise InputError("Scene.from_parts: no parts given; a scene needs at least one surface")
         names = tuple(p.name for p in parts)
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"Scene.from_parts: part name {name!r} is used twice; names must be unique")
+        bounds = None if hidden_bounds is None else as_points("Scene.hidden_bounds", hidden_bounds, (2, 3))
+        device = None if device_position is None else as_points("Scene.device_position", device_position, (3,))
         vertices, triangles, face_part, offset = [], [], [], 0
         for index, part in enumerate(parts):
             v, f = _checked_triangles(part)
@@ -181,9 +226,9 @@ class Scene:
             vertices=np.concatenate(vertices), triangles=np.concatenate(triangles).astype(np.int32),
             face_part=np.concatenate(face_part), part_names=names, materials=tuple(p.material for p in parts),
             roles=tuple(p.role for p in parts), relay_wall=relay_wall, hidden_view=hidden_view,
-            hidden_bounds=None if hidden_bounds is None else np.asarray(hidden_bounds, np.float64),
-            device_position=None if device_position is None else np.asarray(device_position, np.float64),
-            parameters=dict(parameters or {}), attenuation_per_m=attenuation_per_m,
+            hidden_bounds=bounds,
+            device_position=device,
+            parameters=_scalars(parameters or {}), attenuation_per_m=attenuation_per_m,
             poses={part.name: part.pose for part in parts if part.pose is not None},
         )  # fmt: skip
 
@@ -204,20 +249,22 @@ class Scene:
         return np.flatnonzero(np.isin(self.face_part, [self.part_names.index(n) for n in names]))
 
 
+def _scalars(parameters: Mapping[str, float | int | str | bool]) -> dict[str, float | int | str | bool]:
+    check_kind("Scene.parameters", parameters, Mapping)
+    for name, value in parameters.items():
+        if not isinstance(name, str) or not isinstance(value, (float, int, str, bool, np.generic)):
+            raise InputError(f"Scene.parameters[{shown(name)}] = {shown(value)}: text or a number needed")
+    return dict(parameters)
+
+
 def _checked_triangles(part: Part) -> tuple[Floats, Ints]:
-    vertices = np.asarray(part.mesh.vertices, np.float64)
-    faces = np.asarray(part.mesh.faces, np.int64)
-    if part.pose is not None and not np.allclose(part.pose.axes @ part.pose.axes.T, np.eye(3), atol=1e-6):
-        raise InputError(f"part {part.name!r}: the rows of its pose's axes must be orthogonal unit vectors")
-    if part.role not in get_args(Role):
-        raise InputError(f"part {part.name!r}: role {part.role!r} must be one of {', '.join(get_args(Role))}")
+    vertices = as_reals(f"part {part.name!r}: vertices", part.mesh.vertices)
+    numbers = as_reals(f"part {part.name!r}: triangles", part.mesh.faces)
+    faces = numbers.astype(np.int64)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
         raise InputError(f"part {part.name!r}: needs vertices (V, 3) and at least one triangle (F, 3)")
-    if not np.isfinite(vertices).all():
-        raise InputError(
-            f"part {part.name!r}: {np.count_nonzero(~np.isfinite(vertices))} vertex coordinates are NaN or infinite"
-        )
-    if faces.min() < 0 or faces.max() >= len(vertices):
+    check_places(f"part {part.name!r}: vertices", vertices)
+    if (numbers != faces).any() or faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError(f"part {part.name!r}: triangle indices must lie in 0 … {len(vertices) - 1}")
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     extent = float(np.ptp(vertices, axis=0).max())

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from datagen.config import DatasetConfig
 from datagen.errors import InputError
-from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
+from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, ObjectBoxes, make_labels
+from datagen.labels.boxes import classes_in
 from datagen.records import Scene
 from datagen.report.cutaway import room_faces
-from datagen.report.label_plots import draw_label
+from datagen.report.label_plots import draw_boxes, draw_label
 from datagen.report.room_plots import RoomPicture, draw_opened, draw_plan
-from datagen.report.style import INK, caption, caption_height, house_style, new_figure, save_png
+from datagen.report.style import INK, caption, caption_height, check_png, house_style, new_figure, save_png
 from datagen.scene import check_scene_config, generate_scene
 from scene_library.visibility import visible_fan
 
@@ -30,6 +31,7 @@ MOST_LABELLED = 16
 IN_SIGHT = "#FFD75E"
 _CELL_IN = (3.1, 1.95)
 _PANEL_IN = (3.35, 2.5)
+_PANELS_ACROSS = 5
 _HEAD_IN = 0.4
 _NAME_LETTERS = 52
 _NOTE = (
@@ -39,11 +41,13 @@ _NOTE = (
     "objects, which are hidden from the device."
 )
 _LABEL_NOTE = (
-    "One room a row. Plan: yellow is what the device (diamond) sees. Opened: without ceiling and near walls. Labels "
+    "One room after the other. Plan: yellow is what the device (diamond) sees. Opened: without ceiling and near "
+    "walls. Labels "
     "look through the dashed green window along its arrow, orthographically: up is up, and right is right for "
-    "somebody who faces the relay wall, so that all images of a row lie over each other; axes in metres from the "
+    "somebody who faces the relay wall, so that all images of a room lie over each other; axes in metres from the "
     "window's middle. Normals: red grows to the right, green upwards, blue towards the wall. Shaded: lit by the part "
-    "of the relay wall that the device sees. Occupancy: metres of taken voxels behind each point. Signed distance: "
+    "of the relay wall that the device sees. Objects: their boxes. Occupancy: metres of taken voxels behind each "
+    "point. Signed distance: "
     "one level slice from above, depth upwards; the black line is the objects' surface, negative inside."
 )
 
@@ -54,6 +58,7 @@ def contact_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, 
     `count` rooms in all, shared evenly. Raises `InputError` for a count outside 1 … 400, a room that cannot be made,
     or an output that cannot be written.
     """
+    picture = check_png(out)
     if not 1 <= count <= MOST_ROOMS:
         raise InputError(f"count = {count}: a contact sheet holds 1 … {MOST_ROOMS} rooms")
     several = [configs] if isinstance(configs, DatasetConfig) else list(configs)
@@ -63,7 +68,7 @@ def contact_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, 
         names.append(_name_of(rooms[-1].scene, config.name if len(several) > 1 else "", index))
     with house_style():
         of = f"{several[0].name} (seed {several[0].seed})" if len(several) == 1 else f"{len(several)} configurations"
-        return save_png(sheet_figure(rooms, names, f"{count} rooms of {of}"), Path(out))
+        return save_png(sheet_figure(rooms, names, f"{count} rooms of {of}"), picture)
 
 
 def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, out: str | Path) -> Path:
@@ -73,23 +78,28 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
     Raises `InputError` for a count outside 1 … 16, a room that cannot be made, or an output that cannot be
     written.
     """
+    picture = check_png(out)
     if not 1 <= count <= MOST_LABELLED:
         raise InputError(f"labels = {count}: a sheet of labels holds 1 … {MOST_LABELLED} rooms")
     several = [configs] if isinstance(configs, DatasetConfig) else list(configs)
     # Parts come last, where there is room for their names.
     fields = sorted(IMAGE_FIELDS + VOLUME_FIELDS, key=lambda field: field == "part_id")
     wide, high = _PANEL_IN
-    width = wide * (2 + len(fields)) + 0.5
+    lines = -(-(3 + len(fields)) // _PANELS_ACROSS)
+    width = wide * _PANELS_ACROSS + 0.5
     note = caption_height(width, _LABEL_NOTE)
-    height = high * count + note + _HEAD_IN
+    height = high * lines * count + note + _HEAD_IN
     with house_style():
         figure = new_figure(width, height, arranged=False)
-        figure.text(0.12 / width, 1 - 0.12 / height, f"{count} rooms and their labels", va="top", fontweight="bold")
+        figure.text(0.12 / width, 1 - 0.12 / height, f"Rooms and their labels: {count}", va="top", fontweight="bold")
         for row, (config, index) in enumerate(first_scenes(several, count)):
-            bottom = height - _HEAD_IN - (row + 1) * high
             across, up = (wide - 1.25) / width, (high - 0.8) / height
-            left, low = (np.arange(2 + len(fields)) * wide + 0.5) / width, (bottom + 0.45) / height
-            panels = [figure.add_axes((x, low, across, up)) for x in left]
+            panels = []
+            for number in range(3 + len(fields)):
+                line, column = divmod(number, _PANELS_ACROSS)
+                bottom = height - _HEAD_IN - (row * lines + line + 1) * high
+                place = ((column * wide + 0.5) / width, (bottom + 0.45) / height, across, up)
+                panels.append(figure.add_axes(place))
             scene = generate_scene(config.scene, config.seed, index)
             room = RoomPicture(scene, pixels=420)
             draw_plan(panels[0], room)
@@ -98,12 +108,16 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
             draw_opened(panels[1], room)
             panels[1].set_title("Opened")
             labels = make_labels(config.labels, scene, fields)
-            for axes, field in zip(panels[2:], fields, strict=True):
+            classes = classes_in(scene)
+            boxes = ObjectBoxes.of(scene, classes, max(1, scene.roles.count("object")))
+            draw_boxes(panels[2], scene, boxes, classes, labels["depth"])
+            panels[2].set_title("Objects (thick: front)")
+            for axes, field in zip(panels[3:], fields, strict=True):
                 draw_label(figure, axes, scene, field, labels[field])
                 for bar in axes.child_axes:
                     bar.set_ylabel("")
         caption(figure, figure.add_axes((0.12 / width, 0.0, 1 - 0.24 / width, note / height)), _LABEL_NOTE)
-        return save_png(figure, Path(out))
+        return save_png(figure, picture)
 
 
 def first_scenes(configs: Sequence[DatasetConfig], count: int) -> list[tuple[DatasetConfig, int]]:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+UNDIVIDED = "all light"
+"""Stands for the parts where light is not split by part."""
 _MOMENTS = 4
 
 
@@ -43,6 +45,8 @@ def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
     )
     if room.boxes is not None:
         text += " Black outlines in the plan: the objects' boxes as stored, a tick at the front of each."
+    if again.stands_in:
+        text += " The mesh files are gone: a cuboid stands for each object."
     if not again.reproduced:
         text += " CAUTION: simulating the stored scene again gave another one; this room may not be the stored one."
     figure, grid = captioned(12, [5.6, _legend_in(again, 6)], text, f"{stored.title}: the room", 2, [1, 1.15])
@@ -122,27 +126,28 @@ def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray
         draw_label(figure, figure.add_subplot(grid[divmod(number, columns)]), again.scene, field, values)
     if boxes is not None:
         axes = figure.add_subplot(grid[divmod(len(labels), columns)])
-        draw_boxes(axes, again.scene, boxes, stored.config.scene.object_classes(), labels.get("depth"))
+        draw_boxes(axes, again.scene, boxes, stored.classes, labels.get("depth"))
     return figure
 
 
 def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
     """Slices of the scan, all light above and the objects' alone below; of one without a grid, time against laser
     point; None when there is a single channel."""
-    raster = scans.raster_of(again.capture, clear_channel(again.scene, again.transient))
+    raster = scans.raster_of(again.capture, clear_channel(again.scene, again.transient), _frame(again))
     if raster is None:
         wall = again.scene.relay_wall
         if again.capture.shape[0] < 2 or wall is None:
             return None
         total, note = again.transient.total, _provenance(again)
-        return scans.listed_page(stored.title, wall, again.capture, total, _objects(again), note)
+        return scans.listed_page(stored.title, wall, again.capture, total, _objects(again), note, _frame(again))
     whole = scans.scan_of(again.transient.total, raster)
     objects = scans.scan_of(_objects(again), raster)
     text = (
         f"The transient of the scan's {raster.what} ({len(raster.z_m)} rows of {len(raster.x_m)}). Left: along the "
         "row that objects reach most; a point of the hidden scene draws a curve that is earliest where the wall is "
         "nearest to it. Right: the whole wall at four moments; wavefronts travel over it (brightness: square root of "
-        "the signal, each on its own scale). Above all light, below only what objects scattered. "
+        "the signal, each on its own scale), right and up as in the labels. Above all light, below only what objects "
+        "scattered. "
         f"{_provenance(again)}"
     )
     figure, grid = captioned(14, [6.0], text, f"{stored.title}: slices of the scan", 2, [1, 2.4])
@@ -175,7 +180,7 @@ def overview_page(
         f"photon counts over their {_mean_name(again)} in one channel, and the depth label. {_provenance(again)}"
     )
     figure, grid = captioned(15, [4.9, _legend_in(again, 8), 4.3], text, f"{stored.title}: overview", 6)
-    raster = scans.raster_of(again.capture, channel)
+    raster = scans.raster_of(again.capture, channel, _frame(again))
     plan, opened = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:4] if raster else grid[0, 2:])
     _draw_room(plan, opened, room)
     if raster is not None:
@@ -192,8 +197,18 @@ def overview_page(
     times.draw_counts(counted, again.counts[channel], again.expected[channel], time, mean=_mean_name(again))
     counted.set_xlim(*busy_window(again.expected[channel], time))
     counted.set_title(f"Counts, {_channel_name(again, *channel).lower()}")
-    draw_label(figure, depth, again.scene, "depth", labels["depth"])
+    if "depth" in labels:
+        draw_label(figure, depth, again.scene, "depth", labels["depth"])
+    else:
+        depth.set_axis_off()
+    # The colour bar stands beside the picture, and the room for it at the right of the column.
+    depth.set_anchor("W")
     return figure
+
+
+def _frame(again: Replay) -> ViewFrame | None:
+    """The frame of the labels, in which places on the wall are given, too."""
+    return None if again.scene.hidden_view is None else ViewFrame.of(again.scene)
 
 
 def _draw_room(plan: Axes, opened: Axes, room: RoomPicture) -> None:
@@ -222,9 +237,9 @@ def labels_of(stored: StoredScene) -> list[str]:
 
 def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, NDArray[np.float64]]]:
     """(part, (bin,) curve) in stacking order, of one channel or summed over all; parts without light left out."""
-    parts = again.transient.parts
+    parts = again.transient.parts or {UNDIVIDED: again.transient.total}
     pick = {name: values.sum(axis=(0, 1)) if channel is None else values[channel] for name, values in parts.items()}
-    curves = [(name, pick[name]) for name in times.stacking_order(again.scene) if name in pick]
+    curves = [(name, pick[name]) for name in (*times.stacking_order(again.scene), UNDIVIDED) if name in pick]
     return [(name, curve) for name, curve in curves if parts[name].any()]
 
 
@@ -239,6 +254,11 @@ def _objects(again: Replay) -> NDArray[np.float64]:
 
 def _provenance(again: Replay) -> str:
     """Where the curves come from, and whether they are the stored ones."""
+    if again.stands_in:
+        return (
+            "The mesh files of this scene are gone: its light is what is stored (without a transient, the "
+            "counts), not split by part, and a cuboid stands for each object."
+        )
     start = "Parts are not stored; they come from simulating this scene again from its stored configuration and seed"
     if not again.reproduced:
         far = "" if again.difference is None else f" (its transient differs by {again.difference:.2g}, relative L2)"

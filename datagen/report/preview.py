@@ -13,11 +13,11 @@ from datagen.errors import InputError
 from datagen.report.contact_sheet import sheet_figure
 from datagen.report.html import head, inside, table
 from datagen.report.parameter_plots import parameter_page, varying
-from datagen.report.replay import read_scene, replay
+from datagen.report.replay import config_of, read_scene, replay
 from datagen.report.room_plots import RoomPicture
 from datagen.report.show import pages
 from datagen.report.style import house_style
-from datagen.scene import generate_scene
+from datagen.scene import generate_scene, stand_in
 from datagen.store import Manifest, committed, read_manifest
 from datagen.store.card import ranges
 from datagen.store.info import info, scenes_made
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 ROOMS = 24
 """Rooms on the sheet."""
+MOST_SCENES = 100
 SCENES = 3
 """Scenes shown in full."""
 
@@ -48,6 +49,8 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
     ------
     InputError : no dataset, no scene in it yet, or an output that cannot be written.
     """
+    if not 0 <= scenes <= MOST_SCENES:
+        raise InputError(f"--scenes {scenes}: must lie in 0 … {MOST_SCENES}")
     root = Path(dataset)
     manifest = read_manifest(root)
     records = committed(root, manifest)
@@ -66,7 +69,7 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
 
 def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes: int) -> Iterator[str]:
     made = scenes_made(records)
-    config = manifest.parsed_config()
+    config, meshes = config_of(manifest)
     yield head(config.name)
     yield f"<pre>{escape(info(root))}</pre>"
     yield "<h2>Fields</h2>"
@@ -77,7 +80,9 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
     ]
     yield _table(("field", "axes", "shape", "dtype", "unit", "meaning"), rows)
     yield "<h2>Rooms</h2>"
-    yield inside(_rooms(config, made[:ROOMS]), f"the first {min(len(made), ROOMS)} rooms, plan and opened")
+    yield inside(
+        _rooms(root, config, made[:ROOMS], meshes), f"the first {min(len(made), ROOMS)} rooms, plan and opened"
+    )
     yield "<h2>Scenes in full</h2>"
     for scene in made[:scenes]:
         yield from _scene(root, scene)
@@ -90,10 +95,14 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
     yield f"<pre>{escape(config.model_dump_json(indent=2))}</pre></details></body></html>"
 
 
-def _rooms(config: DatasetConfig, chosen: Sequence[SceneRecord]) -> Figure:
+def _rooms(root: Path, config: DatasetConfig, chosen: Sequence[SceneRecord], meshes: bool) -> Figure:
     rooms = []
     for record in chosen:
-        scene = generate_scene(config.scene, config.seed, record.index)
+        if meshes:
+            scene = generate_scene(config.scene, config.seed, record.index)
+        else:
+            stored = read_scene(root, record.index)
+            scene = stand_in(config.scene, config.seed, record.index, stored.parameters, stored.arrays)
         targets = capture_for(config, scene, config.seed, record.index).laser.targets
         rooms.append(RoomPicture(scene, laser_points=targets, pixels=180))
     title = f"{config.name}: {len(rooms)} rooms, by scene index"

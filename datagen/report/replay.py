@@ -16,12 +16,12 @@ from datagen.detector import Exposure, Spad, choose_sampler, detect, detector_fo
 from datagen.effects import EffectDecisions
 from datagen.errors import InputError
 from datagen.pipeline import detector_effects, transport_effects
-from datagen.records import Capture, Scene, TimeAxis, Transient
-from datagen.scene import generate_scene
+from datagen.records import Capture, Scalar, Scene, TimeAxis, Transient
+from datagen.scene import generate_scene, stand_in
 from datagen.seeding import Purpose, derived_seed
-from datagen.store import DatasetReader, read_manifest
+from datagen.store import DatasetReader, Manifest, read_manifest
 from datagen.store.record import read_record
-from datagen.transport import simulate
+from datagen.transport import transient_of
 
 REPRODUCED = 1e-5
 """Relative L2 difference up to which a transient counts as reproduced (storage in float32 costs 1e-7)."""
@@ -31,11 +31,18 @@ SAME_PLACE_M = 1e-6
 
 @dataclass(frozen=True)
 class StoredScene:
-    """What a dataset holds of one scene. arrays : field → values of the scene."""
+    """What a dataset holds of one scene.
+
+    arrays : field → values of the scene. parameters : what was drawn for it. classes : what the numbers of
+    `object_class` stand for. meshes : whether the mesh files it was made with are there.
+    """
 
     config: DatasetConfig
     index: int
     arrays: Mapping[str, NDArray[Any]]
+    parameters: Mapping[str, Scalar] = field(default_factory=dict)
+    classes: tuple[str, ...] = ()
+    meshes: bool = True
 
     @property
     def title(self) -> str:
@@ -54,6 +61,8 @@ class Replay:
     difference : relative L2 distance of the new transient from the stored one; None where none is stored.
     moved_m : how far the farthest laser point now lies from where it is stored, metres.
     effects : what was simulated of the scene, and why.
+    stands_in : nothing was simulated, since mesh files are gone: the light is the stored one, of no part, and cuboids
+        stand for the objects.
     """
 
     scene: Scene
@@ -66,6 +75,7 @@ class Replay:
     mean_is_exact: bool = True
     is_poisson: bool = True
     effects: EffectDecisions = field(default_factory=lambda: EffectDecisions((), 0.0))
+    stands_in: bool = False
 
     @property
     def reproduced(self) -> bool:
@@ -97,17 +107,32 @@ def read_scene(dataset: str | Path, index: int) -> StoredScene:
     names = manifest.schema.by_name
     reader = DatasetReader(root, manifest, names)
     arrays = {name: reader.read(name, [index])[0] for name in names}
-    return StoredScene(manifest.parsed_config(), index, arrays)
+    parameters = next(scene.parameters for scene in record.scenes if scene.index == index)
+    classes = names["object_class"].classes if "object_class" in names else ()
+    config, meshes = config_of(manifest)
+    return StoredScene(config, index, arrays, parameters, classes, meshes)
+
+
+def config_of(manifest: Manifest) -> tuple[DatasetConfig, bool]:
+    """A dataset's configuration, and whether the mesh files that it names are there."""
+    try:
+        return manifest.parsed_config(), True
+    except InputError:
+        # Either a mesh file is gone, or this fails in the same way.
+        return manifest.parsed_config(meshes=False), False
 
 
 def replay(stored: StoredScene) -> Replay:
-    """Simulate a stored scene again: a scene depends on (configuration, seed, index) alone."""
+    """Simulate a stored scene again: a scene depends on (configuration, seed, index) alone. Where mesh files are
+    gone, what is stored stands for it."""
+    if not stored.meshes:
+        return _as_stored(stored)
     config, index = stored.config, stored.index
     scene = generate_scene(config.scene, config.seed, index)
     capture = capture_for(config, scene, config.seed, index)
     effects = transport_effects(config, scene, capture, index)
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
-    transient = simulate(lit, capture, accuracy, seed=derived_seed(config.seed, index, Purpose.TRANSPORT))
+    transient = transient_of(lit, capture, accuracy, seed=derived_seed(config.seed, index, Purpose.TRANSPORT))
     given = detector_for(config.detector, config.seed, index, capture.time)
     effects += detector_effects(config, transient, *given)
     spad, exposure, tolerance = effects.apply_detector(*given, config.detector.tolerance)
@@ -124,6 +149,29 @@ def replay(stored: StoredScene) -> Replay:
     difference, moved_m = _difference(stored, transient.total), _moved_m(stored, transient.laser_points)
     return Replay(
         scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact, is_poisson, effects
+    )
+
+
+def _as_stored(stored: StoredScene) -> Replay:
+    """A stored scene without simulating it; raises `InputError` where neither transient nor histogram is stored."""
+    config, index, arrays = stored.config, stored.index, stored.arrays
+    scene = stand_in(config.scene, config.seed, index, stored.parameters, arrays)
+    capture = capture_for(config, scene, config.seed, index)
+    spad, exposure = detector_for(config.detector, config.seed, index, capture.time)
+    kept, counts = arrays.get("transient"), arrays.get("histogram")
+    if kept is None and counts is None:
+        raise InputError(f"{stored.title}: its mesh files are gone, and neither transient nor histogram is stored")
+    scale = max(spad.pde * exposure.photons_per_pulse * exposure.cycles, 1e-300)
+    total = np.asarray(counts, np.float64) / scale if kept is None else kept.astype(np.float64)
+    transient = Transient(
+        capture.time, {"primary": total}, {}, np.full(total.shape, np.nan), np.zeros(total.shape[:2]),
+        arrays["laser_points"],
+    )  # fmt: skip
+    expected, mean_is_exact = _mean(total, capture.time, spad, exposure)
+    if counts is None:
+        counts = detect(total, capture.time, spad, exposure, seed=derived_seed(config.seed, index, Purpose.DETECTOR))
+    return Replay(
+        scene, capture, transient, counts, expected, None, 0.0, mean_is_exact, is_poisson=False, stands_in=True
     )
 
 

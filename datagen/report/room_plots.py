@@ -139,16 +139,19 @@ def _seen_share(scene: Scene, camera: Camera, cut: Cutaway, wanted: NDArray[np.i
 
 
 def draw_legend(figure: Figure, axes: Axes, room: RoomPicture, columns: int = 6) -> Legend:
-    """A legend of all parts and marks, filling `axes`."""
+    """A legend of the parts and marks that plan or opened room show, filling `axes`."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     scene = room.scene
-    colors = part_colors(scene).items()
+    # The ceiling is off in both.
+    shown = np.setdiff1d(np.arange(len(scene.triangles)), room_faces(scene)[2])
+    drawn = {scene.part_names[part] for part in np.unique(scene.face_part[shown])}
+    colors = [(name, color) for name, color in part_colors(scene).items() if name in drawn]
     handles: list[Patch | Line2D] = [Patch(fc=color, ec="#555555", lw=0.5, label=name) for name, color in colors]
     dots: dict[str, Any] = {"color": "black", "linestyle": "", "markersize": 8}
     handles += [Line2D([], [], marker=_marker(label), label=label, **dots) for label in room.devices]
-    if room.laser_points is not None:
+    if room.laser_points is not None and np.isfinite(room.laser_points).all(axis=1).any():
         handles.append(Line2D([], [], marker="o", color=LASER, linestyle="", markersize=4, label="laser points"))
     if room.capture is not None:
         handles.append(Patch(fc="none", ec=FIELD_OF_VIEW, lw=1.2, label="field of view of the pixels"))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.labels import ViewFrame
 from datagen.records import Capture, Rectangle, TimeAxis
 from datagen.report.style import LASER, captioned, empty_note
 from datagen.report.time_plots import busy_window, time_label
@@ -26,8 +27,8 @@ _NUMBERED = 40
 class Raster:
     """Channels that lie on a grid on the wall.
 
-    channels : (row, column, 2) laser and pixel number of each. x_m, z_m : (column,) and (row,) metres right and up
-    from the grid's middle. what : "laser points" or "pixels".
+    channels : (row, column, 2) laser and pixel number of each. x_m, z_m : (column,) and (row,) metres right and up in
+    the frame of the labels; without one from the grid's middle. what : "laser points" or "pixels".
     """
 
     channels: NDArray[np.int64]
@@ -36,7 +37,7 @@ class Raster:
     what: str
 
 
-def raster_of(capture: Capture, channel: tuple[int, int]) -> Raster | None:
+def raster_of(capture: Capture, channel: tuple[int, int], frame: ViewFrame | None = None) -> Raster | None:
     """The grid that the scan's laser points make; else that of the pixels, for the laser point of `channel`.
 
     A grid is recognised by its places: rows of equally many points at equal steps. None when there is none with at
@@ -56,7 +57,8 @@ def raster_of(capture: Capture, channel: tuple[int, int]) -> Raster | None:
         grid = places.reshape(-1, columns, 3)
         x = np.linalg.norm(grid[0] - grid[0, 0], axis=-1)
         z = np.linalg.norm(grid[:, 0] - grid[0, 0], axis=-1)
-        return Raster(np.stack(pair, axis=-1), x - x.mean(), z.mean() - z, what)
+        right, up = (0.0, 0.0) if frame is None else frame.to_view(places.mean(axis=0))[:2]
+        return Raster(np.stack(pair, axis=-1), right + x - x.mean(), up + z.mean() - z, what)
     return None
 
 
@@ -151,11 +153,13 @@ def _reach(places: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def listed_page(
-    title: str, wall: Rectangle, capture: Capture, whole: NDArray[np.float64], objects: NDArray[np.float64], note: str
-) -> Figure:
+    title: str, wall: Rectangle, capture: Capture, whole: NDArray[np.float64], objects: NDArray[np.float64],
+    note: str, frame: ViewFrame | None = None,
+) -> Figure:  # fmt: skip
     """The laser points on the wall, and the transient of each in the scan's order.
 
-    whole, objects : (laser, pixel, bin) all light, and what objects scattered. note : ends the caption.
+    whole, objects : (laser, pixel, bin) all light, and what objects scattered. note : ends the caption. frame : of
+    the labels, in which places are given; left out, the wall's.
     """
     count = len(capture.laser.targets)
     text = (
@@ -164,7 +168,7 @@ def listed_page(
         f"point of the hidden scene answers early where a laser point is near it. {note}"
     )
     figure, grid = captioned(14, [4.6], text, f"{title}: the scan", 3)
-    _draw_places(figure.add_subplot(grid[0, 0]), wall, capture.laser.targets)
+    _draw_places(figure.add_subplot(grid[0, 0]), wall, capture.laser.targets, frame)
     number = np.arange(count)
     raster = Raster(np.zeros((1, count, 2), np.int64), number.astype(np.float64), np.zeros(1), "laser points")
     scans = [values.sum(axis=1)[None] for values in (whole, objects)]
@@ -176,11 +180,10 @@ def listed_page(
     return figure
 
 
-def _draw_places(axes: Axes, wall: Rectangle, places: NDArray[np.float64]) -> None:
-    half = np.linalg.norm([wall.right, wall.up], axis=1)
-    offset = places - wall.center
-    x, y = offset @ wall.right / half[0], offset @ wall.up / half[1]
-    outline = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half
+def _draw_places(axes: Axes, wall: Rectangle, places: NDArray[np.float64], frame: ViewFrame | None) -> None:
+    frame = ViewFrame.about(wall) if frame is None else frame
+    x, y = frame.to_view(places)[:, :2].T
+    outline = frame.to_view(wall.corners[[0, 1, 2, 3, 0]])[:, :2]
     axes.plot(outline[:, 0], outline[:, 1], color="#777777", linewidth=1.0)
     axes.plot(x, y, color=LASER, linewidth=0.4, alpha=0.5)
     axes.scatter(x, y, s=14, color=LASER, zorder=3)

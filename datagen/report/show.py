@@ -57,6 +57,8 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
     To be used within `house_style()`.
     """
     wanted = drawn.labels_of(stored)
+    if again.stands_in:
+        wanted = [name for name in wanted if name in stored.arrays]
     kept = {name: stored.arrays[name] for name in wanted if name in stored.arrays}
     made = make_labels(stored.config.labels, again.scene, [name for name in wanted if name not in kept])
     labels = {name: (kept | made)[name] for name in wanted}

@@ -135,6 +135,14 @@ def empty_note(axes: Axes, text: str) -> None:
     axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes, color="#777777", wrap=True)
 
 
+def check_png(out: str | Path) -> Path:
+    """`out` as a path; raises `InputError` for a name that is no PNG's."""
+    path = Path(out)
+    if path.suffix.lower() != ".png":
+        raise InputError(f"OUT = {str(out)!r}: pictures are PNG files; name one such as sheet.png")
+    return path
+
+
 def save_png(figure: Figure, path: Path) -> Path:
     """Write the figure; the file depends on the picture alone (no time, no version). Returns `path`."""
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +55,8 @@ def busy_window(curves: NDArray[np.float64], axis: TimeAxis, share: float = 0.99
 
 def draw_stack(axes: Axes, scene: Scene, parts: Sequence[tuple[str, NDArray[np.float64]]], time: TimeAxis) -> None:
     """Stack (part name, (bin,) curve) pairs, objects lowest, on a logarithmic axis."""
-    colors = part_colors(scene)
+    # What is no part is light that is not split.
+    colors = defaultdict(lambda: "#8FA3B5", part_colors(scene))
     total = np.sum([curve for _, curve in parts], axis=0) if parts else np.zeros(time.bins)
     axes.set(
         xlabel=time_label(time),

@@ -190,7 +190,7 @@ def draw_object(item: Item, room_height_m: float, rng: np.random.Generator) -> D
 def load_mesh(item: MeshItem, file: Path, shown: str) -> Solid:
     """The file's solid at height 1. Raises `InputError` naming it as `shown`."""
     try:
-        return unit_mesh(file, MeshOptions(item.up, item.max_triangles))
+        return unit_mesh(file, MeshOptions(item.up, item.front, item.max_triangles))
     except BadMesh as error:
         raise InputError(f"path = {shown!r}: {error}") from None
 
@@ -201,5 +201,5 @@ def _mesh(item: MeshItem, file: Path, label: str, shown: str, height_m: float) -
 
 
 def _extents(solid: Solid) -> dict[str, Scalar]:
-    width, depth = np.ptp(solid.hull, axis=0)
+    width, depth = np.ptp(solid.vertices[:, :2], axis=0)
     return {"width_m": float(width), "depth_m": float(depth), "height_m": solid.top_m}

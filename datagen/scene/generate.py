@@ -17,6 +17,7 @@ from datagen.config.scene_contents import Mesh, MeshFolder
 from datagen.errors import InputError
 from datagen.records import Pose, Rectangle, Role, Scalar, Scene
 from datagen.records.arrays import Floats
+from datagen.records.checks import check_kind
 from datagen.scene.draws import DrawnRoom, draw_room, load_mesh
 from datagen.scene.placing import Unmet, place
 from datagen.scene.refusals import explain
@@ -62,6 +63,7 @@ def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
     >>> scene.parameters["layout.kind"]
     'l_corridor'
     """
+    check_kind("spec", spec, SceneConfig, remedy="such as load_config(path).scene")
     reasons: Counter[tuple[str, str]] = Counter()
     draws = 0
     while (left := spec.max_attempts - reasons.total()) > 0:

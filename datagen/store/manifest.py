@@ -84,18 +84,19 @@ class Manifest:
         """Whether commit records carry a checksum of their own."""
         return self.schema_version >= CHECKSUMS_SINCE
 
-    def parsed_config(self) -> DatasetConfig:
+    def parsed_config(self, meshes: bool = True) -> DatasetConfig:
         """The configuration as models, able to generate the scenes again (other ones than the stored, if the dataset
         is of an earlier schema version).
 
         Raises `InputError` when a mesh file is no longer where it was, a setting no longer exists, or the fields are
-        not those that the configuration gives.
+        not those that the configuration gives. Without `meshes` no mesh file need be there, nor can they be read.
         """
         config = self.config
         for section, old, new in _RENAMED_SINCE.get(self.schema_version, ()):
             renamed = {new if key == old else key: value for key, value in config[section].items()}
             config = config | {section: renamed}
-        models = config_from_mapping(config, source=MANIFEST, base_directory=self.mesh_folder or ".")
+        folder = (self.mesh_folder or ".") if meshes else None
+        models = config_from_mapping(config, source=MANIFEST, base_directory=folder)
         due, found = schema_of(models, self.schema.scenes_per_shard), self.schema
         if self.must_be_sealed and [(f.name, f.shape) for f in due.fields] != [
             (f.name, f.shape) for f in found.fields

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from datagen.compiled import drop_stale_kernels
-from datagen.transport.solver import simulate
+from datagen.transport.solver import simulate, transient_of
 
-__all__ = ["simulate"]
+__all__ = ["simulate", "transient_of"]
 
 drop_stale_kernels(Path(__file__).parent)

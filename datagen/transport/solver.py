@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time as clock_time
 from dataclasses import replace
+from warnings import warn
 
 import numpy as np
 
-from datagen.errors import InputError
+from datagen.errors import InputWarning
 from datagen.records import Accuracy, Capture, Scene, Spend, Transient
 from datagen.records.arrays import Bools
+from datagen.records.checks import check_kind, check_seed
 from datagen.transport.averages import Average, Estimate, split_rows, walk_average
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.factorised.secondary import factorising, secondary_transient
@@ -54,7 +56,11 @@ def simulate(
 
     Raises
     ------
-    InputError : for a pixel that is no convex quadrilateral, or a negative seed.
+    InputError : for a pixel that is no convex quadrilateral, a negative seed, or an argument of another type.
+
+    Warns
+    -----
+    InputWarning : no light falls into the time axis, though some arrives outside it: mostly a scene in millimetres.
 
     Examples
     --------
@@ -70,12 +76,28 @@ def simulate(
     >>> t.total.shape, sorted(t.components), bool(t.parts["box"].sum() > 0)
     ((1, 2, 200), ['primary', 'secondary'], True)
     """
-    accuracy = accuracy or Accuracy()
-    if not 0 <= seed < 2**64:
-        raise InputError(f"seed = {seed}: must be an integer in 0 … 2^64 − 1")
+    check_kind("scene", scene, Scene)
+    check_kind("capture", capture, Capture)
+    accuracy = Accuracy() if accuracy is None else accuracy
+    check_kind("accuracy", accuracy, Accuracy, remedy="an error to be met is Accuracy(target=0.05)")
+    check_seed(seed)
+    found = transient_of(scene, capture, accuracy, seed, split_parts=split_parts)
+    if found.overflow.any() and not found.total.any():
+        start, stop = capture.time.start_s * 1e9, capture.time.stop_s * 1e9
+        warn(
+            f"simulate: all light arrives outside the time axis, {start:.4g} … {stop:.4g} ns; is the scene in m?",
+            InputWarning, stacklevel=2,
+        )  # fmt: skip
+    return found
+
+
+def transient_of(
+    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool = True
+) -> Transient:
+    """`simulate` of what was checked already, such as the scenes of a dataset; it warns of nothing."""
     if capture.illumination == "flood":
         one_by_one = replace(capture, illumination="scan")
-        return flooded(simulate(scene, one_by_one, accuracy, seed, split_parts=split_parts))
+        return flooded(transient_of(scene, one_by_one, accuracy, seed, split_parts=split_parts))
     began = clock_time.perf_counter()
     task = prepared(scene, capture, accuracy, seed, split_parts=split_parts)
     ready = clock_time.perf_counter()

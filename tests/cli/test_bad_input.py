@@ -92,6 +92,15 @@ def test_a_room_that_no_draw_can_meet(here: Path, capsys: pytest.CaptureFixture[
         (["build", "config.yaml", "out", "--workers", "-3"], "--workers -3: must be ≥ 1"),
         (["build", "config.yaml", "out", "--workers", "two"], "'two' is not a valid integer"),
         (["build", "config.yaml", "out", "--scenes", "0"], "--scenes 0: must be ≥ 1"),
+        (["build", "config.yaml", "out", "--scenes", "-1"], "--scenes -1: must be ≥ 1"),
+        (["build", "config.yaml", "out", "--workers", "1000000"], "--workers 1000000: must be ≥ 1 and ≤ 4096"),
+        (["build", "config.yaml", ""], "OUT = '': names no folder"),
+        (["plan", "config.yaml", "--scenes", "-1"], "--scenes -1: must be ≥ 1"),
+        (["plan", "config.yaml", "--workers", "1000000"], "--workers 1000000"),
+        (["preview", "nothing", "--scenes", "-1"], "--scenes -1: must lie in 0 … 100"),
+        (["sheet", "config.yaml", "out.xyz"], "OUT = 'out.xyz': pictures are PNG files"),
+        (["sheet", "config.yaml", ""], "OUT = '': pictures are PNG files"),
+        (["sheet", "out.png"], "missing argument"),
         (["build", "config.yaml", "out", "--shards", "7"], "--shards 7"),
         (["build", "config.yaml", "out", "--engine", "spark"], "--engine spark: must be local or dask"),
         (["build", "config.yaml", "config.yaml"], "is a file, not a folder"),
@@ -128,3 +137,10 @@ def test_no_traceback_from_the_real_command(here: Path) -> None:
     )
     assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
     assert os.listdir() == ["config.yaml"]
+
+
+@pytest.mark.parametrize("arguments", [[], ["bench"]])
+def test_a_group_alone_prints_its_help(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    assert run(arguments) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("Usage: datagen") and "Commands:" in out and err == ""

@@ -20,6 +20,13 @@ def test_numbers_are_those_of_yaml_1_2(text: str) -> None:
     assert parse_yaml(f"value: {text}", "x") == {"value": 1e6}
 
 
+def test_merge_keys_stand_for_what_they_name() -> None:
+    """Own keys go before merged ones, and the first mapping of a list before the next."""
+    text = "x: &x {a: 1, b: 1}\ny: &y {b: 2, c: 2}\nz: {<<: [*x, *y], a: 3}\nw: {c: 4, <<: *y}"
+    assert parse_yaml(text, "x")["z"] == {"a": 3, "b": 1, "c": 2}
+    assert parse_yaml(text, "x")["w"] == {"b": 2, "c": 4}
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -32,6 +39,9 @@ def test_numbers_are_those_of_yaml_1_2(text: str) -> None:
         ("a: !!python/object/apply:os.system ['true']", "broken YAML"),
         ("a: &x [*x]", "broken"),
         ("\tb: 1", "line 1"),
+        ("a: {<<: 3}", "<<: needs a mapping"),
+        ("a: &x {<<: *x}", "broken"),
+        ("x: &x {b: 1}\na: {<<: *x, b: 2, b: 3}", "stands twice"),
     ],
 )
 def test_broken_yaml_is_one_line_with_its_place(text: str, words: str, tmp_path: Path) -> None:

@@ -49,6 +49,25 @@ def box_distance(points: np.ndarray, size: np.ndarray, center: np.ndarray) -> np
     return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)
 
 
+def test_a_flat_quad_takes_the_voxels_it_touches_and_has_no_inside() -> None:
+    quad = trimesh.Trimesh(
+        [[4.0, 2.0, 0.5], [5.0, 2.6, 0.5], [5.0, 2.6, 1.5], [4.0, 2.0, 1.5]], [[0, 1, 2], [0, 2, 3]], process=False
+    )
+    scene = scene_of(quad)
+    labels = make_labels(CONFIG, scene, ("occupancy", "sdf"))
+    points = centers(scene) - [4.5, 2.3, 1.0]
+    along = np.array([1.0, 0.6, 0.0]) / np.hypot(1, 0.6)
+    beyond = np.maximum(
+        np.abs([points @ along, points[..., 2]]) - np.reshape([np.hypot(1, 0.6) / 2, 0.5], (2, 1, 1, 1)), 0
+    )
+    distance = np.sqrt(beyond[0] ** 2 + beyond[1] ** 2 + (points @ [-along[1], along[0], 0]) ** 2)
+    np.testing.assert_allclose(labels["sdf"], distance, atol=1e-5)
+    voxel = VoxelGrid.of(scene, CONFIG.voxels).voxel_m
+    taken = labels["occupancy"] == 1
+    assert distance[taken].max() <= np.linalg.norm(voxel) / 2
+    assert taken[distance < voxel.min() / 2].all()
+
+
 def test_box_is_exact() -> None:
     size, center = np.array([0.9, 0.7, 1.1]), np.array([4.4, 2.6, 0.8])
     scene = scene_of(box_mesh(tuple(size), tuple(center)))

@@ -173,6 +173,78 @@ def test_meshes_stand_in_the_room_by_every_law(tmp_path: Path) -> None:
         assert_room_laws(generate_scene(spec, 0, index), np.random.default_rng(index))
 
 
+QUAD = "v 0 0 0\nv {x} {y} 0\nv {x} {y} 1\nv 0 0 1\nf 1 2 3\nf 1 3 4\n"
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, 1.0), (0.6, 0.8), (0.28, -0.96)])
+@pytest.mark.parametrize("placement", ["floor", "wall", "hanging"])
+def test_a_flat_quad_is_an_object_like_any_other(
+    tmp_path: Path, direction: tuple[float, float], placement: str
+) -> None:
+    x, y = direction
+    _write(tmp_path, "quad.obj", QUAD.format(x=x, y=y))
+    spec = spec_with("quad.obj", tmp_path, placement=placement).scene
+    for index in range(4):
+        scene = generate_scene(spec, 0, index)
+        assert_room_laws(scene, np.random.default_rng(index))
+        np.testing.assert_allclose(np.linalg.norm(np.cross(*_sides(object_corners(scene))), axis=1), 1, atol=1e-5)
+        found = [scene.parameters[f"quad.{key}"] for key in ("width_m", "depth_m", "height_m")]
+        np.testing.assert_allclose(found, [abs(x), abs(y), 1.0], atol=1e-6)
+
+
+def _sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+
+
+def test_a_flat_mesh_of_many_triangles_is_simplified(tmp_path: Path) -> None:
+    quad = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], [[0, 1, 2], [0, 2, 3]])
+    flat = quad.subdivide().subdivide().subdivide()
+    flat.export(tmp_path / "flat.ply")
+    solid = unit_mesh(tmp_path / "flat.ply", MeshOptions(max_triangles=20))
+    assert len(solid.triangles) <= 20 < len(flat.faces)
+    np.testing.assert_allclose(trimesh.Trimesh(solid.vertices, solid.triangles).area, 1, rtol=1e-5)
+
+
+def test_triangle_strips_are_triangles(tmp_path: Path) -> None:
+    """One strip that −1 ends, or one a line; binary or text: the same surface, wound one way."""
+    header = (
+        "ply\nformat {} 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
+        "element tristrips {}\nproperty list int int vertex_indices\nend_header\n"
+    )
+    points = [[0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 0, 1], [0, 1, 2]]
+    text = "".join(f"{x} {y} {z}\n" for x, y, z in points)
+    _write(tmp_path, "marked.ply", header.format("ascii", 1) + text + "8 0 1 2 3 -1 2 3 4\n")
+    _write(tmp_path, "apart.ply", header.format("ascii", 2) + text + "4 0 1 2 3\n3 2 3 4\n")
+    strip = np.array([8, 0, 1, 2, 3, -1, 2, 3, 4], "<i4").tobytes()
+    binary = header.format("binary_little_endian", 1).encode() + np.array(points, "<f4").tobytes() + strip
+    _write(tmp_path, "binary.ply", binary)
+    _write(tmp_path, "plain.obj", "".join(f"v {x} {y} {z}\n" for x, y, z in points) + "f 1 2 3\nf 3 2 4\nf 3 4 5\n")
+    plain = unit_mesh(tmp_path / "plain.obj", MeshOptions())
+    for name in ("marked.ply", "apart.ply", "binary.ply"):
+        found = unit_mesh(tmp_path / name, MeshOptions())
+        np.testing.assert_array_equal(found.vertices, plain.vertices)
+        assert {_from_least(face) for face in found.triangles} == {_from_least(face) for face in plain.triangles}
+
+
+def _from_least(face: np.ndarray) -> tuple[int, ...]:
+    return tuple(np.roll(face, -int(np.argmin(face))).tolist())
+
+
+@pytest.mark.parametrize(("up", "front"), [("z", "x"), ("z", "-x"), ("y", "-z"), ("x", "z"), ("-y", "x")])
+def test_front_turns_the_file_about_its_upward_axis(tmp_path: Path, up: str, front: str) -> None:
+    """What lies farthest along `front` in the file lies farthest along −y, where the front of every object is."""
+    lump().export(tmp_path / "lump.ply")
+    unit = unit_mesh(tmp_path / "lump.ply", MeshOptions(up=up, front=front))
+    height = np.ptp(lump().vertices[:, "xyz".index(up[-1])])
+    np.testing.assert_allclose(trimesh.Trimesh(unit.vertices, unit.triangles).volume * height**3, lump().volume)
+    along = lump().vertices[:, "xyz".index(front[-1])] * (-1 if front.startswith("-") else 1)
+    along = (along - (along.max() + along.min()) / 2) / height
+    np.testing.assert_allclose(np.sort(-unit.vertices[:, 1])[[0, -1]], np.sort(along)[[0, -1]], atol=1e-6)
+    assert abs(-unit.vertices[:, 1, None] - along).min(axis=0).max() < 1e-6
+    with pytest.raises(InputError, match=r"contents\[0\].*: front = '-y': must lie across up = 'y'"):
+        spec_with("lump.ply", tmp_path, up="y", front="-y")
+
+
 def _write(tmp_path: Path, name: str, content: str | bytes) -> None:
     (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
 

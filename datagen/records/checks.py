@@ -1,0 +1,101 @@
+"""What arguments are held to: a refusal is one `InputError` of one line that names argument, value and remedy."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from datagen.errors import InputError
+from datagen.records.arrays import Floats
+
+LONGEST_SHOWN = 60
+
+
+def check_number(record: str, name: str, value: object, low: float, high: float, remedy: str) -> None:
+    """Raise `InputError` unless `value` is a real number in low … high."""
+    is_number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    if not is_number or not low <= value <= high:  # type: ignore[operator]
+        raise InputError(f"{record}.{name} = {shown(value)}: must be a number in {low:g} … {high:g} ({remedy})")
+
+
+def check_integer(record: str, name: str, value: object, low: int, high: int) -> None:
+    """Raise `InputError` unless `value` is an integer in low … high."""
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not low <= value <= high:
+        raise InputError(f"{record}.{name} = {shown(value)}: must be an integer in {low} … {high}")
+
+
+def check_seed(value: object, name: str = "seed") -> None:
+    """Raise `InputError` unless `value` is an integer in 0 … 2⁶⁴ − 1."""
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not 0 <= value < 2**64:
+        raise InputError(f"{name} = {shown(value)}: must be an integer in 0 … 2^64 − 1")
+
+
+def check_flag(name: str, value: object) -> None:
+    """Raise `InputError` unless `value` is True or False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{name} = {shown(value)}: must be True or False")
+
+
+def check_choice(name: str, value: object, allowed: tuple[str, ...]) -> None:
+    """Raise `InputError` unless `value` is one of the words allowed."""
+    if not isinstance(value, str) or value not in allowed:
+        raise InputError(f"{name} = {shown(value)}: must be one of {', '.join(allowed)}")
+
+
+def check_kind(name: str, value: object, *kinds: type, remedy: str = "") -> None:
+    """Raise `InputError` unless `value` is one of `kinds`."""
+    if not isinstance(value, kinds):
+        wanted = " or ".join(kind.__name__ for kind in kinds)
+        raise InputError(f"{name} = {shown(value)}: {wanted} needed{f'; {remedy}' if remedy else ''}")
+
+
+def shown(value: object) -> str:
+    """A value in one short line: as Python writes it, or what kind and shape it has."""
+    shape = getattr(value, "shape", None)
+    if isinstance(shape, tuple) and shape:
+        return f"an array of shape {shape}"
+    text = repr(value)
+    simple = isinstance(value, (str, int, float, complex, list, tuple, type(None), np.generic))
+    return text if simple and len(text) <= LONGEST_SHOWN and "\n" not in text else f"a {type(value).__name__}"
+
+
+def as_reals(name: str, value: ArrayLike) -> Floats:
+    """`value` as an array of float64; raises `InputError` for what holds other than real numbers or is ragged."""
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, RuntimeError):
+        raise InputError(f"{name}: rows of different lengths; an array of real numbers is needed") from None
+    if array.dtype.kind not in "fiu":
+        found = shown(value) if array.dtype.kind in "OUS" else f"{array.dtype} numbers"
+        raise InputError(f"{name} = {found}: an array of real numbers is needed")
+    return array.astype(np.float64, copy=False)
+
+
+def as_points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Floats:
+    """Coordinates in metres, a read-only copy of the wanted shape (None: any size from 1); else `InputError`."""
+    array = as_reals(name, value)
+    fits = array.ndim == len(shape) and all(w is None or w == g for g, w in zip(array.shape, shape, strict=False))
+    if not fits or array.size == 0:
+        wanted = ", ".join("n" if s is None else str(s) for s in shape)
+        needed = f"({wanted}{',' if len(shape) == 1 else ''})"
+        raise InputError(
+            f"{name}: shape {array.shape} given, {needed} needed{' with n ≥ 1' if None in shape else ''}"
+        )
+    check_places(name, array)
+    array = array.copy()
+    array.setflags(write=False)
+    return array
+
+
+FARTHEST_M = 1e9
+"""Coordinates beyond it are no place of a scene: their squares' squares leave single precision."""
+
+
+def check_places(name: str, points: Floats) -> None:
+    """Raise `InputError` for coordinates that are not finite or farther than `FARTHEST_M`."""
+    if not np.isfinite(points).all():
+        count = np.count_nonzero(~np.isfinite(points))
+        raise InputError(f"{name}: {count} coordinates are NaN or infinite; all must be finite metres")
+    largest = float(np.abs(points).max(initial=0.0))
+    if largest > FARTHEST_M:
+        raise InputError(f"{name}: a coordinate of {largest:.3g} m; at most {FARTHEST_M:g} m are handled")
