@@ -182,7 +182,7 @@ class _Build:
     accept_mixed: bool
     scene_seconds: float | None
     deaths: Counter[int] = field(default_factory=Counter)
-    """Scene → workers that died over it; −1 counts those that died before any scene."""
+    """Scene → workers that died over it; −1 counts those in a row that died before any scene."""
     given_up: dict[int, str] = field(default_factory=dict)
 
     @property
@@ -218,6 +218,8 @@ class _Build:
                     if failures is None:
                         waiting.appendleft(shard)
                         continue
+                    # Workers do begin: the others that died did so by chance.
+                    self.deaths[-1] = 0
                     progress.shard_done(shard, sizes[shard], len(failures))
                     made, failed = made + sizes[shard], failed + len(failures)
                     if failed == made >= min(HOPELESS, self.schema.scenes):

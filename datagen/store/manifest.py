@@ -166,7 +166,9 @@ def read_manifest(root: str | Path) -> Manifest:
         raise DamagedManifest(f"{error}; {REMEDY}") from None
     version = stated.get("schema_version")
     if stated.get("format") != FORMAT:
-        raise InputError(f"{path}: is not the manifest of a datagen dataset; name a folder that `datagen build` made")
+        raise DamagedManifest(
+            f"{path}: is not the manifest of a datagen dataset; name a folder that `datagen build` made"
+        )
     if not isinstance(version, int) or version not in SCHEMA_VERSIONS:
         raise InputError(
             f"{path}: schema_version = {_shortened(version)}, this datagen reads 1 … {SCHEMA_VERSION}; "
