@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scene_library.rounding import product
 from scene_library.solids import Solid
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
@@ -65,7 +66,7 @@ def _unit(path: Path, options: MeshOptions) -> Solid:
     _check_steps(vertices)
     if options.max_triangles is not None and len(faces) > options.max_triangles:
         vertices, faces = cleaned(*simplified(vertices, faces, options.max_triangles))
-    vertices = vertices @ np.array(_ROTATION_UP[options.up], np.float64).T
+    vertices = product(vertices, np.array(_ROTATION_UP[options.up], np.float64).T)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     if not high[2] - low[2] > 1e-9 * float((high - low).max()):
         raise BadMesh(f"is flat along its upward axis {options.up}, so it has no height to scale; set another `up`")
@@ -116,7 +117,7 @@ def _pieces(loaded: Any) -> Any:
         faces = getattr(geometry, "faces", None)
         if faces is not None and len(faces):
             vertices = np.asarray(geometry.vertices, np.float64)
-            yield vertices @ transform[:3, :3].T + transform[:3, 3], np.asarray(faces, np.int64)
+            yield product(vertices, transform[:3, :3].T) + transform[:3, 3], np.asarray(faces, np.int64)
 
 
 def cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
 from datagen.records.materials import Material
+from scene_library.rounding import cos, length, sin
 
 if TYPE_CHECKING:
     import trimesh
@@ -38,7 +39,7 @@ class Pose:
     @classmethod
     def upright(cls, label: str, rotation_deg: float = 0.0) -> Pose:
         """Height along z; width and depth along x and y, rotated by `rotation_deg` about z."""
-        c, s = np.cos(np.radians(rotation_deg)), np.sin(np.radians(rotation_deg))
+        c, s = float(cos(np.radians(rotation_deg))), float(sin(np.radians(rotation_deg)))
         return cls(label, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
 
 
@@ -91,7 +92,7 @@ class Rectangle:
     def normal(self) -> Floats:
         """Unit normal right × up; for a relay wall it points into the room. Shape (3,)."""
         n = np.cross(self.right, self.up)
-        return n / np.linalg.norm(n)
+        return np.asarray(n / length(n))
 
     @property
     def corners(self) -> Floats:
