@@ -17,6 +17,7 @@ import pydantic
 
 from datagen.errors import InputError
 from datagen.store.open_files import too_many
+from datagen.store.places import Place
 
 PARTIAL = ".partial"
 """Suffix of a file that is still being written; whatever bears it may be deleted."""
@@ -95,7 +96,7 @@ def write_if_changed(path: Path, content: bytes) -> None:
         write_atomically(path, content)
 
 
-def holds(path: Path, content: bytes) -> bool:
+def holds(path: Place, content: bytes) -> bool:
     """Whether a file is there and holds just that; one of another size is not read."""
     return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
 
@@ -128,7 +129,7 @@ def is_intact(content: bytes, must_be_sealed: bool) -> bool:
     return hashlib.sha256(content[: seal.start()] + b"\n}\n").hexdigest().encode() == seal[1]
 
 
-def read_whole(path: Path) -> bytes:
+def read_whole(path: Place) -> bytes:
     """The content of a JSON file of a dataset; raises `InputError` for none, an endless or a huge one."""
     try:
         if not path.is_file():
@@ -144,12 +145,12 @@ def read_whole(path: Path) -> bytes:
     return content
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Place) -> Any:
     """The value a JSON file holds; raises `InputError` naming the file when it is no JSON."""
     return parsed(path, read_whole(path), pydantic.TypeAdapter(Any))
 
 
-def parsed(path: Path, content: bytes, kind: pydantic.TypeAdapter[T]) -> T:
+def parsed(path: Place, content: bytes, kind: pydantic.TypeAdapter[T]) -> T:
     """The JSON `content` of a file as what it must describe; raises `InputError`, one line, for anything else."""
     try:
         return kind.validate_json(content, strict=True)
@@ -182,7 +183,7 @@ def sync_folder(path: Path) -> None:
             os.close(handle)
 
 
-def sha256_of(path: Path) -> str:
+def sha256_of(path: Place) -> str:
     """Hex SHA-256 of a file's bytes."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
