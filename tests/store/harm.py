@@ -128,8 +128,9 @@ def kills_of_processes(what: str, number: int, folder: Path, rng: random.Random)
     kills.whole_build(due, config)
     for done, running in kills.killed_builds(what, number, folder, rng):
         status, said = running.ended()
-        if what.endswith("worker") and status != 0:
-            print(f"{what} killed, the build gave up: {said.strip()}")
+        if what.endswith("worker") and status != 0 and "worker processes died over it" not in said:
+            # A scene over which two workers died is given up, told, and tried anew by the next build.
+            print(f"{what} killed, and the build ended: {said.strip()}")
             outcome["lost"] += done
         resume = partial(build, config, running.root, progress=False, sample_function=fake_sample)
         outcome += after_a_kill(running.root, resume, due, done, said)

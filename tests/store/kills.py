@@ -30,10 +30,14 @@ CHILD = """
 import os, sys
 from kills import many_shards, tells_pid
 from datagen.building.build import build
+from datagen.errors import CheckError
 if __name__ == "__main__":
     os.environ["DASK_DISTRIBUTED__WORKER__MULTIPROCESSING_METHOD"] = "forkserver"
     os.environ["DASK_DISTRIBUTED__LOGGING__DISTRIBUTED"] = "critical"
-    build(many_shards(), sys.argv[1], 2, engine=sys.argv[2], sample_function=tells_pid, progress=False)
+    try:
+        build(many_shards(), sys.argv[1], 2, engine=sys.argv[2], sample_function=tells_pid, progress=False)
+    except CheckError as error:
+        sys.exit(f"datagen: {error}")
 """
 
 
@@ -155,7 +159,7 @@ def killed_builds(what: str, kills: int, folder: Path, rng: random.Random) -> It
     while done < kills:
         running = RunningBuild(folder / f"{what} {number}", "dask" if what == "dask worker" else "local")
         number += 1
-        in_this, most = 0, min(kills - done, 8) if what.endswith("worker") else 1
+        in_this, most = 0, min(kills - done, 3) if what.endswith("worker") else 1
         while in_this < most and running.reaches(rng.randint(1, 12)):
             in_this += running.kill(what, rng)
         if in_this:

@@ -1,4 +1,4 @@
-"""A sample of the table of `harm_table.py`: builds killed, files corrupted, and nothing lost, silent or a traceback."""
+"""A sample of the table of `harm_table.py`: builds killed, files corrupted; nothing lost, silent or a traceback."""
 
 from __future__ import annotations
 
