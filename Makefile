@@ -15,7 +15,7 @@ CONFIG ?= configs/quickstart.yaml
 OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
-.PHONY: help setup demo test tests check lint types format schema fuzz nightly cpu-types hard-cases bench peers wheel clean
+.PHONY: help setup demo test tests check lint types format schema fuzz nightly cpu-types digests hard-cases bench peers wheel clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
@@ -81,11 +81,17 @@ fuzz: setup
 nightly: setup
 	$(BIN)/python -m pytest -n $(JOBS) -m nightly
 	$(MAKE) fuzz
+	$(BIN)/python tests/store/harm_table.py
+	$(BIN)/python tests/cpu_types.py -n $(JOBS) tests/capture/test_configs_built.py
 	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
 	$(BIN)/python tests/scene/drawn_distributions.py --scenes $(ROOMS)
 
 cpu-types: setup
 	$(BIN)/python tests/cpu_types.py
+
+# After light or noise of a seed changed by intention; for rooms, see the script.
+digests: setup
+	$(BIN)/python tests/small_configs.py
 
 hard-cases: setup
 	$(BIN)/python tests/stability/hard_case_table.py

@@ -62,7 +62,10 @@ def plan(
 @click.option(
     "--accept-mixed", is_flag=True, help="Go on where other library versions or another architecture began."
 )
-@click.option("--scene-seconds", type=float, help="Give a scene up that takes longer (local workers).")
+@click.option(
+    "--scene-seconds",
+    help="Give a scene up that takes longer (local workers): seconds, or `forecast` for pilots' worth.",
+)
 @click.option("--quiet", is_flag=True, help="No progress.")
 def build(config: str, out: str, quiet: bool, **options: Any) -> None:
     """Build the dataset that CONFIG describes in the folder OUT. Running it again resumes."""
@@ -75,6 +78,10 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
         start_imports("datagen.building.build", "datagen.pipeline")
     from datagen.building.build import build as build_dataset
 
+    if options["scene_seconds"] is not None:
+        from datagen.forecast.scene_limit import scene_limit
+
+        options["scene_seconds"] = scene_limit(options["scene_seconds"], settings)
     result = build_dataset(settings, out, progress=not quiet, **options)
     click.echo(result.summary())
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scene_library.rounding import cos, sin
+
 Polygon = NDArray[np.float64]
 
 
@@ -28,7 +30,7 @@ def signed_area(polygon: Polygon) -> float:
 
 def rotation(angle_rad: float) -> NDArray[np.float64]:
     """(2, 2) matrix that rotates column vectors counter-clockwise."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    c, s = float(cos(angle_rad)), float(sin(angle_rad))
     return np.array([[c, -s], [s, c]])
 
 

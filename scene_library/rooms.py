@@ -21,6 +21,7 @@ from scene_library.polygons import (
     segments_of,
     triangulate,
 )
+from scene_library.rounding import cos, length, sin
 from scene_library.solids import Surface, joined
 
 
@@ -150,13 +151,12 @@ def out_of_square(plan: FloorPlan, angles_rad: NDArray[np.float64]) -> FloorPlan
     edges, groups = plan.edges, np.array(wall_groups(plan))
     middle = np.array([edges[groups == g].reshape(-1, 2).mean(axis=0) for g in groups])
     angles = np.where(groups == groups[plan.relay_edge], 0.0, np.asarray(angles_rad)[groups])
-    c, s = np.cos(angles), np.sin(angles)
+    c, s = cos(angles), sin(angles)
     along = edges[:, 1] - edges[:, 0]
     along = np.stack([c * along[:, 0] - s * along[:, 1], s * along[:, 0] + c * along[:, 1]], axis=1)
     before, before_along = np.roll(middle, 1, axis=0), np.roll(along, 1, axis=0)
     bend = cross(before_along, along)
-    length = np.linalg.norm(along, axis=1) * np.linalg.norm(before_along, axis=1)
-    if (np.abs(bend) < 0.1 * length).any():
+    if (np.abs(bend) < 0.1 * length(along) * length(before_along)).any():
         raise RoomDoesNotClose("two neighbouring walls come out nearly parallel; lower out_of_square_deg")
     outline = before + (cross(middle - before, along) / bend)[:, None] * before_along
     # The relay wall stays in its plane to the last bit.
@@ -230,8 +230,8 @@ def _slab(polygon: Polygon, z: float) -> Surface:
 
 def _wall(outline: Polygon, i: int, j: int, levels: dict[int, list[float]], bottom: float, top: float) -> Surface:
     """The wall over the edge i → j, with a corner wherever a neighbour has one."""
-    length = float(np.linalg.norm(outline[j] - outline[i]))
-    right = [(length, z) for z in levels[j] if bottom <= z <= top]
+    long = float(length(outline[j] - outline[i]))
+    right = [(long, z) for z in levels[j] if bottom <= z <= top]
     left = [(0.0, z) for z in reversed(levels[i]) if bottom <= z <= top]
     flat = np.array(right + left)
     on_plan = np.where(flat[:, :1] > 0, outline[j], outline[i])

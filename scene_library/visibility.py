@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene_library.polygons import Polygon, cross
+from scene_library.rounding import arctan2, cos, length, product, sin
 from scene_library.separation import stays_clear
 
 _NUDGE_RAD = 1e-7
@@ -22,9 +23,9 @@ def visible_fan(walls: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray
     The walls must surround the eye; they may be the edges of a plan and screens that stand free in it.
     """
     toward = walls.reshape(-1, 2) - eye
-    angles = np.arctan2(toward[:, 1], toward[:, 0])
+    angles = arctan2(toward[:, 1], toward[:, 0])
     angles = np.unique(np.concatenate([angles - _NUDGE_RAD, angles, angles + _NUDGE_RAD]))
-    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    directions = np.stack([cos(angles), sin(angles)], axis=1)
     ends = eye + directions * first_hit(walls, eye, directions)[:, None]
     nexts = np.roll(ends, -1, axis=0)
     width = np.roll(angles, -1) - angles
@@ -57,14 +58,14 @@ def visible_interval(
 ) -> tuple[float, float] | None:
     """The longest stretch of the wall `start` → `end` (each (2,)) that is seen, as metres from `start`; or None."""
     along = end - start
-    length = float(np.linalg.norm(along))
-    unit = along / length
+    long = float(length(along))
+    unit = along / long
     offset = np.abs(cross(unit, fan[:, 1:] - start))
-    position = np.sort((fan[:, 1:] - start) @ unit, axis=1)
+    position = np.sort(product(fan[:, 1:] - start, unit), axis=1)
     pieces = sorted(
-        (max(0.0, float(low)), min(length, float(high)))
+        (max(0.0, float(low)), min(long, float(high)))
         for (low, high), off in zip(position, offset.max(axis=1), strict=True)
-        if off < 1e-6 * (1 + length) and high > 0 and low < length
+        if off < 1e-6 * (1 + long) and high > 0 and low < long
     )
     # Triangles leave gaps of 2 nudges at every corner's direction: microns in a room, and they grow with it.
     gap = 100 * _NUDGE_RAD * float(np.abs(fan - fan[0, 0]).max())

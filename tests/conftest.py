@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from here_and_now import HereAndNow
+from here_and_now import one_worker_here
 
 # Test processes are the parallelism, as workers are in a build; read when numpy is loaded, which is later.
 for _library in ("OMP", "OPENBLAS", "MKL"):
@@ -105,21 +105,7 @@ def a_kernel_is_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Itera
 
 @pytest.fixture(scope="session", autouse=True)
 def one_worker_builds_here() -> Iterator[None]:
-    """Starting a process takes longer than most builds of the tests. Two workers are two processes, and builds by
-    another process are as they always are: both are held to the same bytes.
-    """
-    from datagen.building import build, engines
-
-    @contextmanager
-    def started(engine: str, workers: int, scheduler: str | None) -> Iterator[engines.Engine]:
-        if engine == "local" and workers == 1:
-            yield HereAndNow()
-        else:
-            with engines.started(engine, workers, scheduler) as running:
-                yield running
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "started", started)
+    with one_worker_here():
         yield
 
 

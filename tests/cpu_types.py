@@ -1,7 +1,8 @@
 """The tests as older processors would run them: `python tests/cpu_types.py [pytest arguments]`.
 
-Each type runs the whole of pytest in processes of its own, with numpy's, numba's, embree's and the C library's choice
-of instructions held to what such a processor has, and prints one line: passed or failed. Exit status 1 if any failed.
+Each type runs the whole of pytest in processes of its own, with the choice of instructions of numpy, numba, embree,
+OpenBLAS and the C library held to what such a processor has, and prints one line: passed or failed. Exit status 1 if
+any failed.
 `--type NAME` before the arguments runs one type alone.
 """
 
@@ -26,19 +27,21 @@ class CpuType:
     ----------
     numba : LLVM's name of the processor.
     embree : widest instruction set of embree.
+    blas : OpenBLAS's name of the processor.
     numpy : words in the names of those numpy features that it lacks, or ("",) for all beyond numpy's baseline.
     glibc : features that the C library's mathematics must not use.
     """
 
     numba: str
     embree: str
+    blas: str
     numpy: tuple[str, ...]
     glibc: str
 
 
 TYPES = {
-    "nehalem": CpuType("nehalem", "sse4.2", ("",), "-AVX,-AVX2,-FMA,-FMA4,-AVX512F"),
-    "haswell": CpuType("haswell", "avx2", ("X86_V4", "AVX512"), "-AVX512F"),
+    "nehalem": CpuType("nehalem", "sse4.2", "Nehalem", ("",), "-AVX,-AVX2,-FMA,-FMA4,-AVX512F"),
+    "haswell": CpuType("haswell", "avx2", "Haswell", ("X86_V4", "AVX512"), "-AVX512F"),
 }
 """2008, without AVX; 2013, with AVX2 and fused multiplication, without AVX-512."""
 
@@ -54,6 +57,7 @@ def environment(cpu: CpuType, caches: str) -> dict[str, str]:
         "NUMBA_CPU_FEATURES": "",
         "NUMBA_CACHE_DIR": caches,
         "DATAGEN_EMBREE_ISA": cpu.embree,
+        "OPENBLAS_CORETYPE": cpu.blas,
         "GLIBC_TUNABLES": f"glibc.cpu.hwcaps={cpu.glibc}",
         "PYTHONPATH": os.pathsep.join(filter(None, path)),
     }

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from typing import Any
+
+import pytest
 
 
 class HereAndNow:
@@ -23,3 +26,23 @@ class HereAndNow:
 
     def close(self, kill: bool) -> None:
         pass
+
+
+@contextmanager
+def one_worker_here() -> Iterator[None]:
+    """Starting a process takes longer than most builds of the tests. Two workers are two processes, and builds by
+    another process are as they always are: both are held to the same bytes.
+    """
+    from datagen.building import build, engines
+
+    @contextmanager
+    def started(engine: str, workers: int, scheduler: str | None) -> Iterator[engines.Engine]:
+        if engine == "local" and workers == 1:
+            yield HereAndNow()
+        else:
+            with engines.started(engine, workers, scheduler) as running:
+                yield running
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(build, "started", started)
+        yield

@@ -26,7 +26,9 @@ from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
 from datagen.records.checks import check_kind, check_number
+from datagen.store import upload
 from datagen.store.environment import made_with, mixed
+from datagen.store.places import Bucket, place
 
 SampleFunction = Callable[[DatasetConfig, int], Sample]
 
@@ -42,12 +44,13 @@ class BuildResult:
 
     Attributes
     ----------
+    path : of the dataset: its folder, or its address in an object store.
     scenes : in the dataset.
     built, kept : shards made now, and found committed.
     complete : whether every shard is there.
     """
 
-    path: Path
+    path: Path | str
     scenes: int
     built: int
     kept: int
@@ -73,7 +76,8 @@ def build(
 
     Parameters
     ----------
-    config, path : what to make, and the folder to make or to go on with.
+    config, path : what to make, and the folder to make or to go on with, or `s3://bucket/name`: then shards are made
+        in a local folder (below DATAGEN_STAGING, or ~/.cache) and put there one by one.
     workers : processes, one core each. The bytes do not depend on it.
     scenes : instead of `config.scenes`. An existing dataset may grow: its scenes stay as they are.
     shards : only these, such as `"0-99"` or `"3,7-9"`, for job arrays; several such builds may run side by side.
@@ -113,16 +117,20 @@ def build(
     """
     began = time.monotonic()
     check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
-    check_kind("path", path, str, os.PathLike, remedy="name the folder to make")
+    check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder to make")
     if str(path) == "":
         raise InputError("OUT = '': names no folder; name the one to make")
     if scenes is not None:
         config = config.with_scenes(scenes)
-    root = Path(path)
+    target = place(path)
+    bucket = target if isinstance(target, Bucket) else None
+    root = target if isinstance(target, Path) else upload.staging_of(target)
     check_engine(engine, workers, scheduler)
     if engine == "local":
         start_imports(__name__, "datagen.pipeline" if sample_function is None else sample_function.__module__)
     _check_scene_seconds(scene_seconds, engine)
+    if bucket is not None:
+        upload.fetch(root, bucket)
     plan = store.planned(root, config)
     store.check_writable(root)
     schema = plan.schema
@@ -139,11 +147,15 @@ def build(
     try:
         with started(engine, workers, scheduler) as running:
             manifest = store.prepare(root, config)
-            state = _Build(config, root, manifest, running, sample_function, accept_mixed, scene_seconds)
+            if bucket is not None:
+                upload.begin(root, bucket, manifest)
+            state = _Build(config, root, manifest, running, sample_function, accept_mixed, scene_seconds, bucket)
             kept = state.run(wanted, there, progress)
         records = store.committed(root, manifest)
         complete = len(records) == schema.shards
         (store.finish if complete else store.write_card)(root, manifest, records)
+        if bucket is not None:
+            upload.finish_upload(root, bucket, records, complete)
     except OSError as error:
         reason = f"{error.filename or root}: {error.strerror or error}"
         raise CheckError(f"{reason}; mend that and build again to resume") from None
@@ -154,7 +166,8 @@ def build(
             f"{len(failures)} of {schema.scenes} scenes could not be made, the first is scene {scene}: {why}; "
             "all others are stored, and building again tries these anew"
         )
-    return BuildResult(root, schema.scenes, len(wanted) - kept, kept, complete, time.monotonic() - began)
+    where = root if bucket is None else str(bucket)
+    return BuildResult(where, schema.scenes, len(wanted) - kept, kept, complete, time.monotonic() - began)
 
 
 def _check_scene_seconds(scene_seconds: float | None, engine: str) -> None:
@@ -189,8 +202,9 @@ class _Build:
     sample_function: SampleFunction
     accept_mixed: bool
     scene_seconds: float | None
+    bucket: Bucket | None = None
     deaths: Counter[int] = field(default_factory=Counter)
-    """Scene → workers that died over it; −1 counts those that died before any scene."""
+    """Scene → workers that died over it; −1 counts those in a row that died before any scene."""
     given_up: dict[int, str] = field(default_factory=dict)
 
     @property
@@ -226,6 +240,11 @@ class _Build:
                     if failures is None:
                         waiting.appendleft(shard)
                         continue
+                    # Workers do begin: the others that died did so by chance.
+                    self.deaths[-1] = 0
+                    if self.bucket is not None:
+                        for record in store.committed(self.root, self.manifest, [shard]):
+                            upload.put_shard(self.root, self.bucket, record)
                     progress.shard_done(shard, sizes[shard], len(failures))
                     made, failed = made + sizes[shard], failed + len(failures)
                     if failed == made >= min(HOPELESS, self.schema.scenes):

@@ -24,7 +24,8 @@ from datagen.store import (
     running_path,
     write_shard,
 )
-from datagen.store.environment import made_with, mixed
+from datagen.store.environment import made_with, mixed, together
+from datagen.store.files import locked
 
 LOCK_PATIENCE_S = 10.0
 """How long to wait for another writer of the same shard, such as an orphan of a killed build about to notice."""
@@ -69,17 +70,19 @@ def run_shard(job: ShardJob) -> dict[int, str]:
         # Committed in the meantime: by another build, or by this job before its result got lost.
         if record is None or (record.failures and record.finished <= job.handed_out):
             samples = _samples(job, running) if record is None else _tried_anew(job, record, running)
+            made_by = made_with() if record is None else together(record.environment, made_with())
             if samples is not None:
-                record = write_shard(job.root, job.schema, job.shard, job.fingerprint, samples)
+                record = write_shard(job.root, job.schema, job.shard, job.fingerprint, samples, made_by)
         path.unlink(missing_ok=True)
     assert record is not None
     return record.failures
 
 
 def _committed(job: ShardJob) -> ShardRecord | None:
-    """The shard, if it is there, sound, and made as it would be made here."""
+    """The shard, if it is there, sound, and made as it would be made here, or any mixture is accepted."""
     for record in committed(job.root, read_manifest(job.root), [job.shard], hashes=True):
-        if record.fingerprint == job.fingerprint and not mixed([record.environment, made_with()]):
+        alike = job.made_with is None or not mixed([record.environment, made_with()])
+        if record.fingerprint == job.fingerprint and alike:
             return record
     return None
 
@@ -166,7 +169,8 @@ def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
     deadline = time.monotonic() + patience_s
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
-        if _locked(handle) and os.fstat(handle).st_nlink > 0:
+        # Without locks the person at the keyboard is the only guard.
+        if locked(handle, otherwise=True) and os.fstat(handle).st_nlink > 0:
             break
         os.close(handle)
         if time.monotonic() > deadline:
@@ -177,18 +181,3 @@ def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
         yield handle
     finally:
         os.close(handle)
-
-
-def _locked(handle: int) -> bool:
-    try:
-        import fcntl
-    except ImportError:
-        return True
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        # A file system without locks: then the person at the keyboard is the only guard.
-        return True
-    return True

@@ -23,6 +23,7 @@ from datagen.loader.events import events_of
 from datagen.loader.redrawn_noise import NoiseSource
 from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
+from datagen.store.places import Bucket, place
 from datagen.store.record import recorded_shards
 from datagen.store.schema import SPLITS_SINCE
 from datagen.store.stats import QUANTITIES, WITH_STATS
@@ -39,7 +40,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     Parameters
     ----------
-    path : the folder that `build` made, complete.
+    path : the folder that `build` made, complete, or `s3://bucket/name` of one that it put into an object store.
     fields : any of the dataset's fields; `data.fields` lists all, and "objects" stands for those that begin with
         `object_` (the classes, poses and boxes of the objects; `data.classes` names the classes).
     counts : dtype that histograms are handed over in, since torch lacks most operations for uint16 and uint32.
@@ -97,12 +98,12 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         seed: int = 0,
         check: bool = True,
     ) -> None:
-        check_kind("path", path, str, os.PathLike, remedy="name the folder that build made")
+        check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder that build made")
         check_seed(seed)
         check_kind("fields", fields, str, Sequence, remedy="such as ('histogram', 'depth')")
         for name, flag in (("redraw_noise", redraw_noise), ("check", check)):
             check_flag(name, flag)
-        self.path = Path(path).resolve()
+        self.path = place(path).resolve()
         self._manifest = manifest = read_manifest(path)
         self._schema = manifest.schema
         self.fields = tuple(self._schema.by_name)

@@ -13,6 +13,7 @@ from typing import Any
 from datagen.store.arrays import GROUP
 from datagen.store.files import json_bytes, sha256_of, write_if_changed
 from datagen.store.manifest import Manifest
+from datagen.store.places import Place
 from datagen.store.record import ShardRecord
 from datagen.store.schema import Field
 from datagen.store.table import COLUMNS, CROISSANT, TABLE
@@ -56,7 +57,7 @@ def write_croissant(root: Path, manifest: Manifest, records: Sequence[ShardRecor
     write_if_changed(root / CROISSANT, json_bytes(croissant(root, manifest, records)))
 
 
-def croissant(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> dict[str, Any]:
+def croissant(root: Place, manifest: Manifest, records: Sequence[ShardRecord]) -> dict[str, Any]:
     """The description: files; a record a scene with the columns of the table; a record an array of the group.
 
     Its version is schema version . scenes . 0: growing adds, and breaks nothing. Its date is that of the last shard.
@@ -85,7 +86,7 @@ def croissant(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) ->
     }  # fmt: skip
 
 
-def _table_file(root: Path) -> dict[str, Any]:
+def _table_file(root: Place) -> dict[str, Any]:
     return {
         "@type": "cr:FileObject", "@id": TABLE, "name": TABLE, "description": "One row a scene.",
         "contentUrl": TABLE, "encodingFormat": "application/x-parquet", "sha256": sha256_of(root / TABLE),
@@ -101,9 +102,11 @@ def _shards(field: Field) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _scenes(root: Path) -> dict[str, Any]:
+def _scenes(root: Place) -> dict[str, Any]:
     import pyarrow.parquet as pq
 
+    with (root / TABLE).open("rb") as file:
+        described = pq.read_schema(file)
     columns = [
         {
             "@type": "cr:Field", "@id": f"scenes/{column.name}", "name": column.name,
@@ -111,7 +114,7 @@ def _scenes(root: Path) -> dict[str, Any]:
             "dataType": _TYPES.get(str(column.type), "sc:Integer"),
             "source": {"fileObject": {"@id": TABLE}, "extract": {"column": column.name}},
         }
-        for column in pq.read_schema(root / TABLE)
+        for column in described
     ]  # fmt: skip
     return {
         "@type": "cr:RecordSet", "@id": "scenes", "name": "scenes",

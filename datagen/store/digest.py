@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 
 from datagen.errors import CheckError
 from datagen.store.manifest import read_manifest
+from datagen.store.places import Place, place
 from datagen.store.reader import DatasetReader
 from datagen.store.verify import committed
 
 
-def dataset_digest(path: str | Path) -> str:
+def dataset_digest(path: str | Place) -> str:
     """Hex SHA-256 of every decoded value of a dataset, the same for any division into shards, compression, order of
     building and interruption.
 
@@ -21,7 +21,7 @@ def dataset_digest(path: str | Path) -> str:
 
     Raises `InputError` when the folder is no dataset, `CheckError` when it is not complete or not as it was written.
     """
-    root = Path(path)
+    root = place(path)
     manifest = read_manifest(root)
     schema, records = manifest.schema, committed(root, manifest)
     if len(records) < schema.shards:

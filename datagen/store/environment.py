@@ -45,10 +45,17 @@ def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
     """
     found = []
     for name in ("python", *LIBRARIES, "machine"):
-        values = dict.fromkeys(environment[name] for environment in environments if name in environment)
+        named = (environment[name].split(" and ") for environment in environments if name in environment)
+        values = dict.fromkeys(value for several in named for value in several)
         if len(values) > 1:
             found.append(f"{name} {' and '.join(values)}")
     return found
+
+
+def together(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
+    """What a shard was made with whose scenes are of two environments; `mixed` takes such words apart again."""
+    both = {name: f"{old[name]} and {value}" for name, value in new.items() if old.get(name, value) != value}
+    return {**old, **new, **both}
 
 
 @functools.cache

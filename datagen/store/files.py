@@ -11,15 +11,18 @@ import os
 import re
 import tempfile
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import pydantic
 
 from datagen.errors import InputError
 from datagen.store.open_files import too_many
+from datagen.store.places import Place
 
 PARTIAL = ".partial"
 """Suffix of a file that is still being written; whatever bears it may be deleted."""
+TRIAL = ".datagen-"
+"""Prefix of the empty folder that is made to see whether one can be; whatever bears it may be deleted."""
 JSON_BYTES = 64 * 2**20
 """A JSON file of a dataset that is larger is not one of ours: records take 10 kB a scene at most, of 256 scenes."""
 _SEAL = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
@@ -30,18 +33,61 @@ T = TypeVar("T")
 def write_atomically(path: Path, content: bytes) -> None:
     """Write beside `path`, fsync, rename: a reader sees the old content or the new one, whenever we are killed."""
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
-    # Whatever stands there, such as a link to somewhere else, is not written through.
-    partial.unlink(missing_ok=True)
     try:
-        with partial.open("xb") as file:
+        with _held(partial) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        partial.replace(path)
+            partial.replace(path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def _held(partial: Path) -> BinaryIO:
+    """A new file that is known to be in use: `clear_partials` of another build leaves it alone."""
+    while True:
+        # Whatever stands there, such as a link to somewhere else, is not written through.
+        partial.unlink(missing_ok=True)
+        file = partial.open("xb")
+        if locked(file.fileno(), otherwise=True) and os.fstat(file.fileno()).st_nlink > 0:
+            return file
+        file.close()
+
+
+def clear_partials(folder: Path) -> None:
+    """Remove what builds that were killed left half written in a folder, and their trials of it; what a running one
+    is writing stays.
+    """
+    for partial in folder.glob(f"*{PARTIAL}"):
+        with contextlib.suppress(OSError):
+            handle = os.open(partial, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+            try:
+                if locked(handle, otherwise=False):
+                    partial.unlink()
+            finally:
+                os.close(handle)
+    for trial in folder.glob(f"{TRIAL}*"):
+        with contextlib.suppress(OSError):
+            trial.rmdir()
+
+
+def locked(handle: int, otherwise: bool) -> bool:
+    """Lock an open file until it is closed, or its process ends; False where another process holds it, and
+    `otherwise` where the file system has no locks.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        return otherwise
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return otherwise
+    return True
 
 
 def write_if_changed(path: Path, content: bytes) -> None:
@@ -50,7 +96,7 @@ def write_if_changed(path: Path, content: bytes) -> None:
         write_atomically(path, content)
 
 
-def holds(path: Path, content: bytes) -> bool:
+def holds(path: Place, content: bytes) -> bool:
     """Whether a file is there and holds just that; one of another size is not read."""
     return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
 
@@ -83,7 +129,7 @@ def is_intact(content: bytes, must_be_sealed: bool) -> bool:
     return hashlib.sha256(content[: seal.start()] + b"\n}\n").hexdigest().encode() == seal[1]
 
 
-def read_whole(path: Path) -> bytes:
+def read_whole(path: Place) -> bytes:
     """The content of a JSON file of a dataset; raises `InputError` for none, an endless or a huge one."""
     try:
         if not path.is_file():
@@ -99,12 +145,12 @@ def read_whole(path: Path) -> bytes:
     return content
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Place) -> Any:
     """The value a JSON file holds; raises `InputError` naming the file when it is no JSON."""
     return parsed(path, read_whole(path), pydantic.TypeAdapter(Any))
 
 
-def parsed(path: Path, content: bytes, kind: pydantic.TypeAdapter[T]) -> T:
+def parsed(path: Place, content: bytes, kind: pydantic.TypeAdapter[T]) -> T:
     """The JSON `content` of a file as what it must describe; raises `InputError`, one line, for anything else."""
     try:
         return kind.validate_json(content, strict=True)
@@ -137,7 +183,7 @@ def sync_folder(path: Path) -> None:
             os.close(handle)
 
 
-def sha256_of(path: Path) -> str:
+def sha256_of(path: Place) -> str:
     """Hex SHA-256 of a file's bytes."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -155,7 +201,10 @@ def check_writable(path: Path) -> None:
         what = "is a file" if existing == path else f"cannot be made: {existing} is a file"
         raise InputError(f"output {path}: {what}, not a folder; name a new folder, or a dataset to resume")
     try:
-        os.rmdir(tempfile.mkdtemp(prefix=".datagen-", dir=existing))
+        trial = tempfile.mkdtemp(prefix=TRIAL, dir=existing)
+        # Another build may have cleared it away.
+        with contextlib.suppress(FileNotFoundError):
+            os.rmdir(trial)
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise InputError(

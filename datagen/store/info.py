@@ -5,24 +5,24 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 from datagen.errors import InputError, printable
 from datagen.store.card import readable
 from datagen.store.environment import mixed
 from datagen.store.manifest import Manifest, read_manifest
+from datagen.store.places import Place, place
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.verify import committed
 
 STAGES = ("scene", "effects", "transport", "detector", "labels", "store")
 
 
-def info(path: str | Path) -> str:
+def info(path: str | Place) -> str:
     """What, shapes, sizes, seconds per scene by stage, scenes per second, decisions. Hashes are left to `verify`.
 
     Raises `InputError` when the folder is no dataset, or its records hold what datagen does not write.
     """
-    root = Path(path)
+    root = place(path)
     manifest = read_manifest(root)
     try:
         return printable(_told(manifest, committed(root, manifest)))

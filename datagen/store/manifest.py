@@ -18,6 +18,7 @@ from datagen.errors import InputError
 from datagen.store.arrays import COORDINATES, GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_whole, sealed
+from datagen.store.places import Place, place
 from datagen.store.record import Digest, recorded_shards
 from datagen.store.schema import (
     CHECKSUMS_SINCE,
@@ -145,13 +146,13 @@ def mesh_folder(config: DatasetConfig) -> str | None:
     return None
 
 
-def read_manifest(root: str | Path) -> Manifest:
+def read_manifest(root: str | Place) -> Manifest:
     """Read `dataset.json`, of any schema version so far. It may come from anywhere: names, sizes and types in it are
     such as datagen writes, or it is refused; settings are looked at by `Manifest.parsed_config`.
 
     Raises `InputError` when the folder is no dataset or one of a later schema version, and `DamagedManifest`.
     """
-    root = Path(root)
+    root = place(root)
     path = root / MANIFEST
     if not path.is_file() and recorded_shards(root):
         raise DamagedManifest(f"{path}: missing, and there are shards; {REMEDY}")
@@ -167,7 +168,9 @@ def read_manifest(root: str | Path) -> Manifest:
         raise DamagedManifest(f"{error}; {REMEDY}") from None
     version = stated.get("schema_version")
     if stated.get("format") != FORMAT:
-        raise InputError(f"{path}: is not the manifest of a datagen dataset; name a folder that `datagen build` made")
+        raise DamagedManifest(
+            f"{path}: is not the manifest of a datagen dataset; name a folder that `datagen build` made"
+        )
     if not isinstance(version, int) or version not in SCHEMA_VERSIONS:
         raise InputError(
             f"{path}: schema_version = {_shortened(version)}, this datagen reads 1 … {SCHEMA_VERSION}; "

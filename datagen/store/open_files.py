@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import CheckError
+from datagen.store.places import Bucket, Place
 
 MOST_OPEN = 512
 """Open files at most; a quarter of what the process is allowed, if that is less: it has other files to open."""
@@ -46,13 +47,31 @@ class OpenFile:
             os.close(self._handle)
 
 
+class OpenObject:
+    """The same of an object of an object store; every read is a request.
+
+    Attributes
+    ----------
+    size, index : as of an `OpenFile`.
+    """
+
+    index: NDArray[np.uint64]
+
+    def __init__(self, path: Bucket) -> None:
+        self._path, self.size = path, path.stat().st_size
+
+    def read(self, size: int, offset: int) -> bytes:
+        """So many bytes from there, or fewer where the object ends."""
+        return self._path.read_range(offset, min(size, self.size - offset))
+
+
 class OpenFiles:
     """The files that one reader has open; the least recently used of all readers' makes room for a new one."""
 
     def __init__(self) -> None:
         self._reader = next(_readers)
 
-    def get(self, path: str) -> OpenFile | None:
+    def get(self, path: Place) -> OpenFile | OpenObject | None:
         """The file, if it is open."""
         with _lock:
             file = _open.get((self._reader, path))
@@ -60,20 +79,22 @@ class OpenFiles:
                 _open.move_to_end((self._reader, path))
             return file
 
-    def open(self, path: str) -> OpenFile:
+    def open(self, path: Place) -> OpenFile | OpenObject:
         """Open a file; raises `OSError`, or `CheckError` where the process may open no more."""
+        if isinstance(path, Bucket):
+            return OpenObject(path)
         for room in (_budget(), 1):
             with _lock:
                 while len(_open) >= room:
                     _open.popitem(last=False)
             try:
-                return OpenFile(path)
+                return OpenFile(str(path))
             except OSError as error:
                 if error.errno not in (errno.EMFILE, errno.ENFILE):
                     raise
         raise too_many(path)
 
-    def keep(self, path: str, file: OpenFile) -> None:
+    def keep(self, path: Place, file: OpenFile | OpenObject) -> None:
         """Keep a file open for as long as there is room."""
         with _lock:
             _open[self._reader, path] = file
@@ -93,7 +114,7 @@ def too_many(path: object) -> CheckError:
 
 
 _readers = itertools.count()
-_open: OrderedDict[tuple[int, str], OpenFile] = OrderedDict()
+_open: OrderedDict[tuple[int, Place], OpenFile | OpenObject] = OrderedDict()
 _lock = threading.Lock()
 
 

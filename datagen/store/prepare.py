@@ -12,7 +12,7 @@ from datagen.config.dataset import WITHOUT_EFFECT
 from datagen.errors import CheckError, InputError
 from datagen.store.arrays import COORDINATES, GROUP, metadata_files
 from datagen.store.environment import environment
-from datagen.store.files import PARTIAL, holds, own_path, write_if_changed
+from datagen.store.files import PARTIAL, TRIAL, clear_partials, holds, own_path, write_if_changed
 from datagen.store.manifest import (
     MANIFEST,
     DamagedManifest,
@@ -34,7 +34,8 @@ def is_fresh(root: Path) -> bool:
     if not root.exists():
         return True
     return root.is_dir() and all(
-        path.name.startswith(f"{MANIFEST}.") and path.name.endswith(PARTIAL) for path in root.iterdir()
+        path.name.startswith(TRIAL) or (path.name.startswith(f"{MANIFEST}.") and path.name.endswith(PARTIAL))
+        for path in root.iterdir()
     )
 
 
@@ -73,6 +74,9 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
     """
     manifest = planned(root, config)
     root.mkdir(parents=True, exist_ok=True)
+    names = [*metadata_files(manifest.schema, config.capture.time), f"{BUILD}/shard", MANIFEST]
+    for folder in dict.fromkeys((root / name).parent for name in names):
+        clear_partials(folder)
     content = manifest.to_bytes()
     if not holds(root / MANIFEST, content):
         # It grows, or is mended: what described it as complete goes before anything else changes.

@@ -12,7 +12,6 @@ from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import google_crc32c
@@ -23,7 +22,8 @@ from numpy.typing import NDArray
 from datagen.errors import CheckError
 from datagen.store.arrays import shard_file, shard_shape
 from datagen.store.manifest import Manifest
-from datagen.store.open_files import OpenFile, OpenFiles
+from datagen.store.open_files import OpenFile, OpenFiles, OpenObject
+from datagen.store.places import Place
 from datagen.store.record import read_record
 from datagen.store.schema import Field
 from datagen.store.shard import digest
@@ -56,7 +56,7 @@ class DatasetReader:
     """
 
     def __init__(
-        self, root: Path, manifest: Manifest, fields: Iterable[str], check: bool = True,
+        self, root: Place, manifest: Manifest, fields: Iterable[str], check: bool = True,
         seen: Mapping[str, NDArray[np.bool_]] | None = None,
     ) -> None:  # fmt: skip
         self._root, self._manifest, self._schema = root, manifest, manifest.schema
@@ -144,7 +144,7 @@ class DatasetReader:
         self._check_digest(field, scene, out)
 
     def _decode_chunk(
-        self, field: Field, shard: int, scene: int | None, file: OpenFile, offset: int, size: int,
+        self, field: Field, shard: int, scene: int | None, file: OpenFile | OpenObject, offset: int, size: int,
         out: NDArray[np.generic],
     ) -> None:  # fmt: skip
         # Nothing is believed of sizes: they may ask for any amount of memory.
@@ -172,8 +172,8 @@ class DatasetReader:
             raise self._fault(field, shard, scene, f"field {field.name} decodes to other values than were written")
         seen[scene] = True
 
-    def _opened(self, field: Field, shard: int) -> OpenFile:
-        path = f"{self._root}/{shard_file(field, shard)}"
+    def _opened(self, field: Field, shard: int) -> OpenFile | OpenObject:
+        path = self._root / shard_file(field, shard)
         file = self._files.get(path)
         if file is None:
             try:
@@ -190,7 +190,7 @@ class DatasetReader:
             self._files.keep(path, file)
         return file
 
-    def _index(self, field: Field, shard: int, file: OpenFile) -> NDArray[np.uint64]:
+    def _index(self, field: Field, shard: int, file: OpenFile | OpenObject) -> NDArray[np.uint64]:
         """(scene, *chunks, 2): offset and size of every chunk, from the end of the file."""
         shape = (self._schema.scenes_per_shard, *_grid(field), 2)
         size = int(np.prod(shape)) * 8

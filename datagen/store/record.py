@@ -17,6 +17,7 @@ import pydantic
 from datagen.errors import CheckError, InputError
 from datagen.store.arrays import shard_file
 from datagen.store.files import is_intact, parsed, read_whole, sealed, sha256_of
+from datagen.store.places import AnyPlace, Place
 from datagen.store.schema import Schema
 from datagen.store.stats import FieldStats
 
@@ -98,20 +99,21 @@ class ShardRecord:
             return "its record lacks digests"
         return None
 
-    def problem(self, root: Path, hashes: bool = True) -> str | None:
+    def problem(self, root: Place, hashes: bool = True) -> str | None:
         """What is wrong with the shard's files, or None. Without `hashes` only presence and size are looked at."""
         for name, known in self.files.items():
             path = root / name
             if not path.is_file():
                 return f"{name}: missing"
-            if path.stat().st_size != known.bytes:
-                return f"{name}: {path.stat().st_size} bytes, {known.bytes} were written"
+            size = path.stat().st_size
+            if size != known.bytes:
+                return f"{name}: {size} bytes, {known.bytes} were written"
             if hashes and sha256_of(path) != known.sha256:
                 return f"{name}: its bytes have changed since they were written (SHA-256 differs)"
         return None
 
 
-def record_path(root: Path, shard: int) -> Path:
+def record_path(root: AnyPlace, shard: int) -> AnyPlace:
     """The commit record's file."""
     return root / BUILD / f"shard-{shard:06d}.json"
 
@@ -121,13 +123,13 @@ def running_path(root: Path, shard: int) -> Path:
     return root / BUILD / f"shard-{shard:06d}.running"
 
 
-def read_record(root: Path, shard: int, must_be_sealed: bool) -> ShardRecord | None:
+def read_record(root: Place, shard: int, must_be_sealed: bool) -> ShardRecord | None:
     """The record of a shard, or None when the shard is not committed.
 
     Raises `CheckError` for a damaged record. Those of datasets before `CHECKSUMS_SINCE` need not be sealed.
     """
-    path = record_path(root, shard)
-    if not path.exists():
+    path = root / record_path(Path(), shard).as_posix()
+    if not path.is_file():
         return None
     try:
         content = read_whole(path)
@@ -146,7 +148,7 @@ def _kind() -> pydantic.TypeAdapter[ShardRecord]:
     return pydantic.TypeAdapter(ShardRecord)
 
 
-def recorded_shards(root: Path) -> list[int]:
+def recorded_shards(root: Place) -> list[int]:
     """Numbers of the shards that have a record, ascending."""
     matches = (re.fullmatch(r"shard-(\d+)\.json", path.name) for path in (root / BUILD).glob("shard-*.json"))
     return sorted(int(match[1]) for match in matches if match)

@@ -79,11 +79,13 @@ def digest(field: Field, value: NDArray[np.generic]) -> str:
 
 
 def write_shard(
-    root: Path, schema: Schema, shard: int, fingerprint: str, samples: Iterable[tuple[int, Sample | str]]
-) -> ShardRecord:
+    root: Path, schema: Schema, shard: int, fingerprint: str, samples: Iterable[tuple[int, Sample | str]],
+    made_by: Mapping[str, str] | None = None,
+) -> ShardRecord:  # fmt: skip
     """Write one shard and commit it.
 
     samples : (index, sample) for each scene of the shard in order, or (index, reason) for one that could not be made.
+    made_by : what made them; left out: this process, now.
     """
     started, scenes = time.time(), schema.scenes_of(shard)
     discard_shard(root, schema, shard)
@@ -98,8 +100,9 @@ def write_shard(
     now = time.time()
     seconds = {"store": time.perf_counter() - begun_storing, "total": now - started}
     record = ShardRecord(
-        shard, scenes.start, scenes.stop - 1, fingerprint, files, tuple(records), seconds, started, now, made_with()
-    )
+        shard, scenes.start, scenes.stop - 1, fingerprint, files, tuple(records), seconds, started, now,
+        dict(made_by or made_with()),
+    )  # fmt: skip
     (root / BUILD).mkdir(exist_ok=True)
     write_atomically(record_path(root, shard), record.to_bytes())
     return record

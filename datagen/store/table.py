@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -14,6 +13,7 @@ from datagen.config import SplitsConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Scalar
 from datagen.store.files import read_json, sha256_of
+from datagen.store.places import Place
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.splits import splits_of
 from datagen.store.stats import QUANTITIES, FieldStats, together
@@ -88,7 +88,7 @@ def _short(row: dict[str, float]) -> dict[str, float]:
     return {name.rpartition(".")[2]: value for name, value in row.items()}
 
 
-def read_splits(root: Path, scenes: int, splits: SplitsConfig) -> list[str | None]:
+def read_splits(root: Place, scenes: int, splits: SplitsConfig) -> list[str | None]:
     """The split of every scene of a dataset as `splits` has it, from what the table says of the scenes."""
     table = read_table(root, None, scenes)
     names = [name for name in table.column_names if name not in _OWN and not name.startswith(("sha256.", "stats."))]
@@ -98,7 +98,7 @@ def read_splits(root: Path, scenes: int, splits: SplitsConfig) -> list[str | Non
     return splits_of([None if no else row for no, row in zip(failed, kept, strict=True)], splits)
 
 
-def read_table(root: Path, columns: Sequence[str] | None, scenes: int) -> pa.Table:
+def read_table(root: Place, columns: Sequence[str] | None, scenes: int) -> pa.Table:
     """Some columns of the table of a dataset of so many scenes, or all.
 
     Raises `CheckError` when it is not the file whose hash `croissant.json` has, `InputError` for an unknown column.
@@ -114,7 +114,7 @@ def read_table(root: Path, columns: Sequence[str] | None, scenes: int) -> pa.Tab
             raise CheckError(
                 f"{path}: has changed since it was written (SHA-256 differs from {CROISSANT}'s); {remedy}"
             )
-        with pq.ParquetFile(path) as file:
+        with path.open("rb") as stored, pq.ParquetFile(stored) as file:
             if file.metadata.num_rows != scenes:
                 raise CheckError(f"{path}: {file.metadata.num_rows} rows for {scenes} scenes; {remedy}")
             known = file.schema_arrow.names

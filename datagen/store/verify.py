@@ -17,6 +17,7 @@ from datagen.store.croissant import croissant, write_croissant
 from datagen.store.environment import environment
 from datagen.store.files import JSON_BYTES, holds, json_bytes, sha256_of, write_if_changed
 from datagen.store.manifest import MANIFEST, Manifest, read_manifest
+from datagen.store.places import Place, place
 from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, read_record, recorded_shards
 from datagen.store.schema import SCHEMA_VERSION, SPLITS_SINCE
@@ -24,7 +25,7 @@ from datagen.store.table import CROISSANT, TABLE, stats_by_split, table_bytes, t
 
 
 def committed(
-    root: Path, manifest: Manifest, shards: Iterable[int] | None = None, hashes: bool = False
+    root: Place, manifest: Manifest, shards: Iterable[int] | None = None, hashes: bool = False
 ) -> list[ShardRecord]:
     """The records of the shards that are there: sound, of this configuration, of all their scenes, their files in
     place. With `hashes` the files' bytes must also be those that were written.
@@ -75,7 +76,7 @@ def verify(path: str | Path, deep: bool = False) -> Verification:
 
     Raises `InputError` when the folder is no dataset; everything that is wrong with one that is stands in `problems`.
     """
-    root = Path(path)
+    root = place(path)
     manifest = read_manifest(root)
     problems = list(_metadata_problems(root, manifest))
     scenes = size = 0
@@ -115,13 +116,13 @@ def _missing(there: Sequence[int], shards: int) -> Iterator[str]:
             yield f"shards {before + 1}-{after - 1}"
 
 
-def _metadata_problems(root: Path, manifest: Manifest) -> Iterator[str]:
+def _metadata_problems(root: Place, manifest: Manifest) -> Iterator[str]:
     yield from filter(None, (_metadata_problem(root, manifest, name) for name in manifest.metadata))
     if fingerprint_of(manifest.config, manifest.meshes) != manifest.fingerprint:
         yield "dataset.json: its configuration is not the one its fingerprint was taken of"
 
 
-def _metadata_problem(root: Path, manifest: Manifest, name: str) -> str | None:
+def _metadata_problem(root: Place, manifest: Manifest, name: str) -> str | None:
     if not (root / name).is_file():
         return f"{name}: missing"
     if (root / name).stat().st_size > JSON_BYTES or sha256_of(root / name) != manifest.metadata[name]:
@@ -129,7 +130,7 @@ def _metadata_problem(root: Path, manifest: Manifest, name: str) -> str | None:
     return None
 
 
-def _shard_problems(root: Path, manifest: Manifest, record: ShardRecord, deep: bool) -> Iterator[str]:
+def _shard_problems(root: Place, manifest: Manifest, record: ShardRecord, deep: bool) -> Iterator[str]:
     wrong = record.mismatch(manifest.schema, manifest.fingerprint) or record.problem(root)
     if wrong is not None:
         yield f"shard {record.shard}: {wrong}"
@@ -147,7 +148,7 @@ def _shard_problems(root: Path, manifest: Manifest, record: ShardRecord, deep: b
         reader.close()
 
 
-def _summary_problems(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> Iterator[str]:
+def _summary_problems(root: Place, manifest: Manifest, records: Sequence[ShardRecord]) -> Iterator[str]:
     if not (root / TABLE).is_file():
         yield f"{TABLE}: missing; build again to write it"
         return
@@ -170,8 +171,10 @@ def _summary_problems(root: Path, manifest: Manifest, records: Sequence[ShardRec
             yield f"{name}: missing, or differs from what the dataset holds"
 
 
-def _tells(path: Path, table: pa.Table) -> bool:
+def _tells(path: Place, table: pa.Table) -> bool:
     try:
-        return table_bytes(pq.read_table(path).replace_schema_metadata(table.schema.metadata)) == table_bytes(table)
+        with path.open("rb") as file:
+            stored = pq.read_table(file).replace_schema_metadata(table.schema.metadata)
+        return table_bytes(stored) == table_bytes(table)
     except (pa.ArrowException, OSError, ValueError):
         return False

@@ -131,6 +131,10 @@ def manifest_truncated(root: Path) -> None:
     path.write_bytes(path.read_bytes()[:700])
 
 
+def manifest_of_others(root: Path) -> None:
+    (root / "dataset.json").write_bytes((root / "croissant.json").read_bytes())
+
+
 def manifest_unsealed(root: Path) -> None:
     path = root / "dataset.json"
     values = json.loads(path.read_bytes())
@@ -142,7 +146,7 @@ def manifest_unsealed(root: Path) -> None:
     "harm",
     [
         digest_flipped, metadata_flipped, metadata_exchanged, described_by_others, readme_of_no_text, manifest_gone,
-        manifest_truncated, manifest_unsealed,
+        manifest_truncated, manifest_unsealed, manifest_of_others,
     ],
 )  # fmt: skip
 def test_what_is_told_is_mended_by_the_next_build(pristine: Path, dataset: Path, harm: object) -> None:
@@ -207,6 +211,37 @@ def test_other_versions_are_not_mixed_in_unasked(dataset: Path) -> None:
     made_elsewhere(dataset, numpy=read_manifest(dataset).versions["numpy"], machine="riscv64")
     with pytest.raises(InputError, match="differ in machine riscv64 and"):
         again(dataset, scenes=16)
+
+
+def test_a_mixture_that_is_accepted_costs_no_sound_scene(tmp_path: Path) -> None:
+    root, tried = tmp_path / "set", []
+
+    def counted(config: DatasetConfig, index: int):  # type: ignore[no-untyped-def]
+        tried.append(index)
+        return fake_sample(config, index)
+
+    with pytest.raises(CheckError):
+        again(root, sample_function=fails_at_5)
+    made_elsewhere(root, numpy="1.26.0")
+    again(root, sample_function=counted, accept_mixed=True)
+    assert tried == [5] and verify(root, deep=True).problems == ()
+    now = read_manifest(root).versions["numpy"]
+    assert [r.environment["numpy"] for r in committed(root, read_manifest(root))] == [now, f"1.26.0 and {now}", now]
+    assert f"shards differ in numpy {now} and 1.26.0" in (root / "README.md").read_text()
+
+
+def test_what_killed_builds_left_half_written_is_cleared(dataset: Path) -> None:
+    import fcntl
+
+    for name in ("dataset.json.1", "README.md.2", "build/shard-000001.json.3", "data.zarr/depth/zarr.json.4"):
+        (dataset / f"{name}.partial").write_bytes(b"half")
+    (dataset / ".datagen-abc").mkdir()
+    with (dataset / "croissant.json.5.partial").open("xb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        again(dataset)
+        assert [path.name for path in dataset.rglob("*.partial")] == ["croissant.json.5.partial"]
+    again(dataset)
+    assert not list(dataset.rglob("*.partial")) and not list(dataset.glob(".datagen-*"))
 
 
 def test_a_worker_with_other_versions_makes_no_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,177 @@
+"""What kills and damage come to: whether data were lost, read wrong without a word, or a traceback shown."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from pathlib import Path
+
+import kills
+import pytest
+from damage import COLUMNS, HARMS, damaged, files_of, harmed, read, sample, small_dataset, told
+from fake_samples import fails_at_5, fake_sample, small_config
+from here_and_now import one_worker_here
+
+from datagen.building.build import build
+from datagen.errors import CheckError, InputError
+from datagen.loader import TransientDataset
+from datagen.store import committed, read_manifest, reader, verify
+from datagen.store.digest import dataset_digest
+from datagen.store.info import info
+from datagen.store.table import read_table
+
+SHORT = small_config(scenes=6, store={"fields": ["histogram"], "scenes_per_shard": 4})
+"""What is killed at every step."""
+MEMORIES = (0, 2**28)
+"""Bytes of memory that a reader has: fields larger and smaller than that are read in different ways."""
+CORRUPTED = {
+    "dataset.json": "dataset.json",
+    "commit record": "build/shard-*.json",
+    "samples.parquet": "samples.parquet",
+    "croissant.json": "croissant.json",
+    "README.md": "README.md",
+    "zarr.json": "data.zarr/**/zarr.json",
+    "coordinate": "data.zarr/bin/c/*",
+    "sharded field": "data.zarr/[hd]*/c/*/**/*",
+    "small field": "data.zarr/[lor]*/c/*/**/*",
+}
+"""Kind of file → where it lies."""
+WAYS = (*HARMS, "remove", "exchange")
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """With builds of one worker in this process, and without the warnings that name scenes which failed before."""
+    with ExitStack() as stack:
+        stack.enter_context(one_worker_here())
+        stack.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("ignore", UserWarning)
+        patch = stack.enter_context(pytest.MonkeyPatch.context())
+        # A child cannot wait for its parent's server.
+        patch.setattr("datagen.building.build.start_imports", lambda *_: None)
+        yield
+
+
+def histograms(root: Path, memory: int) -> dict[int, bytes]:
+    """Every scene there is; none where the dataset is not believed to be whole."""
+    before, reader.MEMORY_BYTES = reader.MEMORY_BYTES, memory
+    try:
+        data = TransientDataset(root, ("histogram",))
+        items = [data[item] for item in range(len(data))]
+        return {int(item["scene"]): item["histogram"].numpy().tobytes() for item in items}
+    finally:
+        reader.MEMORY_BYTES = before
+
+
+def intact(root: Path) -> dict[int, bytes]:
+    """The records of the shards that are committed with all their scenes: what no kill may lose."""
+    with suppress(InputError):
+        there = committed(root, read_manifest(root), hashes=True)
+        return {record.shard: record.to_bytes() for record in there if not record.failures}
+    return {}
+
+
+Outcome = Counter[str]
+"""How often: `harmed`, `found` (told before anything was mended), `lost`, `silent`, `traceback`."""
+
+
+def after_a_kill(root: Path, resume: Callable[[], object], due: Path, harms: int, said: str = "") -> Outcome:
+    """What a reader gets of a killed build, and what building again makes of it."""
+    kept, digest, told_so = intact(root), dataset_digest(due), Outcome(harmed=harms)
+    told_so["traceback"] += "Traceback" in said
+    try:
+        expected = histograms(due, 0)
+        for memory in MEMORIES:
+            got = told(partial(histograms, root, memory))
+            told_so["silent"] += got is not None and not got.items() <= expected.items()
+        found = told(lambda: verify(root, deep=True))
+        told_so["found"] += found is None or bool(found.problems)
+        resume()
+        whole = verify(root, deep=True).problems == () and dataset_digest(root) == digest
+        left = [path for path in root.rglob("*") if path.suffix in (".running", ".partial") or path.name[0] == "."]
+        told_so["lost"] += not whole or bool(left) or not kept.items() <= intact(root).items()
+    except Exception:
+        told_so["traceback"] += 1
+        traceback.print_exc()
+    return told_so
+
+
+def kills_between_steps(steps: Iterator[int], folder: Path, mending: bool) -> Outcome:
+    """A build, or (`mending`) one that tries a scene anew, makes a damaged shard again and restores dataset.json,
+    is gone at each of the steps, those that there are."""
+    due, harmed_one, outcome = folder / "due", folder / "harmed", Outcome()
+    kills.whole_build(due, SHORT)
+    if mending:
+        with suppress(CheckError):
+            build(SHORT, harmed_one, progress=False, sample_function=fails_at_5)
+        (harmed_one / "dataset.json").unlink()
+        (harmed_one / "data.zarr/histogram/c/0/0/0/0").write_bytes(b"")
+    for step in steps:
+        root = shutil.copytree(harmed_one, folder / "set") if mending else folder / "set"
+        resume = partial(kills.whole_build, root, SHORT)
+        if not kills.killed_at(step, resume):
+            break
+        outcome += after_a_kill(root, resume, due, 1)
+        shutil.rmtree(root)
+    return outcome
+
+
+def kills_of_processes(what: str, number: int, folder: Path, rng: random.Random) -> Outcome:
+    """One of `kills.KILLED`, at random moments. A build that lost workers goes on; one that is gone is run again."""
+    due, config, outcome = folder / "due", kills.many_shards(), Outcome()
+    kills.whole_build(due, config)
+    for done, running in kills.killed_builds(what, number, folder, rng):
+        status, said = running.ended()
+        if what.endswith("worker") and status != 0 and "worker processes died over it" not in said:
+            # A scene over which two workers died is given up, told, and tried anew by the next build.
+            print(f"{what} killed, and the build ended: {said.strip()}")
+            outcome["lost"] += done
+        resume = partial(build, config, running.root, progress=False, sample_function=fake_sample)
+        outcome += after_a_kill(running.root, resume, due, done, said)
+    return outcome
+
+
+def corruptions(kind: str, number: int, folder: Path, rng: random.Random) -> Outcome:
+    """Files of a kind of `CORRUPTED` harmed one at a time: verified, loaded in both sizes, and built again."""
+    root, outcome = folder / "set", Outcome()
+    config = small_dataset(root)
+    digest, expected, table = dataset_digest(root), read(root, 0), read_table(root, COLUMNS, 5).to_pydict()
+    names = [name for name in files_of(root) if (root / name) in set(root.glob(CORRUPTED[kind]))]
+    assert names, f"no {kind} in {files_of(root)}"
+    while outcome["harmed"] < number:
+        changes = damaged(root, rng.choice(names), rng.choice(WAYS), rng.randrange(10**6))
+        if changes is None:
+            continue
+        outcome["harmed"] += 1
+        before = {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+        with harmed(changes):
+            try:
+                outcome += _of_a_corruption(root, expected, table)
+                result = build(config, root, progress=False, sample_function=sample)
+                mended = verify(root, deep=True).problems == () and dataset_digest(root) == digest
+                # A file costs its own shard, and no more.
+                outcome["lost"] += not mended or result.built > len(changes)
+            except Exception:
+                outcome["traceback"] += 1
+                traceback.print_exc()
+        shutil.rmtree(root)
+        for name, data in before.items():
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            (root / name).write_bytes(data)
+    return outcome
+
+
+def _of_a_corruption(root: Path, expected: dict[str, bytes], table: dict[str, list[object]]) -> Outcome:
+    found = told(lambda: verify(root))
+    loaded = [told(partial(read, root, memory)) for memory in MEMORIES]
+    columns = told(lambda: read_table(root, COLUMNS, 5).to_pydict())
+    told(lambda: info(root))
+    wrong = any(got not in (None, expected) for got in loaded) or columns not in (None, table)
+    unseen = found is not None and not found.problems
+    return Outcome(found=not unseen, silent=wrong or unseen, refused=loaded.count(None))

@@ -1,0 +1,203 @@
+"""Datasets in an object store: a real server on this machine, and the same words as for folders."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+import warnings
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+import torch
+from fake_samples import fake_sample, small_config
+
+from datagen.building.build import BuildResult, build
+from datagen.config import DatasetConfig
+from datagen.errors import CheckError, InputError
+from datagen.loader import TransientDataset, collate
+from datagen.store import verify
+from datagen.store.digest import dataset_digest
+from datagen.store.info import info
+from datagen.store.places import Bucket, place
+
+obstore = pytest.importorskip("obstore", reason="the extra s3 is not installed")
+pytest.importorskip("moto", reason="moto is not installed")
+
+ADDRESS = "s3://rooms/of/set.zarr"
+FIELDS = ("histogram", "transient", "depth")
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[str]:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    try:
+        for _ in range(1200):
+            with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+                break
+            time.sleep(0.1)
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def bucket(server: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Bucket:
+    for key, value in {
+        "AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b", "AWS_REGION": "us-east-1",
+        "AWS_ENDPOINT_URL": server, "DATAGEN_STAGING": str(tmp_path / "staging"),
+    }.items():  # fmt: skip
+        monkeypatch.setenv(key, value)
+    urllib.request.urlopen(urllib.request.Request(f"{server}/rooms", method="PUT"), timeout=30)
+    found = place(ADDRESS)
+    assert isinstance(found, Bucket)
+    for old in everything(found):
+        old.unlink()
+    return found
+
+
+def everything(bucket: Bucket) -> list[Bucket]:
+    return [Bucket(bucket.bucket, key) for key in bucket._below()]
+
+
+def built(config: DatasetConfig | None = None, **options: object) -> BuildResult:
+    return build(config or small_config(), ADDRESS, progress=False, sample_function=fake_sample, **options)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def local(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("local") / "set"
+    build(small_config(), root, progress=False, sample_function=fake_sample)
+    return root
+
+
+def items(path: str | Path) -> list[dict[str, torch.Tensor]]:
+    data = TransientDataset(path, FIELDS)
+    return [data[i] for i in range(len(data))]
+
+
+def test_what_is_built_there_is_what_is_built_here(bucket: Bucket, local: Path, tmp_path: Path) -> None:
+    result = built()
+    assert result.complete and str(result.path) == ADDRESS
+    assert verify(ADDRESS, deep=True).problems == () and dataset_digest(ADDRESS) == dataset_digest(local)
+    for there, here in zip(items(ADDRESS), items(local), strict=True):
+        assert all(torch.equal(there[name], here[name]) for name in here)
+    assert info(ADDRESS).split("seconds per scene")[0] == info(local).split("seconds per scene")[0]
+    assert (
+        TransientDataset(ADDRESS).parameters("kind").tolist() == TransientDataset(local).parameters("kind").tolist()
+    )
+    names = {str(one).removeprefix(f"{ADDRESS}/") for one in everything(bucket)}
+    assert names == {path.relative_to(local).as_posix() for path in local.rglob("*") if path.is_file()}
+    # The folder it was made in is not needed any more.
+    shutil.rmtree(tmp_path / "staging")
+    again = built()
+    assert (again.built, again.kept) == (0, 3)
+    grown = built(scenes=16)
+    assert (grown.built, grown.kept, grown.complete) == (1, 3, True) and verify(ADDRESS).problems == ()
+
+
+@pytest.mark.parametrize("puts", [1, 6, 11, 17])
+def test_an_interrupted_upload_is_taken_up(
+    bucket: Bucket, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, puts: int
+) -> None:
+    """Whatever the last object was; with the folder that shards were made in, and (odd numbers) without."""
+    left, whole = puts, Bucket.put
+
+    def put(self: Bucket, file: Path) -> None:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise KeyboardInterrupt
+        whole(self, file)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Bucket, "put", put)
+        with pytest.raises(KeyboardInterrupt):
+            built()
+    with suppress(InputError):
+        assert verify(ADDRESS).problems != ()
+        with pytest.raises(InputError, match="not committed"):
+            TransientDataset(ADDRESS)
+    if puts % 2:
+        shutil.rmtree(tmp_path / "staging")
+    built()
+    assert verify(ADDRESS, deep=True).problems == () and dataset_digest(ADDRESS) == dataset_digest(local)
+
+
+def test_damage_there_is_told_and_mended(bucket: Bucket) -> None:
+    built()
+    shard, record = bucket / "data.zarr/histogram/c/1/0/0/0", bucket / "build/shard-000002.json"
+    sound = shard.read_bytes()
+    for harmed in (sound[:-1], sound[:40] + b"\0" + sound[41:]):
+        shard.write_bytes(harmed)
+        assert any("data.zarr/histogram/c/1" in problem for problem in verify(ADDRESS).problems)
+        with pytest.raises(CheckError, match=r"s3://rooms/of/set\.zarr/data\.zarr/histogram/c/1/0/0/0"):
+            items(ADDRESS)
+    shard.unlink()
+    with pytest.raises(CheckError, match="cannot be opened"):
+        items(ADDRESS)
+    record.unlink()
+    with pytest.raises(InputError, match="2 of 3 shards are not committed, the first is 1"):
+        TransientDataset(ADDRESS)
+    built()
+    assert verify(ADDRESS, deep=True).problems == ()
+
+
+def test_workers_read_there(bucket: Bucket) -> None:
+    built()
+    data = TransientDataset(ADDRESS, ("histogram",))
+    assert len(pickle.loads(pickle.dumps(data))) == 12
+    loader = torch.utils.data.DataLoader(data, 4, num_workers=1, multiprocessing_context="spawn", collate_fn=collate)
+    assert [batch["scene"].tolist() for batch in loader] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10, 11]]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        forked = torch.utils.data.DataLoader(data, 4, num_workers=1, multiprocessing_context="fork")
+        with pytest.raises(CheckError, match="do not survive a fork"):
+            next(iter(forked))
+
+
+@pytest.mark.parametrize(
+    ("address", "why"),
+    [
+        ("s3://rooms", "must be s3://bucket/name"),
+        ("s3://key:secret@rooms/set", r"s3://…@rooms/set: must be"),
+        ("s3://rooms/../set", "must be s3://bucket/name"),
+        ("gs://rooms/set", "must be s3://bucket/name"),
+    ],
+)
+def test_addresses_that_are_none(address: str, why: str) -> None:
+    with pytest.raises(InputError, match=why):
+        place(address)
+
+
+def test_others_are_left_alone(bucket: Bucket, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such dataset"):
+        info(f"{ADDRESS}/nothing")
+    with pytest.raises(CheckError, match=r"s3://nowhere/set.*look at the address"):
+        info("s3://nowhere/set")
+    (bucket / "thesis.tex").write_bytes(b"years of work")
+    with pytest.raises(InputError, match="holds objects and no dataset"):
+        built()
+    (bucket / "thesis.tex").unlink()
+    built()
+    with pytest.raises(InputError, match=r"seed = 3, this configuration has 4"):
+        built(small_config(seed=4))
+    shutil.rmtree(tmp_path / "staging")
+    with pytest.raises(InputError, match=r"seed = 3, this configuration has 4"):
+        built(small_config(seed=4))
+    assert verify(ADDRESS).problems == ()
