@@ -16,6 +16,7 @@ from datagen.config.transport import TransportConfig
 from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
 from datagen.effects import EffectDecisions, decide_detector_effects, decide_transport_effects
 from datagen.errors import InputError
+from datagen.evidence.own import Evidence, evidence_parameters, evidence_tables, objects_of, own_evidence
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
@@ -43,7 +44,7 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
         own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
         lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
         accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
-        transient = simulate(lit, capture, accuracy, seed=own_seed, split_parts=False)
+        transient = simulate(lit, capture, accuracy, seed=own_seed)
     with _timed(seconds, "effects"):
         effects += detector_effects(config, transient, spad, exposure)
     with _timed(seconds, "detector"):
@@ -52,16 +53,22 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
             transient.total, capture.time, used, conditions, seed=derived_seed(seed, index, Purpose.DETECTOR),
             tolerance=tolerance, approximate=config.detector.approximate,
         )  # fmt: skip
+    with _timed(seconds, "evidence"):
+        evidence = own_evidence(transient, used, conditions, objects_of(scene))
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
         slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
         labels = make_labels(config.labels, scene, wanted, slots)
+        if "objects" in wanted:
+            labels |= evidence_tables(tuple(evidence.values()), slots.capacity)
     measured = {"histogram": counts, "transient": transient.total, "transient_stderr": transient.stderr}
     arrays: dict[str, NDArray[np.generic]] = {
         name: values for name, values in measured.items() if name in config.store.fields
     }
     arrays |= labels | _geometry(scene, capture, transient)
-    return Sample(index, arrays, _parameters(scene, spad, exposure, effects, sampler, transient, counts), seconds)
+    return Sample(
+        index, arrays, _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts), seconds
+    )
 
 
 def _one_detection(spad: Spad, exposure: Exposure) -> float:
@@ -142,7 +149,7 @@ def _vectors(rectangle: Rectangle | None) -> NDArray[np.float64]:
 
 def _parameters(
     scene: Scene, spad: Spad, exposure: Exposure, effects: EffectDecisions, sampler: SamplerChoice,
-    transient: Transient, counts: NDArray[np.integer],
+    transient: Transient, evidence: Mapping[str, Evidence], counts: NDArray[np.integer],
 ) -> dict[str, Scalar]:  # fmt: skip
     inside, outside = float(transient.total.sum()), float(transient.overflow.sum())
     return {
@@ -158,6 +165,7 @@ def _parameters(
         **({} if transient.met_target is None else {"transient.target_met": transient.met_target}),
         **_scalars("transient.part_error", transient.part_errors),
         **({} if transient.spend is None else _scalars("transport.spend", transient.spend.parameters())),
+        **evidence_parameters(evidence),
         "histogram.counts": int(counts.sum()),
     }
 

@@ -14,7 +14,7 @@ from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.verify import committed
 
-STAGES = ("scene", "effects", "transport", "detector", "labels", "store")
+STAGES = ("scene", "effects", "transport", "detector", "evidence", "labels", "store")
 
 
 def info(path: str | Path) -> str:
