@@ -14,8 +14,10 @@ from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.config.transport import TransportConfig
 from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
+from datagen.detector.own_light import detections_per_photon
 from datagen.effects import EffectDecisions, decide_detector_effects, decide_transport_effects
 from datagen.errors import InputError
+from datagen.evidence import evidence_image
 from datagen.evidence.own import Evidence, evidence_parameters, evidence_tables, objects_of, own_evidence
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
@@ -55,6 +57,7 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
         )  # fmt: skip
     with _timed(seconds, "evidence"):
         evidence = own_evidence(transient, used, conditions, objects_of(scene))
+        image = _evidence_image(config, scene, capture, transient, used, conditions)
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
         slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
@@ -65,10 +68,19 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
     arrays: dict[str, NDArray[np.generic]] = {
         name: values for name, values in measured.items() if name in config.store.fields
     }
-    arrays |= labels | _geometry(scene, capture, transient)
+    arrays |= labels | image | _geometry(scene, capture, transient)
     return Sample(
         index, arrays, _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts), seconds
     )
+
+
+def _evidence_image(
+    config: DatasetConfig, scene: Scene, capture: Capture, transient: Transient, spad: Spad, exposure: Exposure
+) -> dict[str, NDArray[np.float32]]:
+    if "evidence" not in config.store.fields:
+        return {}
+    each = detections_per_photon(transient.total, capture.time, spad, exposure)
+    return {"evidence": evidence_image(scene, capture, config.labels, each)}
 
 
 def _one_detection(spad: Spad, exposure: Exposure) -> float:

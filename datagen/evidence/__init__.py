@@ -13,6 +13,13 @@ docs/evidence.md has the derivation and what is left out.
 Under 3 no network can learn the label from the data.
 """
 
-from datagen.evidence.own import Evidence, kind_of, own_evidence
+from pathlib import Path
 
-__all__ = ["Evidence", "kind_of", "own_evidence"]
+from datagen.compiled import drop_stale_kernels
+from datagen.evidence.own import Evidence, kind_of, own_evidence
+from datagen.evidence.seen import evidence_image
+
+__all__ = ["Evidence", "evidence_image", "kind_of", "own_evidence"]
+
+_HERE = Path(__file__).parent
+drop_stale_kernels(_HERE, _HERE.with_name("transport") / "brdf")
