@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from datagen.detector import Exposure, Spad, detect, expected_histogram
     from datagen.effects import Decision, EffectDecisions, plan_effects
     from datagen.errors import CheckError, InputError, InputWarning
+    from datagen.evidence import Evidence, own_evidence
     from datagen.loader import EpochSampler, TransientDataset, collate, dense
     from datagen.paper.as_printed import AsPrinted, simulate_as_printed
     from datagen.records import (
@@ -45,12 +46,53 @@ if TYPE_CHECKING:
 
 # Type checkers want a literal; `_HOME` says at run time where each of these names is.
 __all__ = [
-    "GGX", "Accuracy", "AsPrinted", "BuildResult", "Capture", "CheckError", "DatasetConfig", "Decision",
-    "EffectDecisions", "EffectsConfig", "EpochSampler", "Exposure", "InputError", "InputWarning", "Lambertian",
-    "Laser", "Material", "OrenNayar", "Part", "Phong", "Pose", "Rectangle", "Retroreflector", "Sample", "Scene",
-    "SceneConfig", "Sensor", "SinLobe", "Spad", "Spend", "TimeAxis", "Transient", "TransientDataset",
-    "__version__", "build", "capture_for", "collate", "dense", "detect", "expected_histogram", "generate_scene",
-    "load_config", "plan_effects", "simulate", "simulate_as_printed",
+    "GGX",
+    "Accuracy",
+    "AsPrinted",
+    "BuildResult",
+    "Capture",
+    "CheckError",
+    "DatasetConfig",
+    "Decision",
+    "EffectDecisions",
+    "EffectsConfig",
+    "EpochSampler",
+    "Evidence",
+    "Exposure",
+    "InputError",
+    "InputWarning",
+    "Lambertian",
+    "Laser",
+    "Material",
+    "OrenNayar",
+    "Part",
+    "Phong",
+    "Pose",
+    "Rectangle",
+    "Retroreflector",
+    "Sample",
+    "Scene",
+    "SceneConfig",
+    "Sensor",
+    "SinLobe",
+    "Spad",
+    "Spend",
+    "TimeAxis",
+    "Transient",
+    "TransientDataset",
+    "__version__",
+    "build",
+    "capture_for",
+    "collate",
+    "dense",
+    "detect",
+    "expected_histogram",
+    "generate_scene",
+    "load_config",
+    "own_evidence",
+    "plan_effects",
+    "simulate",
+    "simulate_as_printed",
 ]  # fmt: skip
 _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "AsPrinted": "datagen.paper.as_printed",
@@ -61,6 +103,7 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "EffectDecisions": "datagen.effects",
     "EffectsConfig": "datagen.config",
     "EpochSampler": "datagen.loader",
+    "Evidence": "datagen.evidence",
     "Exposure": "datagen.detector",
     "InputError": "datagen.errors",
     "InputWarning": "datagen.errors",
@@ -75,6 +118,7 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "expected_histogram": "datagen.detector",
     "generate_scene": "datagen.scene",
     "load_config": "datagen.config",
+    "own_evidence": "datagen.evidence",
     "plan_effects": "datagen.effects",
     "simulate": "datagen.transport",
     "simulate_as_printed": "datagen.paper.as_printed",

@@ -14,8 +14,11 @@ from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.config.transport import TransportConfig
 from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
+from datagen.detector.own_light import detections_per_photon
 from datagen.effects import EffectDecisions, decide_detector_effects, decide_transport_effects
 from datagen.errors import InputError
+from datagen.evidence import evidence_image
+from datagen.evidence.own import Evidence, evidence_parameters, evidence_tables, objects_of, own_evidence
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
@@ -43,7 +46,7 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
         own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
         lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
         accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
-        transient = transient_of(lit, capture, accuracy, seed=own_seed, split_parts=False)
+        transient = transient_of(lit, capture, accuracy, seed=own_seed)
     with _timed(seconds, "effects"):
         effects += detector_effects(config, transient, spad, exposure)
     with _timed(seconds, "detector"):
@@ -52,16 +55,32 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
             transient.total, capture.time, used, conditions, seed=derived_seed(seed, index, Purpose.DETECTOR),
             tolerance=tolerance, approximate=config.detector.approximate,
         )  # fmt: skip
+    with _timed(seconds, "evidence"):
+        evidence = own_evidence(transient, used, conditions, objects_of(scene))
+        image = _evidence_image(config, scene, capture, transient, used, conditions)
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
         slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
         labels = make_labels(config.labels, scene, wanted, slots)
+        if "objects" in wanted:
+            labels |= evidence_tables(tuple(evidence.values()), slots.capacity)
     measured = {"histogram": counts, "transient": transient.total, "transient_stderr": transient.stderr}
     arrays: dict[str, NDArray[np.generic]] = {
         name: values for name, values in measured.items() if name in config.store.fields
     }
-    arrays |= labels | _geometry(scene, capture, transient)
-    return Sample(index, arrays, _parameters(scene, spad, exposure, effects, sampler, transient, counts), seconds)
+    arrays |= labels | image | _geometry(scene, capture, transient)
+    return Sample(
+        index, arrays, _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts), seconds
+    )
+
+
+def _evidence_image(
+    config: DatasetConfig, scene: Scene, capture: Capture, transient: Transient, spad: Spad, exposure: Exposure
+) -> dict[str, NDArray[np.float32]]:
+    if "evidence" not in config.store.fields:
+        return {}
+    each = detections_per_photon(transient.total, capture.time, spad, exposure)
+    return {"evidence": evidence_image(scene, capture, config.labels, each)}
 
 
 def _one_detection(spad: Spad, exposure: Exposure) -> float:
@@ -142,7 +161,7 @@ def _vectors(rectangle: Rectangle | None) -> NDArray[np.float64]:
 
 def _parameters(
     scene: Scene, spad: Spad, exposure: Exposure, effects: EffectDecisions, sampler: SamplerChoice,
-    transient: Transient, counts: NDArray[np.integer],
+    transient: Transient, evidence: Mapping[str, Evidence], counts: NDArray[np.integer],
 ) -> dict[str, Scalar]:  # fmt: skip
     inside, outside = float(transient.total.sum()), float(transient.overflow.sum())
     return {
@@ -158,6 +177,7 @@ def _parameters(
         **({} if transient.met_target is None else {"transient.target_met": transient.met_target}),
         **_scalars("transient.part_error", transient.part_errors),
         **({} if transient.spend is None else _scalars("transport.spend", transient.spend.parameters())),
+        **evidence_parameters(evidence),
         "histogram.counts": int(counts.sum()),
     }
 

@@ -25,6 +25,7 @@ STAGES = (
     "transport",
     "effects",
     "detector",
+    "evidence",
     "building",
     "loader",
     "paper",

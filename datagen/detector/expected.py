@@ -37,16 +37,23 @@ def mean_detections(flux: Array, cycle: Cycle, spad: Spad) -> Array:
     the answer agrees with itself; neglected is the correlation between pixels and between avalanches, an error of
     second order in the probabilities.
     """
+    return detections_and_events(flux, cycle, spad)[0]
+
+
+def detections_and_events(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array, Array]:
+    """Of `mean_detections`, and (pixel, n) the events per cycle that they are of: those of `flux` and what avalanches
+    cause. Their ratio is the chance that an event finds the diode armed."""
     has_traps, has_crosstalk = spad.afterpulse_probability > 0, spad.crosstalk_probability > 0 and len(flux) > 1
     if spad.mode == "ideal":
-        return flux
+        return flux, flux
     if not (has_traps or has_crosstalk):
-        return np.stack([_mean_of_photons(f, cycle, spad) for f in flux])
+        return np.stack([_mean_of_photons(f, cycle, spad) for f in flux]), flux
     scales = (spad.dead_time_s, *(spad.afterpulse_times_s if has_traps else ()))
     finer, parts = _cut(cycle, min((scale for scale in scales if scale > 0), default=np.inf) / _PIECES)
     flux = np.repeat(flux / parts, parts, axis=1)
-    detections = _self_consistent(flux, finer, spad, has_traps, has_crosstalk)
-    return np.add.reduceat(detections, np.cumsum(parts) - parts, axis=1)
+    found = _self_consistent(flux, finer, spad, has_traps, has_crosstalk)
+    detections, events = (np.add.reduceat(values, np.cumsum(parts) - parts, axis=1) for values in found)
+    return detections, events
 
 
 def _cut(cycle: Cycle, longest_s: float) -> tuple[Cycle, NDArray[np.int64]]:
@@ -62,9 +69,11 @@ def _cut(cycle: Cycle, longest_s: float) -> tuple[Cycle, NDArray[np.int64]]:
     return replace(cycle, edges_s=edges, gate=np.repeat(cycle.gate, parts), front=len(number)), parts
 
 
-def _self_consistent(flux: Array, cycle: Cycle, spad: Spad, has_traps: bool, has_crosstalk: bool) -> Array:
+def _self_consistent(
+    flux: Array, cycle: Cycle, spad: Spad, has_traps: bool, has_crosstalk: bool
+) -> tuple[Array, Array]:
     shared, released = np.zeros_like(flux), np.zeros_like(flux)
-    detections = np.zeros_like(flux)
+    detections, total = np.zeros_like(flux), flux
     for _ in range(_ROUNDS):
         total = flux + shared + released
         previous, detections = detections, np.stack([_mean_of_photons(f, cycle, spad) for f in total])
@@ -76,7 +85,7 @@ def _self_consistent(flux: Array, cycle: Cycle, spad: Spad, has_traps: bool, has
             released = np.stack([_releases(d, f, cycle, spad) for d, f in pairs]) / np.maximum(armed, 1e-12)
         if has_crosstalk:
             shared = spad.crosstalk_probability * neighbour_sum(detections, spad.array_columns or len(flux))
-    return detections
+    return detections, total
 
 
 def has_exact_mean(spad: Spad, pixels: int) -> bool:

@@ -214,11 +214,22 @@ def fold_of(first: int, count: int, width_s: float, edges_s: Array) -> Fold:
 
 def flux_per_cycle(transient: Array, cycle: Cycle, spad: Spad, exposure: Exposure, first_pixel: int = 0) -> Array:
     """(laser, pixel, n) λ: expected avalanche-capable events per cycle in each bin of the period."""
-    flux = cycle.light_fold(spread(transient, cycle.before_avalanche))
-    flux *= spad.pde * exposure.photons_per_pulse
+    flux = _light_per_cycle(transient, cycle, spad, exposure)
     background = spad.pde * exposure.ambient_rate_hz + dark_count_rates(spad, transient.shape[1], first_pixel)
     flux += background[:, None] * cycle.widths_s
     flux *= cycle.gate
+    return flux
+
+
+def light_flux(light: Array, cycle: Cycle, spad: Spad, exposure: Exposure) -> Array:
+    """(laser, pixel, n) what some of a transient's light adds to its flux per cycle."""
+    return _light_per_cycle(light, cycle, spad, exposure) * cycle.gate
+
+
+def _light_per_cycle(light: Array, cycle: Cycle, spad: Spad, exposure: Exposure) -> Array:
+    """As if the gate were always open."""
+    flux = cycle.light_fold(spread(light, cycle.before_avalanche))
+    flux *= spad.pde * exposure.photons_per_pulse
     return flux
 
 

@@ -27,6 +27,7 @@ TITLES = {
     "shaded": "Shaded view (wall: 1)",
     "occupancy": "Occupancy (m)",
     "sdf": "Signed distance (m)",
+    "evidence": "Evidence (expected detections)",
 }
 
 
@@ -95,6 +96,19 @@ def _draw_shaded(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any])
     bar.set_ticks([float(np.sqrt(t)) for t in ticks], labels=[f"{t:g}" for t in ticks])
 
 
+def _draw_evidence(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
+    """By powers of ten, down to one detection in a thousand exposures."""
+    shown = np.ma.masked_where(values < 1e-3, values)
+    if shown.count() == 0:
+        _image(axes, scene, shown)
+        empty_note(axes, "no light from what is seen")
+        return
+    image = _image(axes, scene, np.ma.log10(shown), cmap="magma")
+    bar = _color_bar(figure, axes, image, "detections; white: under 0.001")
+    low, high = (int(np.floor(np.log10(limit))) for limit in (shown.min(), shown.max()))
+    bar.set_ticks(list(range(low + 1, high + 1)), labels=[f"{10.0**k:g}" for k in range(low + 1, high + 1)])
+
+
 def _draw_normal(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
     """Red: facing right, green: up, blue: facing the wall (half intensity: perpendicular to that)."""
     towards = values * np.array([1.0, 1.0, -1.0])
@@ -152,4 +166,5 @@ _DRAW: dict[str, Callable[[Figure, Axes, Scene, NDArray[Any]], None]] = {
     "shaded": _draw_shaded,
     "occupancy": _draw_occupancy,
     "sdf": _draw_sdf,
+    "evidence": _draw_evidence,
 }

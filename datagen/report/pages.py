@@ -231,8 +231,9 @@ def boxes_of(stored: StoredScene) -> ObjectBoxes | None:
 
 
 def labels_of(stored: StoredScene) -> list[str]:
-    """The labels to draw: those stored, and depth in any case, in the order of `datagen.labels`."""
-    return [name for name in IMAGE_FIELDS + VOLUME_FIELDS if name in stored.arrays or name == "depth"]
+    """The labels to draw: those stored, the image of evidence with them, and depth in any case."""
+    names = (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS)
+    return [name for name in names if name in stored.arrays or name == "depth"]
 
 
 def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, NDArray[np.float64]]]:

@@ -14,7 +14,7 @@ from datagen.store.places import Place, place
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.verify import committed
 
-STAGES = ("scene", "effects", "transport", "detector", "labels", "store")
+STAGES = ("scene", "effects", "transport", "detector", "evidence", "labels", "store")
 
 
 def info(path: str | Place) -> str:

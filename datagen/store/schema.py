@@ -27,6 +27,8 @@ SCHEMA_VERSIONS = {
     5: "datagen 0.5: a name of an axis has one size in the group (volumes: voxel_depth, voxel_row, voxel_column; "
     "hidden_bounds: bound), attributes units and long_name, a coordinate `bin` of arrival times; columns `split` and "
     "`stats.*` in the table, `stats` in `dataset.json`; with a target a seed yields other light",
+    6: "datagen 0.6: the evidence of each object, columns `evidence.*` and tables object_detections, "
+    "object_brightest_bin, object_significance beside the label `objects`; field evidence",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
@@ -189,6 +191,8 @@ def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
         Field("shaded", _IMAGE, image, "float32", "radiance of the lamp",
               "radiance of the surface seen, lit by the visible relay wall (radiance 1) and dimly from elsewhere, "
               "with shadows; linear; 0: empty"),
+        Field("evidence", _IMAGE, image, "float32", "counts",
+              "expected detections of light of three bounces by way of the surface seen, over the scan; 0: empty"),
         Field("occupancy", _VOLUME, volume, "uint8", "1", "1 where an object is"),
         Field("sdf", _VOLUME, volume, "float32", "m", "distance to the nearest object surface, negative inside"),
     )  # fmt: skip
@@ -216,6 +220,13 @@ def _object_tables(config: DatasetConfig) -> tuple[Field, ...]:
         Field("object_box_rotation", (*row, "axis", "own_axis"), (rows, 3, 3), "float32", "1",
               f"columns: unit vectors of the object's own width, depth (its back at +) and height along the axes "
               f"{frame}; 0: no object", False),
+        Field("object_detections", row, (rows,), "float32", "counts",
+              "expected detections of the object's own light of three bounces, over the scan; 0: no object", False),
+        Field("object_brightest_bin", row, (rows,), "float32", "counts",
+              "the same in the bin where they are most; 0: no object", False),
+        Field("object_significance", row, (rows,), "float32", "1",
+              "sqrt(sum s^2 / b) over all bins, s its expected detections, b all: standard deviations of an ideal "
+              "matched filter; 0: no object", False),
     )  # fmt: skip
 
 

@@ -21,6 +21,9 @@ from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, re
 from datagen.store.schema import Field, Schema
 from datagen.store.stats import WITH_STATS, stats_of
 
+FINITE = ("transient", "depth", "normal", "albedo", "shaded", "sdf", "evidence")
+"""Fields that have no use for NaN and infinity."""
+
 
 def discard_shard(root: Path, schema: Schema, shard: int) -> None:
     """Unlink the record and every file of a shard, finished or partial. The record goes first.
@@ -54,7 +57,7 @@ def encoded(field: Field, value: NDArray[np.generic]) -> NDArray[np.generic]:
         return value.astype(target)
     with np.errstate(over="ignore"):
         stored = value.astype(target)
-    if field.name in ("transient", "depth", "normal", "albedo", "shaded", "sdf") and not np.isfinite(stored).all():
+    if field.name in FINITE and not np.isfinite(stored).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(stored))[0])
         raise InputError(f"field {field.name!r}: {value[where]} at {where} is not a finite {field.dtype}")
     return stored

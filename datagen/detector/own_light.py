@@ -1,0 +1,109 @@
+"""What of the expected detections is owed to some of the light alone.
+
+With λ the flux of everything and λᵒ that of the light in question (`flux`), D/λ the chance that an event finds the
+diode armed (`expected`), of N cycles
+
+    b_i = N D_i,    s_i = N (D_i / λ_i) λᵒ_i,
+
+both displaced by the jitter of what is written down: an avalanche is that of one photon, and whose it is does not
+depend on what went before. So the detections of several lights add up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.detector.expected import detections_and_events
+from datagen.detector.flux import Cycle, checked_transient, cycle_of, flux_per_cycle, light_flux
+from datagen.detector.sampler_choice import poisson_bias
+from datagen.detector.spad import Exposure, Spad
+from datagen.detector.tdc import Tdc
+from datagen.errors import InputError
+from datagen.records import TimeAxis
+
+Array = NDArray[np.float64]
+
+FREE = 1e-3
+"""Share of detections that a dead time may take, or avalanches cause, up to which it is left out."""
+_BLOCK_VALUES = 1 << 16
+
+
+@dataclass(frozen=True)
+class OwnLight:
+    """Of laser points `first`, …
+
+    Attributes
+    ----------
+    everything : (laser, pixel, bin) expected detections over the exposure, background with them.
+    own : of each light, the expected detections of its own photons, likewise.
+    """
+
+    first: int
+    everything: Array
+    own: tuple[Array, ...]
+
+
+def own_light(
+    transient: Array, lights: Sequence[Array], time: TimeAxis, spad: Spad, exposure: Exposure
+) -> Iterator[OwnLight]:
+    """Expected detections of a transient and of lights that are part of it, a block of laser points at a time.
+
+    A bin whose counter is full on average tells nothing of any light: s_i = 0 there.
+
+    Raises `InputError` for a transient or a gate that `detect` refuses, and lights of another shape.
+    """
+    values = checked_transient(transient, time, exposure.photons_per_pulse)
+    for light in lights:
+        if light.shape != values.shape:
+            raise InputError(f"own_light: a light of shape {light.shape} in a transient of shape {values.shape}")
+    cycle = cycle_of(time, spad, exposure)
+    tdc = Tdc(cycle)
+    for first, block in _blocks(values, cycle):
+        part = slice(first, first + len(block))
+        flux = flux_per_cycle(block, cycle, spad, exposure)
+        detections, armed = _detections(flux, cycle, spad)
+        everything = tdc.mean(exposure.cycles * detections)
+        told = 1.0 if spad.counter_max is None else everything < spad.counter_max
+        everything = everything if spad.counter_max is None else np.minimum(everything, spad.counter_max)
+        own = (exposure.cycles * armed * light_flux(light[part], cycle, spad, exposure) for light in lights)
+        yield OwnLight(first, everything, tuple(told * tdc.mean(of) for of in own))
+
+
+def detections_per_photon(transient: Array, time: TimeAxis, spad: Spad, exposure: Exposure) -> Array:
+    """(laser, pixel, bin) expected detections over the exposure for a photon at the aperture per emitted photon that
+    arrives in a bin: N photons_per_pulse PDE gate D/λ."""
+    values = checked_transient(transient, time, exposure.photons_per_pulse)
+    cycle = cycle_of(time, spad, exposure)
+    out = np.zeros(values.shape)
+    for first, block in _blocks(values, cycle):
+        _, armed = _detections(flux_per_cycle(block, cycle, spad, exposure), cycle, spad)
+        sensitive = (armed * cycle.gate)[..., : cycle.window]
+        out[first : first + len(block), :, : cycle.window] = sensitive
+    out *= exposure.cycles * exposure.photons_per_pulse * spad.pde
+    return out
+
+
+def _blocks(values: Array, cycle: Cycle) -> Iterator[tuple[int, Array]]:
+    lasers, pixels, _ = values.shape
+    step = max(_BLOCK_VALUES // (pixels * len(cycle.gate)), 1)
+    for first in range(0, lasers, step):
+        yield first, values[first : first + step]
+
+
+def _detections(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array, Array]:
+    """Expected detections per cycle of flux (laser, pixel, n), and the chance that an event finds the diode armed."""
+    coupled = spad.crosstalk_probability > 0 and flux.shape[1] > 1
+    busy = poisson_bias(flux, cycle, spad) > FREE
+    detections, armed = flux.copy(), np.ones_like(flux)
+    for laser in np.flatnonzero(busy.any(axis=1)):
+        rows = np.arange(flux.shape[1]) if coupled else np.flatnonzero(busy[laser])
+        chosen = [rows] if coupled else rows[:, None]
+        for of in chosen:
+            found, events = detections_and_events(flux[laser, of], cycle, spad)
+            detections[laser, of] = found
+            armed[laser, of] = np.divide(found, events, out=np.ones_like(found), where=events > 0)
+    return detections, armed

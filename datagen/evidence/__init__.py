@@ -1,0 +1,25 @@
+"""What a label rests on: the light that each object brings to a measurement, and how far it stands out of the noise.
+
+With b_i the expected detections of bin i of a histogram (every light, ambient and dark counts, under gate, pile-up
+and dead time) and s_i those of an object's own light among them (`detector/own_light.py`), its significance is
+
+    σ = √ Σ s_i² / b_i,
+
+over all bins, pixels and laser points: what a matched filter sees that knows everything else of the scene. The mean
+of Σ (s_i/b_i) n_i over counts n_i differs by σ of its own standard deviations from that without the object's light.
+With a dead time Σ s²/b is the Fisher information of a counting process with intensity λ(t) while the diode is armed;
+docs/evidence.md has the derivation and what is left out.
+
+Under 3 no network can learn the label from the data.
+"""
+
+from pathlib import Path
+
+from datagen.compiled import drop_stale_kernels
+from datagen.evidence.own import Evidence, kind_of, own_evidence
+from datagen.evidence.seen import evidence_image
+
+__all__ = ["Evidence", "evidence_image", "kind_of", "own_evidence"]
+
+_HERE = Path(__file__).parent
+drop_stale_kernels(_HERE, _HERE.with_name("transport") / "brdf")

@@ -1,0 +1,109 @@
+"""The evidence of each object: its own light of three bounces against all that is detected."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.detector import Exposure, Spad
+from datagen.detector.own_light import own_light
+from datagen.errors import InputError
+from datagen.records import Scalar, Scene, Transient
+
+OBJECT_EVIDENCE = ("object_detections", "object_brightest_bin", "object_significance")
+"""The tables of it beside those of the objects' boxes."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What an object's own light amounts to in a measurement.
+
+    Attributes
+    ----------
+    detections : Σ s_i, expected over the exposure and all histograms.
+    brightest_bin : the largest s_i.
+    significance : √Σ s_i²/b_i, in standard deviations of an ideal matched filter.
+    """
+
+    detections: float
+    brightest_bin: float
+    significance: float
+
+
+def own_evidence(
+    transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None
+) -> dict[str, Evidence]:
+    """The evidence that a detector gives of each part's own light, that of three bounces by way of it.
+
+    Significance is √Σ s²/b over all bins, with s the expected detections of the part's photons and b those of
+    everything, after gate, dead time and jitter; detections of several parts add up.
+
+    Parameters
+    ----------
+    transient : of `simulate`, with its `parts`. Where the primary was sampled, its noise adds to the significance.
+    spad, exposure : as of `detect`.
+    parts : names of parts; left out, all of them.
+
+    Raises
+    ------
+    InputError : a part that the transient is not split by; what `detect` refuses.
+
+    Examples
+    --------
+    A lone wall of which a tenth of the light comes, 10⁴ detections in all in a detector without noise: 1 000 ± 100.
+
+    >>> import datagen as dg, numpy as np
+    >>> time, light = dg.TimeAxis(bins=1, width_s=1e-9), np.full((1, 1, 1), 1e-9)
+    >>> t = dg.Transient(time, {"primary": light}, {"wall": light, "box": 0.1 * light}, 0 * light, 0 * light[0],
+    ...                  np.zeros((1, 3)))
+    >>> exposure = dg.Exposure(cycles=10**4, photons_per_pulse=1e9)
+    >>> found = dg.own_evidence(t, dg.Spad(pde=1, mode="ideal"), exposure, ["box"])["box"]
+    >>> round(found.detections), round(found.significance, 2)
+    (1000, 10.0)
+    """
+    names = tuple(transient.parts) if parts is None else tuple(parts)
+    for name in names:
+        if name not in transient.parts:
+            known = ", ".join(transient.parts) or "no part; simulate it with split_parts=True"
+            raise InputError(f"own_evidence: part {name!r}: this transient is split by {known}")
+    sums, squares, most = np.zeros((3, len(names)))
+    for found in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):
+        for k, own in enumerate(found.own):
+            share = np.divide(own, found.everything, out=np.zeros_like(own), where=found.everything > 0)
+            sums[k] += own.sum()
+            squares[k] += (own * share).sum()
+            most[k] = max(most[k], own.max())
+    each = zip(sums.tolist(), most.tolist(), np.sqrt(squares).tolist(), strict=True)
+    return {name: Evidence(*values) for name, values in zip(names, each, strict=True)}
+
+
+def objects_of(scene: Scene) -> tuple[str, ...]:
+    """The names of a scene's objects, in the order of its parts."""
+    return tuple(name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object")
+
+
+def kind_of(part: str) -> str:
+    """What an object is called in `scene.contents`: its part's name without its number (box_2: box)."""
+    return re.sub(r"_\d+$", "", part)
+
+
+def evidence_parameters(found: Mapping[str, Evidence]) -> dict[str, Scalar]:
+    """As scalars of a sample: `evidence.PART.…`, and `evidence.weakest`, the least significance of any object."""
+    if not found:
+        return {}
+    flat: dict[str, Scalar] = {"evidence.weakest": min(of.significance for of in found.values())}
+    for name, of in found.items():
+        flat |= {f"evidence.{name}.{quantity}": value for quantity, value in vars(of).items()}
+    return flat
+
+
+def evidence_tables(found: Sequence[Evidence], rows: int) -> dict[str, NDArray[np.float32]]:
+    """Field → (rows,) of the objects in their order; 0 in rows without one."""
+    tables = np.zeros((len(OBJECT_EVIDENCE), rows), np.float32)
+    for row, of in enumerate(found):
+        tables[:, row] = of.detections, of.brightest_bin, of.significance
+    return dict(zip(OBJECT_EVIDENCE, tables, strict=True))

@@ -1,0 +1,116 @@
+"""The image of evidence against the light of each object as the cells give it, and against what it must obey."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+import datagen as dg
+from datagen.config import LabelsConfig
+from datagen.detector.own_light import detections_per_photon
+from datagen.evidence import evidence_image, seen
+from datagen.labels import make_labels
+from datagen.records import Rectangle
+
+LABELS = LabelsConfig(rows=48, columns=48)
+TIME = dg.TimeAxis(bins=300, width_s=1e-10, origin="wall")
+EXPOSURE = dg.Exposure(repetition_rate_hz=2e7, cycles=10_000, photons_per_pulse=1e8)
+WALL = Rectangle.of((0, 0, 0), (0, 1, 0), (0, 0, 1))
+
+
+def plate(x: float, y: float, z: float, half: float) -> trimesh.Trimesh:
+    """Facing the wall, x in front of it."""
+    corners = [(x, y + a * half, z + b * half) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    return trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
+
+
+def room(*more: dg.Part) -> dg.Scene:
+    wall = dg.Part("relay_wall", plate(0, 0, 0, 3), dg.Lambertian(0.8), "relay_wall")
+    plates = [
+        dg.Part("low", plate(1.2, -0.5, -0.5, 0.25), dg.Lambertian(0.6)),
+        dg.Part("high", plate(0.8, 0.5, 0.5, 0.25), dg.Lambertian(0.4)),
+    ]
+    return dg.Scene.from_parts([wall, *plates, *more], relay_wall=WALL, hidden_view=WALL)
+
+
+def grid(n: int) -> list[tuple[float, float, float]]:
+    at = (np.arange(n) + 0.5) / n - 0.5
+    return [(0.0, y, z) for z in at for y in at]
+
+
+def confocal(n: int) -> dg.Capture:
+    place = (3.0, 2.9, -1.5)
+    points = np.array(grid(n))
+    corners = np.array([(0, -1, -1), (0, 1, -1), (0, 1, 1), (0, -1, 1)]) * 0.02
+    return dg.Capture(dg.Laser(place, points), dg.Sensor(place, points[:, None] + corners), TIME, pairing="confocal")
+
+
+def exhaustive() -> dg.Capture:
+    place = (3.0, 2.9, -1.5)
+    sensor = dg.Sensor.grid(place, (0, 0.1, 0), (0, 0.1, 0), (0, 0, 0.1), rows=2, cols=2)
+    return dg.Capture(dg.Laser(place, grid(2)), sensor, TIME)
+
+
+def image_and_truth(scene: dg.Scene, capture: dg.Capture, spad: dg.Spad) -> dict[str, tuple[float, float]]:
+    """Of each object the image's sum over its pixels, and its own detections."""
+    t = dg.simulate(scene, capture, dg.Accuracy(target=0.002), seed=0)
+    image = evidence_image(scene, capture, LABELS, detections_per_photon(t.total, TIME, spad, EXPOSURE))
+    part = make_labels(LABELS, scene, ["part_id"])["part_id"]
+    own = dg.own_evidence(t, spad, EXPOSURE)
+    assert image.dtype == np.float32 and np.array_equal(image > 0, (part >= 0) & (image > 0))
+    return {
+        name: (float(image[part == k].sum()), own[name].detections)
+        for k, name in enumerate(scene.part_names)
+        if scene.roles[k] == "object"
+    }
+
+
+SPADS = {
+    "ideal": dg.Spad(pde=0.3, mode="ideal"),
+    "gated": dg.Spad(pde=0.3, mode="ideal", gate_start_s=6e-9, gate_width_s=8e-9),
+    "dead time": dg.Spad(pde=0.3, mode="synchronous", dead_time_s=4e-8),
+}
+
+
+@pytest.mark.parametrize("name", SPADS)
+@pytest.mark.parametrize("capture", [confocal(3), exhaustive()], ids=["confocal", "exhaustive"])
+def test_pixels_of_an_object_in_view_add_up_to_its_own_detections(name: str, capture: dg.Capture) -> None:
+    """Plates of 12 × 12 pixels whose edges are those of pixels: the midpoint rule."""
+    for found, truth in image_and_truth(room(), capture, SPADS[name]).values():
+        assert found == pytest.approx(truth, rel=0.02)
+
+
+def test_stations_stand_for_a_scan() -> None:
+    scene, capture = room(), confocal(9)
+    assert len(capture.laser.targets) > 4 * seen.STATIONS
+    for found, truth in image_and_truth(scene, capture, SPADS["ideal"]).values():
+        assert found == pytest.approx(truth, rel=0.05)
+
+
+def test_a_curtain_takes_the_evidence_of_what_stands_behind_it() -> None:
+    """It hangs edge on, seen by no label pixel, between the wall's lit middle and one of the plates."""
+    half = [(0.05, -0.3, -3), (1.19, -0.3, -3), (1.19, -0.3, 3), (0.05, -0.3, 3)]
+    curtain = dg.Part("curtain", trimesh.Trimesh(half, [(0, 1, 2), (0, 2, 3)]), dg.Lambertian(0.0), "structure")
+    capture = confocal(3)
+    for spad in SPADS.values():
+        open_, hung = (image_and_truth(room(*more), capture, spad) for more in ((), (curtain,)))
+        assert hung["low"][0] < 0.7 * open_["low"][0]
+        assert hung["low"][0] == pytest.approx(hung["low"][1], rel=0.1, abs=0.02 * open_["low"][1])
+
+
+def test_evidence_is_that_of_the_exposure() -> None:
+    scene, capture = room(), confocal(2)
+    t = dg.simulate(scene, capture, dg.Accuracy(target=0.05), seed=0)
+    each = detections_per_photon(t.total, TIME, SPADS["ideal"], EXPOSURE)
+    once, twice = (evidence_image(scene, capture, LABELS, factor * each) for factor in (1.0, 2.0))
+    assert once.max() > 0 and np.allclose(twice, 2 * once, rtol=1e-6)
+
+
+def test_where_no_laser_ray_meets_anything_there_is_none() -> None:
+    scene = room()
+    away = dg.Capture(
+        dg.Laser((3.0, 2.9, -1.5), [(9.0, 9.0, 0.0)]),
+        dg.Sensor.grid((3, 2.9, -1.5), (0, 0, 0), (0, 1, 0), (0, 0, 1), 1, 1), TIME,
+    )  # fmt: skip
+    assert not evidence_image(scene, away, LABELS, np.ones((1, 1, TIME.bins))).any()

@@ -1,0 +1,160 @@
+"""Evidence against laws that it obeys exactly, and against what a matched filter makes of drawn histograms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matched_filter import DRAWS, MODES, separation
+
+import datagen as dg
+from datagen.detector.expected import one_per_cycle_mean
+from datagen.detector.own_light import own_light
+from datagen.evidence.own import evidence_parameters, evidence_tables, kind_of
+from datagen.records import Transient
+
+TIME = dg.TimeAxis(bins=60, width_s=2e-10)
+PARTS = ("wall", "box", "pillar")
+
+
+def transient(seed: int = 0, pixels: int = 2) -> Transient:
+    """Light of three parts, and some that belongs to none (bounces beyond the third)."""
+    rng = np.random.default_rng(seed)
+    parts = {name: rng.random((3, pixels, TIME.bins)) * (rng.random(TIME.bins) < 0.4) * 1e-12 for name in PARTS}
+    primary = sum(parts.values(), start=np.zeros((3, pixels, TIME.bins)))
+    more = rng.random(primary.shape) * 1e-13
+    zeros = np.zeros_like(primary)
+    return Transient(TIME, {"primary": primary, "secondary": more}, parts, zeros, zeros[..., 0], np.zeros((3, 3)))
+
+
+DETECTORS = {
+    "ideal": dg.Spad(pde=0.4, dark_count_rate_hz=1e5),
+    "jitter": dg.Spad(pde=0.4, jitter_fwhm_s=5e-10, jitter_tail_s=3e-10),
+    "gated": dg.Spad(pde=0.4, dark_count_rate_hz=1e5, gate_start_s=2e-9, gate_width_s=6e-9, gate_rise_s=1e-9),
+    "synchronous": dg.Spad(pde=0.4, mode="synchronous", dead_time_s=5e-8, jitter_fwhm_s=3e-10),
+    "free running": dg.Spad(pde=0.4, dead_time_s=1.3e-9, dark_count_rate_hz=1e6),
+    "paralyzable": dg.Spad(pde=0.4, dead_time_s=1.3e-9, paralyzable=True),
+    "afterpulses": dg.Spad(pde=0.4, mode="synchronous", dead_time_s=2e-9, afterpulse_probability=0.05),
+    "crosstalk": dg.Spad(pde=0.4, dead_time_s=2e-9, crosstalk_probability=0.02),
+}
+BRIGHT = dg.Exposure(repetition_rate_hz=2e7, cycles=10_000, photons_per_pulse=3e10, pulse_fwhm_s=3e-10)
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_detections_of_all_light_and_of_none_add_up_to_what_is_expected(name: str) -> None:
+    """Every detection is owed to a photon of one of the lights, or to background, or caused by another detection."""
+    t, spad = transient(), replace(DETECTORS[name], dark_count_rate_hz=0.0, afterpulse_probability=0.0)
+    spad = replace(spad, crosstalk_probability=0.0)
+    lights = [*t.parts.values(), t.components["secondary"]]
+    expected = dg.expected_histogram(t.total, TIME, spad, BRIGHT, approximate=True)
+    for block in own_light(t.total, lights, TIME, spad, BRIGHT):
+        here = expected[block.first : block.first + len(block.everything)]
+        assert np.allclose(block.everything, here, rtol=2e-3, atol=1e-9 * expected.max())
+        assert np.allclose(sum(block.own), block.everything, rtol=1e-9, atol=1e-9 * expected.max())
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_detections_of_parts_add_up(name: str) -> None:
+    t, spad = transient(1), DETECTORS[name]
+    both = Transient(
+        TIME, t.components, {"together": t.parts["box"] + t.parts["pillar"]}, t.stderr, t.overflow, t.laser_points
+    )
+    each, one = dg.own_evidence(t, spad, BRIGHT), dg.own_evidence(both, spad, BRIGHT)["together"]
+    assert np.isclose(each["box"].detections + each["pillar"].detections, one.detections, rtol=1e-12)
+    # Two lights together stand out more than either, and by no more than if they shared no bin.
+    alone = (each["box"].significance, each["pillar"].significance)
+    assert max(alone) <= one.significance <= sum(alone)
+
+
+def test_caused_avalanches_are_nobody_s_own_light() -> None:
+    t = transient()
+    clean = dg.own_evidence(t, replace(DETECTORS["afterpulses"], afterpulse_probability=0.0), BRIGHT)
+    noisy = dg.own_evidence(t, DETECTORS["afterpulses"], BRIGHT)
+    for part in PARTS:
+        # What they keep dead takes from it, and what they add to the bins hides it.
+        assert 0.9 * clean[part].detections < noisy[part].detections < clean[part].detections
+        assert noisy[part].significance < clean[part].significance
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_evidence_grows_with_the_root_of_the_exposure(name: str) -> None:
+    t, spad = transient(), DETECTORS[name]
+    short, long = (dg.own_evidence(t, spad, replace(BRIGHT, cycles=n)) for n in (10_000, 90_000))
+    for part in PARTS:
+        assert np.isclose(long[part].detections, 9 * short[part].detections, rtol=1e-9)
+        assert np.isclose(long[part].brightest_bin, 9 * short[part].brightest_bin, rtol=1e-9)
+        assert np.isclose(long[part].significance, 3 * short[part].significance, rtol=1e-9)
+
+
+def test_with_power_evidence_grows_in_proportion_in_the_dark_and_as_its_root_in_the_light() -> None:
+    t, dark = transient(), dg.Spad(pde=0.4, mode="ideal", dark_count_rate_hz=1e9)
+    for rate, power in ((1e9, 1.0), (0.0, 0.5)):
+        spad = replace(dark, dark_count_rate_hz=rate)
+        dim, bright = (
+            dg.own_evidence(t, spad, replace(BRIGHT, photons_per_pulse=n))["box"].significance for n in (1e4, 4e4)
+        )
+        assert np.isclose(bright / dim, 4**power, rtol=1e-4)
+
+
+def test_of_one_light_alone_significance_is_the_root_of_its_detections() -> None:
+    light = transient().parts["box"]
+    alone = Transient(TIME, {"primary": light}, {"box": light}, 0 * light, light[..., 0], np.zeros((3, 3)))
+    found = dg.own_evidence(alone, dg.Spad(pde=0.4, mode="ideal"), replace(BRIGHT, pulse_fwhm_s=0.0))["box"]
+    assert np.isclose(found.detections, 0.4 * 3e10 * 10_000 * light.sum(), rtol=1e-9)
+    assert np.isclose(found.significance, np.sqrt(found.detections), rtol=1e-9)
+
+
+def test_one_detection_a_cycle_gives_the_information_of_its_multinomial() -> None:
+    """N cycles, of which p_i end in bin i: the information on a light is N [Σ p'²/p + (Σ p')²/(1 − Σ p)]."""
+    rng = np.random.default_rng(3)
+    own = rng.random(400) * 2e-5
+    flux = own + rng.random(400) * 3e-3
+    time, cycles = dg.TimeAxis(bins=400, width_s=1e-10), 1000
+    before = np.cumsum(flux) - flux
+    p = one_per_cycle_mean(flux)
+    change = np.exp(-before - flux) * own - p * (np.cumsum(own) - own)
+    information = cycles * (np.sum(change**2 / p) + change.sum() ** 2 / (1 - p.sum()))
+    spad = dg.Spad(pde=1.0, mode="synchronous", dead_time_s=1e-6)
+    exposure = dg.Exposure(repetition_rate_hz=2.5e7, cycles=cycles, photons_per_pulse=1e9)
+    light, part = flux.reshape(1, 1, -1) * 1e-9, own.reshape(1, 1, -1) * 1e-9
+    t = Transient(time, {"primary": light}, {"box": part}, 0 * light, light[..., 0], np.zeros((1, 3)))
+    # To second order in the flux of a bin.
+    assert np.isclose(dg.own_evidence(t, spad, exposure)["box"].significance, np.sqrt(information), rtol=1e-5)
+
+
+def test_nothing_is_seen_through_a_shut_gate_or_in_a_full_counter() -> None:
+    t = transient()
+    shut = dg.Spad(pde=0.4, mode="ideal", gate_start_s=2e-8, gate_width_s=1e-8)
+    assert dg.own_evidence(t, shut, BRIGHT)["box"] == dg.Evidence(0.0, 0.0, 0.0)
+    free = dg.own_evidence(t, dg.Spad(pde=0.4, mode="ideal"), BRIGHT)["box"]
+    for counter, kept in ((10**9, 1.0), (1, 0.0)):
+        found = dg.own_evidence(t, dg.Spad(pde=0.4, mode="ideal", counter_max=counter), BRIGHT)["box"]
+        assert np.isclose(found.detections, kept * free.detections)
+
+
+def test_an_unknown_part_is_refused() -> None:
+    with pytest.raises(dg.InputError, match="part 'sofa': this transient is split by wall, box, pillar"):
+        dg.own_evidence(transient(), dg.Spad(), BRIGHT, ["sofa"])
+
+
+def test_as_parameters_and_tables() -> None:
+    found = {"box": dg.Evidence(40.0, 3.0, 5.0), "box_2": dg.Evidence(4.0, 1.0, 0.5)}
+    flat = evidence_parameters(found)
+    assert flat["evidence.weakest"] == 0.5 and flat["evidence.box.detections"] == 40.0 and len(flat) == 7
+    assert evidence_parameters({}) == {}
+    tables = evidence_tables(tuple(found.values()), 3)
+    assert tables["object_significance"].tolist() == [5.0, 0.5, 0.0]
+    assert [kind_of(name) for name in ("box", "box_2", "letter_a", "letter_a_12")] == [
+        "box",
+        "box",
+        *["letter_a"] * 2,
+    ]
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_matched_filter_sees_what_is_stated(mode: str) -> None:
+    """Of drawn histograms. 5 scenes, at 1e-5 each (4.4 standard errors); `matched_filter.py` does it for 200."""
+    stated, measured, error = separation(MODES.index(mode), mode)
+    assert stated > 0.5 and DRAWS == 1000
+    assert abs(measured - stated) < 4.4 * error + 0.02 * stated
