@@ -31,19 +31,35 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
     planned : the accuracy for which the transport's effects are decided, if it is not that of `config`: a trial with
         fewer samples is to follow the same light as the scene that it stands for.
     """
-    seed, seconds = config.seed, dict[str, float]()
+    seconds = dict[str, float]()
     with _timed(seconds, "scene"):
-        scene = generate_scene(config.scene, seed, index)
-        capture = capture_for(config, scene, seed, index)
+        scene = generate_scene(config.scene, config.seed, index)
+        capture = capture_for(config, scene, config.seed, index)
+    return sample_of(config, index, scene, capture, seconds=seconds, planned=planned)
+
+
+def sample_of(
+    config: DatasetConfig, index: int, scene: Scene, capture: Capture, given: NDArray[np.float64] | None = None, *,
+    seconds: dict[str, float] | None = None, planned: TransportConfig | None = None,
+) -> Sample:  # fmt: skip
+    """Sample `index` of a scene and a capture, however they came about: light, counts, labels.
+
+    given : (L, P, T) the transient, where another simulator made it; `seconds` spent so far, by stage.
+    """
+    seed, seconds = config.seed, dict[str, float]() if seconds is None else seconds
     with _timed(seconds, "effects"):
         whole = config if planned is None else config.model_copy(update={"transport": planned})
-        effects = transport_effects(whole, scene, capture, index)
+        effects = transport_effects(whole, scene, capture, index) if given is None else EffectDecisions((), 0.0)
     spad, exposure = detector_for(config.detector, seed, index, capture.time)
     with _timed(seconds, "transport"):
-        own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
-        lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
-        accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
-        transient = simulate(lit, capture, accuracy, seed=own_seed, split_parts=False)
+        if given is None:
+            own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
+            lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
+            accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
+            transient = simulate(lit, capture, accuracy, seed=own_seed, split_parts=False)
+        else:
+            unknown, nowhere = np.full(given.shape, np.nan), np.zeros(given.shape[:2])
+            transient = Transient(capture.time, {"given": given}, {}, unknown, nowhere, capture.laser.targets)
     with _timed(seconds, "effects"):
         effects += detector_effects(config, transient, spad, exposure)
     with _timed(seconds, "detector"):
