@@ -18,7 +18,7 @@ from datagen.detector.own_light import detections_per_photon
 from datagen.effects import EffectDecisions, decide_detector_effects, decide_transport_effects
 from datagen.errors import InputError
 from datagen.evidence import evidence_image
-from datagen.evidence.own import Evidence, evidence_parameters, evidence_tables, objects_of, own_evidence
+from datagen.evidence.own import UNKNOWN, Evidence, evidence_parameters, evidence_tables, objects_of, own_evidence
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
@@ -34,19 +34,35 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
     planned : the accuracy for which the transport's effects are decided, if it is not that of `config`: a trial with
         fewer samples is to follow the same light as the scene that it stands for.
     """
-    seed, seconds = config.seed, dict[str, float]()
+    seconds = dict[str, float]()
     with _timed(seconds, "scene"):
-        scene = generate_scene(config.scene, seed, index)
-        capture = capture_for(config, scene, seed, index)
+        scene = generate_scene(config.scene, config.seed, index)
+        capture = capture_for(config, scene, config.seed, index)
+    return sample_of(config, index, scene, capture, seconds=seconds, planned=planned)
+
+
+def sample_of(
+    config: DatasetConfig, index: int, scene: Scene, capture: Capture, given: NDArray[np.float64] | None = None, *,
+    seconds: dict[str, float] | None = None, planned: TransportConfig | None = None,
+) -> Sample:  # fmt: skip
+    """Sample `index` of a scene and a capture, however they came about: light, counts, labels.
+
+    given : (L, P, T) the transient, where another simulator made it; `seconds` spent so far, by stage.
+    """
+    seed, seconds = config.seed, dict[str, float]() if seconds is None else seconds
     with _timed(seconds, "effects"):
         whole = config if planned is None else config.model_copy(update={"transport": planned})
-        effects = transport_effects(whole, scene, capture, index)
+        effects = transport_effects(whole, scene, capture, index) if given is None else EffectDecisions((), 0.0)
     spad, exposure = detector_for(config.detector, seed, index, capture.time)
     with _timed(seconds, "transport"):
-        own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
-        lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
-        accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
-        transient = transient_of(lit, capture, accuracy, seed=own_seed)
+        if given is None:
+            own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
+            lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
+            accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
+            transient = transient_of(lit, capture, accuracy, seed=own_seed)
+        else:
+            unknown, nowhere = np.full(given.shape, np.nan), np.zeros(given.shape[:2])
+            transient = Transient(capture.time, {"given": given}, {}, unknown, nowhere, capture.laser.targets)
     with _timed(seconds, "effects"):
         effects += detector_effects(config, transient, spad, exposure)
     with _timed(seconds, "detector"):
@@ -56,7 +72,11 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
             tolerance=tolerance, approximate=config.detector.approximate,
         )  # fmt: skip
     with _timed(seconds, "evidence"):
-        evidence = own_evidence(transient, used, conditions, objects_of(scene))
+        objects = objects_of(scene)
+        # A transient that another simulator made is not split by object.
+        evidence = (
+            own_evidence(transient, used, conditions, objects) if given is None else dict.fromkeys(objects, UNKNOWN)
+        )
         image = _evidence_image(config, scene, capture, transient, used, conditions)
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]

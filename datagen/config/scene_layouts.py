@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, Fraction, Length, Uniform, support, within
@@ -209,6 +209,22 @@ class IsolatedWall(Layout):
         return along, across + self._largest("wall_width_m")
 
 
+class GivenScenes(Layout):
+    """No rooms to draw: the scenes were made in Python. Written by `build_from`, and no layout to build from."""
+
+    kind: Literal["given"] = "given"
+    digest: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    """SHA-256 of the scenes and captures."""
+    classes: tuple[str, ...] = ()
+    """Of all their objects, sorted."""
+    most_objects: Annotated[int, Field(ge=1, le=10_000)] = 1
+    """In one scene."""
+
+    def largest_hidden_m(self) -> tuple[float, float]:
+        """Unknown, and nothing has to fit."""
+        return float("inf"), float("inf")
+
+
 _Layouts = StraightCorridor | LCorridor | TCorridor | ZCorridor | CorridorRoom | DoorwayRoom | IsolatedWall
-AnyLayout = Annotated[_Layouts, ByKind()]
+AnyLayout = Annotated[_Layouts | GivenScenes, ByKind()]
 LAYOUT_KINDS = tuple(kinds_of(_Layouts))

@@ -34,6 +34,10 @@ class Evidence:
     significance: float
 
 
+UNKNOWN = Evidence(np.nan, np.nan, np.nan)
+"""Of an object whose own light is not known apart."""
+
+
 def own_evidence(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None
 ) -> dict[str, Evidence]:

@@ -14,6 +14,7 @@ import numpy as np
 from datagen.config.distributions import draw
 from datagen.config.scene import SceneConfig
 from datagen.config.scene_contents import Mesh, MeshFolder
+from datagen.config.scene_layouts import GivenScenes
 from datagen.errors import InputError
 from datagen.records import Pose, Rectangle, Role, Scalar, Scene
 from datagen.records.arrays import Floats
@@ -65,6 +66,10 @@ def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
     'l_corridor'
     """
     check_kind("spec", spec, SceneConfig, remedy="such as load_config(path).scene")
+    if isinstance(spec.layout, GivenScenes):
+        raise InputError(
+            "scene.layout.kind = 'given': these scenes were made in Python, and cannot be drawn again here"
+        )
     reasons: Counter[tuple[str, str]] = Counter()
     draws = 0
     while (left := spec.max_attempts - reasons.total()) > 0:

@@ -1,0 +1,185 @@
+"""A dataset of scenes that were made in Python: handed over one by one, instead of drawn from a configuration."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.building.build import BuildResult, build
+from datagen.config import DatasetConfig, config_from_mapping
+from datagen.errors import InputError
+from datagen.pipeline import sample_of
+from datagen.records import Capture, Sample, Scene
+
+Item = Scene | tuple[Scene, Capture] | tuple[Scene, Capture, NDArray[Any]]
+
+
+def build_from(
+    scenes: Iterable[Item], path: str | Path, capture: Capture | Callable[[Scene], Capture] | None = None, *,
+    fields: tuple[str, ...] | None = None, seed: int = 0, settings: Mapping[str, Any] | None = None, workers: int = 1,
+    progress: bool = True,
+) -> BuildResult:  # fmt: skip
+    """Build a dataset of your own scenes: light, counts and labels as for a configured one, and no YAML.
+
+    Parameters
+    ----------
+    scenes : each a `Scene`; or (`Scene`, `Capture`), with a capture of its own; or (`Scene`, `Capture`, transient):
+        what another simulator made of it, (L, P, T) expected photons at the aperture per emitted photon, of which
+        counts and labels are made (its laser points are then taken to be the laser's targets).
+    path : the folder to make, or to go on with: the same scenes again resume a build.
+    capture : of scenes without one of their own, the same for all, or a function of the scene. All captures of a
+        dataset have one shape, one time axis and one pairing.
+    fields : what to store; left out: histogram, transient, and depth where every scene has a `hidden_view`.
+    seed : of the light's samples and of the counts; a sample is a function of (seed, its number, its scene).
+    settings : further sections of a configuration as plain values, such as `{"transport": {"target": 0.05},
+        "detector": {"cycles": 10**6}, "labels": {"rows": 32}, "name": "mine"}`.
+    workers, progress : as of `build`.
+
+    Raises
+    ------
+    InputError : no scenes, captures that differ in shape or times, settings that are none, another dataset at `path`.
+    CheckError : scenes failed (all others are there), or the disk refused.
+
+    The dataset is read, verified and exported like any other. What would draw its rooms again, `show` and
+    `export --format glb`, says that it cannot.
+
+    Examples
+    --------
+    >>> import datagen as dg, tempfile, trimesh
+    >>> wall = dg.Part("wall", trimesh.creation.box((0.1, 4, 3)), dg.Lambertian(0.8), "relay_wall")
+    >>> def room(x):
+    ...     ball = trimesh.creation.icosphere(2, 0.3).apply_translation((x, 1, 0))
+    ...     return dg.Scene.from_parts([wall, dg.Part("ball", ball, dg.Lambertian(0.6))], parameters={"x_m": x})
+    >>> laser = dg.Laser((3, -1, 0), [(0.05, 0, 0.2), (0.05, 0, -0.2)])
+    >>> sensor = dg.Sensor.grid((3, -1, 0), (0.05, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, cols=2)
+    >>> capture = dg.Capture(laser, sensor, dg.TimeAxis(bins=64, width_s=4e-10, origin="wall"))
+    >>> quick = {"transport": {"lookins": 64, "fov_samples": 1}}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     result = dg.build_from(map(room, (1.0, 1.5)), f"{folder}/mine", capture, settings=quick, progress=False)
+    ...     data = dg.TransientDataset(f"{folder}/mine", fields=("histogram",))
+    ...     data.shape("histogram"), data.parameters("x_m").tolist()
+    ((2, 2, 64), [1.0, 1.5])
+    """
+    given = [_given(number, item, capture) for number, item in enumerate(scenes)]
+    if not given:
+        raise InputError("scenes: none given; a dataset needs at least one")
+    config = _config(given, fields, seed, dict(settings or {}))
+    with tempfile.TemporaryDirectory(prefix="datagen-") as folder:
+        # Each worker reads the scenes that it makes, and no others.
+        for number, item in enumerate(given):
+            (Path(folder) / str(number)).write_bytes(pickle.dumps(item))
+        return build(config, path, workers, progress=progress, sample_function=GivenSamples(folder))
+
+
+@dataclass(frozen=True)
+class Given:
+    """One sample to make: a scene, how it is measured, and its transient where another simulator made it."""
+
+    scene: Scene
+    capture: Capture
+    transient: NDArray[np.float64] | None
+
+    @property
+    def digest(self) -> str:
+        """Hex SHA-256 of all of it."""
+        s, c = self.scene, self.capture
+        told = (s.part_names, s.materials, s.roles, dict(s.parameters), s.attenuation_per_m, c.time, c.pairing)
+        poses = [(name, pose.label, pose.axes.tolist()) for name, pose in sorted(s.poses.items())]
+        views = [of and [v.tolist() for v in (of.center, of.right, of.up)] for of in (s.relay_wall, s.hidden_view)]
+        sight = c.illumination, c.sensor.aperture_radius_m, c.sensor.finite_aperture
+        hashed = hashlib.sha256(repr((told, poses, views, sight)).encode())
+        arrays: list[NDArray[Any] | None] = [s.vertices, s.triangles, s.face_part, s.hidden_bounds, self.transient]
+        for array in [*arrays, c.laser.position, c.laser.targets, c.sensor.position, c.sensor.pixels]:
+            hashed.update(b"-" if array is None else repr(array.shape).encode() + array.tobytes())
+        return hashed.hexdigest()
+
+
+@dataclass(frozen=True)
+class GivenSamples:
+    """The sample function of given scenes, one pickled file each in `folder`, which lasts as long as the build."""
+
+    folder: str
+
+    def __call__(self, config: DatasetConfig, index: int) -> Sample:
+        """Sample number `index`."""
+        item: Given = pickle.loads((Path(self.folder) / str(index)).read_bytes())
+        return sample_of(config, index, _told(item), item.capture, item.transient)
+
+
+def _given(number: int, item: Item, capture: Capture | Callable[[Scene], Capture] | None) -> Given:
+    scene, own, transient = item if isinstance(item, tuple) and len(item) == 3 else (*_pair(item), None)
+    if not isinstance(scene, Scene):
+        raise InputError(f"scenes[{number}]: a {type(scene).__name__}, not a Scene or (Scene, Capture, …)")
+    found = own if own is not None else capture(scene) if callable(capture) else capture
+    if not isinstance(found, Capture):
+        raise InputError(f"scenes[{number}]: has no Capture; give (Scene, Capture), or one for all as capture=")
+    if transient is None:
+        return Given(scene, found, None)
+    values = np.asarray(transient)
+    if values.shape != found.shape or values.dtype.kind not in "fiu" or not (values >= 0).all():
+        raise InputError(
+            f"scenes[{number}]: transient {values.dtype} {values.shape}, must be real numbers ≥ 0 of its capture's "
+            f"shape {found.shape}"
+        )
+    return Given(scene, found, values.astype(np.float64))
+
+
+def _told(item: Given) -> Scene:
+    """The scene with what tells it from others, so that one room is in one split."""
+    told = item.scene.parameters
+    return replace(item.scene, parameters={**told, "given.scene": replace(item, transient=None).digest[:16]})
+
+
+def _pair(item: Any) -> tuple[Any, Any]:
+    return item if isinstance(item, tuple) and len(item) == 2 else (item, None)
+
+
+def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, settings: dict[str, Any]) -> DatasetConfig:
+    """The configuration that the dataset states: its scenes by their digest, its scan as the first has it."""
+    first = given[0].capture
+    for number, item in enumerate(given):
+        other = item.capture
+        if (other.shape, other.time, other.pairing, other.illumination, len(other.laser.targets)) != (
+            first.shape, first.time, first.pairing, first.illumination, len(first.laser.targets),
+        ):  # fmt: skip
+            raise InputError(
+                f"scenes[{number}]: its capture has shape {other.shape}, {other.time}, the first {first.shape}, "
+                f"{first.time}; all of a dataset have one shape, time axis, pairing and illumination"
+            )
+    for name in ("scene", "capture", "seed", "scenes"):
+        if name in settings:
+            raise InputError(f"settings: {name!r} follows from the scenes and captures given; leave it out")
+    fields = fields or ("histogram", "transient", *(("depth",) if all(of.scene.hidden_view for of in given) else ()))
+    classes = {s.pose_of(name).label for s in (of.scene for of in given) for name in _objects(s)}
+    layout = {
+        "kind": "given",
+        "digest": hashlib.sha256("".join(of.digest for of in given).encode()).hexdigest(),
+        "classes": sorted(classes),
+        "most_objects": max(1, *(len(_objects(of.scene)) for of in given)),
+    }
+    time, pixels = first.time, first.shape[1]
+    capture: dict[str, Any] = {
+        "pairing": first.pairing,
+        "illumination": first.illumination,
+        "scan": {"kind": "points", "points_m": first.laser.targets.tolist()},
+        "field_of_view": {"aperture_radius_mm": first.sensor.aperture_radius_m * 1e3},
+        "time": {"bins": int(time.bins), "bin_width_ps": time.width_s * 1e12, "origin": time.origin}
+        | {"start_ns": time.start_s * 1e9},
+    }
+    if first.pairing == "exhaustive":
+        capture["field_of_view"] |= {"rows": 1, "columns": pixels}
+    store = settings.pop("store", {}) | {"fields": list(fields)}
+    described = {"seed": seed, "scenes": len(given), "scene": {"layout": layout, "contents": []}, "store": store}
+    return config_from_mapping(settings | described | {"capture": capture}, source="settings")
+
+
+def _objects(scene: Scene) -> list[str]:
+    return [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object"]

@@ -1,0 +1,104 @@
+"""Scenes of a dataset in the formats of other programs: `datagen export`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from datagen.errors import CheckError, InputError
+from datagen.export.glb import write_glb
+from datagen.export.hub import write_hub
+from datagen.export.mat import write_mat
+from datagen.export.measurement import QUANTITIES, Scenes, StoredScene
+from datagen.export.plain import write_h5, write_npz
+from datagen.export.tal import write_tal
+from datagen.store.files import PARTIAL
+
+FORMATS = {
+    "tal": "y-tal's HDF5 (reconstruction)",
+    "mat": "MATLAB, confocal grids as the Stanford data, other scans as lists of pairs",
+    "npz": "NumPy arrays",
+    "h5": "HDF5, every field with units and axes",
+    "glb": "glTF, room, device and scan",
+    "hub": "a folder for the Hugging Face Hub",
+}
+_ENDINGS = {"tal": "hdf5"}
+_MEASURED = ("tal", "mat")
+
+
+def export(
+    dataset: str | Path, out: str | Path, format: str, scenes: str | Sequence[int] | None = None,
+    field: str | None = None,
+) -> list[Path]:  # fmt: skip
+    """Write scenes of a dataset as files of another format, one a scene.
+
+    Parameters
+    ----------
+    dataset, out : the dataset, and the folder to write `scene-000003.…` into (made where it is missing).
+    format : `tal`, `mat`, `npz`, `h5`, `glb`, or `hub`: the whole dataset as a folder for the Hugging Face Hub.
+    scenes : numbers, or a text such as `"0,3-5"`; left out: all that could be made.
+    field : of `tal` and `mat`, the "histogram" or the "transient"; left out: the histogram where there is one.
+
+    Returns
+    -------
+    The files written.
+
+    Raises
+    ------
+    InputError : unknown format or scene, no dataset, a scan that the format cannot hold, or h5py missing.
+    CheckError : for what of the dataset is missing or damaged, and where the disk refuses.
+    """
+    if format not in FORMATS:
+        raise InputError(f"--format {format}: must be one of {', '.join(FORMATS)}")
+    if field is not None and (format not in _MEASURED or field not in QUANTITIES):
+        raise InputError(f"--field {field}: must be histogram or transient, with --format tal or mat")
+    root, target = Scenes(dataset), Path(out)
+    try:
+        if format == "hub":
+            if scenes is not None:
+                raise InputError("--scenes: a folder for the Hub has all of them; leave it out")
+            return write_hub(root, target)
+        wanted = root.made() if scenes is None else scene_numbers(scenes, root.manifest.schema.scenes)
+        target.mkdir(parents=True, exist_ok=True)
+        write, ending, written = _writer(format, field), _ENDINGS.get(format, format), []
+        for scene in map(root.read, wanted):
+            path = target / f"scene-{scene.index:06d}.{ending}"
+            # Its ending stays the last one: writers go by it.
+            unfinished = path.with_name(f"{path.stem}{PARTIAL}.{ending}")
+            try:
+                write(scene, unfinished)
+                unfinished.replace(path)
+            finally:
+                unfinished.unlink(missing_ok=True)
+            written.append(path)
+    except OSError as error:
+        raise CheckError(f"{error.filename or target}: {error.strerror or error}") from None
+    return written
+
+
+def _writer(format: str, field: str | None) -> Callable[[StoredScene, Path], None]:
+    match format:
+        case "tal":
+            return partial(write_tal, quantity=field)
+        case "mat":
+            return partial(write_mat, quantity=field)
+        case "npz":
+            return write_npz
+        case "h5":
+            return write_h5
+    return write_glb
+
+
+def scene_numbers(wanted: str | Sequence[int], scenes: int) -> list[int]:
+    """`"0,3-5"` → numbers, ascending, each once."""
+    chosen: set[int] = set()
+    for piece in wanted.split(",") if isinstance(wanted, str) else map(str, wanted):
+        first, dash, last = piece.strip().partition("-")
+        if not first.isdecimal() or (dash and not last.isdecimal()):
+            raise InputError(f"--scenes {wanted}: must be numbers and ranges such as 0,3-5")
+        low, high = int(first), int(last) if dash else int(first)
+        if low > high or high >= scenes:
+            raise InputError(f"--scenes {wanted}: {piece.strip()} must lie in 0-{scenes - 1}")
+        chosen.update(range(low, high + 1))
+    return sorted(chosen)

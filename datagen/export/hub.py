@@ -1,0 +1,176 @@
+"""A dataset as a folder for the Hugging Face Hub: the dataset itself, unchanged, beside a table for the Hub's viewer.
+
+`dataset/` is the dataset that `TransientDataset` reads; `viewer/SPLIT.parquet` has a row for each scene that could be
+made: number, thumbnail, depth label as a picture, what was drawn; `datasets.load_dataset(FOLDER)` reads it.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.export.measurement import Scenes, StoredScene, lattice, measurement
+from datagen.store.card import CARD
+from datagen.store.files import write_if_changed
+from datagen.store.table import TABLE, read_table
+
+VIEWER, DATASET = "viewer", "dataset"
+MOST_FILES = 100_000
+MOST_IN_A_FOLDER = 10_000
+"""What the Hub asks of a repository: https://huggingface.co/docs/hub/storage-limits."""
+_ROWS_AT_ONCE = 100
+_THUMBNAIL = 128
+_IMAGE = {"_type": "Image"}
+
+
+def write_hub(scenes: Scenes, out: Path) -> list[Path]:
+    """Write the folder; the dataset's files are linked where the disk can, else copied. Returns what was made.
+
+    Raises `InputError` for a dataset that is not complete, more files than the Hub takes, and an output with files of
+    anything else in it.
+    """
+    root, schema = scenes.root, scenes.manifest.schema
+    if not (root / TABLE).is_file():
+        raise InputError(f"{root}: is not complete; run the same `datagen build` again, then export it")
+    files = [path for path in sorted(root.rglob("*")) if path.is_file()]
+    _check_limits(root, files)
+    if out.exists() and any(out.iterdir()) and not (out / VIEWER).is_dir():
+        raise InputError(f"output {out}: holds other files; name a new or an empty folder")
+    for path in files:
+        _link(path, out / DATASET / path.relative_to(root))
+    table = read_table(root, None, schema.scenes)
+    kept = [name for name in table.column_names if not name.startswith(("sha256.", "stats.")) and name != "failure"]
+    written = []
+    splits = table["split"].to_pylist() if "split" in table.column_names else ["train"] * schema.scenes
+    failed = table["failure"].is_valid().to_pylist()
+    (out / VIEWER).mkdir(exist_ok=True)
+    names = dict.fromkeys(split for split, no in zip(splits, failed, strict=True) if not no)
+    for split in names:
+        chosen = [row for row in range(len(splits)) if splits[row] == split and not failed[row]]
+        path = out / VIEWER / f"{split}.parquet"
+        _write_rows(scenes, table.select(kept), chosen, path)
+        written.append(path)
+    card = (root / CARD).read_text(encoding="utf-8")
+    write_if_changed(out / CARD, _with_configs(card, [str(name) for name in names]).encode())
+    return [*written, out / CARD]
+
+
+def _check_limits(root: Path, files: list[Path]) -> None:
+    folder, most = max(Counter(path.parent for path in files).items(), key=lambda found: found[1])
+    shards = max((len(list(path.iterdir())) for path in root.glob("data.zarr/*/c")), default=0)
+    if len(files) > MOST_FILES or max(most, shards) > MOST_IN_A_FOLDER:
+        raise InputError(
+            f"{root}: {len(files)} files, up to {max(most, shards)} in a folder such as {folder.name}; the Hub takes "
+            f"{MOST_FILES} and {MOST_IN_A_FOLDER}: build it with more scenes in a shard (store.scenes_per_shard)"
+        )
+
+
+def _link(path: Path, to: Path) -> None:
+    to.parent.mkdir(parents=True, exist_ok=True)
+    to.unlink(missing_ok=True)
+    try:
+        os.link(path, to)
+    except OSError:
+        shutil.copyfile(path, to)
+
+
+def _write_rows(scenes: Scenes, table: pa.Table, rows: list[int], path: Path) -> None:
+    """Scene by scene, so that a dataset of any size fits into memory."""
+    writer: pq.ParquetWriter | None = None
+    for begin in range(0, len(rows), _ROWS_AT_ONCE):
+        some = rows[begin : begin + _ROWS_AT_ONCE]
+        shown = [_pictures(scenes.read(row)) for row in some]
+        part = table.take(some)
+        kind = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+        pictures = list(shown[0])
+        for place, name in enumerate(pictures):
+            images = [
+                {"bytes": of[name], "path": f"{name}-{row:06d}.png"} for of, row in zip(shown, some, strict=True)
+            ]
+            part = part.add_column(1 + place, name, pa.array(images, kind))
+        part = part.replace_schema_metadata({"huggingface": json.dumps({"info": {"features": _features(part)}})})
+        writer = writer or pq.ParquetWriter(path, part.schema, compression="zstd")
+        writer.write_table(part)
+    if writer is not None:
+        writer.close()
+
+
+def _features(table: pa.Table) -> dict[str, Any]:
+    """What the `datasets` library is to make of each column."""
+    features: dict[str, Any] = {}
+    for column in table.schema:
+        if pa.types.is_struct(column.type):
+            features[column.name] = _IMAGE
+        else:
+            kind = {"double": "float64"}.get(str(column.type), str(column.type))
+            features[column.name] = {"dtype": kind, "_type": "Value"}
+    return features
+
+
+def _pictures(scene: StoredScene) -> dict[str, bytes]:
+    """Thumbnail: detections by place on the wall, or by pair and time where there is no grid. Labels beside it."""
+    pictures = {"thumbnail": _png(_thumbnail(scene), "inferno")}
+    if "depth" in scene.arrays:
+        depth = scene.arrays["depth"]
+        pictures["depth"] = _png(np.where(depth > 0, depth, np.nan), "viridis_r")
+    return pictures
+
+
+def _thumbnail(scene: StoredScene) -> NDArray[np.float64]:
+    try:
+        m = measurement(scene)
+    except InputError:
+        # Nothing to draw it on, such as a flood or a wall that nobody named.
+        name = next((name for name in ("histogram", "transient") if name in scene.arrays), None)
+        values = scene.arrays[name] if name is not None else np.zeros((1, 1, 1))
+        return _streaks(values)
+    place = lattice(m.seen_points)
+    if place is None or min(place.shape) < 4:
+        return _streaks(m.values)
+    whole = m.values.sum(axis=-1, dtype=np.float64)
+    return np.asarray((whole[:, 0] if m.paired else whole.sum(axis=0))[place.T[::-1]])
+
+
+def _streaks(values: NDArray[Any]) -> NDArray[np.float64]:
+    rows = values.reshape(-1, values.shape[-1]).astype(np.float64)
+    step = -(-rows.shape[1] // _THUMBNAIL)
+    padded = np.pad(rows[: 4 * _THUMBNAIL], ((0, 0), (0, -rows.shape[1] % step)))
+    return np.asarray(np.log1p(padded.reshape(len(padded), -1, step).sum(axis=2)))
+
+
+def _png(image: NDArray[Any], colors: str) -> bytes:
+    from matplotlib import colormaps
+    from matplotlib.image import imsave
+
+    finite = image[np.isfinite(image)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    scaled = (image - low) / (high - low) if high > low else np.where(np.isfinite(image), 0.5, np.nan)
+    enlarged = max(1, _THUMBNAIL // max(image.shape))
+    pixels = colormaps[colors](np.ma.masked_invalid(scaled.repeat(enlarged, 0).repeat(enlarged, 1)), bytes=True)
+    sink = io.BytesIO()
+    imsave(sink, pixels, format="png", pil_kwargs={"pnginfo": None})
+    return sink.getvalue()
+
+
+def _with_configs(card: str, splits: list[str]) -> str:
+    """The dataset's card, whose rows for the viewer are those with pictures."""
+    configs = [
+        {
+            "config_name": "scenes",
+            "default": True,
+            "data_files": [{"split": name, "path": f"{VIEWER}/{name}.parquet"} for name in splits],
+        }
+    ]
+    lines = card.replace("PATH", f"PATH/{DATASET}").split("\n")
+    return "\n".join(f"configs: {json.dumps(configs)}" if line.startswith("configs: ") else line for line in lines)

@@ -1,0 +1,206 @@
+"""One scene of a dataset as what other programs read: values, times, and points in the frame of the relay wall."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.records import TimeAxis
+from datagen.records.arrays import Floats
+from datagen.store import DatasetReader, Manifest, committed, read_manifest
+from datagen.store.record import read_record
+
+LIGHT_M_S = 299_792_458.0
+QUANTITIES = ("histogram", "transient")
+
+
+@dataclass(frozen=True)
+class StoredScene:
+    """Everything that a dataset stores of one scene.
+
+    arrays : field → the scene's value. parameters : as in `samples.parquet`.
+    """
+
+    root: Path
+    manifest: Manifest
+    index: int
+    arrays: Mapping[str, NDArray[Any]]
+    parameters: Mapping[str, float | int | str | bool]
+
+    @property
+    def time(self) -> TimeAxis:
+        """The bins of histogram and transient."""
+        of = self.manifest.config["capture"]["time"]
+        return TimeAxis(of["bins"], of["bin_width_ps"] * 1e-12, of["start_ns"] * 1e-9, of["origin"])
+
+
+class Scenes:
+    """The scenes of a dataset, one after the other. Needs none of the mesh files that it was made from.
+
+    Raises `InputError` when the folder is no dataset, `CheckError` for what is missing or damaged.
+    """
+
+    def __init__(self, dataset: str | Path) -> None:
+        self.root = Path(dataset)
+        self.manifest = read_manifest(dataset)
+        self._reader = DatasetReader(self.root, self.manifest, self.manifest.schema.by_name)
+
+    def made(self) -> list[int]:
+        """The numbers of the scenes that are there and could be made."""
+        records = committed(self.root, self.manifest)
+        return sorted(scene.index for record in records for scene in record.scenes if scene.failure is None)
+
+    def read(self, index: int) -> StoredScene:
+        """One scene. Raises `InputError` for one that is not there, or could not be made."""
+        schema = self.manifest.schema
+        record = read_record(self.root, index // schema.scenes_per_shard, self.manifest.must_be_sealed)
+        if record is None:
+            raise InputError(f"{self.root}: scene {index} is not there yet; run the same `datagen build` again")
+        if index in record.failures:
+            raise InputError(f"{self.root}: scene {index} could not be made ({record.failures[index]}); leave it out")
+        arrays = {name: self._reader.read(name, [index])[0] for name in schema.by_name}
+        parameters = next(scene.parameters for scene in record.scenes if scene.index == index)
+        return StoredScene(self.root, self.manifest, index, arrays, parameters)
+
+
+@dataclass(frozen=True)
+class WallFrame:
+    """Coordinates with the relay wall at z = 0 and what is hidden at z > 0: x to the right and y up, as seen from the
+    room, metres.
+
+    Attributes
+    ----------
+    origin : (3,) of the frame, in the scene's frame.
+    axes : (3, 3) rows: unit vectors right, up, into the room.
+    """
+
+    origin: Floats
+    axes: Floats
+
+    def of(self, points: Floats) -> Floats:
+        """(..., 3) points of the scene → (..., 3) in this frame."""
+        return (points - self.origin) @ self.axes.T
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What was measured, in the frame of the relay wall.
+
+    Attributes
+    ----------
+    values : (L, P, T) counts or photons; confocal: P = 1.
+    quantity : "histogram" or "transient".
+    time : bin i covers [start + i width, start + (i + 1) width).
+    paired : whether pixel i was looked at with laser point i alone (a confocal scan).
+    laser_points, seen_points : (L, 3) and (P, 3), paired (L, 3): points on the wall, metres.
+    laser_position, sensor_position : (3,) of the devices.
+    frame : from the scene's coordinates to these.
+    hidden : (2, 3) corners of the box that holds what is hidden, or None.
+    """
+
+    values: NDArray[Any]
+    quantity: str
+    time: TimeAxis
+    paired: bool
+    laser_points: Floats
+    seen_points: Floats
+    laser_position: Floats
+    sensor_position: Floats
+    frame: WallFrame
+    hidden: Floats | None
+
+    def from_time_zero(self) -> Measurement:
+        """The same with empty bins before the first and after the last, so that time begins at 0 (or less than a bin
+        later) and the number of bins is a power of two: what methods in the frequency domain take for granted.
+        """
+        lead = max(0, int(np.floor(self.time.start_s / self.time.width_s + 1e-6)))
+        bins = 1 << (lead + self.time.bins - 1).bit_length()
+        values = np.zeros((*self.values.shape[:2], bins), self.values.dtype)
+        values[..., lead : lead + self.time.bins] = self.values
+        start_s = self.time.start_s - lead * self.time.width_s
+        # Of a start that is a whole number of bins nothing but rounding is left.
+        start_s = 0.0 if abs(start_s) < 1e-6 * self.time.width_s else start_s
+        return replace(self, values=values, time=replace(self.time, bins=bins, start_s=start_s))
+
+
+def measurement(scene: StoredScene, quantity: str | None = None) -> Measurement:
+    """A stored scene as a measurement.
+
+    Parameters
+    ----------
+    quantity : "histogram" or "transient"; left out: the first of these that the dataset has.
+
+    Raises
+    ------
+    InputError : the dataset has no such field, the scene's relay wall is unknown, a laser point lies nowhere, or all
+        laser points were lit at once (a flood), which these formats cannot say.
+    """
+    where, arrays, capture = f"{scene.root}, scene {scene.index}", scene.arrays, scene.manifest.config["capture"]
+    there = [name for name in QUANTITIES if name in arrays]
+    if not there or quantity not in (None, *there):
+        raise InputError(f"{where}: has no field {quantity or 'histogram or transient'}; it has {', '.join(arrays)}")
+    if capture.get("illumination", "scan") == "flood":
+        raise InputError(f"{where}: all laser points were lit at once, which this format cannot say; take npz or h5")
+    if not np.isfinite(arrays["relay_wall"]).all():
+        raise InputError(f"{where}: its relay wall is unknown, and this format counts from it; take npz or h5")
+    lit = arrays["laser_points"]
+    if not np.isfinite(lit).all():
+        missing = int(np.argmin(np.isfinite(lit).all(axis=1)))
+        raise InputError(f"{where}: laser point {missing} lies on no surface; take npz or h5")
+    center, right, up = arrays["relay_wall"]
+    axes = np.stack([right / np.linalg.norm(right), up / np.linalg.norm(up), np.zeros(3)])
+    axes[2] = np.cross(axes[0], axes[1])
+    corners = arrays["sensor_pixels"]
+    seen = _on_plane(arrays["sensor_position"], corners.mean(axis=1), center, axes[2])
+    paired = capture["pairing"] == "confocal"
+    halves = np.linalg.norm(corners[:, 0] - corners[:, 2], axis=1) / 2
+    if paired and (np.linalg.norm(seen - lit, axis=1) <= halves).all():
+        # The pixels lie around the laser points: on an uneven wall these are where the light goes.
+        seen = lit
+    middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    frame = WallFrame(center + axes[:2].T @ (axes[:2] @ (middle - center)), axes)
+    hidden = (
+        np.sort(frame.of(arrays["hidden_bounds"]), axis=0) if np.isfinite(arrays["hidden_bounds"]).all() else None
+    )
+    name = quantity or there[0]
+    return Measurement(
+        arrays[name], name, scene.time, paired, frame.of(lit), frame.of(seen), frame.of(arrays["laser_position"]),
+        frame.of(arrays["sensor_position"]), frame, hidden,
+    )  # fmt: skip
+
+
+def _on_plane(eye: Floats, towards: Floats, point: Floats, normal: Floats) -> Floats:
+    """(N, 3): where rays from `eye` through (N, 3) points meet a plane; a point itself, where its ray does not."""
+    along = towards - eye
+    slope = along @ normal
+    with np.errstate(divide="ignore", invalid="ignore"):
+        met = eye + along * (((point - eye) @ normal) / slope)[:, None]
+    return np.where(np.isfinite(met), met, towards)
+
+
+def lattice(points: Floats) -> NDArray[np.int64] | None:
+    """(columns, rows): which of (N, 3) points of the wall's frame stands where in their grid, x and y ascending; None
+    where they form none.
+    """
+    extent = float(np.ptp(points[:, :2], axis=0).max())
+    for tolerance in (1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 3e-2):
+        columns, rows = (_clusters(points[:, axis], tolerance * extent) for axis in (0, 1))
+        number = columns * (rows.max() + 1) + rows
+        if (columns.max() + 1) * (rows.max() + 1) == len(points) == len(np.unique(number)):
+            found: NDArray[np.int64] = np.argsort(number).reshape(columns.max() + 1, rows.max() + 1)
+            return found
+    return None
+
+
+def _clusters(values: Floats, gap: float) -> NDArray[np.int64]:
+    """(N,): the number of the group that each value belongs to; groups lie more than `gap` apart."""
+    order = np.argsort(values, kind="stable")
+    groups = np.empty(len(values), np.int64)
+    groups[order] = np.append(0, np.cumsum(np.diff(values[order]) > gap))
+    return groups

@@ -1,0 +1,55 @@
+"""A scene as plain arrays: `.npz` for NumPy, `.h5` for anything that reads HDF5. Every field as it is stored,
+none left out and nothing moved to another frame."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datagen.export.hdf5 import h5py
+from datagen.export.measurement import StoredScene
+
+
+def write_npz(scene: StoredScene, path: Path) -> None:
+    """All fields by name, `bin_edges_s`, and `info`: a JSON text of what `h5` has as attributes."""
+    arrays: dict[str, Any] = {**scene.arrays, "bin_edges_s": scene.time.edges_s}
+    np.savez_compressed(path, info=np.array(json.dumps(_info(scene))), **arrays)
+
+
+def write_h5(scene: StoredScene, path: Path) -> None:
+    """All fields by name, with attributes `units` and `long_name` and labelled axes; `parameters` of the scene."""
+    with h5py().File(path, "w") as file:
+        for field in scene.manifest.schema.fields:
+            value = scene.arrays[field.name]
+            stored = file.create_dataset(field.name, data=value, compression="gzip" if value.size > 64 else None)
+            stored.attrs["units"], stored.attrs["long_name"] = field.unit, field.meaning
+            for axis, name in enumerate(field.dims[1:]):
+                stored.dims[axis].label = name
+            if field.classes:
+                stored.attrs["classes"] = list(field.classes)
+        edges = file.create_dataset("bin_edges_s", data=scene.time.edges_s)
+        edges.attrs["units"], edges.attrs["long_name"] = (
+            "s",
+            f"edges of the bins, counted from the {scene.time.origin}",
+        )
+        info = _info(scene)
+        parameters = file.create_group("parameters").attrs
+        for name, value in info.pop("parameters").items():
+            parameters[name] = value
+        for name, value in info.items():
+            file.attrs[name] = value
+
+
+def _info(scene: StoredScene) -> dict[str, Any]:
+    config = scene.manifest.config
+    return {
+        "dataset": config["name"],
+        "scene": scene.index,
+        "fingerprint": scene.manifest.fingerprint,
+        "pairing": config["capture"]["pairing"],
+        "time_origin": scene.time.origin,
+        "parameters": dict(scene.parameters),
+    }

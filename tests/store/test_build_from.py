@@ -1,0 +1,101 @@
+"""Datasets of scenes made in Python: read, verified, resumed and exported like any other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import datagen as dg
+from datagen.export import export
+from datagen.store import verify
+from datagen.store.info import info
+
+QUICK = {"transport": {"lookins": 64, "fov_samples": 1}, "labels": {"rows": 8, "columns": 8}}
+TIME = dg.TimeAxis(bins=64, width_s=4e-10, origin="wall")
+
+
+def room(x: float) -> dg.Scene:
+    wall = trimesh.creation.box((0.1, 4, 3)).apply_translation((-0.05, 0, 0))
+    ball = trimesh.creation.icosphere(2, 0.3).apply_translation((x, 1, 0))
+    parts = [
+        dg.Part("wall", wall, dg.Lambertian(0.8), "relay_wall"),
+        dg.Part("ball", ball, dg.Lambertian(0.6), pose=dg.Pose.upright("sphere")),
+    ]
+    front = dg.Rectangle.of((0, 0, 0), (0, 1, 0), (0, 0, 1))
+    view = dg.Rectangle.of((0, 1, 0), (0, 0.5, 0), (0, 0, 0.5))
+    return dg.Scene.from_parts(parts, relay_wall=front, hidden_view=view, parameters={"x_m": x})
+
+
+def capture(time: dg.TimeAxis = TIME) -> dg.Capture:
+    laser = dg.Laser((3, -1, 0), [(0, 0, 0.2), (0, 0, -0.2)])
+    sensor = dg.Sensor.grid((3, -1, 0), (0, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, cols=3)
+    return dg.Capture(laser, sensor, time)
+
+
+def test_own_scenes_become_a_dataset_with_labels(tmp_path: Path) -> None:
+    fields = ("histogram", "transient", "depth", "objects")
+    made = [tmp_path / "one", tmp_path / "two"]
+    for path in made:
+        scenes = (room(x) for x in (1.0, 1.5, 1.0))
+        result = dg.build_from(
+            scenes, path, capture(), fields=fields, settings=QUICK | {"name": "balls"}, progress=False
+        )
+        assert result.complete
+    assert not verify(made[0], deep=True).problems
+    assert "balls" in info(made[0])
+    data = dg.TransientDataset(made[0], ("transient", "histogram", "depth", "objects"))
+    assert data.classes == ("sphere",)
+    assert data.parameters("x_m").tolist() == [1.0, 1.5, 1.0]
+    # One room is in one split.
+    split = data.parameters("split")
+    assert split[0] == split[2]
+    # The light is that of `simulate`, with the seed of the sample's number.
+    for item, x in zip(data, (1.0, 1.5, 1.0), strict=False):
+        depth = item["depth"].numpy()
+        assert depth[4, 4] == pytest.approx(x - 0.3, abs=0.02)
+        assert float(item["transient"].sum()) > 0
+        np.testing.assert_allclose(item["object_box_center"][0], [0, 0, x], atol=0.02)
+    again = dg.TransientDataset(made[1], ("transient", "histogram"))
+    for name in ("transient", "histogram"):
+        assert all((a[name] == b[name]).all() for a, b in zip(data, again, strict=False))
+    scenes = (room(x) for x in (1.0, 1.5, 1.0))
+    resumed = dg.build_from(scenes, made[0], capture(), fields=fields, settings=QUICK, progress=False)
+    assert resumed.built == 0
+    with pytest.raises(dg.InputError, match="digest"):
+        dg.build_from(map(room, (1.0, 1.5, 1.1)), made[0], capture(), fields=fields, settings=QUICK, progress=False)
+    (written,) = export(made[0], tmp_path / "npz", "npz", "1")
+    assert written.is_file()
+    with pytest.raises(dg.InputError, match="made in Python"):
+        export(made[0], tmp_path / "glb", "glb", "1")
+
+
+def test_light_of_another_simulator_is_stored_and_detected(tmp_path: Path) -> None:
+    theirs = np.zeros((2, 3, 64))
+    theirs[1, 2, 40] = 1e-12
+    own = dg.TimeAxis(bins=64, width_s=4e-10, start_s=1e-9, origin="wall")
+    bright = {"detector": {"mode": "ideal", "photons_per_pulse": 1e9, "cycles": 10**6}}
+    dg.build_from([(room(1.2), capture(own), theirs)], tmp_path / "theirs", settings=bright, progress=False)
+    item = dg.TransientDataset(tmp_path / "theirs", ("transient", "histogram"), redraw_noise=True)[0]
+    np.testing.assert_allclose(item["transient"], theirs, rtol=1e-6)
+    assert int(item["histogram"].argmax()) == int(theirs.argmax())
+    stored = dg.TransientDataset(tmp_path / "theirs")[0]["histogram"]
+    assert int(stored.argmax()) == int(theirs.argmax())
+    assert stored[1, 2, 40] > 100
+
+
+def test_what_fits_no_dataset_is_told(tmp_path: Path) -> None:
+    other = capture(dg.TimeAxis(bins=32, width_s=4e-10))
+    for scenes, given, settings, told in (
+        ([], capture(), {}, "none given"),
+        ([room(1.0)], None, {}, "no Capture"),
+        ([3], capture(), {}, "not a Scene"),
+        ([room(1.0), (room(1.0), other)], capture(), {}, "one shape"),
+        ([(room(1.0), capture(), np.zeros((2, 3, 5)))], None, {}, "transient"),
+        ([room(1.0)], capture(), {"scene": {}}, "leave it out"),
+    ):
+        with pytest.raises(dg.InputError, match=told):
+            dg.build_from(scenes, tmp_path / "no", given, settings=settings, progress=False)  # type: ignore[arg-type]
+    assert not (tmp_path / "no").exists()
