@@ -23,7 +23,8 @@ Item = Scene | tuple[Scene, Capture] | tuple[Scene, Capture, NDArray[Any]]
 
 
 def build_from(
-    scenes: Iterable[Item], path: str | Path, capture: Capture | Callable[[Scene], Capture] | None = None, *,
+    scenes: Iterable[Scene | tuple[Scene, Capture] | tuple[Scene, Capture, NDArray[Any]]], path: str | Path,
+    capture: Capture | Callable[[Scene], Capture] | None = None, *,
     fields: tuple[str, ...] | None = None, seed: int = 0, settings: Mapping[str, Any] | None = None, workers: int = 1,
     progress: bool = True,
 ) -> BuildResult:  # fmt: skip

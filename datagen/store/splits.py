@@ -14,7 +14,7 @@ from datagen.seeding import Purpose, seed_sequence
 Parameters = Mapping[str, Scalar]
 NOT_OF_THE_ROOM = (
     "attempts", "draws", "scene.", "capture.", "detector.", "exposure.", "effect.", "decision.", "sampler.",
-    "transient.", "transport.", "histogram.", "stats.",
+    "transient.", "transport.", "histogram.", "stats.", "evidence.",
 )  # fmt: skip
 """Parameters that do not say what was drawn for the room begin so: two scenes that differ in these alone show one."""
 _BLOCK = 10
