@@ -13,6 +13,7 @@ from datagen._version import __version__
 if TYPE_CHECKING:
     from datagen.building.build import BuildResult, build
     from datagen.building.build_from import build_from
+    from datagen.building.on_the_fly import GeneratedDataset
     from datagen.capture import capture_for
     from datagen.config import DatasetConfig, EffectsConfig, SceneConfig, load_config
     from datagen.detector import Exposure, Spad, detect, expected_histogram
@@ -47,11 +48,11 @@ if TYPE_CHECKING:
 # Type checkers want a literal; `_HOME` says at run time where each of these names is.
 __all__ = [
     "GGX", "Accuracy", "AsPrinted", "BuildResult", "Capture", "CheckError", "DatasetConfig", "Decision",
-    "EffectDecisions", "EffectsConfig", "EpochSampler", "Exposure", "InputError", "Lambertian", "Laser", "Material",
-    "OrenNayar", "Part", "Phong", "Pose", "Rectangle", "Retroreflector", "Sample", "Scene", "SceneConfig", "Sensor",
-    "SinLobe", "Spad", "Spend", "TimeAxis", "Transient", "TransientDataset", "__version__", "build", "build_from",
-    "capture_for", "collate", "dense", "detect", "expected_histogram", "generate_scene", "load_config",
-    "plan_effects", "simulate", "simulate_as_printed",
+    "EffectDecisions", "EffectsConfig", "EpochSampler", "Exposure", "GeneratedDataset", "InputError", "Lambertian",
+    "Laser", "Material", "OrenNayar", "Part", "Phong", "Pose", "Rectangle", "Retroreflector", "Sample", "Scene",
+    "SceneConfig", "Sensor", "SinLobe", "Spad", "Spend", "TimeAxis", "Transient", "TransientDataset", "__version__",
+    "build", "build_from", "capture_for", "collate", "dense", "detect", "expected_histogram", "generate_scene",
+    "load_config", "plan_effects", "simulate", "simulate_as_printed",
 ]  # fmt: skip
 _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "AsPrinted": "datagen.paper.as_printed",
@@ -63,6 +64,7 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "EffectsConfig": "datagen.config",
     "EpochSampler": "datagen.loader",
     "Exposure": "datagen.detector",
+    "GeneratedDataset": "datagen.building.on_the_fly",
     "InputError": "datagen.errors",
     "SceneConfig": "datagen.config",
     "Spad": "datagen.detector",
