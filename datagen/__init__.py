@@ -13,6 +13,7 @@ from datagen._version import __version__
 if TYPE_CHECKING:
     from datagen.building.build import BuildResult, build
     from datagen.building.build_from import build_from
+    from datagen.building.on_the_fly import GeneratedDataset
     from datagen.capture import capture_for
     from datagen.config import DatasetConfig, EffectsConfig, SceneConfig, load_config
     from datagen.detector import Exposure, Spad, detect, expected_histogram
@@ -48,12 +49,12 @@ if TYPE_CHECKING:
 # Type checkers want a literal; `_HOME` says at run time where each of these names is.
 __all__ = [
     "GGX", "Accuracy", "AsPrinted", "BuildResult", "Capture", "CheckError", "DatasetConfig", "Decision",
-    "EffectDecisions", "EffectsConfig", "EpochSampler", "Evidence", "Exposure", "InputError", "InputWarning",
-    "Lambertian", "Laser", "Material", "OrenNayar", "Part", "Phong", "Pose", "Rectangle", "Retroreflector",
-    "Sample", "Scene", "SceneConfig", "Sensor", "SinLobe", "Spad", "Spend", "TimeAxis", "Transient",
-    "TransientDataset", "__version__", "build", "build_from", "capture_for", "collate", "dense", "detect",
-    "expected_histogram", "generate_scene", "load_config", "own_evidence", "plan_effects", "simulate",
-    "simulate_as_printed",
+    "EffectDecisions", "EffectsConfig", "EpochSampler", "Evidence", "Exposure", "GeneratedDataset",
+    "InputError", "InputWarning", "Lambertian", "Laser", "Material", "OrenNayar", "Part", "Phong", "Pose",
+    "Rectangle", "Retroreflector", "Sample", "Scene", "SceneConfig", "Sensor", "SinLobe", "Spad", "Spend",
+    "TimeAxis", "Transient", "TransientDataset", "__version__", "build", "build_from", "capture_for", "collate",
+    "dense", "detect", "expected_histogram", "generate_scene", "load_config", "own_evidence", "plan_effects",
+    "simulate", "simulate_as_printed",
 ]  # fmt: skip
 _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "AsPrinted": "datagen.paper.as_printed",
@@ -66,6 +67,7 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "EpochSampler": "datagen.loader",
     "Evidence": "datagen.evidence",
     "Exposure": "datagen.detector",
+    "GeneratedDataset": "datagen.building.on_the_fly",
     "InputError": "datagen.errors",
     "InputWarning": "datagen.errors",
     "SceneConfig": "datagen.config",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from datagen.building.build import BuildResult, build
 from datagen.config import DatasetConfig, config_from_mapping
@@ -19,12 +19,10 @@ from datagen.errors import InputError
 from datagen.pipeline import sample_of
 from datagen.records import Capture, Sample, Scene
 
-Item = Scene | tuple[Scene, Capture] | tuple[Scene, Capture, NDArray[Any]]
-
 
 def build_from(
-    scenes: Iterable[Scene | tuple[Scene, Capture] | tuple[Scene, Capture, NDArray[Any]]], path: str | Path,
-    capture: Capture | Callable[[Scene], Capture] | None = None, *,
+    scenes: Iterable[Scene | tuple[Scene, Capture] | tuple[Scene, Capture, ArrayLike]],
+    path: str | Path, capture: Capture | Callable[[Scene], Capture] | None = None, *,
     fields: tuple[str, ...] | None = None, seed: int = 0, settings: Mapping[str, Any] | None = None, workers: int = 1,
     progress: bool = True,
 ) -> BuildResult:  # fmt: skip
@@ -115,7 +113,7 @@ class GivenSamples:
         return sample_of(config, index, _told(item), item.capture, item.transient)
 
 
-def _given(number: int, item: Item, capture: Capture | Callable[[Scene], Capture] | None) -> Given:
+def _given(number: int, item: object, capture: Capture | Callable[[Scene], Capture] | None) -> Given:
     scene, own, transient = item if isinstance(item, tuple) and len(item) == 3 else (*_pair(item), None)
     if not isinstance(scene, Scene):
         raise InputError(f"scenes[{number}]: a {type(scene).__name__}, not a Scene or (Scene, Capture, …)")

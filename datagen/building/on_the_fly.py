@@ -1,0 +1,69 @@
+"""Samples made while they are asked for: generated and simulated in the loader's workers, with no files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+from torch.utils.data import IterableDataset, get_worker_info
+
+from datagen.config import DatasetConfig
+from datagen.errors import InputError
+from datagen.pipeline import simulate_sample
+from datagen.store import schema_of
+from datagen.store.shard import encoded
+
+
+class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
+    """A configuration's samples, made by whoever iterates: the same as in a dataset that is built with it.
+
+    With workers each makes every n-th scene; the order is that of the scenes where there are none or one. An epoch
+    ends after the configuration's number of `scenes`, and the next makes the same ones again: build a dataset to read
+    scenes twice, and ask for more `scenes` to see none twice.
+
+    Parameters
+    ----------
+    config : what to make; `config.store.fields` bounds what can be asked for.
+    fields : of an item, as of `TransientDataset`; histograms are handed over as float32.
+    first : number of the first scene, ≥ 0: a run that ended after so many goes on there.
+
+    Raises
+    ------
+    InputError : a field that the configuration does not give; a scene that cannot be made.
+
+    Examples
+    --------
+    >>> import datagen as dg
+    >>> from datagen.config import config_from_mapping
+    >>> config = config_from_mapping({
+    ...     "scenes": 2, "transport": {"lookins": 64, "fov_samples": 1},
+    ...     "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 800}}})
+    >>> [tuple(item["histogram"].shape) for item in dg.GeneratedDataset(config, ("histogram",))]
+    [(4, 1, 64), (4, 1, 64)]
+    """
+
+    def __init__(
+        self, config: DatasetConfig, fields: Sequence[str] = ("histogram", "depth"), *, first: int = 0
+    ) -> None:
+        known = schema_of(config).by_name
+        for name in fields:
+            if name not in known:
+                raise InputError(f"fields: {name!r} is not in store.fields; there are {', '.join(known)}")
+        if first < 0:
+            raise InputError(f"first = {first}: must be ≥ 0")
+        self._config, self._fields, self._first = config, {name: known[name] for name in fields}, first
+
+    def __len__(self) -> int:
+        return max(0, self._config.scenes - self._first)
+
+    def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
+        worker = get_worker_info()
+        begin, step = (worker.id, worker.num_workers) if worker is not None else (0, 1)
+        for scene in range(self._first + begin, self._config.scenes, step):
+            sample = simulate_sample(self._config, scene)
+            values = {name: encoded(field, sample.arrays[name]) for name, field in self._fields.items()}
+            if "histogram" in values:
+                values["histogram"] = values["histogram"].astype(np.float32)
+            item = {name: torch.from_numpy(np.ascontiguousarray(of)) for name, of in values.items()}
+            yield item | {"scene": torch.tensor(scene)}
