@@ -67,14 +67,6 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
     made = scenes_made(records)
     config, _ = config_of(manifest)
     yield head(config.name)
-    yield f"<pre>{escape(info(root))}</pre>"
-    yield "<h2>Fields</h2>"
-    shapes = (" × ".join(map(str, (manifest.schema.scenes, *f.shape))) for f in manifest.schema.fields)
-    rows = [
-        (f.name, ", ".join(f.dims), shape, f.dtype, f.unit, f.meaning)
-        for f, shape in zip(manifest.schema.fields, shapes, strict=True)
-    ]
-    yield _table(("field", "axes", "shape", "dtype", "unit", "meaning"), rows)
     full, shown, pictures = [record.index for record in made[:scenes]], list[dict[str, Any]](), list[str]()
     for record in made[:ROOMS]:
         stored = read_scene(root, record.index)
@@ -92,6 +84,14 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
     if figure is not None:
         yield inside(figure, "histograms of the drawn parameters")
     yield _table(("parameter", "least", "median", "most"), ranges(table_of(records, ())))
+    yield f"<h2>The dataset</h2><pre>{escape(info(root))}</pre>"
+    yield "<h2>Fields</h2>"
+    shapes = (" × ".join(map(str, (manifest.schema.scenes, *f.shape))) for f in manifest.schema.fields)
+    rows = [
+        (f.name, ", ".join(f.dims), shape, f.dtype, f.unit, f.meaning)
+        for f, shape in zip(manifest.schema.fields, shapes, strict=True)
+    ]
+    yield _table(("field", "axes", "shape", "dtype", "unit", "meaning"), rows)
     yield "<h2>Configuration</h2><details><summary>as stored in <code>dataset.json</code></summary>"
     yield f"<pre>{escape(config.model_dump_json(indent=2))}</pre></details></body></html>"
 
