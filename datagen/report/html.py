@@ -16,7 +16,8 @@ body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1225px; mar
 h1, h2 { line-height: 1.2; } h2 { margin-top: 2em; border-bottom: 1px solid #ccc; }
 table { border-collapse: collapse; font-size: 13px; } td, th { padding: .3em .7em; text-align: left;
 vertical-align: top; border-bottom: 1px solid #e4e4e4; } tr:nth-child(even) { background: #f7f7f7; }
-img { max-width: 100%; height: auto; } code { background: #f0f0f0; padding: 0 .25em; } td small { color: #666; }
+img { max-width: 100%; height: auto; }
+pre, .wide { overflow-x: auto; } code { background: #f0f0f0; padding: 0 .25em; } td small { color: #666; }
 .yes { color: #1a6b2f; font-weight: 600; } .no { color: #a32020; font-weight: 600; }
 .open { color: #777; font-weight: 600; } .warning { color: #a33; }
 """
@@ -26,7 +27,8 @@ def head(title: str) -> str:
     """Everything up to and with the page's headline; `title` is plain text."""
     text = escape(title)
     return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{text}</title>'
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{text}</title>'
         f"<style>{_STYLE}</style></head><body><h1>{text}</h1>"
     )
 
@@ -35,7 +37,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table whose cells are HTML; no header row for an empty `header`."""
     top = "<tr>" + "".join(f"<th>{cell}</th>" for cell in header) + "</tr>" if header else ""
     body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table>{top}{body}</table>"
+    return f'<div class="wide"><table>{top}{body}</table></div>'
 
 
 def inside(figure: Figure, meaning: str) -> str:

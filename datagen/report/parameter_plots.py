@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_PARAMETERS = 60
+MOST_PARAMETERS = 12
 _MOST_WORDS = 12
-_COLUMNS = 5
-_CELL_IN = (2.6, 1.55)
+_COLUMNS = 4
+_CELL_IN = (3.2, 1.75)
 _EDGE: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.5}
 
 
@@ -37,7 +37,7 @@ def varying(parameters: Sequence[Mapping[str, Scalar]]) -> dict[str, list[Scalar
 
 
 def parameter_page(columns: Mapping[str, Sequence[Scalar]]) -> Figure | None:
-    """Histograms of up to 60 parameters; None when nothing varies. Call it within `house_style()`."""
+    """Histograms of up to 12 parameters; None when nothing varies. Call it within `house_style()`."""
     shown = list(columns.items())[:MOST_PARAMETERS]
     if not shown:
         return None
@@ -50,7 +50,6 @@ def parameter_page(columns: Mapping[str, Sequence[Scalar]]) -> Figure | None:
         _draw(axes, values)
         axes.set_title(name, fontsize=8, fontweight="normal")
         axes.tick_params(labelsize=7)
-        axes.xaxis.get_offset_text().set_fontsize(7)
         if number % _COLUMNS == 0:
             axes.set_ylabel("scenes", fontsize=7)
     return figure
@@ -71,7 +70,9 @@ def _draw(axes: Axes, values: Sequence[Scalar]) -> None:
         axes.hist(numbers, bins=np.geomspace(low, high, bins + 1).tolist(), color=EXPECTED, **_EDGE)
     else:
         axes.hist(numbers, bins=bins, range=(low, high if high > low else low + 1), color=EXPECTED, **_EDGE)
-        axes.ticklabel_format(axis="x", useOffset=False, scilimits=(-4, 5))
+        # Each number whole: a common factor at the axis's end is cut off by the next picture.
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:.4g}")
+        axes.locator_params(axis="x", nbins=5)
     axes.locator_params(axis="y", nbins=4, integer=True)
 
 

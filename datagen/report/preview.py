@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from datagen.capture import capture_for
-from datagen.config import DatasetConfig
 from datagen.errors import InputError
-from datagen.report.contact_sheet import sheet_figure
+from datagen.records import Scene
+from datagen.report.explorer import explorer, scene_data
 from datagen.report.html import head, inside, table
 from datagen.report.parameter_plots import parameter_page, varying
-from datagen.report.replay import config_of, read_scene, replay
-from datagen.report.room_plots import RoomPicture
+from datagen.report.replay import StoredScene, config_of, read_scene, replay
 from datagen.report.show import pages
 from datagen.report.style import house_style
 from datagen.scene import generate_scene, stand_in
@@ -24,20 +22,18 @@ from datagen.store.info import info, scenes_made
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.table import table_of
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 ROOMS = 24
-"""Rooms on the sheet."""
+"""Rooms in the gallery."""
 MOST_SCENES = 100
 SCENES = 3
 """Scenes shown in full."""
 
 
 def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int = SCENES) -> Path:
-    """Write one HTML file about a dataset: what `info` says, fields, rooms, some scenes in full, what was drawn.
+    """Write one HTML file about a dataset: what `info` says, fields, rooms with their labels to turn and filter, some
+    scenes in full with their scans to slide through, what was drawn.
 
-    Pictures are inside the file; it has no script and asks for nothing from anywhere. A dataset that is still being
+    Pictures, numbers and script are inside the file; it asks for nothing from anywhere. A dataset that is still being
     built is shown as far as it is committed.
 
     Parameters
@@ -69,9 +65,26 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
 
 def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes: int) -> Iterator[str]:
     made = scenes_made(records)
-    config, meshes = config_of(manifest)
+    config, _ = config_of(manifest)
     yield head(config.name)
-    yield f"<pre>{escape(info(root))}</pre>"
+    full, shown, pictures = [record.index for record in made[:scenes]], list[dict[str, Any]](), list[str]()
+    for record in made[:ROOMS]:
+        stored = read_scene(root, record.index)
+        again = replay(stored) if record.index in full else None
+        scene = _room(stored) if again is None else again.scene
+        shown.append(scene_data(stored, scene, _error(record), again))
+        if again is not None:
+            for name, picture in pages(stored, again, ["overview"]):
+                pictures.append(inside(picture, f"scene {record.index}, {name}"))
+    yield explorer(shown)
+    yield "<h2>Scenes in full</h2>"
+    yield from pictures
+    figure = parameter_page(varying([scene.parameters for scene in made]))
+    yield f"<h2>What was drawn</h2><p>Over {len(made)} scenes; parameters that do not vary are left out.</p>"
+    if figure is not None:
+        yield inside(figure, "histograms of the drawn parameters")
+    yield _table(("parameter", "least", "median", "most"), ranges(table_of(records, ())))
+    yield f"<h2>The dataset</h2><pre>{escape(info(root))}</pre>"
     yield "<h2>Fields</h2>"
     shapes = (" × ".join(map(str, (manifest.schema.scenes, *f.shape))) for f in manifest.schema.fields)
     rows = [
@@ -79,40 +92,20 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
         for f, shape in zip(manifest.schema.fields, shapes, strict=True)
     ]
     yield _table(("field", "axes", "shape", "dtype", "unit", "meaning"), rows)
-    yield "<h2>Rooms</h2>"
-    yield inside(
-        _rooms(root, config, made[:ROOMS], meshes), f"the first {min(len(made), ROOMS)} rooms, plan and opened"
-    )
-    yield "<h2>Scenes in full</h2>"
-    for scene in made[:scenes]:
-        yield from _scene(root, scene)
-    figure = parameter_page(varying([scene.parameters for scene in made]))
-    yield f"<h2>What was drawn</h2><p>Over {len(made)} scenes; parameters that do not vary are left out.</p>"
-    if figure is not None:
-        yield inside(figure, "histograms of the drawn parameters")
-    yield _table(("parameter", "least", "median", "most"), ranges(table_of(records, ())))
     yield "<h2>Configuration</h2><details><summary>as stored in <code>dataset.json</code></summary>"
     yield f"<pre>{escape(config.model_dump_json(indent=2))}</pre></details></body></html>"
 
 
-def _rooms(root: Path, config: DatasetConfig, chosen: Sequence[SceneRecord], meshes: bool) -> Figure:
-    rooms = []
-    for record in chosen:
-        if meshes:
-            scene = generate_scene(config.scene, config.seed, record.index)
-        else:
-            stored = read_scene(root, record.index)
-            scene = stand_in(config.scene, config.seed, record.index, stored.parameters, stored.arrays)
-        targets = capture_for(config, scene, config.seed, record.index).laser.targets
-        rooms.append(RoomPicture(scene, laser_points=targets, pixels=180))
-    title = f"{config.name}: {len(rooms)} rooms, by scene index"
-    return sheet_figure(rooms, [str(record.index) for record in chosen], title, columns=4)
+def _room(stored: StoredScene) -> Scene:
+    config, index = stored.config, stored.index
+    if stored.meshes:
+        return generate_scene(config.scene, config.seed, index)
+    return stand_in(config.scene, config.seed, index, stored.parameters, stored.arrays)
 
 
-def _scene(root: Path, record: SceneRecord) -> Iterator[str]:
-    stored = read_scene(root, record.index)
-    for name, figure in pages(stored, replay(stored), ["overview"]):
-        yield inside(figure, f"scene {record.index}, {name}")
+def _error(record: SceneRecord) -> float | None:
+    error = record.parameters.get("transient.relative_error")
+    return float(error) if isinstance(error, int | float) else None
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -1,0 +1,154 @@
+"""What a reader of the preview can turn, slide and filter: rooms, labels, and the light of some scans.
+
+The page's script (`explorer_page.html`) draws all of it from the numbers given here; it asks for nothing elsewhere.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.labels import ViewFrame
+from datagen.records import Scene
+from datagen.report import scan_plots as scans
+from datagen.report.replay import Replay, StoredScene
+from datagen.report.style import part_colors
+from datagen.report.time_plots import busy_window, clear_channel
+
+MOST_TRIANGLES = 400
+"""A part of more is shown as the box about it."""
+MOST_BINS = 128
+DECADES = 4.0
+_IMAGES = ("depth", "albedo", "shaded", "normal", "part_id")
+_CUBE = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
+                  [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
+
+
+def explorer(scenes: Sequence[dict[str, Any]]) -> str:
+    """The part of the page that shows `scenes`, each of `scene_data`: HTML with its style and script."""
+    page = (Path(__file__).parent / "explorer_page.html").read_text(encoding="utf-8")
+    # A closing tag within the data must not end the script.
+    return page.replace("[/*scenes*/]", json.dumps(scenes, separators=(",", ":")).replace("</", "<\\/"))
+
+
+def scene_data(stored: StoredScene, scene: Scene, error: float | None, again: Replay | None) -> dict[str, Any]:
+    """The room's triangles, its labels and what it is filtered by; with `again`, its light over the scan, too."""
+    objects = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object"]
+    return {
+        "index": stored.index,
+        "layout": str(stored.parameters.get("layout.kind", "")),
+        "classes": sorted({scene.pose_of(name).label for name in objects}),
+        "error": None if error is None or not np.isfinite(error) else float(error),
+        "parts": _parts(scene),
+        "device": None if scene.device_position is None else np.round(scene.device_position, 3).tolist(),
+        "labels": _labels(stored, scene),
+        "scan": None if again is None else _scan(again),
+    }
+
+
+def _parts(scene: Scene) -> list[dict[str, Any]]:
+    found = []
+    for name, role in zip(scene.part_names, scene.roles, strict=True):
+        corners = scene.corners[scene.faces_of(name)]
+        if "ceiling" in name:
+            continue
+        if len(corners) > MOST_TRIANGLES:
+            axes = scene.pose_of(name).axes
+            own = corners.reshape(-1, 3) @ axes.T
+            ends = np.array([own.min(axis=0), own.max(axis=0)])
+            box = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(8, 3) @ axes
+            corners = box[_CUBE]
+        points = np.round(corners, 3).reshape(-1).tolist()
+        found.append({"name": name, "role": role, "color": part_colors(scene)[name], "corners": points})
+    return found
+
+
+def _labels(stored: StoredScene, scene: Scene) -> list[dict[str, Any]]:
+    """Stored label images as bytes: of one grey, or of red, green and blue."""
+    frame = ViewFrame.of(scene)
+    images = []
+    for name in _IMAGES:
+        if name not in stored.arrays:
+            continue
+        values = np.asarray(stored.arrays[name], np.float64)
+        meaning = name
+        if name == "normal":
+            shown = np.where(np.abs(values).sum(axis=-1, keepdims=True) > 0, (values * [1, 1, -1] + 1) / 2, 1.0)
+        elif name == "part_id":
+            colors = [part_colors(scene)[part] for part in scene.part_names]
+            table = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in colors] + [[255] * 3]) / 255
+            shown = table[stored.arrays[name].astype(np.int64)]
+        else:
+            highest = float(values.max()) or 1.0
+            shown = 1 - 0.85 * values / highest if name == "depth" else values / highest
+            shown = np.where(values > 0, shown, 1.0 if name == "depth" else 0.0)
+            unit = " m" if name == "depth" else ""
+            meaning = f"{name}, 0 … {highest:.3g}{unit}"
+        size = [round(2 * frame.half_width_m, 3), round(2 * frame.half_height_m, 3)]
+        rows, columns = shown.shape[:2]
+        bands = 3 if shown.ndim == 3 else 1
+        images.append(
+            {"name": meaning, "rows": rows, "columns": columns, "bands": bands, "size": size, "values": _bytes(shown)}
+        )
+    return images
+
+
+def _scan(again: Replay) -> dict[str, Any]:
+    """The light at each place of the scan, by object and of the rest of the room, logarithmic in bytes."""
+    frame = None if again.scene.hidden_view is None else ViewFrame.of(again.scene)
+    raster = scans.raster_of(again.capture, clear_channel(again.scene, again.transient), frame)
+    total = again.transient.total
+    layers = _layers(again, total)
+    if raster is None:
+        grids = {name: values.sum(axis=1)[None] for name, values in layers.items()}
+    else:
+        grids = {name: scans.scan_of(values, raster) for name, values in layers.items()}
+    whole = next(iter(grids.values()))
+    time = again.capture.time
+    low, high = busy_window(whole.reshape(-1, time.bins), time, 0.999)
+    first, last = np.searchsorted(time.edges_s * 1e9, [low, high])
+    first, last = max(int(first) - 1, 0), min(max(int(last), 1), time.bins)
+    step = max(1, -(-(last - first) // MOST_BINS))
+    bins = -(-(last - first) // step)
+    binned = {name: _summed(values[..., first:last], step) for name, values in grids.items()}
+    highest = max(float(values.max()) for values in binned.values()) or 1.0
+    curves = [
+        {
+            "name": name,
+            "color": part_colors(again.scene).get(name, "#222222" if name == "all light" else "#999999"),
+            "values": _bytes(1 + np.log10(np.maximum(values / highest, 10.0**-DECADES)) / DECADES),
+        }
+        for name, values in binned.items()
+    ]
+    return {
+        "rows": whole.shape[0], "columns": whole.shape[1], "bins": bins, "decades": DECADES, "highest": highest,
+        "start_ns": float(time.edges_s[first] * 1e9), "width_ns": step * time.width_s * 1e9, "curves": curves,
+    }  # fmt: skip
+
+
+def _layers(again: Replay, total: NDArray[np.float64]) -> Mapping[str, NDArray[np.float64]]:
+    """All light, that of each object (the first five), and what is left."""
+    roles = dict(zip(again.scene.part_names, again.scene.roles, strict=True))
+    parts = {name: of for name, of in again.transient.parts.items() if roles.get(name) == "object"}
+    chosen = dict(list(parts.items())[:5])
+    if not chosen:
+        return {"all light": total}
+    rest = np.maximum(total - np.sum([*chosen.values()], axis=0), 0.0)
+    return {"all light": total, **chosen, "the rest": rest}
+
+
+def _summed(values: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    short = -values.shape[-1] % step
+    padded = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, short)])
+    return np.asarray(padded.reshape(*padded.shape[:-1], -1, step).sum(axis=-1))
+
+
+def _bytes(values: NDArray[np.float64]) -> str:
+    """Values in 0 … 1 as bytes, in text."""
+    return base64.b64encode(np.clip(np.rint(255 * values), 0, 255).astype(np.uint8).tobytes()).decode()
