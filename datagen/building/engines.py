@@ -186,7 +186,8 @@ class DaskCluster:
                 )  # fmt: skip
         try:
             self._client = dask.Client(self._cluster or scheduler, timeout=20)
-        except (OSError, ValueError, TimeoutError) as error:
+        except (OSError, ValueError, TypeError, TimeoutError) as error:
+            # A TypeError: an address with tls, and no certificates.
             raise InputError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from None
         # One job in reserve for each worker, so that none waits for this process.
         self.capacity = 2 * max(workers, len(self._client.nthreads()))

@@ -129,7 +129,7 @@ def read_record(root: Place, shard: int, must_be_sealed: bool) -> ShardRecord | 
     Raises `CheckError` for a damaged record. Those of datasets before `CHECKSUMS_SINCE` need not be sealed.
     """
     path = root / record_path(Path(), shard).as_posix()
-    if not path.is_file():
+    if not path.exists():
         return None
     try:
         content = read_whole(path)

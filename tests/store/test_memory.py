@@ -1,0 +1,50 @@
+"""A worker's memory does not grow with the scenes it makes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datagen.building.build import build
+from datagen.config import config_from_mapping
+
+MOST_MB_A_1000 = 4.0
+"""What allocators keep; a leak of one histogram a scene would be 8 MB."""
+
+
+def resident_mb() -> float:
+    status = Path("/proc/self/status").read_text()
+    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")) / 1024
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="no /proc")
+def test_memory_of_a_worker_is_flat(tmp_path: Path) -> None:
+    """10 000 scenes made by one process that is not replaced, as a worker makes its shards."""
+    assert abs(growth_mb_a_1000(tmp_path, 10_000)) < MOST_MB_A_1000
+
+
+def growth_mb_a_1000(folder: Path, scenes: int) -> float:
+    """Slope of the resident memory over the shards after the first fifth, MB in 1000 scenes."""
+    from datagen.building import shard_job
+
+    config = config_from_mapping({
+        "scenes": scenes, "transport": {"lookins": 16, "fov_samples": 1, "max_bounces": 3},
+        "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 512, "bin_width_ps": 100}},
+        "store": {"fields": ["histogram", "transient"], "scenes_per_shard": 16},
+    })  # fmt: skip
+    found: list[float] = []
+    run = shard_job.run_shard
+
+    def measured(job: shard_job.ShardJob) -> dict[int, str]:
+        failures = run(job)
+        found.append(resident_mb())
+        return failures
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("datagen.building.build.run_shard", measured)
+        build(config, folder / "set", progress=False)
+    settled = np.array(found[len(found) // 5 :])
+    return float(np.polyfit(np.arange(len(settled)) * 0.016, settled, 1)[0])
