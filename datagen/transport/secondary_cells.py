@@ -22,7 +22,7 @@ from datagen.transport.brdf.table import LAMBERTIAN
 from datagen.transport.cells.gathering import Gathering, patches_of
 from datagen.transport.cells.pairs import arrive, join, room_for
 from datagen.transport.cells.reach import Ends, reach_of
-from datagen.transport.cells.trial import spread_evenly
+from datagen.transport.cells.trial import by_light, spread_evenly
 from datagen.transport.primary import pairs_of
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.walk import WalkTask
@@ -32,13 +32,14 @@ CLUSTER_STREAM = 66
 COARSEST, LIGHT, PAIR = 1.2, 0.05, 1e-3
 """Of the coarsest cells: the largest, relative to its distance; its error, relative to the light of its end; and the
 error of a pair, relative to the light of all pairs."""
-LIGHT_FINER, FINER, REST, LEVELS = 0.5, 0.25, 2.0, 8
+LIGHT_FINER, FINER, REST, LEVELS = 0.7, 0.25, 2.0, 8
 """What the two errors are multiplied with from one level to the next, finer one; the error of a level, relative to
 its difference from the next, for errors fall to about half; and the number of levels at most."""
 WITHIN = 0.7
 """Share of the error to be met that its estimate may reach on the pairs tried: others may be worse."""
-TRIALS = (8, 48)
-"""Fewest and most pairs of laser point and pixel on which the level is chosen, one in twenty in between."""
+TRIALS, LOOKED_AT = (8, 48), 4
+"""Fewest and most pairs of laser point and pixel on which the level is chosen, one in twenty in between; and how many
+are looked at roughly for each of them."""
 MOST_PAIRS = 1 << 16
 """Pairs of cells for each of these up to which they cost less than samples."""
 GROWTH = 2.5
@@ -81,63 +82,87 @@ def secondary_by_cells(gathering: Gathering, limit: float, own: float, faint: fl
     """
     scan, task = _Scan.of(gathering), gathering.task
     pairs = pairs_of(task)
-    lit = np.flatnonzero(task.points.part[pairs[:, 0]] >= 0)
-    if len(lit) == 0:
-        return None
-    tried = lit[spread_evenly(len(lit), int(np.clip(len(lit) // 20, *TRIALS)))]
-    share = math.sqrt(len(tried) / len(lit))
+    lit = pairs[task.points.part[pairs[:, 0]] >= 0]
     patches = scan.patches_to_begin
-    if scan.light(pairs[tried[:1]], 0, patches, np.inf).pairs > MOST_PAIRS:
+    if len(lit) == 0 or scan.light(lit[:1], 0, patches, np.inf).pairs > MOST_PAIRS:
         return None
-    runs = [scan.light(pairs[tried], 0, patches, np.inf)]
-    scale = float(runs[0].photons.sum() / max(runs[0].gain, 1e-300))
+    wanted = int(np.clip(len(lit) // 20, *TRIALS))
+    looked = lit[spread_evenly(len(lit), LOOKED_AT * wanted)]
+    rough = scan.light(looked, 0, patches, np.inf)
+    scale = float(rough.photons.sum() / max(rough.gain, 1e-300))
     if scale == 0.0:
         return None
-    runs = [scan.light(pairs[tried], 0, patches, PAIR * scale)]
-    while True:
-        norm = float(np.linalg.norm(runs[-1].histogram))
-        held = runs[-1].photons.sum() / share**2 >= faint
-        wanted = min(limit * share, own * norm) if held else limit * share
-        if len(runs) == 1:
-            patches, of_patches = _patches_for(scan, pairs[tried], patches, runs[0], PAIR * scale, wanted)
-            if patches < 0:
-                return None
-        else:
-            still = _still([run.histogram for run in runs]) + of_patches
-            fine = np.flatnonzero(still <= WITHIN * wanted)
-            if len(fine):
-                level = int(fine[0])
-                break
-            if len(runs) > LEVELS or runs[-1].pairs * GROWTH > MOST_PAIRS * len(tried):
-                if still[-1] > WITHIN * limit * share:
-                    return None
-                level = len(still) - 1
-                break
-        n = len(runs)
-        runs.append(scan.light(pairs[tried], n, patches, PAIR * FINER**n * scale))
-    if len(tried) == len(pairs):
-        found = runs[-1]
-        error = float((REST - 1) * np.linalg.norm(runs[-1].histogram - runs[-2].histogram)) + of_patches
-    else:
-        found = scan.light(pairs, level, patches, PAIR * FINER**level * scale)
-        error = float(still[level]) / share
+    tried, stands_for = by_light((rough.histogram**2).sum(axis=1, keepdims=True), wanted)
+    tried, weight = looked[tried], stands_for * len(lit) / len(looked)
+    level = _level(scan, tried, weight, patches, scale, limit, own, faint)
+    if level is None:
+        return None
+    found = scan.light(pairs, level.number, level.patches, PAIR * FINER**level.number * scale)
     shape = task.capture.shape
-    work = [*runs, found]
     return Secondary(
         found.histogram.reshape(shape), (found.photons - found.histogram.sum(axis=1)).clip(0.0).reshape(shape[:2]),
-        error, sum(run.pairs for run in work), sum(run.rays for run in work),
+        level.error, rough.pairs + level.pairs + found.pairs, rough.rays + level.rays + found.rays,
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class _Level:
+    """How finely cells are cut, between two of the levels tried, and how often pixels are quartered; the L2 error
+    that this leaves; and what finding it took."""
+
+    number: float
+    patches: int
+    error: float
+    pairs: int
+    rays: int
+
+
+def _level(
+    scan: _Scan, tried: Ints, weight: Floats, patches: int, scale: float, limit: float, own: float, faint: float
+) -> _Level | None:
+    """The coarsest that will do, or nothing where that is more work than samples are."""
+    root = np.sqrt(weight)[:, None]
+    runs, histograms, of_patches, wanted = list[_Light](), list[Floats](), 0.0, limit
+    while True:
+        n = len(runs)
+        runs.append(scan.light(tried, n, patches, PAIR * FINER**n * scale))
+        histograms.append(root * runs[-1].histogram)
+        held = runs[-1].photons @ weight >= faint
+        wanted = min(limit, own * float(np.linalg.norm(histograms[-1]))) if held else limit
+        if n == 0:
+            patches, of_patches = _patches_for(scan, tried, root, patches, histograms[0], PAIR * scale, wanted)
+            if patches < 0:
+                return None
+            continue
+        still = _still(histograms) + of_patches
+        fine = np.flatnonzero(still <= WITHIN * wanted)
+        if len(fine):
+            number, error = _between(still, int(fine[0]), WITHIN * wanted)
+        elif len(runs) <= LEVELS and runs[-1].pairs * GROWTH <= MOST_PAIRS * len(tried):
+            continue
+        elif still[-1] <= WITHIN * limit:
+            number, error = float(n - 1), float(still[-1])
+        else:
+            return None
+        return _Level(number, patches, error, sum(run.pairs for run in runs), sum(run.rays for run in runs))
+
+
+def _between(still: Floats, level: int, wanted: float) -> tuple[float, float]:
+    """A level between this one and the coarser one before it that leaves an error of `wanted`, and what it leaves."""
+    if level == 0 or not 0.0 < still[level] < wanted < still[level - 1]:
+        return float(level), float(still[level])
+    return level - math.log(wanted / still[level]) / math.log(still[level - 1] / still[level]), wanted
+
+
 def _patches_for(
-    scan: _Scan, pairs: Ints, level: int, coarse: _Light, allowed: float, wanted: float
+    scan: _Scan, pairs: Ints, root: Floats, level: int, coarse: Floats, allowed: float, wanted: float
 ) -> tuple[int, float]:
     """How often pixels have to be quartered, −1 for too often, and the L2 error that this leaves."""
     if not scan.extended:
         return level, 0.0
     while level < PATCH_LEVELS:
-        finer = scan.light(pairs, 0, level + 1, allowed)
-        off = FROM_QUARTERS * float(np.linalg.norm(finer.histogram - coarse.histogram))
+        finer = root * scan.light(pairs, 0, level + 1, allowed).histogram
+        off = FROM_QUARTERS * float(np.linalg.norm(finer - coarse))
         if off <= PATCHES_SHARE * wanted:
             return level, off
         level, coarse = level + 1, finer
@@ -184,7 +209,7 @@ class _Scan:
         """What is asked of the scene."""
         return self.gathering.task
 
-    def light(self, pairs: Ints, level: int, patches: int, allowed: float) -> _Light:
+    def light(self, pairs: Ints, level: float, patches: int, allowed: float) -> _Light:
         """The secondary of some pairs of laser point and pixel, by cells of a level."""
         bins = self.task.capture.time.bins
         knots, photons = np.zeros((len(pairs), bins + 3)), np.zeros(len(pairs))

@@ -44,6 +44,8 @@ NARROWEST = 0.25
 """Half width of the narrowest tent, in bins."""
 SHAPE = 0.1
 """L2 error of a tent that is many bins wide, relative to its norm."""
+CLIPPED = 0.2
+"""L2 error of a pair of which almost nothing faces each other, relative to what does."""
 DEEPEST = 64
 """Pairs that wait to be cut, at most."""
 AT, VARIANCE, PHOTONS, FIGURES = 0, 1, 2, 3
@@ -51,17 +53,19 @@ AT, VARIANCE, PHOTONS, FIGURES = 0, 1, 2, 3
 
 @njit(cache=True, error_model="numpy")
 def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-untyped-def]
-    """Energy of a pair of cells if nothing hides them from each other, their distance, the path's mean and variance.
+    """Energy of a pair of cells if nothing hides them from each other, their distance, the path's mean and variance,
+    and the share of them that face each other.
 
     With C = Σ p pᵀ the covariance of a cell's points, the mean over them of cosθ cosθ′/R² is 1 + Σ p·H·p/2 of that at
     their middles, H the matrix of its second derivatives, relative to it; and the mean path is longer by that of R,
     and by what it and the light have in common.
     """
-    d = less(get(two, j, 0), get(one, i, 0))
     n1, n2 = get(one, i, NORMAL), get(two, j, NORMAL)
+    y1, y2, share = _facing(one, i, two, j)
+    d = less(y2, y1)
     up, down = dot(d, n1), -dot(d, n2)
-    if up <= 0.0 or down <= 0.0:
-        return 0.0, 1.0, 0.0, 0.0
+    if not share > 0.0 or up <= 0.0 or down <= 0.0:
+        return 0.0, 1.0, 0.0, 0.0, 0.0
     square = dot(d, d)
     r = math.sqrt(square)
     per = 1.0 / r
@@ -87,17 +91,54 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     whole = max(whole + turned, 0.25 * whole)
     farthest = math.sqrt(variance)
     path += min(max(shift / whole, -farthest), farthest)
-    energy = one[i, ENERGY] * f1 * f2 * two[j, ENERGY] * whole * (per * per) * (per * per)
-    return energy, r, path, variance
+    energy = share * one[i, ENERGY] * f1 * f2 * two[j, ENERGY] * whole * (per * per) * (per * per)
+    return energy, r, path, variance, share
 
 
 @njit(cache=True, error_model="numpy")
-def _error(one, i, two, j, energy, keen, r, variance):  # type: ignore[no-untyped-def]
+def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
+    """Middles of what each of two cells has above the other's plane, and the share of the two that this is.
+
+    A cell's points are taken as evenly spread over as many heights as have their variance.
+    """
+    y1, y2 = get(one, i, 0), get(two, j, 0)
+    n1, n2 = get(one, i, NORMAL), get(two, j, NORMAL)
+    d = less(y2, y1)
+    up, down = dot(d, n1), -dot(d, n2)
+    p, q, s, t = get(one, i, SPAN), get(one, i, SPAN + 3), get(two, j, SPAN), get(two, j, SPAN + 3)
+    along_p, along_q, along_s, along_t = dot(n2, p), dot(n2, q), dot(n1, s), dot(n1, t)
+    square1, square2 = along_p * along_p + along_q * along_q, along_s * along_s + along_t * along_t
+    share = 1.0
+    if down * down < 3.0 * square1 or down < 0.0:
+        most = math.sqrt(3.0 * square1)
+        share = 0.5 * (down + most) / most if square1 > 0.0 else 0.0
+        by = 0.5 * (most - down) / square1 if share > 0.0 else 0.0
+        along_p, along_q = by * along_p, by * along_q
+        y1 = (
+            y1[0] + along_p * p[0] + along_q * q[0], y1[1] + along_p * p[1] + along_q * q[1],
+            y1[2] + along_p * p[2] + along_q * q[2],
+        )  # fmt: skip
+    if up * up < 3.0 * square2 or up < 0.0:
+        most = math.sqrt(3.0 * square2)
+        share *= 0.5 * (up + most) / most if square2 > 0.0 and up > -most else 0.0
+        by = 0.5 * (most - up) / square2 if share > 0.0 else 0.0
+        along_s, along_t = by * along_s, by * along_t
+        y2 = (
+            y2[0] + along_s * s[0] + along_t * t[0], y2[1] + along_s * s[1] + along_t * t[1],
+            y2[2] + along_s * s[2] + along_t * t[2],
+        )  # fmt: skip
+    return y1, y2, share
+
+
+@njit(cache=True, error_model="numpy")
+def _error(one, i, two, j, energy, keen, r, variance, share):  # type: ignore[no-untyped-def]
     """L2 error that a pair of cells may make; variance in bins²."""
     h1, h2 = one[i, LONG], two[j, LONG]
     size = (h1 + h2) / r
     near1, near2 = h1 / one[i, LENGTH], h2 / two[j, LENGTH]
-    wrong = keen * (size * size + near1 * near1 + near2 * near2) + SHAPE * min(variance, 1.0)
+    wrong = (
+        keen * (size * size + near1 * near1 + near2 * near2) + SHAPE * min(variance, 1.0) + CLIPPED * (1.0 - share)
+    )
     return energy * wrong / math.sqrt(math.sqrt(1.0 + 24.0 * variance))
 
 
@@ -149,21 +190,22 @@ def join(  # type: ignore[no-untyped-def]
     Returns where it stopped, and how many pairs of cells were found.
     """
     count = 0
-    last, margin = len(rows), 4 * DEEPEST
+    last = len(rows)
     for k in range(begin, len(pairs)):
         p, q = pairs[k, 0], pairs[k, 1]
         for i in range(begin_cell if k == begin and begin_cell >= 0 else first1[p], first1[p + 1]):
-            if count + first2[q + 1] - first2[q] + margin > last:
+            # Half of the room is for what this cell alone may be cut into.
+            if 2 * count > last:
                 return k, i, count
             a = part1[i]
             for j in range(i + 1 if same else first2[q], first2[q + 1]):
                 b = part2[j]
                 keen = max(sharp[a], sharp[b])
-                energy, r, path, variance = _joined(number1, i, number2, j, a, b, kind, values)
+                energy, r, path, variance, share = _joined(number1, i, number2, j, a, b, kind, values)
                 if not energy > 0.0:
                     continue
                 variance *= per_metre * per_metre
-                if not _error(number1, i, number2, j, energy, keen, r, variance) > allowed:
+                if not _error(number1, i, number2, j, energy, keen, r, variance, share) > allowed:
                     _note(
                         number1, i, number2, j, path, variance, energy, per_metre, zero[k], gain[k], air, row[k],
                         count, offset, scale, figures, rows, origin, span,
@@ -177,12 +219,12 @@ def join(  # type: ignore[no-untyped-def]
                 top, left = 1, last - count - (first2[q + 1] - j)
                 while top > 0:
                     top -= 1
-                    energy, r, path, variance = _joined(known1, top, known2, top, a, b, kind, values)
+                    energy, r, path, variance, share = _joined(known1, top, known2, top, a, b, kind, values)
                     if not energy > 0.0:
                         continue
                     variance *= per_metre * per_metre
                     if (
-                        _error(known1, top, known2, top, energy, keen, r, variance) > allowed
+                        _error(known1, top, known2, top, energy, keen, r, variance, share) > allowed
                         and top < DEEPEST
                         and top + 2 < left
                     ):
@@ -214,8 +256,9 @@ def _note(  # type: ignore[no-untyped-def]
     figures[count, AT], figures[count, VARIANCE] = path * per_metre - zero, variance
     figures[count, PHOTONS] = energy * gain * (math.exp(-air * path) if air > 0.0 else 1.0)
     rows[count] = row
-    a = lifted_and_scaled(get(one, i, 0), get(one, i, NORMAL), offset, scale)
-    b = lifted_and_scaled(get(two, j, 0), get(two, j, NORMAL), offset, scale)
+    y1, y2, _ = _facing(one, i, two, j)
+    a = lifted_and_scaled(y1, get(one, i, NORMAL), offset, scale)
+    b = lifted_and_scaled(y2, get(two, j, NORMAL), offset, scale)
     for k in range(3):
         origin[count, k], span[count, k] = a[k], b[k] - a[k]
 

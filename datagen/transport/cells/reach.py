@@ -261,14 +261,15 @@ def _cut(  # type: ignore[no-untyped-def]
                         cut = cluster == 0.0 and (ratio > coarsest[k] or over * ratio * ratio > error)
                         visible = 1.0
                         if some > 0 and not cut:
-                            seen = 0
+                            seen, u = 0, (0.0, 0.0, 0.0)
                             for j in range(3):
                                 y = half(m, get(waits[top], j, 0)) if cluster == 0.0 else m
                                 q = (3 * count + j) % points
                                 q = q if part[p, q] >= 0 else one
                                 rays += 1
                                 z = get(position[p], q, 0)
-                                seen += hidden(z, y, f, candidates, 0, some, facet, number, box, link, waiting) < 0
+                                if hidden(z, y, f, candidates, 0, some, facet, number, box, link, waiting) < 0:
+                                    seen, u = seen + 1, (u[0] + y[0], u[1] + y[1], u[2] + y[2])
                             visible = seen / 3
                             cut = seen < 3 and cluster == 0.0 and (PARTLY if seen > 0 else UNFOUND) * over > error
                             if seen == 0 and not cut:
@@ -288,6 +289,14 @@ def _cut(  # type: ignore[no-untyped-def]
                             put(waits[top + 1], (side + 1) % 3, 0, y)
                             top += 2
                             continue
+                        if visible < 1.0 and cluster == 0.0:
+                            # What is seen of it stands for all of it, so that its middle is not behind what hides it.
+                            u = (u[0] / seen - 0.5 * m[0], u[1] / seen - 0.5 * m[1], u[2] / seen - 0.5 * m[2])
+                            for j in range(3):
+                                y = get(waits[top], j, 0)
+                                y = (u[0] + 0.5 * y[0], u[1] + 0.5 * y[1], u[2] + 0.5 * y[2])
+                                put(cell, count, 3 * j, y)
+                                cell[count, WEIGHT + j], cell[count, PATH + j] = lit(y, n, p, ends, kind, values)
                         cell[count, SIZE] = visible * size
                         put(known, count, NORMAL, n)
                         back = distance(x, m)

@@ -98,13 +98,7 @@ class Trial:
             return rough
         seen = rough.gathered(np.full(parts, COARSE), 0).histogram
         whole, objects = (seen.sum(axis=1) ** 2).sum(axis=1), (seen**2).sum(axis=2)[:, asked.objects]
-        objects = objects[:, objects.sum(axis=0) > 0]
-        share = np.full(len(looked), EVENLY / len(looked))
-        if whole.any():
-            share += 0.5 * whole / whole.sum()
-        if objects.shape[1]:
-            share += 0.5 * (objects / objects.sum(axis=0)).mean(axis=1)
-        places, stands_for = _drawn(share, wanted)
+        places, stands_for = by_light(np.column_stack([whole, objects]), wanted)
         return cls(gathering, looked[places], stands_for * len(lit) / len(looked), rough.levels, rough.work)
 
     def some(self, which: Bools) -> Trial:
@@ -268,6 +262,21 @@ def _norm(histograms: Floats) -> float:
 def _norms(histograms: Floats) -> Floats:
     """(K,) L2 norm over laser points, pixels and bins of (n, K, T)."""
     return np.asarray(np.sqrt((histograms**2).sum(axis=(0, 2))))
+
+
+def by_light(squares: Floats, wanted: int) -> tuple[Ints, Floats]:
+    """At most `wanted` rows drawn by their squared norms (n, K), and how many each stands for. The first column
+    counts as much as all others together; the brightest are always among them."""
+    count = len(squares)
+    if count <= wanted:
+        return np.arange(count), np.ones(count)
+    share, whole, objects = np.full(count, EVENLY / count), squares[:, 0], squares[:, 1:]
+    objects = objects[:, objects.sum(axis=0) > 0]
+    if whole.any():
+        share += 0.5 * whole / whole.sum()
+    if objects.shape[1]:
+        share += 0.5 * (objects / objects.sum(axis=0)).mean(axis=1)
+    return _drawn(share, wanted)
 
 
 def _drawn(share: Floats, wanted: int) -> tuple[Ints, Floats]:

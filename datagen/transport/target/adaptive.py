@@ -30,11 +30,12 @@ NOISE_AT_MOST = 0.9
 NOTHING_AFTER = 1 << 16
 """Lookins in all after which a component without any light is taken for dark."""
 SEARCH_GROWTH = 8
-PRIMARY_SHARE = 0.4
-"""Share of the target that the primary from cells may use where other components are sampled: it costs far less."""
-SECONDARY_SHARE, SECONDARY_OWN = 0.5, 2.0
-"""Share of the target that the secondary from cells may use; and the error of its own light, which comes when the
-primary's is past, relative to that of an object's."""
+PRIMARY_SHARE = {"confocal": 0.2, "exhaustive": 0.45}
+"""Share of the target that the primary from cells may use beside other components: it costs far less. Where each
+laser point is its own pixel what comes first is most of the light, and what comes late needs more care."""
+SECONDARY_SHARE, SECONDARY_OWN, LEFT_OVER = 0.5, 2.0, 0.05
+"""Share of the target that the secondary from cells may use beside samples; the error of its own light, which comes
+when the primary's is past, relative to that of an object's; and what neither of the two uses where they are all."""
 LEAST_LEFT = 0.1
 """Share of the square of the target that is left to samples at least."""
 
@@ -53,14 +54,15 @@ def meet_target(task: WalkTask) -> Estimate:
         return _nothing(task)
     if not smooth(task):
         return _sampled(task, None)
-    share = PRIMARY_SHARE if splits.others else 1.0
+    share = PRIMARY_SHARE[task.capture.pairing] if splits.others else 1.0
     gathering = Gathering.of(task)
     primary = primary_by_cells(gathering, share * accuracy.target, accuracy.each_part, accuracy.faint_part)
     if primary is None:
         return _sampled(task, None)
     found = {"primary": _of_primary(primary)}
     if "secondary" in splits.components and accuracy.strongest is None:
-        limit = SECONDARY_SHARE * accuracy.target * float(np.linalg.norm(found["primary"].light))
+        used = 1 - LEFT_OVER - share if len(splits.others) == 1 else SECONDARY_SHARE
+        limit = used * accuracy.target * float(np.linalg.norm(found["primary"].light))
         own = min(SECONDARY_OWN * accuracy.each_part, 1.0)
         secondary = secondary_by_cells(gathering, limit, own, accuracy.faint_part)
         if secondary is not None:
@@ -73,9 +75,10 @@ def meet_target(task: WalkTask) -> Estimate:
     if left:
         rest = _sampled(replace(task, splits=replace(splits, components=left, parts=())), known)
     else:
-        spend = Spend({}, {}, {}, {}, 1, 0.0, "target met")
         error = known.error / float(np.linalg.norm(known.light))
-        rest = Estimate({}, {}, np.zeros(task.capture.shape), np.zeros(task.capture.shape[:2]), spend, error, True)
+        met = error <= accuracy.target
+        spend = Spend({}, {}, {}, {}, 1, 0.0, "target met" if met else "target not met by cells")
+        rest = Estimate({}, {}, np.zeros(task.capture.shape), np.zeros(task.capture.shape[:2]), spend, error, met)
     return _joined(task, found, primary, rest)
 
 
