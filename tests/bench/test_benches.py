@@ -99,7 +99,7 @@ def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
 
 
 def test_a_million_scenes(config: str, capsys: pytest.CaptureFixture[str]) -> None:
-    printed = printed_by(["stages", config, "--scan", "2x2x54", "--million"], capsys)
+    printed = printed_by(["stages", config, "--scan", "2x2x54", "--million", "--scenes", "8"], capsys)
     assert "2x2x54, tiny" in printed and "mean of 8" in printed
     told = stages.a_million(load_config(config), [1.0, 2.0])
     assert "1.5 processor s" in told and "1.1 days on 16 cores" in told, "10⁶ × 1.5 s / 16 / 86 400 s"
