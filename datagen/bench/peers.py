@@ -143,10 +143,11 @@ def picture(
             axes.annotate(name, line[0], xytext=(8, 6), textcoords="offset points", color=color, weight="bold")
         axes.axhline(target, color="#BBBBBB", lw=0.8, zorder=0)
         axes.set(xscale="log", yscale="log", xlabel="processor seconds a scan", ylabel=f"relative L{norm} error")
-        for axis, shown in ((axes.xaxis, "{:g} s".format), (axes.yaxis, percent)):
+        for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=30))
-            axis.set_major_formatter(lambda value, _, shown=shown: shown(value))
             axis.set_minor_formatter(NullFormatter())
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g} s")
+        axes.yaxis.set_major_formatter(lambda value, _: percent(value))
         axes.margins(0.12, 0.15)
         axes.set_title(title, fontsize=10, color=INK)
         return save_png(figure, path)
