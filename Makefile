@@ -98,7 +98,7 @@ hard-cases: setup
 
 bench: setup
 	$(BIN)/datagen bench stages $(CONFIG)
-	$(BIN)/datagen bench peers
+	$(BIN)/datagen bench peers out/peers
 	$(BIN)/datagen bench scaling
 	$(BIN)/datagen bench detector
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy

@@ -3,69 +3,71 @@
 - *Bare plate*: 0.5 m, nothing in the way, 16 × 16 confocal points, 300 bins of 3 mm, three bounces; relative L1 error
   against quadrature. Ours, mitransient at its best there (hidden-geometry sampling), and plain quadrature, which
   knows that there is nothing else in the scene.
-- *Scan*: 16 × 16 confocal points of a closed room with a box and a pillar, 512 bins of 3 cm, three bounces; relative
-  L2 error against much finer cells (held against the walk by `tests/equivalence`).
-- *Furnished room*: the same one, three and four bounces; relative L2 error per 0.1 m bin against
-  a long run of ours (its own error is printed). Ours and mitransient, seen from one point and from a 4 × 4 grid.
+- *Scans* of a closed room with a box and a pillar, and of the same with meshes in it; relative L2 error of the whole,
+  of the worst object, and of what arrives after 10 ns, against much finer cells. The mean of mitransient's longest
+  runs is held against that reference.
+- *One laser point*, three and four bounces; relative L2 error per 0.1 m bin against a long walk.
 
 Ours is timed as a user calls it, `simulate` with all its preparation; the others after theirs (mitransient's scene
-and kernels are built before the clock starts). mitransient runs when it is installed (`other_renderers.py`).
+and kernels are built before the clock starts). Runs take turns, so that a busy machine disturbs all alike, and ratios
+are formed turn by turn. mitransient runs when it is installed (`other_renderers.py`).
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+import re
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import click
 import numpy as np
-from numpy.typing import NDArray
 
-from datagen.bench import other_renderers as others
 from datagen.bench.measuring import machine, markdown, percent, processor_seconds
-from datagen.bench.other_renderers import grid_points, missing_for_mitransient
-from datagen.bench.problems import DEVICE, WALL, furnished_room, rectangle
-from datagen.records import Accuracy, Capture, Rectangle, Scene, TimeAxis
-from datagen.transport import simulate
-from datagen.units import time_from_path
-
-Array = NDArray[np.float64]
+from datagen.bench.other_renderers import missing_for_mitransient
+from datagen.bench.peer_cases import CASES, DEAR, PEER, Array, Case, Contender
+from datagen.errors import InputError
+from datagen.report.style import INK, house_style, new_figure, save_png
+from datagen.store.files import check_writable
 
 
 @dataclass(frozen=True)
-class Contender:
-    """One way to compute a case: `run(samples, seed)` → (pixel, bin), held against `truth`, binned as it bins."""
+class Run:
+    """One run: processor seconds (all threads), and relative errors by name, that of the whole first."""
 
-    name: str
-    unit: str
-    run: Callable[[int, int], Array]
-    samples: tuple[int, ...]
-    truth: Array
+    seconds: float
+    errors: dict[str, float]
+    result: Array
 
-
-@dataclass(frozen=True)
-class Case:
-    """title : what is computed. norm : 1 or 2, of the relative error. target : the error to compare at."""
-
-    title: str
-    norm: int
-    target: float
-    contenders: tuple[Contender, ...]
+    @property
+    def error(self) -> float:
+        """That of the whole."""
+        return next(iter(self.errors.values()))
 
 
-def measured(case: Case, contender: Contender, repeats: int) -> list[tuple[float, float]]:
-    """Processor seconds (all threads) and relative error at each number of samples, medians over other seeds."""
-    found, scale = [], np.linalg.norm(contender.truth.ravel(), case.norm)
-    for samples in contender.samples:
-        # Shapes that depend on the number of samples compile anew in mitransient: once before the clock starts.
-        contender.run(samples, 0)
-        runs = [processor_seconds(lambda k=seed, n=samples: contender.run(n, k)) for seed in range(1, repeats + 1)]  # type: ignore[misc]
-        errors = [float(np.linalg.norm((result - contender.truth).ravel(), case.norm) / scale) for result, _ in runs]
-        found.append((statistics.median(seconds for _, seconds in runs), statistics.median(errors)))
-    return found
+LOOKS = (("#D55E00", "o"), ("#000000", "s"), ("#0072B2", "^"), ("#CC79A7", "v"))
+"""Colour and marker of each contender, ours first."""
+Turn = dict[str, list[Run]]
+"""Contender → a run for each of its numbers of samples."""
+
+
+def measured(case: Case, repeats: int) -> list[Turn]:
+    """Every contender at each of its numbers of samples, turn after turn with other seeds."""
+
+    def once(contender: Contender, samples: int, seed: int) -> Run:
+        result, seconds = processor_seconds(lambda: contender.run(samples, seed))
+        return Run(seconds, case.errors(result, contender.truth), result)
+
+    if case.most > 1:
+        # Once before the clock starts: shapes that depend on the number of samples compile anew in mitransient.
+        for contender in case.contenders:
+            for samples in contender.samples:
+                contender.run(samples, 0)
+    seeds = range(1, min(repeats, case.most) + 1)
+    return [{one.name: [once(one, n, seed) for n in one.samples] for one in case.contenders} for seed in seeds]
 
 
 def seconds_at(rows: Sequence[tuple[float, float]], target: float) -> tuple[float, bool]:
@@ -82,137 +84,112 @@ def seconds_at(rows: Sequence[tuple[float, float]], target: float) -> tuple[floa
     return rows[-1][0] * (rows[-1][1] / target) ** 2, False
 
 
-def report(case: Case, repeats: int) -> str:
-    """Markdown: error and seconds of every contender, then the seconds to the target error beside ours."""
-    cells, ends, ours = list[list[str]](), list[str](), None
+def seconds_to_target(contender: Contender, runs: Sequence[Run], target: float) -> tuple[float, bool]:
+    """That of a contender in one turn: where it is asked for an error, the run that was asked for the target."""
+    rows = [(run.seconds, run.error) for run in runs]
+    if contender.asks:
+        rows = [row for row, one_in in zip(rows, contender.samples, strict=True) if one_in * target >= 1] or rows
+    return seconds_at(rows, target)
+
+
+def lines_of(case: Case, turns: Sequence[Turn]) -> dict[str, list[tuple[float, float]]]:
+    """Contender → (processor seconds, error) at each of its numbers of samples, medians over the turns."""
+
+    def medians(name: str, k: int) -> tuple[float, float]:
+        runs = [turn[name][k] for turn in turns]
+        return statistics.median(run.seconds for run in runs), statistics.median(run.error for run in runs)
+
+    return {one.name: [medians(one.name, k) for k in range(len(one.samples))] for one in case.contenders}
+
+
+def report(case: Case, turns: Sequence[Turn]) -> str:
+    """Markdown: error and seconds of every contender, the seconds to the target error beside ours, and how far the
+    peer's mean is from the reference."""
+    first, lines = case.contenders[0], lines_of(case, turns)
+    names = list(turns[0][first.name][0].errors)
+    cells, ends = list[list[str]](), list[str]()
     for contender in case.contenders:
-        rows = measured(case, contender, repeats)
-        cells += [
-            [contender.name, f"{n} {contender.unit}", f"{seconds:.3f}", percent(error)]
-            for n, (seconds, error) in zip(contender.samples, rows, strict=True)
-        ]
-        seconds, reached = seconds_at(rows, case.target)
-        ours = ours or seconds
-        how = "" if reached else ", extrapolated as 1/√seconds"
-        ratio = f"{seconds / ours:.3g} × ours"
-        ends.append(f"- {contender.name}: {percent(case.target)} in {seconds:.3g} processor s{how} ({ratio})")
-    head = ["", "samples", "processor s", f"relative L{case.norm} error"]
+        for k, samples in enumerate(contender.samples):
+            runs = [turn[contender.name][k] for turn in turns]
+            errors = [
+                percent(statistics.median(run.errors[name] for run in runs)) if name in runs[0].errors else "–"
+                for name in names
+            ]
+            cells.append([contender.name, contender.asked(samples), f"{lines[contender.name][k][0]:.3f}", *errors])
+        taken = [seconds_to_target(contender, turn[contender.name], case.target) for turn in turns]
+        against = [seconds_to_target(first, turn[first.name], case.target)[0] for turn in turns]
+        ratio = statistics.median(s / ours for (s, _), ours in zip(taken, against, strict=True))
+        how = "" if all(reached for _, reached in taken) else ", extrapolated as 1/√seconds"
+        median = statistics.median(s for s, _ in taken)
+        took = f"{percent(case.target)} in {median:.3g} processor s{how}"
+        ends.append(f"- {contender.name}: {took} ({ratio:.3g} × ours)")
+        if contender.name == PEER and len(turns) > 1:
+            ends.append(agreement(contender, [turn[PEER][-1].result[0] for turn in turns]))
+    head = ["", "samples", "processor s", *names]
     return "\n".join([f"### {case.title}", "", markdown(head, cells), "", *ends, ""])
 
 
-def _ours(scene: Scene, capture: Capture, bounces: int) -> Callable[[int, int], Array]:
-    def run(lookins: int, seed: int) -> Array:
-        accuracy = Accuracy(lookins=lookins, fov_samples=1, max_bounces=bounces, replicates=1)
-        photons = simulate(scene, capture, accuracy, seed, split_parts=False).total
-        return others.photons_to_radiance(photons, capture).reshape(-1, capture.time.bins)
+def picture(
+    title: str, norm: int, target: float, lines: Mapping[str, Sequence[tuple[float, float]]], path: Path
+) -> Path:
+    """Error against processor seconds, a line for each contender."""
+    from matplotlib.ticker import LogLocator, NullFormatter
 
-    return run
-
-
-def _by_target(scene: Scene, capture: Capture, bounces: int) -> Callable[[int, int], Array]:
-    """Ours as a user asks for it, to an error of one in so many."""
-
-    def run(one_in: int, seed: int) -> Array:
-        accuracy = Accuracy(target=1 / one_in, max_bounces=bounces)
-        photons = simulate(scene, capture, accuracy, seed, split_parts=False).total
-        return others.photons_to_radiance(photons, capture).reshape(-1, capture.time.bins)
-
-    return run
-
-
-def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
-    """A plate of 0.5 m, 1 m from a scan of 0.7 m."""
-    scan = Rectangle.of((0, 0, 0), (0, 0.35, 0), (0, 0, 0.35))
-    plate = Rectangle.of((1.0, 0, 0), (0, -0.25, 0), (0, 0, 0.25))
-    albedos, device = (0.8, 0.6), np.array([0.5, 0.0, 0.0])
-    axis = _axis(300, 0.003, 1.95)
-    points = grid_points(scan, points_a_side, points_a_side)
-    scene = Scene.from_parts([rectangle("wall", scan, albedos[0]), rectangle("plate", plate, albedos[1], "object")])
-
-    def quadrature(knots: int, _: int) -> Array:
-        return others.plate_quadrature(points, scan.normal, plate, albedos, axis, knots)
-
-    capture = others.point_capture(scan, points, device, points, axis, confocal=True)
-    truth = quadrature(reference_knots, 0)
-    contenders = [
-        Contender("ours, cells", "1/target", _by_target(scene, capture, 3), (10, 50, 200), truth),
-        Contender("ours, walk", "lookins a point", _ours(scene, capture, 3), (1 << 11, 1 << 13, 1 << 15), truth),
-        Contender("plain quadrature (numba)", "knots a side", quadrature, (32, 64, 128, 192), truth),
-    ]
-    if missing_for_mitransient() is None:
-        sides = (points_a_side, points_a_side)
-        peer = others.MitransientPeer(scene, "wall", scan, device, None, *sides, axis, bounces=3, aim_at_hidden=True)
-        contenders.append(Contender("mitransient", "paths a point", peer.render, (1 << 8, 1 << 10, 1 << 12), truth))
-    title = f"Bare plate, {points_a_side} × {points_a_side} confocal points, 300 bins, 3 bounces"
-    return Case(title, 1, 0.01, tuple(contenders))
+    with house_style():
+        figure = new_figure(8.0, 4.4)
+        axes = figure.subplots()
+        for (name, line), (color, marker) in zip(lines.items(), LOOKS, strict=False):
+            axes.plot(*zip(*line, strict=True), color=color, marker=marker, ms=7, lw=1.8)
+            axes.annotate(name, line[0], xytext=(8, 6), textcoords="offset points", color=color, weight="bold")
+        axes.axhline(target, color="#BBBBBB", lw=0.8, zorder=0)
+        axes.set(xscale="log", yscale="log", xlabel="processor seconds a scan", ylabel=f"relative L{norm} error")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=30))
+            axis.set_minor_formatter(NullFormatter())
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g} s")
+        axes.yaxis.set_major_formatter(lambda value, _: percent(value))
+        axes.margins(0.12, 0.15)
+        axes.set_title(title, fontsize=10, color=INK)
+        return save_png(figure, path)
 
 
-def scan(points_a_side: int = 16, reference_one_in: int = 1000) -> Case:
-    """A confocal scan of the closed room, three bounces: the main job."""
-    scene, axis = furnished_room(), _axis(512, 0.03, 0.0)
-    points = grid_points(WALL, points_a_side, points_a_side)
-    capture = others.point_capture(WALL, points, DEVICE, points, axis, confocal=True)
-    truth = _by_target(scene, capture, 3)(reference_one_in, 1000)
-    contenders = [
-        Contender("ours, cells", "1/target", _by_target(scene, capture, 3), (10, 50, 200), truth),
-        Contender("ours, walk", "lookins a point", _ours(scene, capture, 3), (1 << 9, 1 << 11, 1 << 13), truth),
-    ]
-    if missing_for_mitransient() is None:
-        sides = (points_a_side, points_a_side)
-        peer = others.MitransientPeer(scene, "relay_wall", WALL, DEVICE, None, *sides, axis, bounces=3)
-        contenders.append(Contender("mitransient", "paths a point", peer.render, (1 << 12, 1 << 14, 1 << 16), truth))
-    title = (
-        f"Scan of the furnished room, {points_a_side}² confocal points, 512 bins of 3 cm, 3 bounces "
-        f"(reference: cells to 1/{reference_one_in})"
+def agreement(peer: Contender, runs: Sequence[Array]) -> str:
+    """How far the mean of a peer's runs is from the reference, beside its own standard error; and in energy."""
+    values, truth = np.array(runs), peer.truth[0]
+    norm, count = float(np.linalg.norm(truth)), len(values)
+    apart = float(np.linalg.norm(values.mean(axis=0) - truth)) / norm
+    noise = float(np.linalg.norm(values.std(axis=0, ddof=1))) / math.sqrt(count) / norm
+    energies = values.sum(axis=(1, 2)) / truth.sum()
+    uncertain = float(energies.std(ddof=1)) / math.sqrt(count)
+    return (
+        f"- its mean of {count} × {peer.samples[-1]} {peer.unit} is {percent(apart)} from the reference, its own "
+        f"noise {percent(noise)}; energy {float(energies.mean()):.4f} ± {uncertain:.4f} of the reference's"
     )
-    return Case(title, 2, 0.02, tuple(contenders))
-
-
-def room(points_a_side: int, reference_walks: int = 1 << 20) -> Case:
-    """A closed 4 × 3 × 2.5 m room, one laser point, points on the relay wall, three and four bounces."""
-    scene, laser_point = furnished_room(), np.array([0, -0.8, 1.4])
-    axis = _axis(170, 0.1, 0.0)
-    points = grid_points(WALL, points_a_side, points_a_side)
-    ours = _ours(scene, others.point_capture(WALL, points, DEVICE, laser_point[None], axis), 4)
-    halves = [ours(reference_walks // 2, 1000 + k) for k in range(2)]
-    truth = (halves[0] + halves[1]) / 2
-    uncertain = float(np.linalg.norm(halves[0] - halves[1]) / 2 / np.linalg.norm(truth))
-    contenders = [Contender("ours", "walks", ours, (1 << 12, 1 << 14, 1 << 16), truth)]
-    if missing_for_mitransient() is None:
-        sides = (points_a_side, points_a_side)
-        peer = others.MitransientPeer(scene, "relay_wall", WALL, DEVICE, laser_point, *sides, axis, bounces=4)
-        most = (1 << 20) // points_a_side**2
-        contenders.append(
-            Contender("mitransient", "paths a point", peer.render, (most // 16, most // 4, most), truth)
-        )
-    title = (
-        f"Furnished room, {points_a_side}² points, 170 bins, 3 + 4 bounces (reference: {reference_walks} walks of "
-        f"ours, uncertain by {percent(uncertain)})"
-    )
-    return Case(title, 2, 0.02, tuple(contenders))
-
-
-def _axis(bins: int, width_m: float, start_m: float) -> TimeAxis:
-    return TimeAxis(bins, time_from_path(width_m), time_from_path(start_m), "wall")
-
-
-CASES: dict[str, Callable[[], Case]] = {
-    "plate": bare_plate,
-    "scan": scan,
-    "room, 1 point": lambda: room(1),
-    "room, 4 × 4 points": lambda: room(4),
-}
 
 
 @click.command()
+@click.argument("out", type=click.Path(path_type=Path))
 @click.option("--repeats", default=5, show_default=True, type=click.IntRange(1), help="Runs behind each median.")
 @click.option("--only", default="", help=f"Only the cases whose name contains this; they are {'; '.join(CASES)}.")
-def main(repeats: int, only: str) -> None:
-    """Print error against processor seconds for a bare plate and a furnished room, ours beside others."""
-    click.echo(f"Medians of {repeats}; processor seconds, {machine()}\n")
+@click.option("--dear", is_flag=True, help=f"Also the cases that take minutes: {'; '.join(DEAR)}.")
+def main(out: Path, repeats: int, only: str, dear: bool) -> None:
+    """Error against processor seconds for a bare plate and furnished rooms, ours beside others; a table and a
+    picture of each case go to the folder OUT."""
+    check_writable(out)
+    chosen = {name: case for name, case in (CASES | DEAR if dear else CASES).items() if only in name}
+    if not chosen:
+        raise InputError(f"--only {only}: the cases are {'; '.join(CASES)}; and with --dear {'; '.join(DEAR)}")
+    out.mkdir(parents=True, exist_ok=True)
     missing = missing_for_mitransient()
-    if missing:
-        click.echo(f"Without mitransient: {missing}\n")
-    for name, case in CASES.items():
-        if only in name:
-            click.echo(report(case(), repeats))
+    pages = [f"Medians of {repeats}; processor seconds, {machine()}\n"]
+    pages += [f"Without mitransient: {missing}\n"] if missing else []
+    click.echo("\n".join(pages))
+    for name, make in chosen.items():
+        case = make()
+        turns = measured(case, repeats)
+        pages.append(report(case, turns))
+        click.echo(pages[-1])
+        file = out / f"peers_{'_'.join(re.findall('[a-z0-9]+', name))}.png"
+        picture(case.title, case.norm, case.target, lines_of(case, turns), file)
+    (out / "peers.md").write_text("\n".join(pages), encoding="utf-8")
+    click.echo(f"{out / 'peers.md'}, a picture of each case beside it")

@@ -1,6 +1,8 @@
-"""The furnished room that benches share: closed, 4 × 3 × 2.5 m, with a box and a pillar."""
+"""The furnished room that benches share: closed, 4 × 3 × 2.5 m, with a box and a pillar; meshes of any size in it."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import trimesh
@@ -19,8 +21,19 @@ def rectangle(name: str, surface: Rectangle, albedo: float, role: Role = "struct
     return Part(name, mesh, Lambertian(albedo), role)
 
 
-def furnished_room(subdivisions: int = 0) -> Scene:
-    """The room, of 36 triangles, each cut into four `subdivisions` times."""
+def empty_room() -> Scene:
+    """The room with nothing in it, so that nothing hides anything."""
+    room = furnished_room()
+    kept = [k for k, role in enumerate(room.roles) if role != "object"]
+    faces = [room.triangles[room.faces_of(room.part_names[k])] for k in kept]
+    meshes = [trimesh.Trimesh(room.vertices, some, process=False) for some in faces]
+    return Scene.from_parts(
+        Part(room.part_names[k], mesh, room.materials[k], room.roles[k]) for k, mesh in zip(kept, meshes, strict=True)
+    )
+
+
+def furnished_room(subdivisions: int = 0, more: Sequence[Part] = ()) -> Scene:
+    """The room, of 36 triangles, each cut into four `subdivisions` times, and more that stands in it."""
     shell = trimesh.creation.box((4, 3, 2.5))
     shell.apply_translation((2, 0, 1.25))
     others = shell.submesh([np.flatnonzero(shell.triangles_center[:, 0] > 1e-6)], append=True)
@@ -35,7 +48,33 @@ def furnished_room(subdivisions: int = 0) -> Scene:
         Part("box", box, Lambertian(0.5)),
         Part("pillar", pillar, Lambertian(0.7)),
     ]
-    return Scene.from_parts(Part(p.name, _cut(p.mesh, subdivisions), p.material, p.role) for p in parts)
+    cut = [Part(p.name, _cut(p.mesh, subdivisions), p.material, p.role) for p in parts]
+    return Scene.from_parts([*cut, *more])
+
+
+def two_meshes() -> list[Part]:
+    """Of 972 and 5 808 triangles, standing free in the room."""
+    return [lump("small mesh", (1.4, 0.6, 0.9), 0.25, 9), lump("large mesh", (1.6, -0.2, 1.7), 0.35, 22)]
+
+
+def lump(name: str, center: tuple[float, float, float], radius_m: float, quads: int) -> Part:
+    """A ball with bumps of a tenth of its radius, 12 quads² triangles: a cube's faces blown up to a sphere."""
+    side = np.linspace(-1, 1, quads + 1)
+    u, v = (x.ravel() for x in np.meshgrid(side, side, indexing="ij"))
+    low = (np.arange(quads)[:, None] * (quads + 1) + np.arange(quads)).ravel()
+    right, up = low + quads + 1, low + 1
+    face = np.concatenate([np.stack([low, right, right + 1], 1), np.stack([low, right + 1, up], 1)])
+    points, faces = [], []
+    for k in range(6):
+        axis, sign = k // 2, 1.0 - 2.0 * (k % 2)
+        cube = np.empty((len(u), 3))
+        cube[:, axis], cube[:, (axis + 1) % 3], cube[:, (axis + 2) % 3] = sign, u, v
+        points.append(cube / np.linalg.norm(cube, axis=1, keepdims=True))
+        faces.append((face if sign > 0 else face[:, ::-1]) + k * len(u))
+    ball = np.concatenate(points)
+    bumps = 1 + 0.1 * np.prod(np.sin(5 * ball + (0.3, 1.1, 2.0)), axis=1)
+    vertices = radius_m * bumps[:, None] * ball + center
+    return Part(name, trimesh.Trimesh(vertices, np.concatenate(faces), process=False), Lambertian(0.6))
 
 
 def _cut(mesh: trimesh.Trimesh, times: int) -> trimesh.Trimesh:

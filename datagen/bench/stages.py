@@ -1,25 +1,31 @@
 """Where a build's time goes: seconds per scene by stage, and scenes per second, from the records of small builds.
 
 A worker's first scenes pay for loading and compiling the kernels: a first build, not counted, leaves the compiled
-kernels on disk, and each worker's first shard is left out of the rates.
+kernels on disk, and each worker's first shard is left out of the rates. What a million scenes would take is told from
+the processor seconds of some, made one after the other, which a busy machine does not change.
 """
 
 from __future__ import annotations
 
+import statistics
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
-from datagen.bench.measuring import machine, markdown
+from datagen.bench.measuring import machine, markdown, processor_seconds
 from datagen.building.build import build
 from datagen.config import DatasetConfig, load_config
+from datagen.config.scans import GridScan
 from datagen.errors import InputError
-from datagen.store import ShardRecord, committed, read_manifest
+from datagen.pipeline import simulate_sample
+from datagen.store import ShardRecord, committed, prepare, read_manifest, write_shard
 from datagen.store.info import STAGES, seconds_by_stage
 
 SCENES_PER_SHARD = 2
+CORES = 16
+"""Of the machine for which a million scenes are told."""
 
 
 def records_of_build(config: DatasetConfig, workers: int, scenes: int) -> list[ShardRecord]:
@@ -38,13 +44,65 @@ def scenes_per_second(records: Sequence[ShardRecord], workers: int) -> float:
     return sum(len(record.scenes) for record in after) / (after[-1].finished - warm)
 
 
+def scanned(config: DatasetConfig, scan: str) -> DatasetConfig:
+    """The configuration with another number of laser points and bins.
+
+    scan : rows, columns and bins, such as 64x64x512.
+
+    Raises
+    ------
+    InputError : for a text that is no such numbers, or a configuration without a grid of laser points.
+    """
+    counts = scan.split("x")
+    if len(counts) != 3 or not all(count.isdigit() and int(count) > 0 for count in counts):
+        raise InputError(f"--scan {scan}: must be rows, columns and bins, such as 64x64x512")
+    rows, columns, bins = (int(count) for count in counts)
+    grid, time = config.capture.scan, config.capture.time
+    if not isinstance(grid, GridScan):
+        raise InputError(f"--scan {scan}: {config.name} has no grid of laser points")
+    changed = {"scan": grid.model_copy(update={"rows": rows, "columns": columns}),
+               "time": time.model_copy(update={"bins": bins})}  # fmt: skip
+    return config.model_copy(update={"capture": config.capture.model_copy(update=changed)})
+
+
+def processor_seconds_of_scenes(config: DatasetConfig, scenes: int) -> list[float]:
+    """Of each of `scenes` scenes, from its seed to its shard on disk; one before them, which compiles, left out."""
+    alone = config.store.model_copy(update={"scenes_per_shard": 1})
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder) / "set"
+        manifest = prepare(root, config.with_scenes(scenes + 1).model_copy(update={"store": alone}))
+
+        def made(shard: int) -> ShardRecord:
+            samples = ((index, simulate_sample(config, index)) for index in manifest.schema.scenes_of(shard))
+            return write_shard(root, manifest.schema, shard, manifest.fingerprint, samples)
+
+        return [processor_seconds(lambda shard=shard: made(shard))[1] for shard in range(scenes + 1)][1:]  # type: ignore[misc]
+
+
+def a_million(config: DatasetConfig, seconds: Sequence[float]) -> str:
+    """What 10⁶ scenes would take on `CORES` cores, in one line."""
+    mean = statistics.mean(seconds)
+    spread = f"{min(seconds):.2g} … {max(seconds):.2g}"
+    days = 1e6 * mean / CORES / 86400
+    return (
+        f"{config.name}: {mean:.3g} processor s a scene (mean of {len(seconds)}, {spread}): a million of them would "
+        f"take {days:.2g} days on {CORES} cores"
+    )
+
+
 @click.command()
 @click.argument("config")
 @click.option("--scenes", default=16, show_default=True, type=click.IntRange(8), help="Scenes of each build.")
 @click.option("--workers", default="1,2", show_default=True, help="Numbers of workers, one row each.")
-def main(config: str, scenes: int, workers: str) -> None:
-    """Print seconds per scene by stage, and scenes per second, for CONFIG."""
-    loaded = load_config(config)
+@click.option("--scan", help="Rows, columns and bins instead of CONFIG's, such as 64x64x512.")
+@click.option("--million", is_flag=True, help="Say instead what a million scenes would take, by --scenes of them.")
+def main(config: str, scenes: int, workers: str, scan: str | None, million: bool) -> None:
+    """Print seconds per scene by stage, and scenes per second, for CONFIG; or what a million scenes would take."""
+    loaded = load_config(config) if scan is None else scanned(load_config(config), scan)
+    if million:
+        what = f"{scan}, " if scan else ""
+        click.echo(f"{what}{a_million(loaded, processor_seconds_of_scenes(loaded, scenes))}; {machine()}")
+        return
     if not all(count.isdigit() and 0 < int(count) < scenes // SCENES_PER_SHARD for count in workers.split(",")):
         raise InputError(f"--workers {workers}: must be numbers such as 1,2, less than half of --scenes {scenes}")
     counts = [int(count) for count in workers.split(",")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from datasets import write_dataset
 from rooms import furnished_box, one_point_capture
 
 from datagen import Accuracy, simulate
-from datagen.bench import detector, scaling, stages
+from datagen.bench import detector, peer_cases, peers, scaling, stages
 from datagen.bench.accuracy import Truth, noise_and_bias, with_front
 from datagen.bench.accuracy_report import advice, table
 from datagen.bench.accuracy_settings import Row, fewer_laser_points
@@ -97,6 +98,13 @@ def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     assert [row[0] for row in rows] == ["1"] and rows[0][-1] == "4.00"
 
 
+def test_a_million_scenes(config: str, capsys: pytest.CaptureFixture[str]) -> None:
+    printed = printed_by(["stages", config, "--scan", "2x2x54", "--million", "--scenes", "8"], capsys)
+    assert "2x2x54, tiny" in printed and "mean of 8" in printed
+    told = stages.a_million(load_config(config), [1.0, 2.0])
+    assert "1.5 processor s" in told and "1.1 days on 16 cores" in told, "10⁶ × 1.5 s / 16 / 86 400 s"
+
+
 def test_plan(config: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("datagen.bench.plan.WITHIN", math.inf)
     rows = rows_of(printed_by(["plan", config, "--scenes", "2", "--seconds", "5"], capsys), "configuration")
@@ -105,13 +113,34 @@ def test_plan(config: str, capsys: pytest.CaptureFixture[str], monkeypatch: pyte
     assert furthest_off(held) == pytest.approx(1.6)
 
 
-def test_peers(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from datagen.bench import peers
+def test_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(peers, "CASES", {"plate": lambda: peer_cases.bare_plate(2, 200)})
+    monkeypatch.setattr(peer_cases, "missing_for_mitransient", lambda: "not asked for")
+    printed = printed_by(["peers", str(tmp_path), "--repeats", "1"], capsys)
+    errors = [float(row[3].split()[0]) for row in rows_of(printed, "")]
+    assert errors[0] > errors[3] and errors[4] > errors[6] and errors[7] > errors[10]
+    assert (tmp_path / "peers.md").read_text() in printed
+    assert (tmp_path / "peers_plate.png").read_bytes()[:4] == b"\x89PNG"
 
-    monkeypatch.setattr(peers, "CASES", {"plate": lambda: peers.bare_plate(2, 200)})
-    monkeypatch.setattr(peers, "missing_for_mitransient", lambda: "not asked for")
-    errors = [float(row[3].split()[0]) for row in rows_of(printed_by(["peers", "--repeats", "1"], capsys), "")]
-    assert errors[0] > errors[2] and errors[3] > errors[5] and errors[6] > errors[9]
+
+def test_errors_of_a_case_and_a_peer_s_agreement() -> None:
+    """A total 10 % off, an object 30 % off, late light 20 % off; runs about the truth agree with it within noise."""
+    truth = np.ones((2, 3, 8))
+    result = truth * np.array([1.0, 1.3])[:, None, None]
+    result[0, :, 4:] = 1.2
+    case = peer_cases.Case("", 1, 0.1, (), late=4)
+    assert list(case.errors(result, truth).values()) == pytest.approx([0.1, 0.3, 0.2])
+    rng = np.random.default_rng(1)
+    runs = [truth[0] + 0.1 * rng.standard_normal(truth[0].shape) for _ in range(20)]
+    peer = peer_cases.Contender("", "paths", lambda n, seed: truth, (64,), truth)
+    apart, noise = (float(found) for found in re.findall(r"([\d.]+) %", peers.agreement(peer, runs)))
+    assert 1 < apart < 4 and noise == pytest.approx(10 / math.sqrt(20), rel=0.2)
+
+
+def test_a_contender_that_is_asked_for_an_error_pays_for_that_one() -> None:
+    runs = [peers.Run(seconds, {"": error}, np.zeros(1)) for seconds, error in ((1.0, 0.01), (3.0, 0.004))]
+    contender = peer_cases.Contender("", "", lambda n, seed: np.zeros(1), (10, 50), np.zeros(1), asks=True)
+    assert peers.seconds_to_target(contender, runs, 0.02) == (3.0, True)
 
 
 def test_seconds_to_an_error_follow_the_measured_line() -> None:
@@ -197,8 +226,10 @@ def test_fewer_laser_points_keep_their_pixels() -> None:
         (["accuracy", "none.yaml", "OUT"], "none.yaml"),
         (["plan", "CONFIG", "--seconds", "0"], "--seconds 0"),
         (["stages", "CONFIG", "--workers", "two"], "--workers two"),
+        (["stages", "CONFIG", "--scan", "64x64"], "--scan 64x64"),
         (["target", "OUT", "--scenes", "0"], "--scenes 0"),
         (["scaling", "--only", "nothing"], "--only nothing"),
+        (["peers", "OUT", "--only", "nothing"], "--only nothing"),
         (["paeers"], "paeers"),
     ],
 )

@@ -32,6 +32,7 @@ def moved(scene: Scene, capture: Capture, scale: float, shift: tuple[float, ...]
         Laser(capture.laser.position * scale + s, capture.laser.targets * scale + s),
         Sensor(capture.sensor.position * scale + s, capture.sensor.pixels * scale + s),
         TimeAxis(axis.bins, axis.width_s * scale, axis.start_s * scale, axis.origin),
+        capture.pairing,
     )
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from hard_case_cells import CELLS
 from hard_case_counts import COUNTS
 from hard_case_light import LIGHT
 
@@ -18,7 +19,7 @@ HEAD = "| case | naively | here | truth | test |\n|---|---|---|---|---|"
 
 def main() -> None:
     print(HEAD, flush=True)
-    for case in (*LIGHT, *COUNTS):
+    for case in (*LIGHT, *CELLS, *COUNTS):
         print(case().row(), flush=True)
 
 

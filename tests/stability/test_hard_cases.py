@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from hard_case_cells import CELLS
 from hard_case_counts import COUNTS
 from hard_case_light import LIGHT
 from measured import HardCase
 
 
-@pytest.mark.parametrize("case", [*LIGHT, *COUNTS], ids=lambda case: case.__name__)
+@pytest.mark.parametrize("case", [*LIGHT, *CELLS, *COUNTS], ids=lambda case: case.__name__)
 def test_hard_case(case: Callable[[], HardCase]) -> None:
     measured = case()
     assert measured.ours <= measured.allowed, f"{measured.name}: {measured.our_way}"

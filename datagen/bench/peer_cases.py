@@ -1,0 +1,233 @@
+"""What `datagen bench peers` computes: rooms and captures, the ways to compute them, and the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.bench import other_renderers as others
+from datagen.bench.measuring import percent
+from datagen.bench.other_renderers import MitransientPeer, grid_points, missing_for_mitransient
+from datagen.bench.problems import DEVICE, WALL, furnished_room, lump, rectangle, two_meshes
+from datagen.records import Accuracy, Capture, Rectangle, Scene, TimeAxis
+from datagen.transport import simulate
+from datagen.units import time_from_path
+
+Array = NDArray[np.float64]
+LATE_S = 10e-9
+"""Light after this has mostly bounced four times."""
+OBJECTS, LATE = "worst object", "after 10 ns"
+PEER = "mitransient"
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One way to compute a case.
+
+    run : (samples, seed) → (row, pixel, bin): the total and, where the case asks for objects and the way knows them,
+        each object's own light. asks : whether `samples` is the error asked for, as one in so many.
+    """
+
+    name: str
+    unit: str
+    run: Callable[[int, int], Array]
+    samples: tuple[int, ...]
+    truth: Array
+    asks: bool = False
+
+    def asked(self, samples: int) -> str:
+        """What was asked of it, in words."""
+        return f"to {percent(1 / samples)}" if self.asks else f"{samples} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Case:
+    """title : what is computed. norm : 1 or 2, of the relative error. target : the error to compare at.
+    late : first bin of what else is looked at, or nothing. most : runs behind each median at most."""
+
+    title: str
+    norm: int
+    target: float
+    contenders: tuple[Contender, ...]
+    late: int | None = None
+    most: int = 100
+
+    def errors(self, result: Array, truth: Array) -> dict[str, float]:
+        """Relative error of the whole and, where asked for and known, of the worst object and of late light."""
+        found = {f"relative L{self.norm} error": self._error(result[0], truth[0])}
+        if len(result) > 1:
+            found[OBJECTS] = max(self._error(a, b) for a, b in zip(result[1:], truth[1:], strict=True))
+        if self.late is not None:
+            found[LATE] = self._error(result[0, :, self.late :], truth[0, :, self.late :])
+        return found
+
+    def _error(self, result: Array, truth: Array) -> float:
+        return float(np.linalg.norm((result - truth).ravel(), self.norm) / np.linalg.norm(truth.ravel(), self.norm))
+
+
+def ours(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, objects: bool = False) -> Array:
+    """(row, pixel, bin) radiance: the total, and each object's own light if asked for."""
+    found = simulate(scene, capture, accuracy, seed, split_parts=objects)
+    names = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object" and objects]
+    rows = [found.total, *(found.parts[name] for name in names)]
+    return np.stack([others.photons_to_radiance(row, capture).reshape(-1, capture.time.bins) for row in rows])
+
+
+def by_cells(scene: Scene, capture: Capture, bounces: int, objects: bool = False) -> Callable[[int, int], Array]:
+    """Ours as a user asks for it, to an error of one in so many."""
+    return lambda one_in, seed: ours(scene, capture, Accuracy(target=1 / one_in, max_bounces=bounces), seed, objects)
+
+
+def by_walk(scene: Scene, capture: Capture, bounces: int) -> Callable[[int, int], Array]:
+    """Ours by so many lookins, the plain estimator."""
+    return lambda lookins, seed: ours(scene, capture, Accuracy(lookins, 1, bounces, replicates=1), seed)
+
+
+def by_peer(scene: Scene, sides: tuple[int, int], axis: TimeAxis, bounces: int, lasers: Array | None = None) -> (
+    Callable[[int, int], Array]
+):  # fmt: skip
+    """mitransient's of a room: confocal, or one laser point after the other."""
+    each = [None] if lasers is None else list(lasers)
+    peers = [MitransientPeer(scene, "relay_wall", WALL, DEVICE, at, *sides, axis, bounces=bounces) for at in each]
+
+    def run(paths: int, seed: int) -> Array:
+        return np.concatenate([peer.render(paths, seed * len(peers) + k) for k, peer in enumerate(peers)])[None]
+
+    return run
+
+
+def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
+    """A plate of 0.5 m, 1 m from a scan of 0.7 m."""
+    scan = Rectangle.of((0, 0, 0), (0, 0.35, 0), (0, 0, 0.35))
+    plate = Rectangle.of((1.0, 0, 0), (0, -0.25, 0), (0, 0, 0.25))
+    albedos, device = (0.8, 0.6), np.array([0.5, 0.0, 0.0])
+    axis = path_axis(300, 0.003, 1.95)
+    points = grid_points(scan, points_a_side, points_a_side)
+    scene = Scene.from_parts([rectangle("wall", scan, albedos[0]), rectangle("plate", plate, albedos[1], "object")])
+
+    def quadrature(knots: int, _: int) -> Array:
+        return others.plate_quadrature(points, scan.normal, plate, albedos, axis, knots)[None]
+
+    capture = others.point_capture(scan, points, device, points, axis, confocal=True)
+    truth = quadrature(reference_knots, 0)
+    contenders = [
+        Contender("ours, cells", "", by_cells(scene, capture, 3), (10, 50, 100, 200), truth, asks=True),
+        Contender("ours, walk", "lookins a point", by_walk(scene, capture, 3), (1 << 11, 1 << 13, 1 << 15), truth),
+        Contender("plain quadrature (numba)", "knots a side", quadrature, (32, 64, 128, 192), truth),
+    ]
+    if missing_for_mitransient() is None:
+        sides = (points_a_side, points_a_side)
+        peer = MitransientPeer(scene, "wall", scan, device, None, *sides, axis, bounces=3, aim_at_hidden=True)
+        counts = (1 << 8, 1 << 10, 1 << 12)
+        contenders.append(Contender(PEER, "paths a point", lambda n, seed: peer.render(n, seed)[None], counts, truth))
+    title = f"Bare plate, {points_a_side} × {points_a_side} confocal points, 300 bins of 3 mm, 3 bounces"
+    return Case(title, 1, 0.01, tuple(contenders))
+
+
+def scan(
+    scene: Scene, what: str, points_a_side: int = 16, bounces: int = 3, *, reference_one_in: int = 1000,
+    objects: bool = False, asked: tuple[int, ...] = (10, 50, 200), walks: tuple[int, ...] = (),
+    peer_paths: tuple[int, ...] = (1 << 12, 1 << 14, 1 << 16), most: int = 100,
+) -> Case:  # fmt: skip
+    """A confocal scan of a room: the main job."""
+    axis, sides = path_axis(512, 0.03, 0.0), (points_a_side, points_a_side)
+    points = grid_points(WALL, *sides)
+    capture = others.point_capture(WALL, points, DEVICE, points, axis, confocal=True)
+    cells = by_cells(scene, capture, bounces, objects)
+    truth = cells(reference_one_in, 1000)
+    contenders = [Contender("ours, cells", "", cells, asked, truth, asks=True)]
+    if walks:
+        contenders.append(Contender("ours, walk", "lookins a point", by_walk(scene, capture, bounces), walks, truth))
+    if peer_paths and missing_for_mitransient() is None:
+        peer = by_peer(scene, sides, axis, bounces)
+        contenders.append(Contender(PEER, "paths a point", peer, peer_paths, truth))
+    title = (
+        f"{what}, {points_a_side}² confocal points, 512 bins of 3 cm, {_orders(bounces)} (reference: cells to "
+        f"1/{reference_one_in})"
+    )
+    return Case(title, 2, 0.02, tuple(contenders), _late(axis) if bounces > 3 else None, most)
+
+
+def exhaustive(reference_one_in: int = 100) -> Case:
+    """Every pair of 3 × 3 laser points and 8 × 8 pixels."""
+    scene, axis = furnished_room(), path_axis(512, 0.03, 0.0)
+    lasers, points = grid_points(WALL, 3, 3), grid_points(WALL, 8, 8)
+    cells = by_cells(scene, others.point_capture(WALL, points, DEVICE, lasers, axis), 4)
+    truth = cells(reference_one_in, 1000)
+    contenders = [Contender("ours, cells", "", cells, (50,), truth, asks=True)]
+    if missing_for_mitransient() is None:
+        peer = by_peer(scene, (8, 8), axis, 4, lasers)
+        contenders.append(Contender(PEER, "paths a pair", peer, (1 << 12, 1 << 14, 1 << 16), truth))
+    title = f"Furnished room, 3² laser points × 8² pixels, 512 bins of 3 cm, {_orders(4)} (reference: cells to "
+    return Case(f"{title}1/{reference_one_in})", 2, 0.02, tuple(contenders), _late(axis), most=1)
+
+
+def room(points_a_side: int, reference_walks: int = 1 << 20) -> Case:
+    """One laser point, points on the relay wall, three and four bounces in bins of 10 cm."""
+    scene, laser_point = furnished_room(), np.array([0, -0.8, 1.4])
+    axis, sides = path_axis(170, 0.1, 0.0), (points_a_side, points_a_side)
+    capture = others.point_capture(WALL, grid_points(WALL, *sides), DEVICE, laser_point[None], axis)
+    walk = by_walk(scene, capture, 4)
+    halves = [walk(reference_walks // 2, 1000 + k) for k in range(2)]
+    truth = (halves[0] + halves[1]) / 2
+    uncertain = float(np.linalg.norm(halves[0] - halves[1]) / 2 / np.linalg.norm(truth))
+    contenders = [
+        Contender("ours, by target", "", by_cells(scene, capture, 4), (10, 50, 100), truth, asks=True),
+        Contender("ours, walk", "lookins", walk, (1 << 12, 1 << 14, 1 << 16), truth),
+    ]
+    if missing_for_mitransient() is None:
+        most = (1 << 20) // points_a_side**2
+        peer = by_peer(scene, sides, axis, 4, laser_point[None])
+        contenders.append(Contender(PEER, "paths a point", peer, (most // 16, most // 4, most), truth))
+    title = (
+        f"Furnished room, 1 laser point, {points_a_side}² points, 170 bins of 10 cm, {_orders(4)} (reference: "
+        f"{reference_walks} walks of ours, uncertain by {percent(uncertain)})"
+    )
+    return Case(title, 2, 0.02, tuple(contenders))
+
+
+def path_axis(bins: int, width_m: float, start_m: float) -> TimeAxis:
+    """Bins of so much path, from the wall on."""
+    return TimeAxis(bins, time_from_path(width_m), time_from_path(start_m), "wall")
+
+
+def _late(axis: TimeAxis) -> int:
+    return int(np.searchsorted(axis.centers_s, LATE_S))
+
+
+def _orders(bounces: int) -> str:
+    return "3 bounces" if bounces == 3 else "3 + 4 bounces"
+
+
+def _meshed() -> Scene:
+    return furnished_room(more=two_meshes())
+
+
+def _million() -> Scene:
+    return furnished_room(more=[lump("mesh", (1.6, -0.2, 1.5), 0.4, 289)])
+
+
+CASES: dict[str, Callable[[], Case]] = {
+    "plate": bare_plate,
+    "scan": lambda: scan(furnished_room(), "Furnished room", walks=(1 << 9, 1 << 11, 1 << 13)),
+    "scan, meshes": lambda: scan(
+        _meshed(), "Furnished room with meshes of 972 and 5 808 triangles", reference_one_in=400, objects=True
+    ),
+    "scan, 3 + 4 bounces": lambda: scan(furnished_room(), "Furnished room", 8, 4, reference_one_in=200),
+    "room, 1 point": lambda: room(1),
+    "room, 4 × 4 points": lambda: room(4),
+}
+DEAR: dict[str, Callable[[], Case]] = {
+    "scan, meshes, 3 + 4 bounces": lambda: scan(
+        _meshed(), "Furnished room with meshes of 972 and 5 808 triangles", 8, 4, reference_one_in=100, most=1
+    ),
+    "exhaustive": exhaustive,
+    "scan, a million triangles": lambda: scan(
+        _million(), "Furnished room with a mesh of 1 002 252 triangles", 32, asked=(50,), reference_one_in=100,
+        peer_paths=(1 << 10, 1 << 12), most=1,
+    ),
+}  # fmt: skip
+"""Cases that take minutes."""
