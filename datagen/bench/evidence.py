@@ -1,4 +1,4 @@
-"""How far objects stand out of the noise in the first scenes of configurations: their evidence, as a build stores it."""
+"""How far objects stand out of the noise in the first scenes of configurations, as a build stores it."""
 
 from __future__ import annotations
 
