@@ -16,10 +16,10 @@ Under 3 no network can learn the label from the data.
 from pathlib import Path
 
 from datagen.compiled import drop_stale_kernels
-from datagen.evidence.own import Evidence, kind_of, own_evidence
+from datagen.evidence.own import Evidence, own_evidence
 from datagen.evidence.seen import evidence_image
 
-__all__ = ["Evidence", "evidence_image", "kind_of", "own_evidence"]
+__all__ = ["Evidence", "evidence_image", "own_evidence"]
 
 _HERE = Path(__file__).parent
 drop_stale_kernels(_HERE, _HERE.with_name("transport") / "brdf")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -88,11 +87,6 @@ def own_evidence(
 def objects_of(scene: Scene) -> tuple[str, ...]:
     """The names of a scene's objects, in the order of its parts."""
     return tuple(name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object")
-
-
-def kind_of(part: str) -> str:
-    """What an object is called in `scene.contents`: its part's name without its number (box_2: box)."""
-    return re.sub(r"_\d+$", "", part)
 
 
 def evidence_parameters(found: Mapping[str, Evidence]) -> dict[str, Scalar]:

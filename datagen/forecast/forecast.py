@@ -14,6 +14,7 @@ from datagen.config import DatasetConfig
 from datagen.errors import InputError
 from datagen.forecast.pilots import Pilots
 from datagen.store import Schema, ShardRecord, committed, read_manifest
+from datagen.store.evidence_told import KindEvidence
 from datagen.store.files import finite
 
 
@@ -34,6 +35,7 @@ class Forecast:
     startup_s : of each worker process.
     build_s : the whole build, wall clock.
     build_bytes : the whole dataset on disk. shard_memory_bytes : what a worker holds of the shard it fills.
+    evidence : how far objects stand out of the noise, kind by kind, in the pilot scenes.
     """
 
     scenes: int
@@ -53,6 +55,7 @@ class Forecast:
     build_s: float
     build_bytes: float
     shard_memory_bytes: int
+    evidence: tuple[KindEvidence, ...] = ()
 
     @property
     def bytes_per_scene(self) -> float:
@@ -101,6 +104,7 @@ def forecast(schema: Schema, pilots: Pilots, startup_s: float, workers: int, cor
         build_s=sharing * (busiest * sum(seconds.values()) + starts * startup_s),
         build_bytes=schema.scenes * sum(pilots.stored.values()) + pilots.fixed_bytes,
         shard_memory_bytes=schema.scenes_per_shard * schema.bytes_per_scene,
+        evidence=pilots.evidence,
     )
 
 

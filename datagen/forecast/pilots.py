@@ -21,6 +21,7 @@ from datagen.config.transport import TransportConfig
 from datagen.errors import InputError
 from datagen.records import Sample
 from datagen.store import finish, prepare, schema_of, write_shard
+from datagen.store.evidence_told import KindEvidence, evidence_by_kind
 from datagen.store.table import table_bytes, table_of
 
 MOST = 8
@@ -77,12 +78,14 @@ class Pilots:
     failed : scene → why it could not be made.
     stored : field → bytes on disk of one scene, mean; "records": its commit record and its row of the table.
     fixed_bytes : of all that a dataset holds once.
+    evidence : how far the objects of the pilot scenes stand out of the noise, kind by kind.
     """
 
     scenes: tuple[Pilot, ...]
     failed: Mapping[int, str]
     stored: Mapping[str, float]
     fixed_bytes: float
+    evidence: tuple[KindEvidence, ...] = ()
 
 
 def run_pilots(
@@ -177,7 +180,8 @@ def _written(
         }
         stored["records"] = sum(len(record.to_bytes()) for record in records) / count + row
         everything = sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
-        return Pilots(scenes, failed, stored, everything - len(scenes) * sum(stored.values()))
+        evidence = tuple(evidence_by_kind(sample.parameters for sample in samples))
+        return Pilots(scenes, failed, stored, everything - len(scenes) * sum(stored.values()), evidence)
 
 
 def spread_indices(scenes: int, count: int) -> list[int]:

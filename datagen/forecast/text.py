@@ -16,6 +16,7 @@ from datagen.forecast.pilots import run_pilots, startup_seconds
 from datagen.store import Schema, schema_of
 from datagen.store.card import readable
 from datagen.store.environment import cores, environment, hardware
+from datagen.store.evidence_told import evidence_lines
 from datagen.store.files import finite, json_bytes, write_atomically
 
 BUDGET_S = 1.5
@@ -167,6 +168,8 @@ def _one_scene(schema: Schema, expected: Forecast) -> Iterator[str]:
     if most > 1.2 * least:
         yield f"             {_digits(least)} … {_digits(most)} s from scene to scene"
     yield f"  error      {_error(expected)}"
+    for number, line in enumerate(evidence_lines(expected.evidence)):
+        yield f"  {'' if number else 'evidence':11}{line}"
     yield (
         f"  disk       {readable(_two(expected.bytes_per_scene))} compressed, "
         f"{readable(schema.bytes_per_scene)} decoded"

@@ -25,7 +25,7 @@ from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.places import Bucket, place
 from datagen.store.record import recorded_shards
-from datagen.store.schema import SPLITS_SINCE
+from datagen.store.schema import EVIDENCE_SINCE, SPLITS_SINCE
 from datagen.store.stats import QUANTITIES, WITH_STATS
 from datagen.store.table import TABLE, read_splits, read_table, stats_of_rows
 
@@ -61,13 +61,17 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     check : compare every value with the digest in its commit record when it is first read, once for all workers and
         epochs. Costs about 1 ms a MiB of decoded values; without it missing and damaged files are still found, but
         not files put in another's place.
+    evidence_at_least : only scenes whose every object has at least this significance (docs/evidence.md), 3 for what
+        can be learnt at all; scenes without objects stay. `data.parameters("evidence.weakest")` has the numbers, and
+        with the label `objects` the field `object_significance` that of each object.
 
     Files are opened by each process for itself, at the first read; a dataset can be handed to loader workers started
     in any way. Scenes whose simulation failed are left out, with a warning.
 
     Raises
     ------
-    InputError : the folder is no dataset, shards are not committed, an unknown field or split, or an empty split.
+    InputError : the folder is no dataset, shards are not committed, an unknown field or split, an empty split, or
+        no scene with so much evidence.
     CheckError : for what is missing, damaged or other than was written, mostly while reading; naming file, scene and
         remedy.
 
@@ -97,6 +101,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         redraw_noise: bool = False,
         seed: int = 0,
         check: bool = True,
+        evidence_at_least: float | None = None,
     ) -> None:
         check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder that build made")
         check_seed(seed)
@@ -133,6 +138,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             self.scenes = self._scenes_of(split, fractions)
         elif fractions is not None:
             raise InputError("fractions: divide a dataset into splits; name the one to read, such as split='train'")
+        if evidence_at_least is not None:
+            self.scenes = self._scenes_with_evidence(evidence_at_least)
         self.seed = seed
         # Shared memory: no worker checks what another has.
         stored = ["transient" if name == "histogram" and self._noise else name for name in self.selected]
@@ -227,6 +234,27 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             others = Counter(found[scene] for scene in self.scenes)
             there = ", ".join(f"{name} {count}" for name, count in others.items())
             raise InputError(f"split = {split!r}: holds no scene of {self.path} ({there}); other fractions may help")
+        return chosen
+
+    def _scenes_with_evidence(self, least: float) -> NDArray[np.int64]:
+        """Those of the scenes whose weakest object has so much, and those without objects."""
+        if not 0 <= least < float("inf"):
+            raise InputError(f"evidence_at_least = {least}: must be a finite number ≥ 0, such as 3")
+        if self._manifest.schema_version < EVIDENCE_SINCE:
+            raise InputError(
+                f"evidence_at_least: {self.path} is of an earlier schema version, which has none; build it anew"
+            )
+        table = read_table(self.path, None, self._schema.scenes)
+        if "evidence.weakest" not in table.column_names:
+            return self.scenes
+        weakest = table["evidence.weakest"].to_pylist()
+        chosen = self.scenes[[weakest[scene] is None or weakest[scene] >= least for scene in self.scenes]]
+        if not len(chosen):
+            most = max(weakest[scene] for scene in self.scenes)
+            raise InputError(
+                f"evidence_at_least = {least:g}: no scene of {self.path} has it in every object, the best "
+                f"{most:.3g}; lower it, or build with a longer exposure"
+            )
         return chosen
 
     def _scenes_there(self, manifest: Manifest) -> NDArray[np.int64]:

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from datagen.errors import printable
 from datagen.store.environment import mixed
+from datagen.store.evidence_told import evidence_by_kind
 from datagen.store.files import write_if_changed
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
@@ -73,6 +74,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | N
         *_class_lines(schema),
         *_time_lines(config["capture"]),
         *_stats_lines(manifest),
+        *(_evidence_lines(table) if table is not None else []),
         *(_parameter_lines(table) if table is not None else []),
         "## Reading it",
         "",
@@ -144,6 +146,23 @@ def _stats_lines(manifest: Manifest) -> list[str]:
         "",
     ]
     return [*head, "| field | mean | std | share not 0 |", "|---|---|---|---|", *rows, ""] if rows else []
+
+
+def _evidence_lines(table: pa.Table) -> list[str]:
+    """How far objects stand out of the noise, kind by kind."""
+    names = [name for name in table.column_names if name.startswith("evidence.")]
+    kinds = evidence_by_kind(table.select(names).to_pylist()) if names else []
+    head = [
+        "## Evidence",
+        "",
+        "Significance of each object's own light, in standard deviations of a matched filter that knows all else;",
+        "under 3 a label cannot be learnt from the data.",
+        "",
+        "| kind | objects | median | share under 3 | share under 1 |",
+        "|---|---|---|---|---|",
+    ]
+    rows = [f"| {k.kind} | {k.objects} | {k.median:.3g} | {k.under_3:.1%} | {k.under_1:.1%} |" for k in kinds]
+    return [*head, *rows, ""] if rows else []
 
 
 def _class_lines(schema: Schema) -> list[str]:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from datagen.errors import InputError, printable
 from datagen.store.card import readable
 from datagen.store.environment import mixed
+from datagen.store.evidence_told import evidence_by_kind, evidence_lines
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.places import Place, place
 from datagen.store.record import SceneRecord, ShardRecord
@@ -59,7 +60,7 @@ def _told(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
             f"{field.name:20}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
         )
     lines += [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
-    parts = (_times, _accuracy, _decisions, _effects, _failures)
+    parts = (_times, _accuracy, _evidence, _decisions, _effects, _failures)
     return "\n".join([*lines, "", *(line for part in parts for line in part(records))])
 
 
@@ -118,6 +119,15 @@ def _accuracy(records: Sequence[ShardRecord]) -> Iterator[str]:
         parts = (f"{name} {statistics.median(values):.0%}" for name, values in shares.items())
         yield "  share of the transport's cost (median): " + ", ".join(parts)
     yield ""
+
+
+def _evidence(records: Sequence[ShardRecord]) -> Iterator[str]:
+    """How far objects stand out of the noise."""
+    lines = evidence_lines(evidence_by_kind(scene.parameters for scene in scenes_made(records)))
+    if lines:
+        yield "evidence of objects (significance of an ideal matched filter)"
+        yield from (f"  {line}" for line in lines)
+        yield ""
 
 
 def _decisions(records: Sequence[ShardRecord]) -> Iterator[str]:

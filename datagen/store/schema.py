@@ -39,6 +39,8 @@ COORDINATES_SINCE = 5
 """The first version that stores the arrival time of each bin, as a coordinate of its axis."""
 SPLITS_SINCE = 5
 """The first version whose table says which split a scene belongs to."""
+EVIDENCE_SINCE = 6
+"""The first version whose table says how much light each object brings."""
 CHUNK_BYTES = 4 * 2**20
 """A scene's chunk is cut (first along `laser`) when its raw bytes exceed this."""
 SHARD_BYTES = 256 * 2**20

@@ -11,8 +11,9 @@ from matched_filter import DRAWS, MODES, separation
 import datagen as dg
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.own_light import own_light
-from datagen.evidence.own import evidence_parameters, evidence_tables, kind_of
+from datagen.evidence.own import evidence_parameters, evidence_tables
 from datagen.records import Transient
+from datagen.store.evidence_told import evidence_by_kind, evidence_lines, kind_of
 
 TIME = dg.TimeAxis(bins=60, width_s=2e-10)
 PARTS = ("wall", "box", "pillar")
@@ -158,3 +159,22 @@ def test_a_matched_filter_sees_what_is_stated(mode: str) -> None:
     stated, measured, error = separation(MODES.index(mode), mode)
     assert stated > 0.5 and DRAWS == 1000
     assert abs(measured - stated) < 4.4 * error + 0.02 * stated
+
+
+def test_what_is_said_of_kinds() -> None:
+    sigma = {"box": [1.5, 30.0], "box_2": [6.0], "cone": [0.5], "ghost": [0.0]}
+    scenes = [
+        {f"evidence.{name}.significance": values[k] for name, values in sigma.items() if k < len(values)}
+        | {"evidence.weakest": 0.0, "evidence.box.detections": 5.0}
+        for k in range(2)
+    ]
+    box, cone, ghost = evidence_by_kind(scenes)
+    assert (box.objects, box.median, box.exposure_factor) == (3, 6.0, 4.0)
+    assert np.isclose(box.under_3, 1 / 3) and box.under_1 == 0.0 and cone.under_1 == 1.0
+    assert evidence_lines([box, ghost]) == [
+        "box: 6 σ in the median of 3, 33% under 3 σ; 4 × the exposure would bring 90% over",
+        "ghost: 0 σ in the median of 1, 100% under 3 σ; no exposure would bring 90% over",
+    ]
+    # So much more exposure does just that.
+    more = {"evidence.box.significance": 1.5 * np.sqrt(box.exposure_factor)}
+    assert evidence_by_kind([more])[0].under_3 == 0.0
