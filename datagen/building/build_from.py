@@ -50,6 +50,8 @@ def build_from(
     The dataset is read, verified and exported like any other. What would draw its rooms again, `show` and
     `export --format glb`, says that it cannot.
 
+    A script that calls it needs `if __name__ == "__main__":`, as with all of Python's pools.
+
     Examples
     --------
     >>> import datagen as dg, tempfile, trimesh
