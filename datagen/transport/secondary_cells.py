@@ -32,7 +32,7 @@ CLUSTER_STREAM = 66
 COARSEST, LIGHT, PAIR = 1.2, 0.05, 1e-3
 """Of the coarsest cells: the largest, relative to its distance; its error, relative to the light of its end; and the
 error of a pair, relative to the light of all pairs."""
-LIGHT_FINER, FINER, REST, LEVELS = 0.7, 0.25, 2.0, 8
+LIGHT_FINER, FINER, REST, LEVELS = 0.5, 0.25, 2.0, 8
 """What the two errors are multiplied with from one level to the next, finer one; the error of a level, relative to
 its difference from the next, for errors fall to about half; and the number of levels at most."""
 WITHIN = 0.7
@@ -97,22 +97,28 @@ def secondary_by_cells(gathering: Gathering, limit: float, own: float, faint: fl
     level = _level(scan, tried, weight, patches, scale, limit, own, faint)
     if level is None:
         return None
-    found = scan.light(pairs, level.number, level.patches, PAIR * FINER**level.number * scale)
+    if len(tried) == len(pairs):
+        found, error = level.finest, level.of_finest
+    else:
+        found = scan.light(pairs, level.number, level.patches, PAIR * FINER**level.number * scale)
+        error = level.error
     shape = task.capture.shape
     return Secondary(
         found.histogram.reshape(shape), (found.photons - found.histogram.sum(axis=1)).clip(0.0).reshape(shape[:2]),
-        level.error, rough.pairs + level.pairs + found.pairs, rough.rays + level.rays + found.rays,
+        error, rough.pairs + level.pairs + found.pairs, rough.rays + level.rays + found.rays,
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class _Level:
     """How finely cells are cut, between two of the levels tried, and how often pixels are quartered; the L2 error
-    that this leaves; and what finding it took."""
+    that this leaves; the light of the finest tried and its error; and what finding it took."""
 
     number: float
     patches: int
     error: float
+    finest: _Light
+    of_finest: float
     pairs: int
     rays: int
 
@@ -144,7 +150,10 @@ def _level(
             number, error = float(n - 1), float(still[-1])
         else:
             return None
-        return _Level(number, patches, error, sum(run.pairs for run in runs), sum(run.rays for run in runs))
+        left = (REST - 1) * float(np.linalg.norm(histograms[-1] - histograms[-2])) + of_patches
+        return _Level(
+            number, patches, error, runs[-1], left, sum(run.pairs for run in runs), sum(run.rays for run in runs)
+        )
 
 
 def _between(still: Floats, level: int, wanted: float) -> tuple[float, float]:
