@@ -7,7 +7,6 @@ workers, any engine, and any number of interruptions.
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections import Counter, deque
@@ -25,7 +24,7 @@ from datagen.building.time_limit import LONGEST_SCENE_S, overtime
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
-from datagen.records.checks import check_kind, check_number
+from datagen.records.checks import check_kind
 from datagen.store import upload
 from datagen.store.environment import made_with, mixed
 from datagen.store.places import Bucket, place
@@ -173,7 +172,7 @@ def build(
 def _check_scene_seconds(scene_seconds: float | None, engine: str) -> None:
     if scene_seconds is None:
         return
-    check_number("build", "scene_seconds", scene_seconds, -math.inf, math.inf, "seconds")
+    check_kind("build.scene_seconds", scene_seconds, int, float, remedy="seconds")
     if not 0 < scene_seconds <= LONGEST_SCENE_S:
         raise InputError(f"--scene-seconds {scene_seconds:g}: must be > 0 and ≤ {LONGEST_SCENE_S:g}")
     if engine != "local":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.paper.as_printed import AsPrinted, Conserved, simulate_as_printed
 from datagen.paper.as_printed_sampling import Grid
 from datagen.paper.envelopes import ComponentCurves, component_curves
@@ -233,11 +234,14 @@ def _rescaled(runs: Runs, factor: float) -> Level:
     """Every length times `factor`, the aperture and the way of light in a bin too: the same room in another unit."""
     scene, capture, sensor, axis = runs.scene, runs.capture, runs.capture.sensor, runs.capture.time
     larger = replace(scene, vertices=scene.vertices * factor, attenuation_per_m=scene.attenuation_per_m / factor)
-    seen = Capture(
-        Laser(capture.laser.position * factor, capture.laser.targets * factor),
-        Sensor(sensor.position * factor, sensor.pixels * factor, sensor.aperture_radius_m * factor),
-        TimeAxis(axis.bins, axis.width_s * factor, axis.start_s * factor, axis.origin),
-    )
+    with warnings.catch_warnings():
+        # A room of kilometres is absurd, and meant.
+        warnings.simplefilter("ignore", InputWarning)
+        seen = Capture(
+            Laser(capture.laser.position * factor, capture.laser.targets * factor),
+            Sensor(sensor.position * factor, sensor.pixels * factor, sensor.aperture_radius_m * factor),
+            TimeAxis(axis.bins, axis.width_s * factor, axis.start_s * factor, axis.origin),
+        )
     found = simulate(larger, seen, _counts(runs.sparse, runs.sizes.pixels, "all"), 0).components
     return Level(float(found["primary"].sum()), float(found["secondary"].sum()))
 

@@ -242,6 +242,7 @@ def test_bad_input_is_one_line(
     assert word in err and err.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
+@pytest.mark.filterwarnings("ignore:simulate. all light arrives outside:datagen.InputWarning")
 def test_a_dark_scene_is_refused(config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path(config).write_text(CONFIG.replace("bins: 108, bin_width_ps: 800", "bins: 4, bin_width_ps: 1"))
     assert run(["bench", "accuracy", config, str(tmp_path / "out"), "--seconds", "1"]) == 2

@@ -196,5 +196,5 @@ def test_few_connections_are_asked_and_a_target_proves_once_enough_were() -> Non
 
 
 def test_an_unknown_way_with_occlusion_is_refused() -> None:
-    with pytest.raises(InputError, match="occlusion = 'maybe': must be 'auto'"):
+    with pytest.raises(InputError, match="occlusion = 'maybe': must be one of auto"):
         Accuracy(occlusion="maybe")  # type: ignore[arg-type]

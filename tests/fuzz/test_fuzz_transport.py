@@ -17,6 +17,8 @@ from datagen.errors import InputError
 from datagen.records import Transient
 from datagen.transport.fov import PixelCones
 
+# Windows are drawn at random, too.
+pytestmark = pytest.mark.filterwarnings("ignore:simulate. all light arrives outside:datagen.InputWarning")
 FAMILY_LEVEL = 1e-3
 """Probability that the statistical tests of this file fail by chance in one run, nightly or not."""
 FAINTEST = 1e18 * float(np.finfo(float).tiny)

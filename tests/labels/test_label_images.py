@@ -162,6 +162,8 @@ def test_unusable_requests_are_told_in_one_line() -> None:
     wall = Part("wall", rectangle_mesh(wall_view()), Lambertian(0.5))
     with pytest.raises(InputError, match="hidden_view"):
         make_labels(CONFIG, Scene.from_parts([wall]), ("depth",))
-    flat = Rectangle.of((6, 0, 0), (0, 0, 0), (0, 0, 1))
+    with pytest.raises(InputError, match="neither of them 0"):
+        Rectangle.of((6, 0, 0), (0, 0, 0), (0, 0, 1))
+    flat = Rectangle(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 1.0]))
     with pytest.raises(InputError, match="positive and finite"):
         make_labels(CONFIG, Scene.from_parts([wall], hidden_view=flat), ("depth",))

@@ -14,6 +14,7 @@ from handmade_rooms import DISTANCE_M, HEIGHT_M, l_corridor
 import datagen as dg
 from datagen.config import LabelsConfig, config_from_mapping
 from datagen.errors import InputError
+from datagen.evidence.own import OBJECT_EVIDENCE
 from datagen.labels import OBJECT_TABLES, ObjectBoxes, ObjectSlots, ViewFrame, make_labels
 from datagen.records import Lambertian, Part, Pose, Scene
 from datagen.store import read_manifest, verify
@@ -124,7 +125,7 @@ def test_stored_verified_loaded(tmp_path: Path) -> None:
     dg.build(config, tmp_path / "set", progress=False)
     assert verify(tmp_path / "set").problems == ()
     data = dg.TransientDataset(tmp_path / "set", fields=("objects",))
-    assert data.selected == OBJECT_TABLES
+    assert data.selected == (*OBJECT_TABLES, *OBJECT_EVIDENCE)
     assert data.classes == config.scene.object_classes()
     assert "chair" in (tmp_path / "set" / "README.md").read_text()
     for item in range(len(data)):

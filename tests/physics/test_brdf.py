@@ -341,8 +341,8 @@ def directional(
         (lambda: Retroreflector(0.5, half_width_rad=0), "Retroreflector.half_width_rad = 0: must lie in 0.001"),
         (lambda: Retroreflector(0.5, retro=2), "Retroreflector.retro = 2"),
         (lambda: SinLobe(0.5, axis=(0, 0, 0)), "SinLobe.axis = (0, 0, 0): must be three finite numbers"),
-        (lambda: SinLobe(0.5, axis="up"), "SinLobe.axis = up"),  # type: ignore[arg-type]
-        (lambda: Lambertian("white"), "Lambertian.albedo = white"),  # type: ignore[arg-type]
+        (lambda: SinLobe(0.5, axis="up"), "SinLobe.axis = 'up'"),  # type: ignore[arg-type]
+        (lambda: Lambertian("white"), "Lambertian.albedo = 'white'"),  # type: ignore[arg-type]
         (lambda: albedo(Phong(0.5), 1.5), "cos_in = 1.5"),
         (lambda: MaterialTable.of((Material(0.5),)), "material Material: the transport knows Lambertian, SinLobe"),
     ],

@@ -71,6 +71,7 @@ def test_parts_add_up_to_the_total() -> None:
     assert not result.parts["relay_wall"].any()
 
 
+@pytest.mark.filterwarnings("ignore:simulate. all light arrives outside:datagen.InputWarning")
 @pytest.mark.parametrize(("bins", "start"), [(1, 0.0), (7, 2.2), (40, 2.0), (200, 30.0), (100_000, 0.0)])
 def test_energy_is_in_a_bin_or_in_the_overflow(bins: int, start: float) -> None:
     """Whatever the window, what falls outside is tallied: never wrapped, never piled into an end bin."""

@@ -65,6 +65,7 @@ def test_efficiency_and_pulse_act_as_they_should() -> None:
     assert moments[1][1] - moments[0][1] == pytest.approx(added, rel=0.02)
 
 
+@pytest.mark.filterwarnings("ignore:simulate. all light arrives outside:datagen.InputWarning")
 @pytest.mark.parametrize(
     ("capture", "scene"),
     [

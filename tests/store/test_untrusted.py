@@ -196,7 +196,7 @@ def test_millions_of_missing_shards_are_one_line(dataset: Path) -> None:
     assert "of 100000000" in info(dataset)
     with pytest.raises(InputError, match=r"24999999 of 25000000 shards are not committed, the first is 1"):
         TransientDataset(dataset)
-    with pytest.raises(InputError, match="must be ≤ 100000000"):
+    with pytest.raises(InputError, match="must be ≥ 1 and ≤ 100000000"):
         build(small_config(), dataset.parent / "new", scenes=10**12, progress=False, sample_function=fake_sample)
 
 

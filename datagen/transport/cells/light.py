@@ -29,6 +29,9 @@ COARSEST = 0.8
 """Largest cell or patch, relative to its distance."""
 PARTLY, UNFOUND = 0.5, 0.05
 """Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
+STILL_UNFOUND = 0.5
+"""What the latter is multiplied with for each larger cell about it of which no ray found anything either: what lies
+deep behind a mesh cannot be proven hidden, and is not searched as finely as an edge."""
 SMEARED = 0.3
 """Of a patch, the share that its arrival times spread over."""
 BLURRED = 0.25
@@ -131,7 +134,7 @@ def _vertex(cell, k, vertex):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _copy(cell, k, to):  # type: ignore[no-untyped-def]
-    for j in range(17):
+    for j in range(18):
         cell[to, j] = cell[k, j]
 
 
@@ -294,8 +297,9 @@ def gather(  # type: ignore[no-untyped-def]
     asked, part by part.
     """
     # What waits: its kind, number, patch and candidates; and of cells three vertices with w and path, and the area;
-    # and how many times as large as itself a patch is that it stands for.
-    tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 17))
+    # how many times as large as itself a patch is that it stands for; and how much of it may be seen though no ray
+    # found anything.
+    tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 18))
     candidates, waiting = np.empty(1 << 14, np.int64), np.full(512, -1)
     _gather(
         pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
@@ -441,7 +445,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             cell[top, 16] = share
                             for j in range(3):
                                 _put(cell, top, j, corner(corners, f, j), 0.0, 0.0)
-                            cell[top, 15] = area_before[f + 1] - area_before[f]
+                            cell[top, 15], cell[top, 17] = area_before[f + 1] - area_before[f], UNFOUND
                             top = _push(tag, top, FRESH, f, q, first, middle, last)
                         continue
                 if what != BOX and not quarter:
@@ -506,7 +510,7 @@ def _gather(  # type: ignore[no-untyped-def]
                                 )
                             visible = seen / 3
                             # What three rays do not find may still be there: it is cut a little less eagerly.
-                            cut = seen < 3 and (PARTLY if seen > 0 else UNFOUND) * over > allowed[k]
+                            cut = seen < 3 and (PARTLY if seen > 0 else cell[top, 17]) * over > allowed[k]
                             if seen == 0 and (
                                 not cut
                                 or _none_seen(
@@ -515,7 +519,9 @@ def _gather(  # type: ignore[no-untyped-def]
                                 )
                             ):  # fmt: skip
                                 continue
+                            cell[top, 17] = STILL_UNFOUND * cell[top, 17] if seen == 0 else UNFOUND
                 if quarter:
+                    cell[top, 17] = UNFOUND
                     # Another point of the wall, before which other things may stand.
                     candidates[last] = candidates[last + 1] = 0
                     first, middle, last = last, last + some, last + (2 * some if last_leg else some)
