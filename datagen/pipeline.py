@@ -18,7 +18,7 @@ from datagen.detector.own_light import detections_per_photon
 from datagen.effects import EffectDecisions, decide_detector_effects, decide_transport_effects
 from datagen.errors import InputError
 from datagen.evidence import evidence_image
-from datagen.evidence.own import UNKNOWN, Evidence, evidence_parameters, evidence_tables, objects_of, own_evidence
+from datagen.evidence.own import UNKNOWN, Evidence, evidence_parameters, evidence_tables, own_evidence
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
@@ -72,10 +72,11 @@ def sample_of(
             tolerance=tolerance, approximate=config.detector.approximate,
         )  # fmt: skip
     with _timed(seconds, "evidence"):
-        objects = objects_of(scene)
         # A transient that another simulator made is not split by object.
         evidence = (
-            own_evidence(transient, used, conditions, objects) if given is None else dict.fromkeys(objects, UNKNOWN)
+            own_evidence(transient, used, conditions, scene.objects)
+            if given is None
+            else dict.fromkeys(scene.objects, UNKNOWN)
         )
         image = _evidence_image(config, scene, capture, transient, used, conditions)
     with _timed(seconds, "labels"):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scene_library.rounding import cos, sin
+from scene_library.rounding import cos, length, product, sin
 
 Polygon = NDArray[np.float64]
 
@@ -54,17 +54,18 @@ _HAIR = 1e-6
 def _strip_about(p: Polygon) -> Polygon | None:
     """The rectangle about points that lie on one line, as the plan of an upright sheet does; None: they do not."""
     far = p[np.argmax(((p - p[0]) ** 2).sum(axis=1))] - p[0]
-    length = float(np.linalg.norm(far))
-    if length == 0:
+    long = float(length(far))
+    if long == 0:
         return None
-    along = far / length
+    along = far / long
     axes = np.stack([along, [-along[1], along[0]]])
-    low, high = ((p - p[0]) @ axes.T).min(axis=0), ((p - p[0]) @ axes.T).max(axis=0)
-    if high[1] - low[1] > _HAIR * length:
+    places = product(p - p[0], axes.T)
+    low, high = places.min(axis=0), places.max(axis=0)
+    if high[1] - low[1] > _HAIR * long:
         return None
-    hair = np.array([0.0, 0.5 * _HAIR * length])
+    hair = np.array([0.0, 0.5 * _HAIR * long])
     (t0, s0), (t1, s1) = low - hair, high + hair
-    return np.asarray(np.array([[t0, s0], [t1, s0], [t1, s1], [t0, s1]]) @ axes + p[0])
+    return np.asarray(product(np.array([[t0, s0], [t1, s0], [t1, s1], [t0, s1]]), axes) + p[0])
 
 
 def _is_convex(p: Polygon) -> bool:

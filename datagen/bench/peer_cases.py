@@ -71,8 +71,7 @@ class Case:
 def ours(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, objects: bool = False) -> Array:
     """(row, pixel, bin) radiance: the total, and each object's own light if asked for."""
     found = simulate(scene, capture, accuracy, seed, split_parts=objects)
-    names = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object" and objects]
-    rows = [found.total, *(found.parts[name] for name in names)]
+    rows = [found.total, *(found.parts[name] for name in scene.objects if objects)]
     return np.stack([others.photons_to_radiance(row, capture).reshape(-1, capture.time.bins) for row in rows])
 
 

@@ -24,7 +24,7 @@ from datagen.building.time_limit import LONGEST_SCENE_S, overtime
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
-from datagen.records.checks import check_kind
+from datagen.records.checks import check_kind, numbers_of
 from datagen.store import upload
 from datagen.store.environment import made_with, mixed
 from datagen.store.places import Bucket, place
@@ -314,16 +314,4 @@ def parse_shards(text: str | None, shards: int) -> list[int]:
     if text is None:
         return list(range(shards))
     check_kind("shards", text, str, remedy="such as '0-99'")
-    chosen: set[int] = set()
-    for piece in text.split(","):
-        first, dash, last = piece.partition("-")
-        try:
-            low, high = int(first), int(last) if dash else int(first)
-        except ValueError:
-            raise InputError(f"--shards {text}: must be numbers and ranges such as 0-99 or 3,7-9") from None
-        if low > high:
-            raise InputError(f"--shards {text}: the range {piece} is upside down; write the smaller number first")
-        if high >= shards:
-            raise InputError(f"--shards {text}: this dataset has the shards 0-{shards - 1}")
-        chosen.update(range(low, high + 1))
-    return sorted(chosen)
+    return numbers_of("shards", text, shards)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from datagen.building.build import BuildResult, build
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
+from datagen.labels.boxes import classes_in
 from datagen.pipeline import sample_of
 from datagen.records import Capture, Sample, Scene
 
@@ -159,12 +160,12 @@ def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, setti
         if name in settings:
             raise InputError(f"settings: {name!r} follows from the scenes and captures given; leave it out")
     fields = fields or ("histogram", "transient", *(("depth",) if all(of.scene.hidden_view for of in given) else ()))
-    classes = {s.pose_of(name).label for s in (of.scene for of in given) for name in _objects(s)}
+    classes = {name for of in given for name in classes_in(of.scene)}
     layout = {
         "kind": "given",
         "digest": hashlib.sha256("".join(of.digest for of in given).encode()).hexdigest(),
         "classes": sorted(classes),
-        "most_objects": max(1, *(len(_objects(of.scene)) for of in given)),
+        "most_objects": max(1, *(len(of.scene.objects) for of in given)),
     }
     time, pixels = first.time, first.shape[1]
     capture: dict[str, Any] = {
@@ -180,7 +181,3 @@ def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, setti
     store = settings.pop("store", {}) | {"fields": list(fields)}
     described = {"seed": seed, "scenes": len(given), "scene": {"layout": layout, "contents": []}, "store": store}
     return config_from_mapping(settings | described | {"capture": capture}, source="settings")
-
-
-def _objects(scene: Scene) -> list[str]:
-    return [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object"]

@@ -199,12 +199,9 @@ class _Setup:
         cls, transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, first_laser: int, first_pixel: int
     ) -> _Setup:
         """Check the arguments of a call; raises `InputError`."""
-        for argument, given, kind in (
-            ("time", time, TimeAxis),
-            ("spad", spad, Spad),
-            ("exposure", exposure, Exposure),
-        ):
-            check_kind(argument, given, kind)
+        check_kind("time", time, TimeAxis)
+        check_kind("spad", spad, Spad)
+        check_kind("exposure", exposure, Exposure)
         for name, value in (("first_laser", first_laser), ("first_pixel", first_pixel)):
             check_integer("detect", name, value, 0, 2**62)
         values = checked_transient(transient, time, exposure.photons_per_pulse)

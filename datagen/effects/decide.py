@@ -126,14 +126,11 @@ def plan_effects(
     """
     check_kind("scene", scene, Scene)
     check_kind("capture", capture, Capture)
-    given = (
-        (accuracy, Accuracy),
-        (spad, Spad),
-        (exposure, Exposure),
-        (settings, EffectsConfig),
-        (transient, Transient),
-    )
-    for name, (value, kind) in zip(("accuracy", "spad", "exposure", "settings", "transient"), given, strict=True):
+    optional: dict[str, tuple[object, type]] = {
+        "accuracy": (accuracy, Accuracy), "spad": (spad, Spad), "exposure": (exposure, Exposure),
+        "settings": (settings, EffectsConfig), "transient": (transient, Transient),
+    }  # fmt: skip
+    for name, (value, kind) in optional.items():
         if value is not None:
             check_kind(name, value, kind)
     check_number("plan_effects", "tolerance", tolerance, 0.0, 1.0, "a relative bias, such as 1e-3")

@@ -22,4 +22,4 @@ from datagen.evidence.seen import evidence_image
 __all__ = ["Evidence", "evidence_image", "own_evidence"]
 
 _HERE = Path(__file__).parent
-drop_stale_kernels(_HERE, _HERE.with_name("transport") / "brdf")
+drop_stale_kernels(_HERE, _HERE.with_name("transport"))

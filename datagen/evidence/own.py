@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from datagen.detector import Exposure, Spad
 from datagen.detector.own_light import own_light
 from datagen.errors import InputError
-from datagen.records import Scalar, Scene, Transient
+from datagen.records import Scalar, Transient
 
 OBJECT_EVIDENCE = ("object_detections", "object_brightest_bin", "object_significance")
 """The tables of it beside those of the objects' boxes."""
@@ -82,11 +82,6 @@ def own_evidence(
             most[k] = max(most[k], own.max())
     each = zip(sums.tolist(), most.tolist(), np.sqrt(squares).tolist(), strict=True)
     return {name: Evidence(*values) for name, values in zip(names, each, strict=True)}
-
-
-def objects_of(scene: Scene) -> tuple[str, ...]:
-    """The names of a scene's objects, in the order of its parts."""
-    return tuple(name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object")
 
 
 def evidence_parameters(found: Mapping[str, Evidence]) -> dict[str, Scalar]:

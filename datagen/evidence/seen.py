@@ -23,7 +23,9 @@ from datagen.config import LabelsConfig
 from datagen.labels.images import HiddenSurface, hidden_surface
 from datagen.records import Capture, Scene
 from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.brdf import MaterialTable, dot, evaluate
+from datagen.transport.brdf import MaterialTable, dot
+from datagen.transport.cells.geometry import get, less
+from datagen.transport.cells.light import weight
 from datagen.transport.fov import FovPool, PixelCones, fov_points
 from datagen.transport.raycast import Raycaster
 from datagen.transport.vertices import LaserPoints
@@ -167,35 +169,27 @@ def _unhidden(scene: Scene, surface: _Surface, stations: _Stations, capture: Cap
 
 @njit(cache=True, error_model="numpy")
 def _light(  # type: ignore[no-untyped-def]
-    y, normal, area, part, x, normal1, to_laser, part1, leg1, z, normal3, to_sensor, part3, leg3, weight, footprint,
+    y, normal, area, part, x, normal1, to_laser, part1, leg1, z, normal3, to_sensor, part3, leg3, share, footprint,
     kind, values, attenuation, device,
 ):  # fmt: skip
     light, path = np.zeros((len(y), len(x))), np.zeros((len(y), len(x)))
     for i in range(len(y)):
-        n = (normal[i, 0], normal[i, 1], normal[i, 2])
+        at, n, p = get(y, i, 0), get(normal, i, 0), part[i]
         for s in range(len(x)):
-            n1 = (normal1[s, 0], normal1[s, 1], normal1[s, 2])
-            n3 = (normal3[s, 0], normal3[s, 1], normal3[s, 2])
-            d1 = (y[i, 0] - x[s, 0], y[i, 1] - x[s, 1], y[i, 2] - x[s, 2])
-            d3 = (y[i, 0] - z[s, 0], y[i, 1] - z[s, 1], y[i, 2] - z[s, 2])
-            square1, square3 = dot(d1, d1), dot(d3, d3)
-            up1, up3, in2, out2 = dot(d1, n1), dot(d3, n3), -dot(d1, n), -dot(d3, n)
-            if up1 <= 0.0 or up3 <= 0.0 or in2 <= 0.0 or out2 <= 0.0:
+            lit_from = get(x, s, 0), get(normal1, s, 0), get(to_laser, s, 0)
+            seen_from = get(z, s, 0), get(normal3, s, 0), get(to_sensor, s, 0)
+            # Lit from behind, what the label shows is dark.
+            if dot(less(lit_from[0], at), n) <= 0.0:
                 continue
-            r1, r3 = math.sqrt(square1), math.sqrt(square3)
-            w1 = (d1[0] / r1, d1[1] / r1, d1[2] / r1)
-            w3 = (d3[0] / r3, d3[1] / r3, d3[2] / r3)
-            back = (to_laser[s, 0], to_laser[s, 1], to_laser[s, 2])
-            on = (to_sensor[s, 0], to_sensor[s, 1], to_sensor[s, 2])
-            p, p1, p3 = part[i], part1[s], part3[s]
-            f = evaluate(kind[p1], values[p1], n1, back, w1) * evaluate(kind[p3], values[p3], n3, w3, on)
-            f *= evaluate(kind[p], values[p], n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
-            near = square3 + footprint[s] / math.pi
-            air = math.exp(-attenuation * (leg1[s] + r1 + r3 + leg3[s]))
-            light[i, s] = (
-                area[i] * f * (up1 / r1) * (in2 / r1) / square1 * (out2 / r3) * (up3 / r3) / near * weight[s] * air
-            )
-            path[i, s] = r1 + r3 + (leg1[s] + leg3[s] if device else 0.0)
+            p1, p3 = part1[s], part3[s]
+            w, r1, r3 = weight(
+                at, n, kind[p], values[p], lit_from, kind[p1], values[p1], seen_from, kind[p3], values[p3],
+                footprint[s],
+            )  # fmt: skip
+            if w > 0.0:
+                air = math.exp(-attenuation * (leg1[s] + r1 + r3 + leg3[s]))
+                light[i, s] = area[i] * w * share[s] * air
+                path[i, s] = r1 + r3 + (leg1[s] + leg3[s] if device else 0.0)
     return light, path
 
 

@@ -1,5 +1,5 @@
-"""A dataset's scenes in the formats of other programs, and measurements of theirs as a dataset."""
+"""A dataset's scenes in the formats of other programs."""
 
-from datagen.export.export import FORMATS, export
+from datagen.export.export import export
 
-__all__ = ["FORMATS", "export"]
+__all__ = ["export"]

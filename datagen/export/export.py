@@ -10,19 +10,14 @@ from datagen.errors import CheckError, InputError
 from datagen.export.glb import write_glb
 from datagen.export.hub import write_hub
 from datagen.export.mat import write_mat
-from datagen.export.measurement import QUANTITIES, Scenes, StoredScene
+from datagen.export.measurement import QUANTITIES
 from datagen.export.plain import write_h5, write_npz
 from datagen.export.tal import write_tal
+from datagen.records.checks import numbers_of
 from datagen.store.files import PARTIAL
+from datagen.store.scenes import SceneContent, Scenes
 
-FORMATS = {
-    "tal": "y-tal's HDF5 (reconstruction)",
-    "mat": "MATLAB, confocal grids as the Stanford data, other scans as lists of pairs",
-    "npz": "NumPy arrays",
-    "h5": "HDF5, every field with units and axes",
-    "glb": "glTF, room, device and scan",
-    "hub": "a folder for the Hugging Face Hub",
-}
+FORMATS = ("tal", "mat", "npz", "h5", "glb", "hub")
 _ENDINGS = {"tal": "hdf5"}
 _MEASURED = ("tal", "mat")
 
@@ -59,7 +54,8 @@ def export(
             if scenes is not None:
                 raise InputError("--scenes: a folder for the Hub has all of them; leave it out")
             return write_hub(root, target)
-        wanted = root.made() if scenes is None else scene_numbers(scenes, root.manifest.schema.scenes)
+        asked = scenes if scenes is None or isinstance(scenes, str) else ",".join(map(str, scenes))
+        wanted = root.made() if asked is None else numbers_of("scenes", asked, root.manifest.schema.scenes)
         target.mkdir(parents=True, exist_ok=True)
         write, ending, written = _writer(format, field), _ENDINGS.get(format, format), []
         for scene in map(root.read, wanted):
@@ -77,7 +73,7 @@ def export(
     return written
 
 
-def _writer(format: str, field: str | None) -> Callable[[StoredScene, Path], None]:
+def _writer(format: str, field: str | None) -> Callable[[SceneContent, Path], None]:
     match format:
         case "tal":
             return partial(write_tal, quantity=field)
@@ -88,17 +84,3 @@ def _writer(format: str, field: str | None) -> Callable[[StoredScene, Path], Non
         case "h5":
             return write_h5
     return write_glb
-
-
-def scene_numbers(wanted: str | Sequence[int], scenes: int) -> list[int]:
-    """`"0,3-5"` → numbers, ascending, each once."""
-    chosen: set[int] = set()
-    for piece in wanted.split(",") if isinstance(wanted, str) else map(str, wanted):
-        first, dash, last = piece.strip().partition("-")
-        if not first.isdecimal() or (dash and not last.isdecimal()):
-            raise InputError(f"--scenes {wanted}: must be numbers and ranges such as 0,3-5")
-        low, high = int(first), int(last) if dash else int(first)
-        if low > high or high >= scenes:
-            raise InputError(f"--scenes {wanted}: {piece.strip()} must lie in 0-{scenes - 1}")
-        chosen.update(range(low, high + 1))
-    return sorted(chosen)

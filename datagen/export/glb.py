@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.export.measurement import StoredScene
 from datagen.records import GGX, Phong, Retroreflector, Scene
 from datagen.records.arrays import Floats
 from datagen.records.materials import Material
 from datagen.scene import generate_scene
+from datagen.store.scenes import SceneContent
 
 _MARK_M = 0.04
 _TINTS = {"relay_wall": (0.55, 0.75, 1.0), "structure": (1.0, 1.0, 1.0), "object": (1.0, 0.65, 0.3)}
@@ -24,7 +24,7 @@ _TINTS = {"relay_wall": (0.55, 0.75, 1.0), "structure": (1.0, 1.0, 1.0), "object
 _UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
-def write_glb(scene: StoredScene, path: Path) -> None:
+def write_glb(scene: SceneContent, path: Path) -> None:
     """Write one scene, drawn again from the dataset's seed.
 
     Raises `InputError` where a mesh file is gone, or the scenes were made in Python.
@@ -40,7 +40,7 @@ def glb_of(room: Scene, arrays: dict[str, NDArray[Any]] | Any) -> bytes:
 
     world = trimesh.Scene(base_frame="world")
     for number, name in enumerate(room.part_names):
-        faces = room.triangles[room.face_part == number]
+        faces = room.triangles[room.faces_of(name)]
         used, index = np.unique(faces, return_inverse=True)
         material = _look(room.materials[number], room.roles[number])
         visual = trimesh.visual.TextureVisuals(material=material)

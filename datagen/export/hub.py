@@ -20,9 +20,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.export.measurement import Scenes, StoredScene, lattice, measurement
+from datagen.export.measurement import lattice, measurement
 from datagen.store.card import CARD
 from datagen.store.files import write_if_changed
+from datagen.store.scenes import SceneContent, Scenes
 from datagen.store.table import TABLE, read_table
 
 VIEWER, DATASET = "viewer", "dataset"
@@ -118,7 +119,7 @@ def _features(table: pa.Table) -> dict[str, Any]:
     return features
 
 
-def _pictures(scene: StoredScene) -> dict[str, bytes]:
+def _pictures(scene: SceneContent) -> dict[str, bytes]:
     """Thumbnail: detections by place on the wall, or by pair and time where there is no grid. Labels beside it."""
     pictures = {"thumbnail": _png(_thumbnail(scene), "inferno")}
     if "depth" in scene.arrays:
@@ -127,7 +128,7 @@ def _pictures(scene: StoredScene) -> dict[str, bytes]:
     return pictures
 
 
-def _thumbnail(scene: StoredScene) -> NDArray[np.float64]:
+def _thumbnail(scene: SceneContent) -> NDArray[np.float64]:
     try:
         m = measurement(scene)
     except InputError:

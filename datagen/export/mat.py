@@ -21,15 +21,17 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.export.hdf5 import h5py
-from datagen.export.measurement import LIGHT_M_S, Measurement, StoredScene, lattice, measurement
+from datagen.export.measurement import Measurement, lattice, measurement
 from datagen.records.arrays import Floats
+from datagen.store.scenes import SceneContent
+from datagen.units import time_from_path
 
 _HEAD = b"MATLAB 7.3 MAT-file, HDF5 schema 1.00 ."
 _CLASS = {"float32": "single", "float64": "double"}
 _LARGEST_V5 = 2**31 - 1
 
 
-def write_mat(scene: StoredScene, path: Path, quantity: str | None = None) -> None:
+def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> None:
     """Write one scene. Raises `InputError` as `measurement` does, and where h5py is missing or a list is too long."""
     m = measurement(scene, quantity).from_time_zero()
     place = lattice(m.seen_points) if m.paired and np.array_equal(m.seen_points, m.laser_points) else None
@@ -64,7 +66,7 @@ def _legs_s(m: Measurement, lit: Floats, seen: Floats) -> Floats:
     if m.time.origin == "wall":
         return np.zeros(len(lit))
     ways = np.linalg.norm(lit - m.laser_position, axis=1) + np.linalg.norm(seen - m.sensor_position, axis=1)
-    return np.asarray(ways / LIGHT_M_S)
+    return np.asarray(time_from_path(ways))
 
 
 def _pairs(m: Measurement) -> dict[str, Any]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,60 +11,9 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.records.arrays import Floats
-from datagen.store import DatasetReader, Manifest, committed, read_manifest
-from datagen.store.record import read_record
+from datagen.store.scenes import SceneContent
 
-LIGHT_M_S = 299_792_458.0
 QUANTITIES = ("histogram", "transient")
-
-
-@dataclass(frozen=True)
-class StoredScene:
-    """Everything that a dataset stores of one scene.
-
-    arrays : field → the scene's value. parameters : as in `samples.parquet`.
-    """
-
-    root: Path
-    manifest: Manifest
-    index: int
-    arrays: Mapping[str, NDArray[Any]]
-    parameters: Mapping[str, float | int | str | bool]
-
-    @property
-    def time(self) -> TimeAxis:
-        """The bins of histogram and transient."""
-        of = self.manifest.config["capture"]["time"]
-        return TimeAxis(of["bins"], of["bin_width_ps"] * 1e-12, of["start_ns"] * 1e-9, of["origin"])
-
-
-class Scenes:
-    """The scenes of a dataset, one after the other. Needs none of the mesh files that it was made from.
-
-    Raises `InputError` when the folder is no dataset, `CheckError` for what is missing or damaged.
-    """
-
-    def __init__(self, dataset: str | Path) -> None:
-        self.root = Path(dataset)
-        self.manifest = read_manifest(dataset)
-        self._reader = DatasetReader(self.root, self.manifest, self.manifest.schema.by_name)
-
-    def made(self) -> list[int]:
-        """The numbers of the scenes that are there and could be made."""
-        records = committed(self.root, self.manifest)
-        return sorted(scene.index for record in records for scene in record.scenes if scene.failure is None)
-
-    def read(self, index: int) -> StoredScene:
-        """One scene. Raises `InputError` for one that is not there, or could not be made."""
-        schema = self.manifest.schema
-        record = read_record(self.root, index // schema.scenes_per_shard, self.manifest.must_be_sealed)
-        if record is None:
-            raise InputError(f"{self.root}: scene {index} is not there yet; run the same `datagen build` again")
-        if index in record.failures:
-            raise InputError(f"{self.root}: scene {index} could not be made ({record.failures[index]}); leave it out")
-        arrays = {name: self._reader.read(name, [index])[0] for name in schema.by_name}
-        parameters = next(scene.parameters for scene in record.scenes if scene.index == index)
-        return StoredScene(self.root, self.manifest, index, arrays, parameters)
 
 
 @dataclass(frozen=True)
@@ -129,7 +76,7 @@ class Measurement:
         return replace(self, values=values, time=replace(self.time, bins=bins, start_s=start_s))
 
 
-def measurement(scene: StoredScene, quantity: str | None = None) -> Measurement:
+def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement:
     """A stored scene as a measurement.
 
     Parameters

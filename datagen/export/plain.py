@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from datagen.export.hdf5 import h5py
-from datagen.export.measurement import StoredScene
+from datagen.store.scenes import SceneContent
 
 
-def write_npz(scene: StoredScene, path: Path) -> None:
+def write_npz(scene: SceneContent, path: Path) -> None:
     """All fields by name, `bin_edges_s`, and `info`: a JSON text of what `h5` has as attributes."""
     arrays: dict[str, Any] = {**scene.arrays, "bin_edges_s": scene.time.edges_s}
     np.savez_compressed(path, info=np.array(json.dumps(_info(scene))), **arrays)
 
 
-def write_h5(scene: StoredScene, path: Path) -> None:
+def write_h5(scene: SceneContent, path: Path) -> None:
     """All fields by name, with attributes `units` and `long_name` and labelled axes; `parameters` of the scene."""
     with h5py().File(path, "w") as file:
         for field in scene.manifest.schema.fields:
@@ -43,7 +43,7 @@ def write_h5(scene: StoredScene, path: Path) -> None:
             file.attrs[name] = value
 
 
-def _info(scene: StoredScene) -> dict[str, Any]:
+def _info(scene: SceneContent) -> dict[str, Any]:
     config = scene.manifest.config
     return {
         "dataset": config["name"],

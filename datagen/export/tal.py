@@ -1,4 +1,4 @@
-"""The HDF5 file of y-tal (https://github.com/diegoroyo/tal, `tal.io.read_capture`), written and read.
+"""The HDF5 file of y-tal (https://github.com/diegoroyo/tal, `tal.io.read_capture`).
 
 A flat root with exactly its names. The relay wall is z = 0 and what is hidden lies at z > 0; x comes before y, both
 ascending; times are metres of path. Time is padded to begin at 0 and to a power of two of bins, which its fk and lct
@@ -17,8 +17,10 @@ import yaml
 from numpy.typing import NDArray
 
 from datagen.export.hdf5 import h5py
-from datagen.export.measurement import LIGHT_M_S, Measurement, StoredScene, lattice, measurement
+from datagen.export.measurement import Measurement, lattice, measurement
 from datagen.records.arrays import Floats
+from datagen.store.scenes import SceneContent
+from datagen.units import path_from_time
 
 
 class HFormat(Enum):
@@ -62,7 +64,7 @@ class _Shaped:
         return GridFormat.X_Y_3 if self.sensors.ndim == 3 else GridFormat.N_3
 
 
-def write_tal(scene: StoredScene, path: Path, quantity: str | None = None) -> None:
+def write_tal(scene: SceneContent, path: Path, quantity: str | None = None) -> None:
     """Write one scene. A scan without a grid becomes a list of points (T_Si, T_Li_Si).
 
     Raises `InputError` as `measurement` does, and where h5py is missing.
@@ -82,8 +84,8 @@ def write_tal(scene: StoredScene, path: Path, quantity: str | None = None) -> No
         "laser_grid_normals": _normals(shaped.lasers),
         "laser_grid_format": shaped.grid,
         "volume_format": VolumeFormat.X_Y_Z_3,
-        "delta_t": bins.width_s * LIGHT_M_S,
-        "t_start": bins.start_s * LIGHT_M_S,
+        "delta_t": float(path_from_time(bins.width_s)),
+        "t_start": float(path_from_time(bins.start_s)),
         "t_accounts_first_and_last_bounces": from_source,
         "scene_info": yaml.safe_dump(_scene_info(scene, m)),
     }
@@ -118,7 +120,7 @@ def _normals(points: Floats) -> NDArray[np.float32]:
     return np.broadcast_to(np.array([0, 0, 1], np.float32), points.shape).copy()
 
 
-def _scene_info(scene: StoredScene, m: Measurement) -> dict[str, Any]:
+def _scene_info(scene: SceneContent, m: Measurement) -> dict[str, Any]:
     info: dict[str, Any] = {
         "original_format": "datagen",
         "datagen": {

@@ -95,5 +95,4 @@ class ObjectBoxes:
 
 def classes_in(scene: Scene) -> tuple[str, ...]:
     """The classes of a scene's objects, sorted."""
-    objects = (name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object")
-    return tuple(sorted({scene.pose_of(name).label for name in objects}))
+    return tuple(sorted({scene.pose_of(name).label for name in scene.objects}))

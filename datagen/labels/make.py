@@ -84,6 +84,6 @@ def make_labels(
         grid, found = VoxelGrid.of(scene, config.voxels), object_surfaces(scene)
         labels |= {field: make(grid, found) for field, make in _VOLUMES.items() if field in fields}
     if "objects" in fields:
-        slots = slots or ObjectSlots(classes_in(scene), scene.roles.count("object"))
+        slots = slots or ObjectSlots(classes_in(scene), len(scene.objects))
         labels |= ObjectBoxes.of(scene, slots.classes, slots.capacity).tables()
     return labels

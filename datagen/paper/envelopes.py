@@ -59,7 +59,7 @@ def component_curves(config: DatasetConfig, scene: Scene, capture: Capture, tran
             curve = spread(curve, kernel)[kernel.before : kernel.before + len(curve)]
         return np.asarray(spad.pde * curve, np.float64)
 
-    objects = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object"]
+    objects = scene.objects
     room = [name for name in scene.part_names if name not in objects]
     # The relay wall sends nothing back to itself, so it is not named where it is flat.
     label = ", ".join([name for name in room if name != "relay_wall"] or room)

@@ -49,6 +49,26 @@ def check_kind(name: str, value: object, *kinds: type, remedy: str = "") -> None
         raise InputError(f"{name} = {shown(value)}: {wanted} needed{f'; {remedy}' if remedy else ''}")
 
 
+def numbers_of(what: str, text: str, count: int) -> list[int]:
+    """`"0-2,7"` → the numbers, ascending, each once; raises `InputError` for what are none of 0 … count − 1.
+
+    what : "shards" or "scenes", as the option `--shards` or `--scenes` has it.
+    """
+    chosen: set[int] = set()
+    for piece in text.split(","):
+        first, dash, last = piece.partition("-")
+        try:
+            low, high = int(first), int(last) if dash else int(first)
+        except ValueError:
+            raise InputError(f"--{what} {text}: must be numbers and ranges such as 0-99 or 3,7-9") from None
+        if low > high:
+            raise InputError(f"--{what} {text}: the range {piece} is upside down; write the smaller number first")
+        if high >= count:
+            raise InputError(f"--{what} {text}: this dataset has the {what} 0-{count - 1}")
+        chosen.update(range(low, high + 1))
+    return sorted(chosen)
+
+
 def shown(value: object) -> str:
     """A value in one short line: as Python writes it, or what kind and shape it has."""
     shape = getattr(value, "shape", None)

@@ -106,9 +106,7 @@ class Rectangle:
     @classmethod
     def of(cls, center: ArrayLike, right: ArrayLike, up: ArrayLike) -> Rectangle:
         """Build from anything array-like; raises `InputError` for half extents that are not perpendicular, or 0."""
-        made = cls(
-            *(as_points(f"Rectangle.{n}", v, (3,)) for n, v in (("center", center), ("right", right), ("up", up)))
-        )
+        made = cls(center, right, up)  # type: ignore[arg-type]
         across = float(np.linalg.norm(made.right) * np.linalg.norm(made.up))
         if across == 0 or abs(float(made.right @ made.up)) > 1e-9 * across:
             raise InputError("Rectangle: right and up must be perpendicular half-extent vectors, neither of them 0")
@@ -236,6 +234,11 @@ class Scene:
     def pose_of(self, part: str) -> Pose:
         """Class and axes of a part."""
         return self.poses.get(part) or Pose.upright(part)
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """Names of the parts whose role is object, in their order."""
+        return tuple(name for name, role in zip(self.part_names, self.roles, strict=True) if role == "object")
 
     @property
     def corners(self) -> Floats:

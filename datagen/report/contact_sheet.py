@@ -109,7 +109,7 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
             panels[1].set_title("Opened")
             labels = make_labels(config.labels, scene, fields)
             classes = classes_in(scene)
-            boxes = ObjectBoxes.of(scene, classes, max(1, scene.roles.count("object")))
+            boxes = ObjectBoxes.of(scene, classes, max(1, len(scene.objects)))
             draw_boxes(panels[2], scene, boxes, classes, labels["depth"])
             panels[2].set_title("Objects (thick: front)")
             for axes, field in zip(panels[3:], fields, strict=True):
@@ -131,9 +131,9 @@ def first_scenes(configs: Sequence[DatasetConfig], count: int) -> list[tuple[Dat
 
 def _name_of(scene: Scene, config: str, index: int) -> str:
     """Number, layout and objects of a room, in two lines."""
-    objects = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object"]
     layout = str(scene.parameters.get("layout.kind", "")).replace("_", " ")
-    listed = textwrap.shorten(", ".join(objects).replace("_", " ") or "no objects", _NAME_LETTERS, placeholder=" …")
+    objects = ", ".join(scene.objects).replace("_", " ")
+    listed = textwrap.shorten(objects or "no objects", _NAME_LETTERS, placeholder=" …")
     return f"{config} {index}: {layout}\n{listed}".strip()
 
 

@@ -6,6 +6,7 @@ The page's script (`explorer_page.html`) draws all of it from the numbers given 
 from __future__ import annotations
 
 import base64
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.labels import ViewFrame
+from datagen.labels.boxes import classes_in
 from datagen.records import Scene
 from datagen.report import scan_plots as scans
 from datagen.report.replay import Replay, StoredScene
@@ -39,11 +41,10 @@ def explorer(scenes: Sequence[dict[str, Any]]) -> str:
 
 def scene_data(stored: StoredScene, scene: Scene, error: float | None, again: Replay | None) -> dict[str, Any]:
     """The room's triangles, its labels and what it is filtered by; with `again`, its light over the scan, too."""
-    objects = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object"]
     return {
         "index": stored.index,
         "layout": str(stored.parameters.get("layout.kind", "")),
-        "classes": sorted({scene.pose_of(name).label for name in objects}),
+        "classes": list(classes_in(scene)),
         "error": None if error is None or not np.isfinite(error) else float(error),
         "parts": _parts(scene),
         "device": None if scene.device_position is None else np.round(scene.device_position, 3).tolist(),
@@ -53,11 +54,11 @@ def scene_data(stored: StoredScene, scene: Scene, error: float | None, again: Re
 
 
 def _parts(scene: Scene) -> list[dict[str, Any]]:
-    found = []
+    found, colors = [], part_colors(scene)
     for name, role in zip(scene.part_names, scene.roles, strict=True):
-        corners = scene.corners[scene.faces_of(name)]
         if "ceiling" in name:
             continue
+        corners = scene.corners[scene.faces_of(name)]
         if len(corners) > MOST_TRIANGLES:
             axes = scene.pose_of(name).axes
             own = corners.reshape(-1, 3) @ axes.T
@@ -65,7 +66,7 @@ def _parts(scene: Scene) -> list[dict[str, Any]]:
             box = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(8, 3) @ axes
             corners = box[_CUBE]
         points = np.round(corners, 3).reshape(-1).tolist()
-        found.append({"name": name, "role": role, "color": part_colors(scene)[name], "corners": points})
+        found.append({"name": name, "role": role, "color": colors[name], "corners": points})
     return found
 
 
@@ -101,8 +102,7 @@ def _labels(stored: StoredScene, scene: Scene) -> list[dict[str, Any]]:
 
 def _scan(again: Replay) -> dict[str, Any]:
     """The light at each place of the scan, by object and of the rest of the room, logarithmic in bytes."""
-    frame = None if again.scene.hidden_view is None else ViewFrame.of(again.scene)
-    raster = scans.raster_of(again.capture, clear_channel(again.scene, again.transient), frame)
+    raster = scans.raster_of(again.capture, clear_channel(again.scene, again.transient), again.frame)
     total = again.transient.total
     layers = _layers(again, total)
     if raster is None:
@@ -117,11 +117,11 @@ def _scan(again: Replay) -> dict[str, Any]:
     step = max(1, -(-(last - first) // MOST_BINS))
     bins = -(-(last - first) // step)
     binned = {name: _summed(values[..., first:last], step) for name, values in grids.items()}
-    highest = max(float(values.max()) for values in binned.values()) or 1.0
+    highest, colors = max(float(values.max()) for values in binned.values()) or 1.0, part_colors(again.scene)
     curves = [
         {
             "name": name,
-            "color": part_colors(again.scene).get(name, "#222222" if name == "all light" else "#999999"),
+            "color": colors.get(name, "#222222" if name == "all light" else "#999999"),
             "values": _bytes(1 + np.log10(np.maximum(values / highest, 10.0**-DECADES)) / DECADES),
         }
         for name, values in binned.items()
@@ -134,9 +134,8 @@ def _scan(again: Replay) -> dict[str, Any]:
 
 def _layers(again: Replay, total: NDArray[np.float64]) -> Mapping[str, NDArray[np.float64]]:
     """All light, that of each object (the first five), and what is left."""
-    roles = dict(zip(again.scene.part_names, again.scene.roles, strict=True))
-    parts = {name: of for name, of in again.transient.parts.items() if roles.get(name) == "object"}
-    chosen = dict(list(parts.items())[:5])
+    chosen = {name: again.transient.parts[name] for name in again.scene.objects if name in again.transient.parts}
+    chosen = dict(itertools.islice(chosen.items(), 5))
     if not chosen:
         return {"all light": total}
     rest = np.maximum(total - np.sum([*chosen.values()], axis=0), 0.0)

@@ -133,13 +133,13 @@ def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray
 def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
     """Slices of the scan, all light above and the objects' alone below; of one without a grid, time against laser
     point; None when there is a single channel."""
-    raster = scans.raster_of(again.capture, clear_channel(again.scene, again.transient), _frame(again))
+    raster = scans.raster_of(again.capture, clear_channel(again.scene, again.transient), again.frame)
     if raster is None:
         wall = again.scene.relay_wall
         if again.capture.shape[0] < 2 or wall is None:
             return None
         total, note = again.transient.total, _provenance(again)
-        return scans.listed_page(stored.title, wall, again.capture, total, _objects(again), note, _frame(again))
+        return scans.listed_page(stored.title, wall, again.capture, total, _objects(again), note, again.frame)
     whole = scans.scan_of(again.transient.total, raster)
     objects = scans.scan_of(_objects(again), raster)
     text = (
@@ -180,7 +180,7 @@ def overview_page(
         f"photon counts over their {_mean_name(again)} in one channel, and the depth label. {_provenance(again)}"
     )
     figure, grid = captioned(15, [4.9, _legend_in(again, 8), 4.3], text, f"{stored.title}: overview", 6)
-    raster = scans.raster_of(again.capture, channel, _frame(again))
+    raster = scans.raster_of(again.capture, channel, again.frame)
     plan, opened = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:4] if raster else grid[0, 2:])
     _draw_room(plan, opened, room)
     if raster is not None:
@@ -204,11 +204,6 @@ def overview_page(
     # The colour bar stands beside the picture, and the room for it at the right of the column.
     depth.set_anchor("W")
     return figure
-
-
-def _frame(again: Replay) -> ViewFrame | None:
-    """The frame of the labels, in which places on the wall are given, too."""
-    return None if again.scene.hidden_view is None else ViewFrame.of(again.scene)
 
 
 def _draw_room(plan: Axes, opened: Axes, room: RoomPicture) -> None:
@@ -247,8 +242,8 @@ def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, N
 def _objects(again: Replay) -> NDArray[np.float64]:
     """(laser, pixel, bin) light that objects scattered."""
     total = np.zeros(again.capture.shape)
-    for name, role in zip(again.scene.part_names, again.scene.roles, strict=True):
-        if role == "object" and name in again.transient.parts:
+    for name in again.scene.objects:
+        if name in again.transient.parts:
             total = total + again.transient.parts[name]
     return total
 

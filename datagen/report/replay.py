@@ -15,12 +15,13 @@ from datagen.config import DatasetConfig
 from datagen.detector import Exposure, Spad, choose_sampler, detect, detector_for, expected_histogram
 from datagen.effects import EffectDecisions
 from datagen.errors import InputError
+from datagen.labels import ViewFrame
 from datagen.pipeline import detector_effects, transport_effects
 from datagen.records import Capture, Scalar, Scene, TimeAxis, Transient
 from datagen.scene import generate_scene, stand_in
 from datagen.seeding import Purpose, derived_seed
-from datagen.store import DatasetReader, Manifest, read_manifest
-from datagen.store.record import read_record
+from datagen.store import Manifest
+from datagen.store.scenes import Scenes
 from datagen.transport import transient_of
 
 REPRODUCED = 1e-5
@@ -78,6 +79,11 @@ class Replay:
     stands_in: bool = False
 
     @property
+    def frame(self) -> ViewFrame | None:
+        """The frame of the labels, in which places on the wall are given, too."""
+        return None if self.scene.hidden_view is None else ViewFrame.of(self.scene)
+
+    @property
     def reproduced(self) -> bool:
         """Whether this is the stored scene, as far as what is stored shows."""
         return self.moved_m <= SAME_PLACE_M and (self.difference is None or self.difference <= REPRODUCED)
@@ -89,28 +95,15 @@ def read_scene(dataset: str | Path, index: int) -> StoredScene:
     Raises `InputError` when the folder is no dataset, has no such scene, its shard is not committed, or the scene
     could not be made when the dataset was built; `CheckError` for what is missing or damaged.
     """
-    root = Path(dataset)
-    manifest = read_manifest(root)
+    stored = Scenes(dataset)
+    manifest, names = stored.manifest, stored.manifest.schema.by_name
     scenes = manifest.schema.scenes
     if not 0 <= index < scenes:
         raise InputError(f"INDEX {index}: {dataset} has the scenes 0 … {scenes - 1}; name one of them")
-    shard = index // manifest.schema.scenes_per_shard
-    record = read_record(root, shard, manifest.must_be_sealed)
-    if record is None:
-        raise InputError(
-            f"INDEX {index}: shard {shard} of {dataset} is not there yet; run `datagen build` again, or name a scene "
-            "that is"
-        )
-    failure = record.failures.get(index)
-    if failure is not None:
-        raise InputError(f"INDEX {index}: this scene of {dataset} could not be made ({failure}); name another one")
-    names = manifest.schema.by_name
-    reader = DatasetReader(root, manifest, names)
-    arrays = {name: reader.read(name, [index])[0] for name in names}
-    parameters = next(scene.parameters for scene in record.scenes if scene.index == index)
+    content = stored.read(index, "INDEX")
     classes = names["object_class"].classes if "object_class" in names else ()
     config, meshes = config_of(manifest)
-    return StoredScene(config, index, arrays, parameters, classes, meshes)
+    return StoredScene(config, index, content.arrays, content.parameters, classes, meshes)
 
 
 def config_of(manifest: Manifest) -> tuple[DatasetConfig, bool]:

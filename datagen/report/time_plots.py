@@ -29,9 +29,8 @@ def time_label(axis: TimeAxis) -> str:
 def clear_channel(scene: Scene, transient: Transient) -> tuple[int, int]:
     """(laser, pixel) where objects stand out most, by energy times share; without objects the brightest."""
     total = transient.total.sum(axis=2)
-    names = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object"]
     objects = sum(
-        (transient.parts[name].sum(axis=2) for name in names if name in transient.parts), np.zeros_like(total)
+        (transient.parts[name].sum(axis=2) for name in scene.objects if name in transient.parts), np.zeros_like(total)
     )
     # The share alone would favour channels with next to no light.
     clear = objects * objects / np.maximum(total, np.finfo(np.float64).tiny) if objects.any() else total

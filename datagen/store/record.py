@@ -115,7 +115,11 @@ class ShardRecord:
 
 def record_path(root: AnyPlace, shard: int) -> AnyPlace:
     """The commit record's file."""
-    return root / BUILD / f"shard-{shard:06d}.json"
+    return root / _record_name(shard)
+
+
+def _record_name(shard: int) -> str:
+    return f"{BUILD}/shard-{shard:06d}.json"
 
 
 def running_path(root: Path, shard: int) -> Path:
@@ -128,7 +132,7 @@ def read_record(root: Place, shard: int, must_be_sealed: bool) -> ShardRecord | 
 
     Raises `CheckError` for a damaged record. Those of datasets before `CHECKSUMS_SINCE` need not be sealed.
     """
-    path = root / record_path(Path(), shard).as_posix()
+    path = root / _record_name(shard)
     if not path.exists():
         return None
     try:

@@ -22,10 +22,11 @@ from point_target import LIGHT, SCANS, config_of, hidden_point, point_sample
 
 from datagen.errors import InputError
 from datagen.export import export
-from datagen.export.measurement import Scenes, WallFrame, lattice, measurement
+from datagen.export.measurement import WallFrame, lattice, measurement
 from datagen.loader import TransientDataset
 from datagen.scene import generate_scene
 from datagen.store import verify
+from datagen.store.scenes import Scenes
 
 
 @pytest.fixture(scope="module")

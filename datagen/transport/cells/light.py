@@ -89,7 +89,7 @@ class Clock(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _weight(y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint):  # type: ignore[no-untyped-def]
+def weight(y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint):  # type: ignore[no-untyped-def]
     """w(y) but for power, sensor and air, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
     path: a point, its normal, and the direction on to the device."""
     x, n1, to_laser = lit_from
@@ -412,7 +412,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
                             f, y = _anywhere(start, end, area_before, corners, word)
                             n = get(normal, f, 0)
-                            w, r1, r3 = _weight(
+                            w, r1, r3 = weight(
                                 y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
                             )
                             if not w > 0.0:
@@ -461,12 +461,12 @@ def _gather(  # type: ignore[no-untyped-def]
                             continue
                         for j in range(3):
                             y = _vertex(cell, top, j)
-                            w, r1, r3 = _weight(
+                            w, r1, r3 = weight(
                                 y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
                             )
                             _put(cell, top, j, y, w, r1 + r3)
                     m, side, h = _middle(cell, top)
-                    wm, r1, r3 = _weight(
+                    wm, r1, r3 = weight(
                         m, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
                     )
                     cut, quarter, over, bend = _judged(
@@ -540,7 +540,7 @@ def _gather(  # type: ignore[no-untyped-def]
                         continue
                     # Across the longest side.
                     y = half(_vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3))
-                    w, r1, r3 = _weight(
+                    w, r1, r3 = weight(
                         y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
                     )
                     top = _push_halves(tag, cell, top, side, y, w, r1 + r3, CELL, f, q, first, middle, last)

@@ -54,7 +54,7 @@ AT, VARIANCE, PHOTONS, FIGURES = 0, 1, 2, 3
 @njit(cache=True, error_model="numpy")
 def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-untyped-def]
     """Energy of a pair of cells if nothing hides them from each other, their distance, the path's mean and variance,
-    and the share of them that face each other.
+    the share of them that face each other, and the middles of what does.
 
     With C = Σ p pᵀ the covariance of a cell's points, the mean over them of cosθ cosθ′/R² is 1 + Σ p·H·p/2 of that at
     their middles, H the matrix of its second derivatives, relative to it; and the mean path is longer by that of R,
@@ -65,7 +65,7 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     d = less(y2, y1)
     up, down = dot(d, n1), -dot(d, n2)
     if not share > 0.0 or up <= 0.0 or down <= 0.0:
-        return 0.0, 1.0, 0.0, 0.0, 0.0
+        return 0.0, 1.0, 0.0, 0.0, 0.0, y1, y2
     square = dot(d, d)
     r = math.sqrt(square)
     per = 1.0 / r
@@ -92,7 +92,7 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     farthest = math.sqrt(variance)
     path += min(max(shift / whole, -farthest), farthest)
     energy = share * one[i, ENERGY] * f1 * f2 * two[j, ENERGY] * whole * (per * per) * (per * per)
-    return energy, r, path, variance, share
+    return energy, r, path, variance, share, y1, y2
 
 
 @njit(cache=True, error_model="numpy")
@@ -201,14 +201,14 @@ def join(  # type: ignore[no-untyped-def]
             for j in range(i + 1 if same else first2[q], first2[q + 1]):
                 b = part2[j]
                 keen = max(sharp[a], sharp[b])
-                energy, r, path, variance, share = _joined(number1, i, number2, j, a, b, kind, values)
+                energy, r, path, variance, share, y1, y2 = _joined(number1, i, number2, j, a, b, kind, values)
                 if not energy > 0.0:
                     continue
                 variance *= per_metre * per_metre
                 if not _error(number1, i, number2, j, energy, keen, r, variance, share) > allowed:
                     _note(
-                        number1, i, number2, j, path, variance, energy, per_metre, zero[k], gain[k], air, row[k],
-                        count, offset, scale, figures, rows, origin, span,
+                        y1, get(number1, i, NORMAL), y2, get(number2, j, NORMAL), path, variance, energy, per_metre,
+                        zero[k], gain[k], air, row[k], count, offset, scale, figures, rows, origin, span,
                     )  # fmt: skip
                     count += 1
                     continue
@@ -219,7 +219,7 @@ def join(  # type: ignore[no-untyped-def]
                 top, left = 1, last - count - (first2[q + 1] - j)
                 while top > 0:
                     top -= 1
-                    energy, r, path, variance, share = _joined(known1, top, known2, top, a, b, kind, values)
+                    energy, r, path, variance, share, y1, y2 = _joined(known1, top, known2, top, a, b, kind, values)
                     if not energy > 0.0:
                         continue
                     variance *= per_metre * per_metre
@@ -239,8 +239,8 @@ def join(  # type: ignore[no-untyped-def]
                         top += 2
                         continue
                     _note(
-                        known1, top, known2, top, path, variance, energy, per_metre, zero[k], gain[k], air, row[k],
-                        count, offset, scale, figures, rows, origin, span,
+                        y1, get(known1, top, NORMAL), y2, get(known2, top, NORMAL), path, variance, energy, per_metre,
+                        zero[k], gain[k], air, row[k], count, offset, scale, figures, rows, origin, span,
                     )  # fmt: skip
                     count += 1
                     left -= 1
@@ -249,16 +249,14 @@ def join(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _note(  # type: ignore[no-untyped-def]
-    one, i, two, j, path, variance, energy, per_metre, zero, gain, air, row, count, offset, scale, figures, rows,
+    y1, n1, y2, n2, path, variance, energy, per_metre, zero, gain, air, row, count, offset, scale, figures, rows,
     origin, span,
 ):  # fmt: skip
     """Write down when and how a pair's light arrives, and the ray between them."""
     figures[count, AT], figures[count, VARIANCE] = path * per_metre - zero, variance
     figures[count, PHOTONS] = energy * gain * (math.exp(-air * path) if air > 0.0 else 1.0)
     rows[count] = row
-    y1, y2, _ = _facing(one, i, two, j)
-    a = lifted_and_scaled(y1, get(one, i, NORMAL), offset, scale)
-    b = lifted_and_scaled(y2, get(two, j, NORMAL), offset, scale)
+    a, b = lifted_and_scaled(y1, n1, offset, scale), lifted_and_scaled(y2, n2, offset, scale)
     for k in range(3):
         origin[count, k], span[count, k] = a[k], b[k] - a[k]
 
