@@ -206,7 +206,7 @@ def _meshed() -> Scene:
 
 
 def _million() -> Scene:
-    return furnished_room(more=[lump("mesh", (1.6, -0.2, 1.5), 0.4, 289)])
+    return furnished_room(more=[lump("mesh", (1.6, -0.2, 1.7), 0.35, 289)])
 
 
 CASES: dict[str, Callable[[], Case]] = {

@@ -176,16 +176,13 @@ def _light(  # type: ignore[no-untyped-def]
     for i in range(len(y)):
         at, n, p = get(y, i, 0), get(normal, i, 0), part[i]
         for s in range(len(x)):
-            lit_from = get(x, s, 0), get(normal1, s, 0), get(to_laser, s, 0)
-            seen_from = get(z, s, 0), get(normal3, s, 0), get(to_sensor, s, 0)
+            p1, p3 = part1[s], part3[s]
+            lit_from = get(x, s, 0), get(normal1, s, 0), get(to_laser, s, 0), kind[p1], values[p1]
+            seen_from = get(z, s, 0), get(normal3, s, 0), get(to_sensor, s, 0), kind[p3], values[p3]
             # Lit from behind, what the label shows is dark.
             if dot(less(lit_from[0], at), n) <= 0.0:
                 continue
-            p1, p3 = part1[s], part3[s]
-            w, r1, r3 = weight(
-                at, n, kind[p], values[p], lit_from, kind[p1], values[p1], seen_from, kind[p3], values[p3],
-                footprint[s],
-            )  # fmt: skip
+            w, r1, r3 = weight(at, n, kind[p], values[p], lit_from, seen_from, footprint[s])
             if w > 0.0:
                 air = math.exp(-attenuation * (leg1[s] + r1 + r3 + leg3[s]))
                 light[i, s] = area[i] * w * share[s] * air

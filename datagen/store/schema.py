@@ -29,6 +29,7 @@ SCHEMA_VERSIONS = {
     "`stats.*` in the table, `stats` in `dataset.json`; with a target a seed yields other light",
     6: "datagen 0.6: the evidence of each object, columns `evidence.*` and tables object_detections, "
     "object_brightest_bin, object_significance beside the label `objects`; field evidence",
+    7: "datagen 0.7: with a target a seed yields other light of meshes (small triangles are taken together)",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""

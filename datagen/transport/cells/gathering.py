@@ -9,8 +9,9 @@ import numpy as np
 
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.materials import GGX, Material, Phong, Retroreflector
+from datagen.transport.cells.clusters import COARSEST
 from datagen.transport.cells.hierarchy import Hierarchy
-from datagen.transport.cells.light import AT_ONCE, COARSEST, Clock, Cutting, Lasers, gather
+from datagen.transport.cells.light import AT_ONCE, Clock, Cutting, Lasers, gather
 from datagen.transport.cells.occlusion import Occluders
 from datagen.transport.cells.patches import Patches
 from datagen.transport.sampling import stream_seeds

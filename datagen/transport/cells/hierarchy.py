@@ -6,6 +6,7 @@ BVH construction on GPUs", Computer Graphics Forum 28 (2009)).
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,11 @@ class Hierarchy(NamedTuple):
     box : (N, 6) lowest and highest corner, metres.
     children : (N, 2) boxes, −1 in a box that holds its triangles itself.
     span : (N, 2) its triangles, first and behind the last; all those within.
+    cluster : (N,) which row of `moment` a box has, −1 for those of at most `CLUSTER` triangles.
+    moment : (M, 38) of all the surface of a box: centroid, metres (0–2); covariance of its points about that, m²,
+        as xx, yy, zz, xy, xz, yz (3–8); mean of n nᵀ likewise (9–14); direction of the mean normal n̄ (15–17), the
+        least cosine of a normal with it (18), and 1 − |n̄|² (19); means of n nᵀ times x, y and z from the centroid,
+        metres (20–37).
     roots : (K,) the box of each part.
     solid : (F,) the convex solid that a triangle bounds with others, its normal outwards, or −1.
     solid_box : (S, 6) lowest and highest corner of each, metres.
@@ -55,6 +61,8 @@ class Hierarchy(NamedTuple):
     box: Floats
     children: Ints
     span: Ints
+    cluster: Ints
+    moment: Floats
     roots: Ints
     solid: Ints
     solid_box: Floats
@@ -76,7 +84,10 @@ class Hierarchy(NamedTuple):
         solid, solid_box = _solids(
             scene.triangles[order].astype(np.int64), scene.vertices, corners[:, 0], normal, ON_PLANE * extent
         )
-        return cls(corners, normal, area, order, box, children, span, roots, solid, solid_box, extent)
+        cluster, moment = _moments(corners, normal, length, children, span)
+        return cls(
+            corners, normal, area, order, box, children, span, cluster, moment, roots, solid, solid_box, extent
+        )
 
 
 def _solids(triangles: Ints, vertices: Floats, on: Floats, normal: Floats, flat: float) -> tuple[Ints, Floats]:
@@ -154,6 +165,77 @@ def _boxes(corners, ends, leaf):  # type: ignore[no-untyped-def]
                     box[k, j] = min(box[k, j], corners[f, v, j])
                     box[k, 3 + j] = max(box[k, 3 + j], corners[f, v, j])
     return box[:n], children[:n], span[:n], roots
+
+
+@njit(cache=True, error_model="numpy")
+def _moments(corners, normal, area, children, span):  # type: ignore[no-untyped-def]
+    """`Hierarchy.cluster` and `Hierarchy.moment`; `area` (F,) in any unit. Those of two boxes give those of the one
+    about them."""
+    count = len(children)
+    cluster, many = np.full(count, -1), 0
+    for k in range(count):
+        if span[k, 1] - span[k, 0] > CLUSTER:
+            cluster[k] = many
+            many += 1
+    moment, size, own = np.zeros((many, 38)), np.zeros(many), np.zeros(38)
+    for k in range(count - 1, -1, -1):
+        row = cluster[k]
+        if row < 0:
+            continue
+        for child in children[k]:
+            if cluster[child] >= 0:
+                size[row] = _added(moment, size[row], row, moment[cluster[child]], size[cluster[child]])
+                continue
+            for f in range(span[child, 0], span[child, 1]):
+                for j in range(3):
+                    own[j] = (corners[f, 0, j] + corners[f, 1, j] + corners[f, 2, j]) / 3
+                    own[15 + j] = normal[f, j]
+                for m in range(6):
+                    i, j = _place(m)
+                    own[3 + m], own[9 + m] = 0.0, normal[f, i] * normal[f, j]
+                    for v in range(3):
+                        own[3 + m] += (corners[f, v, i] - own[i]) * (corners[f, v, j] - own[j]) / 12
+                size[row] = _added(moment, size[row], row, own, area[f])
+    for k in range(count):
+        row = cluster[k]
+        if row < 0:
+            continue
+        square = moment[row, 15] ** 2 + moment[row, 16] ** 2 + moment[row, 17] ** 2
+        moment[row, 19], moment[row, 18] = max(1.0 - square, 0.0), 1.0
+        for j in range(15, 18):
+            moment[row, j] = moment[row, j] / math.sqrt(square) if square > 0.0 else 0.0
+        for f in range(span[k, 0], span[k, 1]):
+            cosine = moment[row, 15] * normal[f, 0] + moment[row, 16] * normal[f, 1] + moment[row, 17] * normal[f, 2]
+            moment[row, 18] = min(moment[row, 18], cosine)
+    return cluster, moment
+
+
+@njit(cache=True, error_model="numpy")
+def _added(moment, size, k, other, more):  # type: ignore[no-untyped-def]
+    """Add to the moments in row k, of an area of `size`, others of an area of `more`; returns the area of both."""
+    both = size + more
+    share = more / both
+    for axis in range(3):
+        apart = other[axis] - moment[k, axis]
+        for m in range(6):
+            here = moment[k, 20 + 6 * axis + m] - moment[k, 9 + m] * share * apart
+            there = other[20 + 6 * axis + m] + other[9 + m] * (1.0 - share) * apart
+            moment[k, 20 + 6 * axis + m] = here + share * (there - here)
+    for m in range(6):
+        i, j = _place(m)
+        apart = (other[i] - moment[k, i]) * (other[j] - moment[k, j])
+        moment[k, 3 + m] += share * (other[3 + m] - moment[k, 3 + m]) + share * (1.0 - share) * apart
+    for j in range(3):
+        moment[k, j] += share * (other[j] - moment[k, j])
+    for j in range(9, 18):
+        moment[k, j] += share * (other[j] - moment[k, j])
+    return both
+
+
+@njit(cache=True)
+def _place(m):  # type: ignore[no-untyped-def]
+    """Row and column of number m of xx, yy, zz, xy, xz, yz."""
+    return (m, m) if m < 3 else (0, m - 2) if m < 5 else (1, 2)
 
 
 @njit(cache=True)

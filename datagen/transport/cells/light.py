@@ -18,15 +18,34 @@ import numpy as np
 from numba import njit
 
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.brdf import dot, evaluate
+from datagen.transport.brdf import LAMBERTIAN, dot, evaluate
 from datagen.transport.cells.arrival import spread, widened
-from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less, longest, put
-from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, one_of
+from datagen.transport.cells.clusters import (
+    COARSEST,
+    UNLIKE,
+    anywhere,
+    as_one,
+    is_small,
+    sides_turned,
+)
+from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less
+from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST
 from datagen.transport.cells.occlusion import RING, hidden, narrowed, narrowed_to_box, shaded
+from datagen.transport.cells.waiting import (
+    BOX,
+    CELL,
+    FRESH,
+    copy_cell,
+    highest_above,
+    middle_of,
+    push,
+    push_boxes,
+    push_halves,
+    put_vertex,
+    vertex_of,
+)
 from datagen.transport.sampling import mix
 
-COARSEST = 0.8
-"""Largest cell or patch, relative to its distance."""
 PARTLY, UNFOUND = 0.5, 0.05
 """Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
 STILL_UNFOUND = 0.5
@@ -36,15 +55,11 @@ SMEARED = 0.3
 """Of a patch, the share that its arrival times spread over."""
 BLURRED = 0.25
 """Of the error that a cell may make, the share that may come of the patch that sees it, as it does for many alike."""
-UNLIKE = 0.05
-"""Error of a patch's arrival times, relative to its light, if they are known by their mean and variance alone."""
 AT_ONCE = 0.01
 """Size of a patch, in bins, up to which all of it is reached at once."""
 TURNS, FEWEST = 16, 1 / 64
 """Light up to which one quarter of a pixel stands for the others: relative to the error that a cell may make, and to
 what all of the part might bring."""
-BOX, FRESH, CELL = 0, 1, 2
-"""What waits to be looked at: a box, a cell, a cell whose vertices' light is known."""
 
 
 class Lasers(NamedTuple):
@@ -89,11 +104,11 @@ class Clock(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def weight(y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint):  # type: ignore[no-untyped-def]
+def weight(y, n, kind2, values2, lit_from, seen_from, footprint):  # type: ignore[no-untyped-def]
     """w(y) but for power, sensor and air, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
-    path: a point, its normal, and the direction on to the device."""
-    x, n1, to_laser = lit_from
-    z, n3, to_sensor = seen_from
+    path: a point, its normal, the direction on to the device, and the BRDF's kind and values."""
+    x, n1, to_laser, kind1, values1 = lit_from
+    z, n3, to_sensor, kind3, values3 = seen_from
     d1, d3 = less(y, x), less(y, z)
     square1, square3 = dot(d1, d1), dot(d3, d3)
     r1, r3 = math.sqrt(square1), math.sqrt(square3)
@@ -110,66 +125,6 @@ def weight(y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, val
     f3 = evaluate(kind3, values3, n3, w3, to_sensor)
     w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
     return w, r1, r3
-
-
-@njit(cache=True)
-def _push(tag, top, what, at, q, first, middle, last):  # type: ignore[no-untyped-def]
-    """A box or cell to be looked at next, with the candidates that may hide it; returns how many wait."""
-    tag[top, 0], tag[top, 1], tag[top, 2] = what, at, q
-    tag[top, 3], tag[top, 4], tag[top, 5] = first, middle, last
-    return top + 1
-
-
-@njit(cache=True)
-def _put(cell, k, vertex, y, w, path):  # type: ignore[no-untyped-def]
-    """Vertex 0, 1 or 2 of waiting cell k, and what is known there."""
-    put(cell, k, 5 * vertex, y)
-    cell[k, 5 * vertex + 3], cell[k, 5 * vertex + 4] = w, path
-
-
-@njit(cache=True)
-def _vertex(cell, k, vertex):  # type: ignore[no-untyped-def]
-    return get(cell, k, 5 * vertex)
-
-
-@njit(cache=True)
-def _copy(cell, k, to):  # type: ignore[no-untyped-def]
-    for j in range(18):
-        cell[to, j] = cell[k, j]
-
-
-@njit(cache=True)
-def _middle(cell, k):  # type: ignore[no-untyped-def]
-    """The middle of waiting cell k, the side that is its longest, and that side's length."""
-    a, b, c = _vertex(cell, k, 0), _vertex(cell, k, 1), _vertex(cell, k, 2)
-    side, h = longest(a, b, c)
-    return ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3), side, h
-
-
-@njit(cache=True)
-def _highest(cell, k, x, n):  # type: ignore[no-untyped-def]
-    """How far the highest vertex of waiting cell k lies above the plane through x with normal n."""
-    a, b, c = less(_vertex(cell, k, 0), x), less(_vertex(cell, k, 1), x), less(_vertex(cell, k, 2), x)
-    return max(dot(a, n), dot(b, n), dot(c, n))
-
-
-@njit(cache=True)
-def _push_halves(tag, cell, top, side, y, w, path, what, at, q, first, middle, last):  # type: ignore[no-untyped-def]
-    """The halves of the cell at `top`, cut at y on its longest side, in its place; returns how many wait."""
-    cell[top, 15] *= 0.5
-    _copy(cell, top, top + 1)
-    _put(cell, top, side, y, w, path)
-    _put(cell, top + 1, (side + 1) % 3, y, w, path)
-    top = _push(tag, top, what, at, q, first, middle, last)
-    return _push(tag, top, what, at, q, first, middle, last)
-
-
-@njit(cache=True)
-def _push_boxes(tag, cell, top, both, q, first, middle, last):  # type: ignore[no-untyped-def]
-    """The two boxes within the one at `top`, in its place; returns how many wait."""
-    cell[top + 1, 16] = cell[top, 16]
-    top = _push(tag, top, BOX, both[1], q, first, middle, last)
-    return _push(tag, top, BOX, both[0], q, first, middle, last)
 
 
 @njit(cache=True, error_model="numpy")
@@ -193,19 +148,6 @@ def _judged(cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quart
     smeared = ratio_z * ratio_z + min((SMEARED * size * per_metre / width) ** 4, UNLIKE)
     quarter = quarters and over * smeared > BLURRED * allowed
     return not quarter and over * curved > allowed, quarter, over, bend
-
-
-@njit(cache=True, error_model="numpy")
-def _small(around, at, x, z, most, allowed):  # type: ignore[no-untyped-def]
-    """Whether a box is so small and faint that one point may stand for all of it, and how near it comes to z.
-
-    most : photons if all of it were at distance 1 and faced both.
-    """
-    centre, radius = ball(around, at)
-    near1, near3 = distance(centre, x) - radius, distance(centre, z) - radius
-    if min(near1, near3) <= 0.0 or 2 * radius > COARSEST * min(near1, near3):
-        return False, near3
-    return 0.5 * most / (near1 * near1 * near3 * near3) <= allowed, near3
 
 
 @njit(cache=True, error_model="numpy")
@@ -236,25 +178,6 @@ def _digit(turn, share):  # type: ignore[no-untyped-def]
         turn >>= 2
         share *= 0.25
     return turn & 3
-
-
-@njit(cache=True)
-def _anywhere(first, last, area_before, corners, word):  # type: ignore[no-untyped-def]
-    """A point drawn uniformly on the triangles first … last, and which it lies on."""
-    u = math.sqrt((np.float64(mix(word, np.uint64(1))) + 0.5) * 2.0**-32)
-    v = (np.float64(mix(word, np.uint64(2))) + 0.5) * 2.0**-32
-    f = one_of(first, last, area_before, word)
-    return f, _on(corners, f, 1 - u, u * (1 - v), u * v)
-
-
-@njit(cache=True, error_model="numpy")
-def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
-    """The point of triangle f with barycentric coordinates r, s, t."""
-    return (
-        r * corners[f, 0, 0] + s * corners[f, 1, 0] + t * corners[f, 2, 0],
-        r * corners[f, 0, 1] + s * corners[f, 1, 1] + t * corners[f, 2, 1],
-        r * corners[f, 0, 2] + s * corners[f, 1, 2] + t * corners[f, 2, 2],
-    )
 
 
 @njit(cache=True)
@@ -320,6 +243,7 @@ def _gather(  # type: ignore[no-untyped-def]
     # Records are taken apart here: in the loops every look into one costs as much as what it is for.
     corners, normal, area_before, extent = tree.corners, tree.normal, tree.area, tree.extent
     around, children, span, roots = tree.box, tree.children, tree.span, tree.roots
+    cluster, moment = tree.cluster, tree.moment
     solid, solid_box = tree.solid, tree.solid_box
     facet, number, box, link, flat = occluders.facet, occluders.number, occluders.box, occluders.link, occluders.flat
     position1, normal1, to_laser1, part1, power1, leg1 = (
@@ -344,7 +268,7 @@ def _gather(  # type: ignore[no-untyped-def]
             continue
         x, k1 = get(position1, i, 0), part1[i]
         n1, lit, z = get(normal1, i, 0), power1[i], corner(position3, p, 0)
-        lit_from, kind1, values1 = (x, n1, get(to_laser1, i, 0)), kind[k1], values[k1]
+        lit_from = (x, n1, get(to_laser1, i, 0), kind[k1], values[k1])
         apart = last_leg and not (x[0] == z[0] and x[1] == z[1] and x[2] == z[2])
         for k in range(len(roots)):
             if allowed[k] == np.inf:
@@ -352,8 +276,8 @@ def _gather(  # type: ignore[no-untyped-def]
             into, kind2, values2 = row[pair] + row_of_part[k], kind[k], values[k]
             word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(k))
             most, turn, cells, rays = np.inf, np.int64(word >> np.uint64(8)), 0, 0
-            cell[0, 16] = 1.0
-            top = _push(tag, 0, BOX, roots[k], 0, 0, some, 2 * some if apart else some)
+            cell[0, 16], cell[0, 17] = 1.0, UNFOUND
+            top = push(tag, 0, BOX, roots[k], 0, 0, some, 2 * some if apart else some)
             while top > 0:
                 top -= 1
                 what, at, q = tag[top, 0], tag[top, 1], tag[top, 2]
@@ -364,10 +288,10 @@ def _gather(  # type: ignore[no-untyped-def]
                 if k3 < 0 and not quarter:
                     continue
                 z, n3 = corner(position3, p, q), corner(normal3, p, q)
-                seen_from, kind3, values3 = (z, n3, corner(to_sensor3, p, q)), kind[k3], values[k3]
+                seen_from = (z, n3, corner(to_sensor3, p, q), kind[k3], values[k3])
                 share, size, footprint = cell[top, 16], size3[p, q], footprint3[p, q]
                 gain = lit * weight3[p, q] * share
-                few = halve = False
+                few = halve = alone = cut = False
                 if quarter:
                     if what == BOX:
                         m, h = ball(around, at)
@@ -375,9 +299,9 @@ def _gather(  # type: ignore[no-untyped-def]
                         rise, height = above(around, at, x, n1), np.inf
                         halve = children[at, 0] >= 0 and h > size
                     else:
-                        m, side, h = _middle(cell, top)
-                        area, rise = cell[top, 15], _highest(cell, top, x, n1)
-                        height = abs(dot(less(x, _vertex(cell, top, 0)), get(normal, at, 0)))
+                        m, side, h = middle_of(cell, top)
+                        area, rise = cell[top, 15], highest_above(cell, top, x, n1)
+                        height = abs(dot(less(x, vertex_of(cell, top, 0)), get(normal, at, 0)))
                         halve = h > max(size, SMALLEST * extent)
                     if rise <= 0.0 or most3[p, q] <= 0.0:
                         continue
@@ -391,30 +315,36 @@ def _gather(  # type: ignore[no-untyped-def]
                     turn += few and share == 1.0
                     if halve and not few:
                         if what == BOX:
-                            top = _push_boxes(tag, cell, top, children[at], q, first, middle, last)
+                            top = push_boxes(tag, cell, top, children[at], q, first, middle, last)
                         else:
-                            y = half(_vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3))
-                            top = _push_halves(tag, cell, top, side, y, 0.0, 0.0, FRESH, at, q, first, middle, last)
+                            y = half(vertex_of(cell, top, side), vertex_of(cell, top, (side + 1) % 3))
+                            top = push_halves(tag, cell, top, side, y, 0.0, 0.0, FRESH, at, q, first, middle, last)
                         continue
                 device = leg1[i] + leg3[p, q] if clock.device else 0.0
                 if what == BOX and not quarter:
                     if above(around, at, x, n1) <= 0.0 or (above(around, at, z, n3) <= 0.0 and size <= 0.0):
                         continue
                     start, end = span[at, 0], span[at, 1]
-                    many = end - start > CLUSTER
+                    many, area = end - start > CLUSTER, area_before[end] - area_before[start]
+                    sides, diffuse = 0, kind2 == LAMBERTIAN
                     if many:
-                        area = area_before[end] - area_before[start]
-                        small, near3 = _small(
+                        sides = sides_turned(moment, cluster[at], around, at, x, z)
+                        # The other side does not light the patch's middle; it may light parts of a large one.
+                        if sides < 0 and not quarters:
+                            continue
+                        m, h = ball(around, at)
+                        alone = sides > 0 or (sides == 0 and diffuse)
+                        alone = alone and dot(less(m, x), n1) > h and dot(less(m, z), n3) > h
+                    if many and not alone:
+                        small, near3 = is_small(
                             around, at, x, z, gain * peak[k1] * peak[k] * peak[k3] * area, allowed[k]
                         )
                         quarter = small and quarters and size > 0.3 * near3
                         if small and not quarter:
                             word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
-                            f, y = _anywhere(start, end, area_before, corners, word)
+                            f, y = anywhere(start, end, area_before, corners, word)
                             n = get(normal, f, 0)
-                            w, r1, r3 = weight(
-                                y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
-                            )
+                            w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint)
                             if not w > 0.0:
                                 continue
                             cells += 1
@@ -429,49 +359,39 @@ def _gather(  # type: ignore[no-untyped-def]
                                 at_a, at_b, at_c = widened(t, t, t, smear * per_metre * per_metre)
                                 overflow[into] += spread(histogram, into, at_a, at_b, at_c, 1.0, 1.0, 1.0, energy)
                             continue
-                    if not quarter:
-                        if proofs and first < last < enough:
-                            half_way = narrowed_to_box(
-                                x, around, at, candidates, first, middle, last, box, link, waiting
-                            )
-                            behind = narrowed_to_box(
-                                z, around, at, candidates, middle, last, half_way, box, link, waiting
-                            )
-                            first, middle, last = last, half_way, behind
-                        if many:
-                            top = _push_boxes(tag, cell, top, children[at], q, first, middle, last)
+                if not quarter and (alone or what != BOX):
+                    if alone:
+                        m, n, tilt, unlike, h, longer, apart = as_one(
+                            moment, cluster[at], x, z, sides, diffuse, coarsest[k], per_metre
+                        )
+                        f, side, a, b, c, height1, height3 = at, 0, m, m, m, 1.0, 1.0
+                    else:
+                        f, n = at, get(normal, at, 0)
+                        if highest_above(cell, top, x, n1) <= 0.0 or highest_above(cell, top, z, n3) <= 0.0:
                             continue
-                        for f in range(start, end):
-                            cell[top, 16] = share
+                        a, b, c = vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2)
+                        height1, height3 = dot(less(x, a), n), dot(less(z, a), n)
+                        if abs(height1) < flat:
+                            continue
+                        if what == FRESH:
+                            if proofs and _inner_side(x, n, corners, f, solid, solid_box):
+                                continue
                             for j in range(3):
-                                _put(cell, top, j, corner(corners, f, j), 0.0, 0.0)
-                            cell[top, 15], cell[top, 17] = area_before[f + 1] - area_before[f], UNFOUND
-                            top = _push(tag, top, FRESH, f, q, first, middle, last)
-                        continue
-                if what != BOX and not quarter:
-                    f, n = at, get(normal, at, 0)
-                    if _highest(cell, top, x, n1) <= 0.0 or _highest(cell, top, z, n3) <= 0.0:
-                        continue
-                    a, b, c = _vertex(cell, top, 0), _vertex(cell, top, 1), _vertex(cell, top, 2)
-                    height1, height3 = dot(less(x, a), n), dot(less(z, a), n)
-                    if abs(height1) < flat:
-                        continue
-                    if what == FRESH:
-                        if proofs and _inner_side(x, n, corners, f, solid, solid_box):
-                            continue
+                                y = vertex_of(cell, top, j)
+                                w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint)
+                                put_vertex(cell, top, j, y, w, r1 + r3)
+                        m, side, h = middle_of(cell, top)
+                    wm, r1, r3 = weight(m, n, kind2, values2, lit_from, seen_from, footprint)
+                    if alone:
+                        wm *= tilt
+                        cell[top, 15] = area
                         for j in range(3):
-                            y = _vertex(cell, top, j)
-                            w, r1, r3 = weight(
-                                y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
-                            )
-                            _put(cell, top, j, y, w, r1 + r3)
-                    m, side, h = _middle(cell, top)
-                    wm, r1, r3 = weight(
-                        m, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
-                    )
+                            put_vertex(cell, top, j, m, wm, r1 + r3 + 4.0 * longer + (j - 1.0) * apart)
                     cut, quarter, over, bend = _judged(
                         cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre
                     )
+                    if alone and not cut and not quarter:
+                        cut = over * unlike > allowed[k]
                     if height1 * height3 <= 0.0 or abs(height3) < flat:
                         # This side does not light the patch's middle; it may light parts of a large one.
                         if not (quarters and abs(height3) < size and size > 0.1 * r3):
@@ -481,7 +401,7 @@ def _gather(  # type: ignore[no-untyped-def]
                         continue
                     # Seen or not, it can make no larger error than it may.
                     visible, faint = 1.0, over <= allowed[k]
-                    if not quarter and proofs and first < last < enough and (cut or not faint):
+                    if not (alone or quarter) and proofs and first < last < enough and (cut or not faint):
                         half_way = narrowed(
                             x, a, b, c, f, candidates, first, middle, last, facet, number, box, link, flat, waiting
                         )
@@ -490,33 +410,53 @@ def _gather(  # type: ignore[no-untyped-def]
                         )
                         first, middle, last = last, half_way, behind
                     if not quarter and first < last:
-                        if cut and _none_seen(
-                            x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link, waiting
+                        if (
+                            cut
+                            and not alone
+                            and _none_seen(
+                                x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link, waiting
+                            )
                         ):
                             continue
                         if faint and not cut:
                             rays += 1
+                            y = m
+                            if alone:
+                                word = mix(
+                                    mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8)
+                                )
+                                f, y = anywhere(start, end, area_before, corners, word)
                             if not _seen(
-                                m, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
+                                y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
                             ):
                                 continue
                         elif not cut:
-                            seen = 0
+                            seen, visible, of_all = 0, 0.0, 0.0
                             for j in range(3):
                                 rays += 1
-                                y = half(m, _vertex(cell, top, j))
-                                seen += _seen(
+                                y, part = half(m, vertex_of(cell, top, j)), 1.0
+                                if alone:
+                                    low, high = start + j * (end - start) // 3, start + (j + 1) * (end - start) // 3
+                                    word = np.uint64(at) * np.uint64(8) + np.uint64(j + 1)
+                                    word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), word)
+                                    f, y = anywhere(low, high, area_before, corners, word)
+                                    facing = dot(less(y, x), get(normal, f, 0)) * dot(less(y, z), get(normal, f, 0))
+                                    part = (area_before[high] - area_before[low]) * max(facing, 0.0)
+                                of_all += part
+                                if _seen(
                                     y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
-                                )
-                            visible = seen / 3
+                                ):
+                                    seen += 1
+                                    visible += part
+                            visible = visible / of_all if of_all > 0.0 else seen / 3
                             # What three rays do not find may still be there: it is cut a little less eagerly.
                             cut = seen < 3 and (PARTLY if seen > 0 else cell[top, 17]) * over > allowed[k]
                             if seen == 0 and (
                                 not cut
-                                or _none_seen(
+                                or (not alone and _none_seen(
                                     x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link,
                                     waiting,
-                                )
+                                ))
                             ):  # fmt: skip
                                 continue
                             cell[top, 17] = STILL_UNFOUND * cell[top, 17] if seen == 0 else UNFOUND
@@ -529,21 +469,37 @@ def _gather(  # type: ignore[no-untyped-def]
                     if few:
                         cell[top, 16] = 4.0 * share
                         only = quarters3[q, _digit(turn, share)]
-                        top = _push(tag, top, kept, at, only, first, middle, last)
+                        top = push(tag, top, kept, at, only, first, middle, last)
                         continue
                     for j in range(4):
-                        _copy(cell, here, top)
-                        top = _push(tag, top, kept, at, quarters3[q, j], first, middle, last)
+                        copy_cell(cell, here, top)
+                        top = push(tag, top, kept, at, quarters3[q, j], first, middle, last)
+                    continue
+                if what == BOX and (cut or not alone):
+                    if proofs and first < last < enough:
+                        half_way = narrowed_to_box(x, around, at, candidates, first, middle, last, box, link, waiting)
+                        behind = narrowed_to_box(
+                            z, around, at, candidates, middle, last, half_way, box, link, waiting
+                        )
+                        first, middle, last = last, half_way, behind
+                    if many:
+                        top = push_boxes(tag, cell, top, children[at], q, first, middle, last)
+                        continue
+                    unfound = cell[top, 17]
+                    for f in range(start, end):
+                        cell[top, 16] = share
+                        for j in range(3):
+                            put_vertex(cell, top, j, corner(corners, f, j), 0.0, 0.0)
+                        cell[top, 15], cell[top, 17] = area_before[f + 1] - area_before[f], unfound
+                        top = push(tag, top, FRESH, f, q, first, middle, last)
                     continue
                 if cut:
                     if h <= SMALLEST * extent:
                         continue
                     # Across the longest side.
-                    y = half(_vertex(cell, top, side), _vertex(cell, top, (side + 1) % 3))
-                    w, r1, r3 = weight(
-                        y, n, kind2, values2, lit_from, kind1, values1, seen_from, kind3, values3, footprint
-                    )
-                    top = _push_halves(tag, cell, top, side, y, w, r1 + r3, CELL, f, q, first, middle, last)
+                    y = half(vertex_of(cell, top, side), vertex_of(cell, top, (side + 1) % 3))
+                    w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint)
+                    top = push_halves(tag, cell, top, side, y, w, r1 + r3, CELL, f, q, first, middle, last)
                     continue
                 wa, wb, wc = cell[top, 3], cell[top, 8], cell[top, 13]
                 air = math.exp(-attenuation * (r1 + r3 + leg3[p, q])) if attenuation > 0.0 else 1.0

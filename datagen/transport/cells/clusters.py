@@ -1,0 +1,139 @@
+"""Small triangles taken together: the light of all that a box holds from moments of its surface.
+
+A mesh far away costs as much as its detail there, whatever the number of its triangles (`Hierarchy.moment`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from datagen.transport.brdf import dot
+from datagen.transport.cells.geometry import ball, distance, get, less, unit
+from datagen.transport.cells.hierarchy import one_of
+from datagen.transport.sampling import mix
+
+COARSEST = 0.8
+"""Largest cell or patch, relative to its distance."""
+UNLIKE = 0.05
+"""Error of arrival times, relative to the light, if they are known by their mean and variance alone."""
+
+
+@njit(cache=True, error_model="numpy")
+def is_small(around, at, x, z, most, allowed):  # type: ignore[no-untyped-def]
+    """Whether a box is so small and faint that one point may stand for all of it, and how near it comes to z.
+
+    most : photons if all of it were at distance 1 and faced both.
+    """
+    centre, radius = ball(around, at)
+    near1, near3 = distance(centre, x) - radius, distance(centre, z) - radius
+    if min(near1, near3) <= 0.0 or 2 * radius > COARSEST * min(near1, near3):
+        return False, near3
+    return 0.5 * most / (near1 * near1 * near3 * near3) <= allowed, near3
+
+
+@njit(cache=True, error_model="numpy")
+def sides_turned(moment, row, around, k, x, z):  # type: ignore[no-untyped-def]
+    """Whether all of a box's surface turns the same side to x and to z (1), or to each another one (−1); 0 where that
+    is not certain."""
+    (middle, radius), axis, cosine, same = ball(around, k), get(moment, row, 15), moment[row, 18], 1.0
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    for at in (x, z):
+        d = less(middle, at)
+        far = math.sqrt(dot(d, d))
+        if radius >= far:
+            return 0
+        sine_ball = radius / far
+        cosine_ball = math.sqrt(1.0 - sine_ball * sine_ball)
+        across = dot(d, axis) / far
+        # The cone of the normals, widened by that of the lines to the box, on one side of a right angle.
+        if cosine * cosine_ball <= sine * sine_ball or abs(across) <= sine_ball * cosine + cosine_ball * sine:
+            return 0
+        same *= across
+    return 1 if same > 0.0 else -1
+
+
+@njit(cache=True, error_model="numpy")
+def as_one(moment, k, x, z, sides, diffuse, limit, per_metre):  # type: ignore[no-untyped-def]
+    """A cluster as one cell, all of it at the middle of its light.
+
+    limit : largest cell, relative to its distance. per_metre : bins.
+
+    Returns that place; a normal there, and what to multiply its light with; the error that this has beside that of a
+    triangle's cell, relative to the light; the size that a triangle's longest side would have; by how much the mean
+    path is longer than by way of the place; and half of how far the paths spread, as those of a triangle with their
+    variance.
+
+    For points y = c + δ with normals n the light goes with (n·d₁)(n·d₃), d₁ = y − x, d₃ = y − z. To first order in δ
+    its mean is d₁ᵀ⟨n nᵀ⟩d₃ + ⟨(n·δ)(n·(d₁ + d₃))⟩ with d₁, d₃ those of c, and its middle d₁ᵀ⟨n nᵀ δ⟩d₃ beside c. That
+    holds where all normals have the same side towards both ends. Otherwise faces between two outlines count against
+    it, and the mean of the positive part is at most (d₁ᵀM d₃ + √(d₁ᵀM d₁ · d₃ᵀM d₃)) / 2 with M = ⟨n nᵀ⟩, by Cauchy
+    and Schwarz.
+    """
+    c = get(moment, k, 0)
+    d1, d3 = less(c, x), less(c, z)
+    facing, doubt = _quadratic(moment, k, 9, d1, d3), 0.0
+    if sides == 0:
+        most = 0.5 * (facing + math.sqrt(_quadratic(moment, k, 9, d1, d1) * _quadratic(moment, k, 9, d3, d3)))
+        least = max(facing, 0.0)
+        facing = 0.5 * (least + most)
+        doubt = 0.5 * (most - least) / facing if facing > 0.0 else 0.0
+    both = (d1[0] + d3[0], d1[1] + d3[1], d1[2] + d3[2])
+    nearer = (
+        _quadratic(moment, k, 20, both, (1.0, 0.0, 0.0))
+        + _quadratic(moment, k, 26, both, (0.0, 1.0, 0.0))
+        + _quadratic(moment, k, 32, both, (0.0, 0.0, 1.0))
+    )
+    trace = moment[k, 3] + moment[k, 4] + moment[k, 5]
+    # Seen from its edge a cluster may change by more than it is, and the first order says nothing.
+    near = facing * facing > 4.0 * trace * dot(both, both)
+    per = 1.0 / facing if near else 0.0
+    place = (
+        c[0] + per * _quadratic(moment, k, 20, d1, d3),
+        c[1] + per * _quadratic(moment, k, 26, d1, d3),
+        c[2] + per * _quadratic(moment, k, 32, d1, d3),
+    )
+    d1, d3 = less(place, x), less(place, z)
+    r1, r3 = math.sqrt(dot(d1, d1)), math.sqrt(dot(d3, d3))
+    g = (d1[0] / r1 + d3[0] / r3, d1[1] / r1 + d3[1] / r3, d1[2] / r1 + d3[2] / r3)
+    n = unit(g) if diffuse else get(moment, k, 15)
+    across1 = trace - _quadratic(moment, k, 3, d1, d1) / (r1 * r1)
+    across3 = trace - _quadratic(moment, k, 3, d3, d3) / (r3 * r3)
+    longer, variance = 0.5 * (across1 / r1 + across3 / r3), max(_quadratic(moment, k, 3, g, g), 0.0)
+    tilt = (facing + nearer if near else facing) / (dot(d1, n) * dot(d3, n))
+    h, apart = math.sqrt(18.0 * trace), math.sqrt(6.0 * variance)
+    # Normals go with place; light need not come as a triangle's; and what is not diffuse changes with the normal.
+    lacking, scale, wide = moment[k, 19], (COARSEST / limit) ** 2, 2.0 * apart * per_metre
+    unlike = doubt + scale * math.sqrt(lacking) * (h / r1 + h / r3) + UNLIKE * min(1.0, wide * wide)
+    return place, n, tilt, unlike if diffuse else unlike + scale * lacking, h, longer, apart
+
+
+@njit(cache=True, error_model="numpy")
+def _quadratic(moment, k, j, u, v):  # type: ignore[no-untyped-def]
+    """uᵀ A v, of the symmetric matrix that stands in row k from column j on."""
+    return (
+        u[0] * (moment[k, j] * v[0] + moment[k, j + 3] * v[1] + moment[k, j + 4] * v[2])
+        + u[1] * (moment[k, j + 3] * v[0] + moment[k, j + 1] * v[1] + moment[k, j + 5] * v[2])
+        + u[2] * (moment[k, j + 4] * v[0] + moment[k, j + 5] * v[1] + moment[k, j + 2] * v[2])
+    )
+
+
+@njit(cache=True)
+def anywhere(first, last, area_before, corners, word):  # type: ignore[no-untyped-def]
+    """A point drawn uniformly on the triangles first … last, and which it lies on."""
+    u = math.sqrt((np.float64(mix(word, np.uint64(1))) + 0.5) * 2.0**-32)
+    v = (np.float64(mix(word, np.uint64(2))) + 0.5) * 2.0**-32
+    f = one_of(first, last, area_before, word)
+    return f, _on(corners, f, 1 - u, u * (1 - v), u * v)
+
+
+@njit(cache=True, error_model="numpy")
+def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
+    """The point of triangle f with barycentric coordinates r, s, t."""
+    return (
+        r * corners[f, 0, 0] + s * corners[f, 1, 0] + t * corners[f, 2, 0],
+        r * corners[f, 0, 1] + s * corners[f, 1, 1] + t * corners[f, 2, 1],
+        r * corners[f, 0, 2] + s * corners[f, 1, 2] + t * corners[f, 2, 2],
+    )
