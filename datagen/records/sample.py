@@ -70,7 +70,8 @@ class Transient:
         it; None with fixed sample counts.
     met_target : whether target and part target are met; None with fixed sample counts.
     part_errors : with an accuracy target, object part → estimated relative L2 error of its own primary; only parts
-        whose light `Accuracy.faint_part` lets count, and none where the primary is sampled (narrow lobes).
+        whose light `Accuracy.faint_part` lets count, and none where the primary is sampled (narrow lobes). More than
+        the part target where an object is so nearly hidden that its light was not worth the rays.
     """
 
     time: TimeAxis

@@ -173,3 +173,14 @@ def test_a_flat_mesh_is_the_rectangle_that_it_covers() -> None:
     assert off(other.total, one.total) < one.relative_error + other.relative_error
     for name in one.part_errors:
         assert off(other.parts[name], one.parts[name]) < one.part_errors[name] + other.part_errors[name]
+
+
+def test_an_object_that_is_nearly_hidden_is_told_and_not_chased() -> None:
+    """The device stands in a closed mesh: what comes out at its seams is a millionth of the light, and would take any
+    number of rays to find."""
+    scene = furnished_room(more=[lump("mesh", (1.6, -0.2, 1.5), 0.4, 9)])
+    found = simulate(scene, scan(4), Accuracy(target=0.02, max_bounces=3), split_parts=True)
+    assert found.spend is not None and found.spend.way["primary"] == "cells"
+    assert found.met_target is False and "nearly hidden" in found.spend.outcome
+    assert found.relative_error < 0.02 and found.part_errors["mesh"] < 0.05 < found.part_errors["pillar"]
+    assert found.parts["pillar"].sum() < 1e-5 * found.total.sum()

@@ -34,6 +34,11 @@ UNSEEN = 1e-4
 """Norm that a part is taken to have at least, relative to the whole, when it is cut."""
 LOOKED_AT, EVENLY = 6, 0.25
 """Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
+HELPS = 0.1
+"""Share of the error to be met, for each of K parts over K, under which cutting a part does not help the whole."""
+TOO_DEAR = 1 << 14
+"""Cells and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
+hidden may take any number of rays for light that is a millionth of the whole."""
 WITHIN, WITHIN_PARTS = 0.6, 0.65
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
 others may be worse."""
@@ -129,7 +134,8 @@ class Choice:
     cutting : (K,) L2 error of a cell. tried : (K,) the finer one of the trial's `histogram`.
     error, whole : L2 error and norm of the whole.
     still, own : (K,) of each part.
-    held : (K,) which are held to an error of their own; limit : (K,) that error, infinite for the others.
+    held : (K,) which are held to an error of their own, or would be but for `TOO_DEAR`.
+    limit : (K,) that error, infinite for the others.
     histogram : (n, K, T) of the pairs tried.
     """
 
@@ -155,7 +161,7 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
     if whole == 0.0:
         return None
     cutting = FIRST / FINER * np.maximum(own, UNSEEN * whole) / math.sqrt(trial.weight.sum())
-    finest = np.zeros(parts, np.int64)
+    finest, dear = np.zeros(parts, np.int64), np.zeros(parts, np.bool_)
     while True:
         cutting = FINER * cutting
         before = trial.work.cells + trial.work.rays
@@ -164,18 +170,25 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         runs.append(found.histogram)
         cuttings.append(np.where(settled, cuttings[-1], cutting))
         cells.append(np.where(settled, cells[-1], found.cells))
+        dear |= found.cells + found.rays > TOO_DEAR * len(trial.pairs)
         finest[~settled] = len(runs) - 1
         whole, own = _norm(runs[-1]), _norms(runs[-1])
         held = asked.objects & (own > 0) & (trial.energy(runs[-1]) >= asked.faint)
-        limit = np.where(held, asked.part_target * own, np.inf)
+        limit = np.where(held & ~dear, asked.part_target * own, np.inf)
         still, last = _still(runs, finest), len(runs) > LEVELS
         seen_through = GROWN * np.array(cells[:-1]) <= cells[-1]
-        known = seen_through | ~(held | (own > asked.target * whole)) | last
-        level = np.argmax(np.vstack([(still <= WITHIN_PARTS * limit) & known, np.ones(parts, np.bool_)]), axis=0)
+        known = seen_through | ~((held & ~dear) | (own > asked.target * whole)) | last
+        does = (still <= WITHIN_PARTS * limit) & known & ~(held & dear)
+        level = np.argmax(np.vstack([does, np.ones(parts, np.bool_)]), axis=0)
+        # The finest that is known to have been too dear, or nearly.
+        level = np.where(held & dear, finest - 1, level)
         error = _whole_error(runs, level, finest)
         highest = np.where(settled, finest - 1, finest)
-        while error > WITHIN * asked.target * whole and (level < highest).any():
-            level[np.argmax(np.where(level < highest, still[np.minimum(level, len(still) - 1), every], -1.0))] += 1
+        while error > WITHIN * asked.target * whole:
+            left = np.where(level < highest, still[np.minimum(level, len(still) - 1), every], 0.0)
+            if parts * left.max() <= HELPS * WITHIN * asked.target * whole:
+                break
+            level[np.argmax(left)] += 1
             error = _whole_error(runs, level, finest)
         enough = error <= WITHIN * asked.target * whole
         if enough and (level < finest).all():

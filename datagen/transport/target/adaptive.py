@@ -113,12 +113,16 @@ def _joined(task: WalkTask, found: dict[str, _Found], primary: Primary, rest: Es
     components = {
         name: found[name].light if name in found else rest.components[name] for name in task.splits.components
     }
+    told = all(error <= task.accuracy.each_part for error in primary.part_errors.values())
+    outcome = (
+        rest.spend.outcome if told or not rest.met_target else "target met but for an object that is nearly hidden"
+    )
     spend = Spend(
         lookins=dict(rest.spend.lookins) | {name: one.cells / lasers for name, one in found.items()},
         share={name: value / total if total > 0 else 0.0 for name, value in share.items()},
         way=dict(rest.spend.way) | dict.fromkeys(found, "cells"),
         fov_samples=dict(rest.spend.fov_samples) | dict.fromkeys(found, 1),
-        rounds=rest.spend.rounds, cost=total, outcome=rest.spend.outcome,
+        rounds=rest.spend.rounds, cost=total, outcome=outcome,
     )  # fmt: skip
     stderr, overflow = rest.stderr, rest.overflow
     for one in found.values():
@@ -127,7 +131,7 @@ def _joined(task: WalkTask, found: dict[str, _Found], primary: Primary, rest: Es
         overflow = overflow + one.overflow
     return Estimate(
         components, dict(zip(task.splits.parts, primary.rows, strict=False)), stderr, overflow, spend,
-        rest.error_bound, rest.met_target, dict(primary.part_errors),
+        rest.error_bound, rest.met_target and told, dict(primary.part_errors),
     )  # fmt: skip
 
 
