@@ -115,7 +115,7 @@ def _joined(task: WalkTask, found: dict[str, _Found], primary: Primary, rest: Es
     }
     told = all(error <= task.accuracy.each_part for error in primary.part_errors.values())
     outcome = (
-        rest.spend.outcome if told or not rest.met_target else "target met but for an object that is nearly hidden"
+        rest.spend.outcome if told or not rest.met_target else "target met but for an object's own light"
     )
     spend = Spend(
         lookins=dict(rest.spend.lookins) | {name: one.cells / lasers for name, one in found.items()},
