@@ -17,6 +17,8 @@ from datagen.transport.sampling import mix
 
 COARSEST = 0.8
 """Largest cell or patch, relative to its distance."""
+CLUTTERED = 0.5
+"""Error of a cluster whose normals go everywhere, relative to its light: of that much it may hide itself."""
 UNLIKE = 0.05
 """Error of arrival times, relative to the light, if they are known by their mean and variance alone."""
 
@@ -106,7 +108,9 @@ def as_one(moment, k, x, z, sides, diffuse, limit, per_metre):  # type: ignore[n
     h, apart = math.sqrt(18.0 * trace), math.sqrt(6.0 * variance)
     # Normals go with place; light need not come as a triangle's; and what is not diffuse changes with the normal.
     lacking, scale, wide = moment[k, 19], (COARSEST / limit) ** 2, 2.0 * apart * per_metre
-    unlike = doubt + scale * math.sqrt(lacking) * (h / r1 + h / r3) + UNLIKE * min(1.0, wide * wide)
+    unlike = (
+        doubt + scale * math.sqrt(lacking) * (h / r1 + h / r3) + UNLIKE * min(1.0, wide * wide) + CLUTTERED * lacking
+    )
     return place, n, tilt, unlike if diffuse else unlike + scale * lacking, h, longer, apart
 
 

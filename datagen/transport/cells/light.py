@@ -390,8 +390,10 @@ def _gather(  # type: ignore[no-untyped-def]
                     cut, quarter, over, bend = _judged(
                         cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre
                     )
-                    if alone and not cut and not quarter:
-                        cut = over * unlike > allowed[k]
+                    if alone:
+                        # What is cut once need not be cut again for each quarter of the pixel.
+                        cut |= over * unlike > allowed[k] or (quarter and h > 2.0 * size)
+                        quarter &= not cut
                     if height1 * height3 <= 0.0 or abs(height3) < flat:
                         # This side does not light the patch's middle; it may light parts of a large one.
                         if not (quarters and abs(height3) < size and size > 0.1 * r3):
@@ -400,7 +402,7 @@ def _gather(  # type: ignore[no-untyped-def]
                     if not (quarter or over > 0.0):
                         continue
                     # Seen or not, it can make no larger error than it may.
-                    visible, faint = 1.0, over <= allowed[k]
+                    visible, faint = 1.0, (PARTLY if alone else 1.0) * over <= allowed[k]
                     if not (alone or quarter) and proofs and first < last < enough and (cut or not faint):
                         half_way = narrowed(
                             x, a, b, c, f, candidates, first, middle, last, facet, number, box, link, flat, waiting

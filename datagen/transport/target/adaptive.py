@@ -114,9 +114,7 @@ def _joined(task: WalkTask, found: dict[str, _Found], primary: Primary, rest: Es
         name: found[name].light if name in found else rest.components[name] for name in task.splits.components
     }
     told = all(error <= task.accuracy.each_part for error in primary.part_errors.values())
-    outcome = (
-        rest.spend.outcome if told or not rest.met_target else "target met but for an object's own light"
-    )
+    outcome = rest.spend.outcome if told or not rest.met_target else "target met but for an object's own light"
     spend = Spend(
         lookins=dict(rest.spend.lookins) | {name: one.cells / lasers for name, one in found.items()},
         share={name: value / total if total > 0 else 0.0 for name, value in share.items()},
