@@ -11,6 +11,8 @@ import numpy as np
 LEAST = 3.0
 """Standard deviations under which a label cannot be learnt from the data."""
 SHARE = 0.9
+PLACED_ANEW = "evidence.placed_anew"
+"""Of a scene: how often its objects were placed anew for want of evidence."""
 _SIGNIFICANCE = re.compile(r"evidence\.(.+)\.significance")
 
 
@@ -39,14 +41,17 @@ def kind_of(part: str) -> str:
     return re.sub(r"_\d+$", "", part)
 
 
-def evidence_by_kind(scenes: Iterable[Mapping[str, object]]) -> list[KindEvidence]:
-    """Of scenes' parameters, the kinds in alphabetical order; none where no evidence is stored."""
+def evidence_by_kind(scenes: Iterable[Mapping[str, object]], together: str | None = None) -> list[KindEvidence]:
+    """Of scenes' parameters, the kinds in alphabetical order; none where no evidence is stored.
+
+    together : all kinds as one, of this name.
+    """
     found: dict[str, list[float]] = {}
     for parameters in scenes:
         for name, value in parameters.items():
             match = _SIGNIFICANCE.fullmatch(name)
             if match and isinstance(value, int | float):
-                found.setdefault(kind_of(match[1]), []).append(float(value))
+                found.setdefault(together or kind_of(match[1]), []).append(float(value))
     return [_summary(kind, np.array(values)) for kind, values in sorted(found.items())]
 
 
@@ -55,6 +60,18 @@ def _summary(kind: str, sigma: np.ndarray) -> KindEvidence:
     factor = float("inf") if weak <= 0 else max((LEAST / weak) ** 2, 1.0)
     under_3, under_1 = (float((sigma < limit).mean()) for limit in (LEAST, 1.0))
     return KindEvidence(kind, len(sigma), float(np.median(sigma)), under_3, under_1, factor)
+
+
+def placed_anew_lines(scenes: Iterable[Mapping[str, object]]) -> list[str]:
+    """How many scenes had their objects placed anew for the evidence asked of them; none where none is asked."""
+    times = [int(of[PLACED_ANEW]) for of in scenes if isinstance(of.get(PLACED_ANEW), int)]  # type: ignore[call-overload]
+    if not times:
+        return []
+    share, mean = sum(count > 0 for count in times) / len(times), sum(times) / len(times)
+    return [
+        f"evidence_at_least: in {share:.0%} of scenes objects were placed anew, {mean:.2g} times a scene; near, "
+        "large and bright ones are more frequent than declared"
+    ]
 
 
 def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
