@@ -16,11 +16,10 @@ from datagen.config.transport import TransportConfig
 from datagen.design.estimate import one_detection
 from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
-from datagen.detector.own_light import detections_per_photon
 from datagen.effects import EffectDecisions, decide_detector_effects, decide_transport_effects
 from datagen.errors import InputError
 from datagen.evidence import evidence_image
-from datagen.evidence.own import UNKNOWN, Evidence, evidence_parameters, evidence_tables, own_evidence
+from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config
@@ -75,12 +74,11 @@ def sample_of(
         )  # fmt: skip
     with _timed(seconds, "evidence"):
         # A transient that another simulator made is not split by object.
-        evidence = (
-            own_evidence(transient, used, conditions, scene.objects)
-            if given is None
-            else dict.fromkeys(scene.objects, UNKNOWN)
-        )
-        image = _evidence_image(config, scene, capture, transient, used, conditions)
+        parts = scene.objects if given is None else ()
+        faded = "evidence" in config.store.fields
+        evidence, gain = evidence_and_gain(transient, used, conditions, parts, gain=faded)
+        evidence = evidence if given is None else dict.fromkeys(scene.objects, UNKNOWN)
+        image = {} if gain is None else {"evidence": evidence_image(scene, capture, config.labels, gain)}
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
         slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
@@ -95,15 +93,6 @@ def sample_of(
     return Sample(
         index, arrays, _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts), seconds
     )
-
-
-def _evidence_image(
-    config: DatasetConfig, scene: Scene, capture: Capture, transient: Transient, spad: Spad, exposure: Exposure
-) -> dict[str, NDArray[np.float32]]:
-    if "evidence" not in config.store.fields:
-        return {}
-    each = detections_per_photon(transient.total, capture.time, spad, exposure)
-    return {"evidence": evidence_image(scene, capture, config.labels, each)}
 
 
 def transport_effects(config: DatasetConfig, scene: Scene, capture: Capture, index: int) -> EffectDecisions:
