@@ -120,8 +120,8 @@ def check_inputs(config: DatasetConfig) -> None:
     """
     check_scene_config(config.scene)
     capture = _tried_capture(config, 0)
-    lit = any(item.evidence_at_least is not None for item in config.scene.contents)
-    for index in range(1, min(config.scenes, LIT_SCENES_TRIED if lit else SCENES_TRIED)):
+    tried = LIT_SCENES_TRIED if config.scene.asks_for_evidence else SCENES_TRIED
+    for index in range(1, min(config.scenes, tried)):
         _tried_capture(config, index)
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
     dark = np.zeros((1, *capture.shape[1:]))

@@ -31,7 +31,7 @@ def scene_for(config: DatasetConfig, index: int) -> Scene:
     >>> dg.scene_for(config, 3).part_names
     ('relay_wall', 'walls', 'floor', 'ceiling', 'pillar', 'box')
     """
-    if all(item.evidence_at_least is None for item in config.scene.contents):
+    if not config.scene.asks_for_evidence:
         return generate_scene(config.scene, config.seed, index)
 
     def short_of(scene: Scene, asked: Mapping[str, float]) -> str | None:

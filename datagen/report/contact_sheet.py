@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.config import DatasetConfig
+from datagen.design.exposure import with_exposure_found
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, ObjectBoxes, make_labels
@@ -126,6 +127,7 @@ def first_scenes(configs: Sequence[DatasetConfig], count: int) -> list[tuple[Dat
     that cannot be used."""
     for config in configs:
         check_scene_config(config.scene)
+    configs = [with_exposure_found(config) if config.scene.asks_for_evidence else config for config in configs]
     share = [count // len(configs) + (k < count % len(configs)) for k in range(len(configs))]
     return [(config, index) for config, n in zip(configs, share, strict=True) for index in range(n)]
 

@@ -13,6 +13,7 @@ import datagen as dg
 from datagen.design import exposure
 from datagen.design.estimate import estimated_evidence
 from datagen.detector import detector_for
+from datagen.report.contact_sheet import first_scenes
 from datagen.store import read_manifest
 
 DETECTORS: dict[str, dict[str, Any]] = {
@@ -94,6 +95,13 @@ def test_scenes_on_the_fly_are_those_of_the_dataset(tmp_path: Path, monkeypatch:
     data = dg.TransientDataset(tmp_path / "a", ("histogram",))
     for stored, made in zip(data, dg.GeneratedDataset(config, ("histogram",)), strict=True):
         assert (stored["histogram"] == made["histogram"]).all()
+
+
+def test_rooms_that_wait_for_the_exposure_can_be_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exposure, "OBJECTS", 6)
+    config = measurement({"exposure_for": {"evidence": 5}}, [{"kind": "box", "evidence_at_least": 4}])
+    ((found, _),) = first_scenes([config], 1)
+    assert np.array_equal(dg.scene_for(found, 0).vertices, dg.scene_for(dg.with_exposure_found(config), 0).vertices)
 
 
 @pytest.mark.parametrize(
