@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from datagen.building.on_the_fly import GeneratedDataset
     from datagen.capture import capture_for
     from datagen.config import DatasetConfig, EffectsConfig, SceneConfig, load_config
+    from datagen.design.exposure import with_exposure_found
+    from datagen.design.scene_for import scene_for
     from datagen.detector import Exposure, Spad, detect, expected_histogram
     from datagen.effects import Decision, EffectDecisions, plan_effects
     from datagen.errors import CheckError, InputError, InputWarning
@@ -54,7 +56,7 @@ __all__ = [
     "Rectangle", "Retroreflector", "Sample", "Scene", "SceneConfig", "Sensor", "SinLobe", "Spad", "Spend",
     "TimeAxis", "Transient", "TransientDataset", "__version__", "build", "build_from", "capture_for", "collate",
     "dense", "detect", "expected_histogram", "generate_scene", "load_config", "own_evidence", "plan_effects",
-    "simulate", "simulate_as_printed",
+    "scene_for", "simulate", "simulate_as_printed", "with_exposure_found",
 ]  # fmt: skip
 _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "AsPrinted": "datagen.paper.as_printed",
@@ -84,8 +86,10 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "load_config": "datagen.config",
     "own_evidence": "datagen.evidence",
     "plan_effects": "datagen.effects",
+    "scene_for": "datagen.design.scene_for",
     "simulate": "datagen.transport",
     "simulate_as_printed": "datagen.paper.as_printed",
+    "with_exposure_found": "datagen.design.exposure",
 }
 
 

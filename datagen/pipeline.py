@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.config.transport import TransportConfig
+from datagen.design.estimate import one_detection
+from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
-from datagen.detector.own_light import detections_per_photon
 from datagen.effects import EffectDecisions, decide_detector_effects, decide_transport_effects
 from datagen.errors import InputError
 from datagen.evidence import evidence_image
-from datagen.evidence.own import UNKNOWN, Evidence, evidence_parameters, evidence_tables, own_evidence
+from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
-from datagen.scene import check_scene_config, generate_scene
+from datagen.scene import check_scene_config
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import transient_of
 
@@ -36,7 +37,7 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
     """
     seconds = dict[str, float]()
     with _timed(seconds, "scene"):
-        scene = generate_scene(config.scene, config.seed, index)
+        scene = scene_for(config, index)
         capture = capture_for(config, scene, config.seed, index)
     return sample_of(config, index, scene, capture, seconds=seconds, planned=planned)
 
@@ -58,7 +59,7 @@ def sample_of(
         if given is None:
             own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
             lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
-            accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
+            accuracy = replace(accuracy, faint_part=one_detection(spad, exposure))
             transient = transient_of(lit, capture, accuracy, seed=own_seed)
         else:
             unknown, nowhere = np.full(given.shape, np.nan), np.zeros(given.shape[:2])
@@ -73,12 +74,11 @@ def sample_of(
         )  # fmt: skip
     with _timed(seconds, "evidence"):
         # A transient that another simulator made is not split by object.
-        evidence = (
-            own_evidence(transient, used, conditions, scene.objects)
-            if given is None
-            else dict.fromkeys(scene.objects, UNKNOWN)
-        )
-        image = _evidence_image(config, scene, capture, transient, used, conditions)
+        parts = scene.objects if given is None else ()
+        faded = "evidence" in config.store.fields
+        evidence, gain = evidence_and_gain(transient, used, conditions, parts, gain=faded)
+        evidence = evidence if given is None else dict.fromkeys(scene.objects, UNKNOWN)
+        image = {} if gain is None else {"evidence": evidence_image(scene, capture, config.labels, gain)}
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
         slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
@@ -95,24 +95,6 @@ def sample_of(
     )
 
 
-def _evidence_image(
-    config: DatasetConfig, scene: Scene, capture: Capture, transient: Transient, spad: Spad, exposure: Exposure
-) -> dict[str, NDArray[np.float32]]:
-    if "evidence" not in config.store.fields:
-        return {}
-    each = detections_per_photon(transient.total, capture.time, spad, exposure)
-    return {"evidence": evidence_image(scene, capture, config.labels, each)}
-
-
-def _one_detection(spad: Spad, exposure: Exposure) -> float:
-    """Photons at the aperture, per emitted photon and over a whole scan, that give one detection on average.
-
-    An object with less light than that is not held to an error of its own.
-    """
-    counted = exposure.photons_per_pulse * exposure.cycles * spad.pde
-    return 1.0 / counted if counted > 0 else 0.0
-
-
 def transport_effects(config: DatasetConfig, scene: Scene, capture: Capture, index: int) -> EffectDecisions:
     """What of scene `index` the transport is to simulate, and why."""
     seed = derived_seed(config.seed, index, Purpose.EFFECTS)
@@ -127,6 +109,8 @@ def detector_effects(config: DatasetConfig, transient: Transient, spad: Spad, ex
 
 SCENES_TRIED = 16
 """Scenes generated before a build, without light: what is wrong with one of them would be wrong every time."""
+LIT_SCENES_TRIED = 4
+"""As many where light says which scenes are accepted."""
 
 
 def check_inputs(config: DatasetConfig) -> None:
@@ -136,7 +120,8 @@ def check_inputs(config: DatasetConfig) -> None:
     """
     check_scene_config(config.scene)
     capture = _tried_capture(config, 0)
-    for index in range(1, min(config.scenes, SCENES_TRIED)):
+    tried = LIT_SCENES_TRIED if config.scene.asks_for_evidence else SCENES_TRIED
+    for index in range(1, min(config.scenes, tried)):
         _tried_capture(config, index)
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
     dark = np.zeros((1, *capture.shape[1:]))
@@ -145,7 +130,7 @@ def check_inputs(config: DatasetConfig) -> None:
 
 
 def _tried_capture(config: DatasetConfig, index: int) -> Capture:
-    scene = generate_scene(config.scene, config.seed, index)
+    scene = scene_for(config, index)
     try:
         return capture_for(config, scene, config.seed, index)
     except InputError as error:

@@ -26,6 +26,7 @@ STAGES = (
     "effects",
     "detector",
     "evidence",
+    "design",
     "building",
     "loader",
     "paper",

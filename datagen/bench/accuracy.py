@@ -24,9 +24,9 @@ from datagen.bench.accuracy_settings import Row, Setting, fewer_laser_points, sw
 from datagen.bench.measuring import machine, percent, processor_seconds
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, load_config
+from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scene
-from datagen.scene import generate_scene
 from datagen.store.files import check_writable
 from datagen.transport import simulate
 
@@ -102,7 +102,7 @@ def run(
     ------
     InputError : the scene cannot be made, or sends no light into the window.
     """
-    room = generate_scene(config.scene, config.seed, scene)
+    room = scene_for(config, scene)
     whole = capture_for(config, room, config.seed, scene)
     problem = Problem(room, fewer_laser_points(whole, laser_points))
     configured = config.transport.accuracy()

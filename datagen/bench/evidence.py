@@ -6,27 +6,39 @@ import click
 
 from datagen.bench.measuring import markdown
 from datagen.config import DatasetConfig, load_config
+from datagen.design.exposure import with_exposure_found
 from datagen.pipeline import simulate_sample
 from datagen.store.evidence_told import KindEvidence, evidence_by_kind
 
+EVERY = "all objects"
 
-def found_in(config: DatasetConfig, scenes: int) -> list[KindEvidence]:
-    """By kind of object, in the first scenes."""
-    store = config.store.model_copy(update={"fields": ("histogram",)})
-    lean = config.model_copy(update={"store": store})
-    return evidence_by_kind(simulate_sample(lean, index).parameters for index in range(scenes))
+
+def found_in(config: DatasetConfig, scenes: int, target: float | None = None) -> list[KindEvidence]:
+    """By kind of object, in the first scenes, and last of all objects together.
+
+    target : error of the light, where a coarser one than the configured will do.
+    """
+    store = config.store.model_copy(update={"fields": ("histogram",), "histogram_dtype": "uint32"})
+    transport = config.transport
+    if target is not None and transport.target is not None:
+        transport = transport.model_copy(update={"target": max(target, transport.target)})
+    lean = config.model_copy(update={"store": store, "transport": transport})
+    found = [simulate_sample(lean, index).parameters for index in range(scenes)]
+    return [*evidence_by_kind(found), *evidence_by_kind(found, EVERY)]
 
 
 @click.command()
 @click.argument("configs", nargs=-1, required=True)
 @click.option("--scenes", default=100, show_default=True, type=click.IntRange(1), help="Scenes of each.")
-def main(configs: tuple[str, ...], scenes: int) -> None:
+@click.option("--target", type=float, help="A coarser error of the light, such as 0.1, which is quicker.")
+@click.option("--kinds/--no-kinds", default=True, help="A row for each kind of object.")
+def main(configs: tuple[str, ...], scenes: int, target: float | None, kinds: bool) -> None:
     """Print the significance of each kind of object in the first scenes of CONFIGS."""
-    loaded = [load_config(config) for config in configs]
+    loaded = [with_exposure_found(load_config(config)) for config in configs]
     rows = []
     for config in loaded:
         count = min(scenes, config.scenes)
-        for kind in found_in(config, count):
+        for kind in found_in(config, count, target)[0 if kinds else -1 :]:
             shares = (f"{100 * share:.0f} %" for share in (kind.under_3, kind.under_1))
             factor = f"{kind.exposure_factor:.2g}"
             rows.append(

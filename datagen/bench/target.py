@@ -27,9 +27,9 @@ from scipy import stats
 from datagen.bench.measuring import machine, markdown, processor_seconds
 from datagen.bench.target_cases import random_case
 from datagen.capture import capture_for
+from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scene, Transient
-from datagen.scene import generate_scene
 from datagen.transport import simulate
 
 TARGETS = (0.10, 0.05, 0.02, 0.01)
@@ -84,7 +84,7 @@ def outcomes(
     for case in cases:
         config = random_case(case)
         try:
-            scene = generate_scene(config.scene, config.seed, 0)
+            scene = scene_for(config, 0)
             capture = capture_for(config, scene, config.seed, 0)
         except InputError:
             continue

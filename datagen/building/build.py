@@ -22,11 +22,14 @@ from datagen.building.progress import Progress
 from datagen.building.shard_job import ShardJob, abandon_shard, run_shard, scene_age_s, scene_at
 from datagen.building.time_limit import LONGEST_SCENE_S, overtime
 from datagen.config import DatasetConfig
+from datagen.design.exposure import with_exposure_found
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
 from datagen.records.checks import check_kind, numbers_of
 from datagen.store import upload
 from datagen.store.environment import made_with, mixed
+from datagen.store.evidence_told import placed_anew_lines
+from datagen.store.manifest import MANIFEST, DamagedManifest
 from datagen.store.places import Bucket, place
 
 SampleFunction = Callable[[DatasetConfig, int], Sample]
@@ -47,6 +50,7 @@ class BuildResult:
     scenes : in the dataset.
     built, kept : shards made now, and found committed.
     complete : whether every shard is there.
+    told : of scenes whose objects were placed anew for the evidence asked of them; "" where none is asked.
     """
 
     path: Path | str
@@ -55,6 +59,7 @@ class BuildResult:
     kept: int
     complete: bool
     seconds: float
+    told: str = ""
 
     def summary(self) -> str:
         """One line for people."""
@@ -62,7 +67,7 @@ class BuildResult:
         found = f", {self.kept} were there" if self.kept else ""
         missing = "not complete yet: other shards are missing"
         state = f"complete with {self.scenes} scenes" if self.complete else missing
-        return f"{self.path}: {did}{found}; {state}"
+        return f"{self.path}: {did}{found}; {state}{self.told and f'; {self.told}'}"
 
 
 def build(
@@ -130,6 +135,7 @@ def build(
     _check_scene_seconds(scene_seconds, engine)
     if bucket is not None:
         upload.fetch(root, bucket)
+    config = _with_exposure(root, config)
     plan = store.planned(root, config)
     store.check_writable(root)
     schema = plan.schema
@@ -166,7 +172,27 @@ def build(
             "all others are stored, and building again tries these anew"
         )
     where = root if bucket is None else str(bucket)
-    return BuildResult(where, schema.scenes, len(wanted) - kept, kept, complete, time.monotonic() - began)
+    told = " ".join(placed_anew_lines(scene.parameters for record in records for scene in record.scenes))
+    return BuildResult(where, schema.scenes, len(wanted) - kept, kept, complete, time.monotonic() - began, told)
+
+
+def _with_exposure(root: Path, config: DatasetConfig) -> DatasetConfig:
+    """The configuration with the exposure it asks for: that of the dataset if there is one, never searched twice."""
+    asked = config.detector.exposure_for
+    if asked is None or not (root / MANIFEST).is_file():
+        return with_exposure_found(config)
+    try:
+        stored = store.read_manifest(root).config.get("detector", {})
+    except DamagedManifest:
+        return with_exposure_found(config)
+    if stored.get("found_for") != asked.model_dump(mode="json"):
+        told = stored.get("found_for") or f"cycles = {stored.get('cycles')}"
+        raise InputError(
+            f"output {root}: holds a dataset whose exposure is {told}, not detector.exposure_for = "
+            f"{asked.model_dump(mode='json')}; name another folder, or change it back to resume"
+        )
+    found = {"exposure_for": None, "found_for": asked, "cycles": stored["cycles"]}
+    return config.model_copy(update={"detector": config.detector.model_copy(update=found)})
 
 
 def _check_scene_seconds(scene_seconds: float | None, engine: str) -> None:

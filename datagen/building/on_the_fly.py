@@ -9,6 +9,7 @@ import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
 from datagen.config import DatasetConfig
+from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError
 from datagen.pipeline import simulate_sample
 from datagen.store import schema_of
@@ -24,7 +25,8 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
 
     Parameters
     ----------
-    config : what to make; `config.store.fields` bounds what can be asked for.
+    config : what to make; `config.store.fields` bounds what can be asked for. An exposure that it asks for is found
+        at once.
     fields : of an item, as of `TransientDataset`; histograms are handed over as float32.
     first : number of the first scene, ≥ 0: a run that ended after so many goes on there.
 
@@ -52,6 +54,7 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
                 raise InputError(f"fields: {name!r} is not in store.fields; there are {', '.join(known)}")
         if first < 0:
             raise InputError(f"first = {first}: must be ≥ 0")
+        config = with_exposure_found(config)
         self._config, self._fields, self._first = config, {name: known[name] for name in fields}, first
 
     def __len__(self) -> int:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, Fraction, support, within
@@ -29,6 +29,17 @@ class GateConfig(Settings):
         if 2e-3 * rise > width:
             raise ValueError(f"rise_ps = {rise:g}: must be at most half of width_ns = {width:g} ns")
         return self
+
+
+class ExposureFor(Settings):
+    """How far objects are to stand out of the noise: the exposure is the shortest with which they do."""
+
+    evidence: Annotated[float, Field(gt=0, le=1e6)]
+    """Significance of an object's own light, standard deviations of a matched filter."""
+    quantile: Annotated[float, Field(ge=0, lt=1)] = 0.5
+    """Share of the objects that may have less: 0.5 asks it of the median, 0.1 of nine in ten."""
+    longest_s: Annotated[float, Field(gt=0, le=1e6)] = 10.0
+    """Longest exposure of one histogram, seconds; where it is not enough, the configuration is refused."""
 
 
 class DetectorConfig(Settings):
@@ -74,6 +85,10 @@ class DetectorConfig(Settings):
     """Laser pulses per microsecond. Left out: 10."""
     cycles: Annotated[Distribution, within(1, 2**53)] = 1e6
     """Laser pulses in one exposure; rounded to a whole number."""
+    exposure_for: ExposureFor | None = None
+    """Instead of `cycles`: one number of cycles for the whole dataset, found by pilot scenes."""
+    found_for: ExposureFor | None = None
+    """What `cycles` was found for. Written into a dataset's own configuration; ask with `exposure_for`."""
     photons_per_pulse: NotNegative = 1e7
     """Photons that leave the laser in one pulse; the default, 4 pJ in the green, fills 16-bit bins of a confocal scan
     of a room to some percent of their range."""
@@ -87,3 +102,19 @@ class DetectorConfig(Settings):
     """Relative bias that a cheaper sampler may cause; 0 demands the exact one."""
     approximate: bool = False
     """Allow approximations where the exact sampler or mean cannot be had."""
+
+    @model_validator(mode="after")
+    def _one_exposure(self) -> DetectorConfig:
+        if self.exposure_for is not None and "cycles" in self.model_fields_set:
+            raise ValueError("cycles and exposure_for are both given, and each sets the exposure; leave one out")
+        if self.found_for is not None and (self.exposure_for is not None or "cycles" not in self.model_fields_set):
+            raise ValueError("found_for: tells for what given cycles were found; to have them found set exposure_for")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without what nobody asked for, so that what is written can be read again."""
+        values: dict[str, Any] = written(self)
+        absent = [name for name in ("exposure_for", "found_for") if values.get(name) is None]
+        absent += ["cycles"] if self.exposure_for is not None else []
+        return {name: value for name, value in values.items() if name not in absent}

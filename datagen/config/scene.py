@@ -56,6 +56,11 @@ class SceneConfig(Settings):
                 )
         return self
 
+    @property
+    def asks_for_evidence(self) -> bool:
+        """Whether light decides which of its scenes are accepted (`evidence_at_least`)."""
+        return any(item.evidence_at_least is not None for item in self.contents)
+
     def object_classes(self) -> tuple[str, ...]:
         """The classes of all objects that can be drawn, sorted: what the numbers in the label `objects` stand for."""
         if isinstance(self.layout, GivenScenes):

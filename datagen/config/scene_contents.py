@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    model_serializer,
+    model_validator,
+)
 
 from datagen.config.base import near_hint
 from datagen.config.distributions import Count, Distribution, Fraction, Length, Uniform, support, within
@@ -44,6 +52,9 @@ class Item(SurfaceMaterial):
     """Position of the centre within the hidden part: 0 on the side it is entered from, 1 on the far side."""
     rotation_deg: Angle = ANY_ANGLE
     """Rotation about the vertical."""
+    evidence_at_least: Annotated[float, Field(gt=0, le=1e4)] | None = None
+    """Significance that each of these objects is to have, standard deviations: all objects of a scene are placed anew
+    until they do, which makes what is near, large and bright more frequent. Left out: whatever they have."""
 
     sizes: ClassVar[tuple[str, ...]] = ()
     """Names of the keys that set the object's size, in the order they are drawn."""
@@ -53,6 +64,11 @@ class Item(SurfaceMaterial):
         if self.name in RESERVED_NAMES:
             raise ValueError(f"name = {self.name!r}: is a part of the room; choose another")
         return self
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = written(self)
+        return {k: v for k, v in values.items() if k != "evidence_at_least" or v is not None}
 
     @property
     def part_name(self) -> str:

@@ -8,6 +8,7 @@ from datagen.config.detector import DetectorConfig
 from datagen.config.distributions import Distribution, draw
 from datagen.detector.classes import DETECTOR_CLASSES, draw_class_parameters
 from datagen.detector.spad import Exposure, Spad
+from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.seeding import Purpose, generator
 
@@ -32,7 +33,13 @@ def detector_for(
 
     With `time`, a repetition rate drawn from a class's range is lowered where the time axis would not fit into the
     laser period, as an experimenter would; a rate that the configuration gives is kept.
+
+    Raises `InputError` for a configuration whose exposure is yet to be found.
     """
+    if config.exposure_for is not None:
+        raise InputError(
+            "detector.exposure_for: its exposure is not found yet; use dg.with_exposure_found(config), or set cycles"
+        )
     rng = generator(seed, index, Purpose.DETECTOR_PARAMETERS)
     values: dict[str, Any] = {parameter: usual for parameter, (_, _, usual) in _PARAMETERS.items()}
     name = config.detector_class

@@ -40,11 +40,13 @@ class OwnLight:
     ----------
     everything : (laser, pixel, bin) expected detections over the exposure, background with them.
     own : of each light, the expected detections of its own photons, likewise.
+    armed : (laser, pixel, n) the chance that an event finds the diode armed, in each bin of the laser period.
     """
 
     first: int
     everything: Array
     own: tuple[Array, ...]
+    armed: Array
 
 
 def own_light(
@@ -67,22 +69,20 @@ def own_light(
         flux = flux_per_cycle(block, cycle, spad, exposure)
         detections, armed = _detections(flux, cycle, spad)
         everything = tdc.mean(exposure.cycles * detections)
-        told = 1.0 if spad.counter_max is None else everything < spad.counter_max
-        everything = everything if spad.counter_max is None else np.minimum(everything, spad.counter_max)
-        own = (exposure.cycles * armed * light_flux(light[part], cycle, spad, exposure) for light in lights)
-        yield OwnLight(first, everything, tuple(told * tdc.mean(of) for of in own))
+        each = exposure.cycles * armed
+        own = [tdc.mean(each * light_flux(light[part], cycle, spad, exposure)) for light in lights]
+        if spad.counter_max is not None:
+            own = [(everything < spad.counter_max) * of for of in own]
+            everything = np.minimum(everything, spad.counter_max)
+        yield OwnLight(first, everything, tuple(own), armed)
 
 
-def detections_per_photon(transient: Array, time: TimeAxis, spad: Spad, exposure: Exposure) -> Array:
+def detections_per_photon(armed: Array, time: TimeAxis, spad: Spad, exposure: Exposure) -> Array:
     """(laser, pixel, bin) expected detections over the exposure for a photon at the aperture per emitted photon that
-    arrives in a bin: N photons_per_pulse PDE gate D/λ."""
-    values = checked_transient(transient, time, exposure.photons_per_pulse)
+    arrives in a bin: N photons_per_pulse PDE gate D/λ. armed : of `OwnLight`."""
     cycle = cycle_of(time, spad, exposure)
-    out = np.zeros(values.shape)
-    for first, block in _blocks(values, cycle):
-        _, armed = _detections(flux_per_cycle(block, cycle, spad, exposure), cycle, spad)
-        sensitive = (armed * cycle.gate)[..., : cycle.window]
-        out[first : first + len(block), :, : cycle.window] = sensitive
+    out = np.zeros((*armed.shape[:2], time.bins))
+    out[..., : cycle.window] = (armed * cycle.gate)[..., : cycle.window]
     out *= exposure.cycles * exposure.photons_per_pulse * spad.pde
     return out
 
@@ -98,6 +98,8 @@ def _detections(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array, Array]:
     """Expected detections per cycle of flux (laser, pixel, n), and the chance that an event finds the diode armed."""
     coupled = spad.crosstalk_probability > 0 and flux.shape[1] > 1
     busy = poisson_bias(flux, cycle, spad) > FREE
+    if not busy.any():
+        return flux, np.broadcast_to(1.0, flux.shape)
     detections, armed = flux.copy(), np.ones_like(flux)
     for laser in np.flatnonzero(busy.any(axis=1)):
         rows = np.arange(flux.shape[1]) if coupled else np.flatnonzero(busy[laser])

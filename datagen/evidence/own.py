@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.detector import Exposure, Spad
-from datagen.detector.own_light import own_light
+from datagen.detector.own_light import detections_per_photon, own_light
 from datagen.errors import InputError
 from datagen.records import Scalar, Transient
+from datagen.records.arrays import Floats
 
 OBJECT_EVIDENCE = ("object_detections", "object_brightest_bin", "object_significance")
 """The tables of it beside those of the objects' boxes."""
@@ -68,20 +69,33 @@ def own_evidence(
     >>> round(found.detections), round(found.significance, 2)
     (1000, 10.0)
     """
+    return evidence_and_gain(transient, spad, exposure, parts)[0]
+
+
+def evidence_and_gain(
+    transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None, *, gain: bool = False
+) -> tuple[dict[str, Evidence], Floats | None]:
+    """What `own_evidence` gives and, if asked for, the (laser, pixel, bin) `detections_per_photon`: the law of the
+    detector's dead time is solved once for both."""
     names = tuple(transient.parts) if parts is None else tuple(parts)
     for name in names:
         if name not in transient.parts:
             known = ", ".join(transient.parts) or "no part; simulate it with split_parts=True"
             raise InputError(f"own_evidence: part {name!r}: this transient is split by {known}")
     sums, squares, most = np.zeros((3, len(names)))
+    gains = list[Floats]()
     for found in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):
+        if gain:
+            gains.append(detections_per_photon(found.armed, transient.time, spad, exposure))
+        there = found.everything > 0
         for k, own in enumerate(found.own):
-            share = np.divide(own, found.everything, out=np.zeros_like(own), where=found.everything > 0)
+            share = np.divide(own, found.everything, out=np.zeros_like(own), where=there)
             sums[k] += own.sum()
             squares[k] += (own * share).sum()
             most[k] = max(most[k], own.max())
     each = zip(sums.tolist(), most.tolist(), np.sqrt(squares).tolist(), strict=True)
-    return {name: Evidence(*values) for name, values in zip(names, each, strict=True)}
+    evidence = {name: Evidence(*values) for name, values in zip(names, each, strict=True)}
+    return evidence, np.concatenate(gains) if gain else None
 
 
 def evidence_parameters(found: Mapping[str, Evidence]) -> dict[str, Scalar]:

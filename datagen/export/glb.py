@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.design.scene_for import scene_for
 from datagen.records import GGX, Phong, Retroreflector, Scene
 from datagen.records.arrays import Floats
 from datagen.records.materials import Material
-from datagen.scene import generate_scene
 from datagen.store.scenes import SceneContent
 
 _MARK_M = 0.04
@@ -30,7 +30,7 @@ def write_glb(scene: SceneContent, path: Path) -> None:
     Raises `InputError` where a mesh file is gone, or the scenes were made in Python.
     """
     config = scene.manifest.parsed_config()
-    room = generate_scene(config.scene, config.seed, scene.index)
+    room = scene_for(config, scene.index)
     path.write_bytes(glb_of(room, scene.arrays))
 
 

@@ -19,7 +19,7 @@ from datagen.building.engines import started
 from datagen.config import DatasetConfig
 from datagen.config.transport import TransportConfig
 from datagen.errors import InputError
-from datagen.records import Sample
+from datagen.records import Sample, Scalar
 from datagen.store import finish, prepare, schema_of, write_shard
 from datagen.store.evidence_told import KindEvidence, evidence_by_kind
 from datagen.store.table import table_bytes, table_of
@@ -180,8 +180,17 @@ def _written(
         }
         stored["records"] = sum(len(record.to_bytes()) for record in records) / count + row
         everything = sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
-        evidence = tuple(evidence_by_kind(sample.parameters for sample in samples))
+        evidence = tuple(evidence_by_kind(_with_distances(sample) for sample in samples))
         return Pilots(scenes, failed, stored, everything - len(scenes) * sum(stored.values()), evidence)
+
+
+def _with_distances(sample: Sample) -> dict[str, Scalar]:
+    """A sample's parameters, and of each object `PART.away_m`: in plan, from the middle of the visible relay wall."""
+    told, middle = dict(sample.parameters), sample.arrays["relay_wall"][0]
+    for name in [key.removesuffix(".x_m") for key in told if key.endswith(".x_m")]:
+        x_m, y_m = float(told[f"{name}.x_m"]), float(told[f"{name}.y_m"])
+        told[f"{name}.away_m"] = math.hypot(x_m - float(middle[0]), y_m - float(middle[1]))
+    return told
 
 
 def spread_indices(scenes: int, count: int) -> list[int]:

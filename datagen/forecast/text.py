@@ -10,6 +10,7 @@ from pathlib import Path
 
 from datagen.building.engines import check_workers
 from datagen.config import DatasetConfig
+from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError
 from datagen.forecast.forecast import Forecast, Outcome, forecast, outcomes, records_of
 from datagen.forecast.pilots import run_pilots, startup_seconds
@@ -38,6 +39,7 @@ def make_forecast(config: DatasetConfig, workers: int = 1, budget_s: float = BUD
     from datagen.pipeline import check_inputs
 
     check_workers(workers)
+    config = with_exposure_found(config)
     if not 0 < budget_s < math.inf:
         raise InputError(f"--seconds {budget_s:g}: must be > 0, such as {BUDGET_S:g}")
     check_inputs(config)
@@ -59,6 +61,7 @@ def plan(
     """
     if json_path is not None:
         _check_file(Path(json_path))
+    config = with_exposure_found(config)
     records = None if dataset is None else records_of(config, dataset)
     expected = make_forecast(config, workers, budget_s)
     held = [] if records is None or dataset is None else outcomes(expected, records, dataset)
@@ -119,20 +122,26 @@ def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
     yield f"transport    {how}, {bounces}"
     kind = f", detectors of the class {config.detector.detector_class}" if config.detector.detector_class else ""
     yield f"detector     {config.detector.mode}{kind}"
+    asked = config.detector.found_for
+    if asked is not None:
+        yield (
+            f"exposure     {config.detector.cycles:g} cycles, with which {1 - asked.quantile:.0%} of the objects of "
+            f"pilot scenes have {asked.evidence:g} σ"
+        )
 
 
 def _decisions(config: DatasetConfig) -> list[str]:
     """The effects decided for scene 0 and why, and the detector's sampler."""
     from datagen.capture import capture_for
+    from datagen.design.scene_for import scene_for
     from datagen.detector import choose_sampler, detector_for
     from datagen.effects import EFFECTS, EffectDecisions, decision_lines
     from datagen.effects.decide import FORESEEN_LOOKINS
     from datagen.effects.trial import few_samples
     from datagen.pipeline import detector_effects, transport_effects
-    from datagen.scene import generate_scene
     from datagen.transport import simulate
 
-    scene = generate_scene(config.scene, config.seed, 0)
+    scene = scene_for(config, 0)
     capture = capture_for(config, scene, config.seed, 0)
     effects = transport_effects(config, scene, capture, 0)
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())

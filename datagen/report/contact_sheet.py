@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.config import DatasetConfig
+from datagen.design.exposure import with_exposure_found
+from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, ObjectBoxes, make_labels
 from datagen.labels.boxes import classes_in
@@ -19,7 +21,7 @@ from datagen.report.cutaway import room_faces
 from datagen.report.label_plots import draw_boxes, draw_label
 from datagen.report.room_plots import RoomPicture, draw_opened, draw_plan
 from datagen.report.style import INK, caption, caption_height, check_png, house_style, new_figure, save_png
-from datagen.scene import check_scene_config, generate_scene
+from datagen.scene import check_scene_config
 from scene_library.visibility import visible_fan
 
 if TYPE_CHECKING:
@@ -64,7 +66,7 @@ def contact_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, 
     several = [configs] if isinstance(configs, DatasetConfig) else list(configs)
     rooms, names = [], []
     for config, index in first_scenes(several, count):
-        rooms.append(RoomPicture(generate_scene(config.scene, config.seed, index), pixels=180))
+        rooms.append(RoomPicture(scene_for(config, index), pixels=180))
         names.append(_name_of(rooms[-1].scene, config.name if len(several) > 1 else "", index))
     with house_style():
         of = f"{several[0].name} (seed {several[0].seed})" if len(several) == 1 else f"{len(several)} configurations"
@@ -100,7 +102,7 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
                 bottom = height - _HEAD_IN - (row * lines + line + 1) * high
                 place = ((column * wide + 0.5) / width, (bottom + 0.45) / height, across, up)
                 panels.append(figure.add_axes(place))
-            scene = generate_scene(config.scene, config.seed, index)
+            scene = scene_for(config, index)
             room = RoomPicture(scene, pixels=420)
             draw_plan(panels[0], room)
             mark_sight(panels[0], scene)
@@ -125,6 +127,7 @@ def first_scenes(configs: Sequence[DatasetConfig], count: int) -> list[tuple[Dat
     that cannot be used."""
     for config in configs:
         check_scene_config(config.scene)
+    configs = [with_exposure_found(config) if config.scene.asks_for_evidence else config for config in configs]
     share = [count // len(configs) + (k < count % len(configs)) for k in range(len(configs))]
     return [(config, index) for config, n in zip(configs, share, strict=True) for index in range(n)]
 

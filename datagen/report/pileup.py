@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, load_config
+from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, Spad, detector_for, expected_histogram
 from datagen.errors import InputError
 from datagen.exit_status import guarded
 from datagen.records import Accuracy, TimeAxis
-from datagen.scene import generate_scene
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import simulate
 
@@ -116,7 +116,7 @@ def room_channel(config: DatasetConfig, index: int = 0) -> tuple[Array, TimeAxis
     Of all histograms the one with most light from the hidden scene. Raises `InputError` where no direct return is
     seen, or nothing after it.
     """
-    scene = generate_scene(config.scene, config.seed, index)
+    scene = scene_for(config, index)
     capture = capture_for(config, scene, config.seed, index)
     accuracy = Accuracy(min(config.transport.lookins, _LOOKINS), max_bounces=4, direct=True)
     seed = derived_seed(config.seed, index, Purpose.TRANSPORT)

@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.records import Scene
 from datagen.report.explorer import explorer, scene_data
@@ -15,7 +16,7 @@ from datagen.report.parameter_plots import parameter_page, varying
 from datagen.report.replay import StoredScene, config_of, read_scene, replay
 from datagen.report.show import pages
 from datagen.report.style import house_style
-from datagen.scene import generate_scene, stand_in
+from datagen.scene import stand_in
 from datagen.store import Manifest, committed, read_manifest
 from datagen.store.card import ranges
 from datagen.store.info import info, scenes_made
@@ -99,7 +100,7 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
 def _room(stored: StoredScene) -> Scene:
     config, index = stored.config, stored.index
     if stored.meshes:
-        return generate_scene(config.scene, config.seed, index)
+        return scene_for(config, index)
     return stand_in(config.scene, config.seed, index, stored.parameters, stored.arrays)
 
 

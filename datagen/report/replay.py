@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
+from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, Spad, choose_sampler, detect, detector_for, expected_histogram
 from datagen.effects import EffectDecisions
 from datagen.errors import InputError
 from datagen.labels import ViewFrame
 from datagen.pipeline import detector_effects, transport_effects
 from datagen.records import Capture, Scalar, Scene, TimeAxis, Transient
-from datagen.scene import generate_scene, stand_in
+from datagen.scene import stand_in
 from datagen.seeding import Purpose, derived_seed
 from datagen.store import Manifest
 from datagen.store.scenes import Scenes
@@ -121,7 +122,7 @@ def replay(stored: StoredScene) -> Replay:
     if not stored.meshes:
         return _as_stored(stored)
     config, index = stored.config, stored.index
-    scene = generate_scene(config.scene, config.seed, index)
+    scene = scene_for(config, index)
     capture = capture_for(config, scene, config.seed, index)
     effects = transport_effects(config, scene, capture, index)
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())

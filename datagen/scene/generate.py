@@ -7,6 +7,7 @@ every try at placing its objects, so what one consumed never shifts the next.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -36,7 +37,11 @@ SMALLEST_VIEW_M = 0.05
 """A relay wall seen over less than this width is no relay wall."""
 
 
-def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
+Shortfall = Callable[[Scene, Mapping[str, float]], str | None]
+"""Scene, and the least evidence of its objects by name → one that has less; None where all have enough."""
+
+
+def generate_scene(spec: SceneConfig, seed: int, index: int, short_of: Shortfall | None = None) -> Scene:
     """Draw scene `index` of the dataset with this `seed`.
 
     A room is drawn with everything in it, then its objects are placed: inside, with `clearance_m` to walls and other
@@ -48,6 +53,8 @@ def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
     ----------
     spec : the section `scene` of a configuration.
     seed, index : of the dataset, and of the scene in it, ≥ 0; the same arguments give the same scene, whoever asks.
+    short_of : tells an object with less evidence than `evidence_at_least` asks for, and all are placed anew;
+        `dg.scene_for` has the one that follows from capture and detector.
 
     Returns
     -------
@@ -55,7 +62,8 @@ def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
 
     Raises
     ------
-    InputError : after `spec.max_attempts` placings in all, naming what failed how often and what to change.
+    InputError : after `spec.max_attempts` placings in all, naming what failed how often and what to change; settings
+        that ask for evidence, without `short_of`.
 
     >>> import datagen as dg
     >>> config = dg.load_config("configs/quickstart.yaml")
@@ -70,6 +78,8 @@ def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
         raise InputError(
             "scene.layout.kind = 'given': these scenes were made in Python, and cannot be drawn again here"
         )
+    if short_of is None:
+        _check_needs_no_light(spec)
     reasons: Counter[tuple[str, str]] = Counter()
     draws = 0
     while (left := spec.max_attempts - reasons.total()) > 0:
@@ -83,14 +93,36 @@ def generate_scene(spec: SceneConfig, seed: int, index: int) -> Scene:
             for number in range(tries):
                 rng = generator(seed, index, Purpose.SCENE, draws, 1 + number)
                 counted: dict[str, Scalar] = {"attempts": reasons.total() + 1, "draws": draws + 1}
+                if short_of is not None:
+                    counted["evidence.placed_anew"] = sum(n for (_, what), n in reasons.items() if what == "dim")
                 try:
-                    return _furnished(spec, room, view, rng, counted, rotate_anew=2 * number > tries)
+                    scene = _furnished(spec, room, view, rng, counted, rotate_anew=2 * number > tries)
+                    if short_of is not None:
+                        _check_seen(room, short_of, scene)
+                    return scene
                 except Unmet as unmet:
                     reasons[unmet.args] += 1
                     if unmet.final:
                         break
         draws += 1
     raise InputError(explain(spec, seed, index, reasons))
+
+
+def _check_needs_no_light(spec: SceneConfig) -> None:
+    for i, item in enumerate(spec.contents):
+        if item.evidence_at_least is not None:
+            raise InputError(
+                f"scene.contents[{i}].evidence_at_least = {item.evidence_at_least:g}: what an object has depends on "
+                "capture and detector, too; use dg.scene_for(config, index)"
+            )
+
+
+def _check_seen(room: DrawnRoom, short_of: Shortfall, scene: Scene) -> None:
+    """Raises `Unmet` for an object with less evidence than is asked for."""
+    asked = {thing.name: least for thing in room.things if (least := thing.item.evidence_at_least) is not None}
+    dim = short_of(scene, asked) if asked else None
+    if dim is not None:
+        raise Unmet(next(thing.where for thing in room.things if thing.name == dim), "dim")
 
 
 def placings(max_attempts: int, draw_number: int) -> int:

@@ -39,6 +39,8 @@ def _line(spec: SceneConfig, where: str, what: str, times: int) -> str:
         "no_wall": "found no wall to stand against: set its placement to floor, or choose another scene.layout.kind",
         "unseen": f"could hardly be seen from the visible part of the relay wall: change {where_to}, remove what "
         f"stands before it, or lower scene.minimum_seen ({spec.minimum_seen:g})",
+        "dim": f"had less evidence than {item.evidence_at_least or 0:g} σ: raise detector.cycles or "
+        f"photons_per_pulse, change {where_to}, or lower scene.{where}.evidence_at_least",
     }[what]
     return f"{times} × scene.{where} ({item.part_name}) {obstacle}"
 

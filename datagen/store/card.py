@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from datagen.errors import printable
 from datagen.store.environment import mixed
-from datagen.store.evidence_told import evidence_by_kind
+from datagen.store.evidence_told import evidence_by_kind, placed_anew_lines
 from datagen.store.files import write_if_changed
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
@@ -151,7 +151,8 @@ def _stats_lines(manifest: Manifest) -> list[str]:
 def _evidence_lines(table: pa.Table) -> list[str]:
     """How far objects stand out of the noise, kind by kind."""
     names = [name for name in table.column_names if name.startswith("evidence.")]
-    kinds = evidence_by_kind(table.select(names).to_pylist()) if names else []
+    scenes = table.select(names).to_pylist() if names else []
+    kinds, anew = evidence_by_kind(scenes), placed_anew_lines(scenes)
     head = [
         "## Evidence",
         "",
@@ -162,7 +163,7 @@ def _evidence_lines(table: pa.Table) -> list[str]:
         "|---|---|---|---|---|",
     ]
     rows = [f"| {k.kind} | {k.objects} | {k.median:.3g} | {k.under_3:.1%} | {k.under_1:.1%} |" for k in kinds]
-    return [*head, *rows, ""] if rows else []
+    return [*head, *rows, "", *(line for told in anew for line in (told, ""))] if rows else []
 
 
 def _class_lines(schema: Schema) -> list[str]:

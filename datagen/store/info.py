@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from datagen.errors import InputError, printable
 from datagen.store.card import readable
 from datagen.store.environment import mixed
-from datagen.store.evidence_told import evidence_by_kind, evidence_lines
+from datagen.store.evidence_told import evidence_by_kind, evidence_lines, placed_anew_lines
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.places import Place, place
 from datagen.store.record import SceneRecord, ShardRecord
@@ -123,7 +123,8 @@ def _accuracy(records: Sequence[ShardRecord]) -> Iterator[str]:
 
 def _evidence(records: Sequence[ShardRecord]) -> Iterator[str]:
     """How far objects stand out of the noise."""
-    lines = evidence_lines(evidence_by_kind(scene.parameters for scene in scenes_made(records)))
+    made = [scene.parameters for scene in scenes_made(records)]
+    lines = [*evidence_lines(evidence_by_kind(made)), *placed_anew_lines(made)]
     if lines:
         yield "evidence of objects (significance of an ideal matched filter)"
         yield from (f"  {line}" for line in lines)

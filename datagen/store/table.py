@@ -28,6 +28,7 @@ COLUMNS = {
     "transient.relative_error": "relative L2 error of the sample's transient; with a target its upper bound (95 %)",
     "evidence.PART.detections, .brightest_bin, .significance": "of an object's own light; docs/evidence.md",
     "evidence.weakest": "the least significance of any object of the scene; null where there is none",
+    "evidence.placed_anew": "how often objects were placed anew until they had the evidence asked for; else absent",
     "stats.FIELD.mean, .std, .nonzero": "of the sample's values of a field; of a histogram's log(1 + counts)",
     "sha256.FIELD": "digest of the sample's decoded values",
     "others": "what was drawn for the sample and decided about it; docs/configuration.md of datagen lists them",

@@ -16,7 +16,8 @@ def test_it_is_that_of_the_samples() -> None:
             "transport": {"target": 0.3},
         }
     )
-    box, pillar = found_in(config, 2)
+    box, pillar, every = found_in(config, 2)
+    assert (every.kind, every.objects) == ("all objects", 6)
     assert (box.kind, box.objects, pillar.kind, pillar.objects) == ("box", 4, "pillar", 2)
     of = [simulate_sample(config, k).parameters["evidence.pillar.significance"] for k in range(2)]
     assert pillar.median == sum(map(float, of)) / 2

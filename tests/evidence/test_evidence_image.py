@@ -8,8 +8,8 @@ import trimesh
 
 import datagen as dg
 from datagen.config import LabelsConfig
-from datagen.detector.own_light import detections_per_photon
 from datagen.evidence import evidence_image, seen
+from datagen.evidence.own import evidence_and_gain
 from datagen.labels import make_labels
 from datagen.records import Rectangle
 
@@ -55,9 +55,10 @@ def exhaustive() -> dg.Capture:
 def image_and_truth(scene: dg.Scene, capture: dg.Capture, spad: dg.Spad) -> dict[str, tuple[float, float]]:
     """Of each object the image's sum over its pixels, and its own detections."""
     t = dg.simulate(scene, capture, dg.Accuracy(target=0.002), seed=0)
-    image = evidence_image(scene, capture, LABELS, detections_per_photon(t.total, TIME, spad, EXPOSURE))
+    own, gain = evidence_and_gain(t, spad, EXPOSURE, gain=True)
+    assert gain is not None
+    image = evidence_image(scene, capture, LABELS, gain)
     part = make_labels(LABELS, scene, ["part_id"])["part_id"]
-    own = dg.own_evidence(t, spad, EXPOSURE)
     assert image.dtype == np.float32 and np.array_equal(image > 0, (part >= 0) & (image > 0))
     return {
         name: (float(image[part == k].sum()), own[name].detections)
@@ -102,7 +103,8 @@ def test_a_curtain_takes_the_evidence_of_what_stands_behind_it() -> None:
 def test_evidence_is_that_of_the_exposure() -> None:
     scene, capture = room(), confocal(2)
     t = dg.simulate(scene, capture, dg.Accuracy(target=0.05), seed=0)
-    each = detections_per_photon(t.total, TIME, SPADS["ideal"], EXPOSURE)
+    _, each = evidence_and_gain(t, SPADS["ideal"], EXPOSURE, gain=True)
+    assert each is not None
     once, twice = (evidence_image(scene, capture, LABELS, factor * each) for factor in (1.0, 2.0))
     assert once.max() > 0 and np.allclose(twice, 2 * once, rtol=1e-6)
 

@@ -161,6 +161,28 @@ def test_a_matched_filter_sees_what_is_stated(mode: str) -> None:
     assert abs(measured - stated) < 4.4 * error + 0.02 * stated
 
 
+def placed(sigma: list[float], away_m: list[float]) -> list[dict[str, float]]:
+    """A scene for each object."""
+    pairs = zip(sigma, away_m, strict=True)
+    return [{"evidence.box.significance": s, "box.away_m": a} for s, a in pairs]
+
+
+def test_a_distance_is_told_within_which_objects_are_seen() -> None:
+    """Of those no farther away nine in ten are over, and of no greater number of them; else no distance is told."""
+    away = np.arange(1.0, 21.0)
+    sigma = 100 / away**2
+    (box,) = evidence_by_kind(placed(sigma.tolist(), away.tolist()))
+    # Over 3 σ are the five up to 5.8 m; with the sixth it would be fewer than nine in ten.
+    assert box.within_m == 5.0
+    assert evidence_lines([box])[0].endswith("the exposure, or at most 5 m away, would bring 90% over")
+    shuffled = np.random.default_rng(0).permutation(20)
+    assert evidence_by_kind(placed(sigma[shuffled].tolist(), away[shuffled].tolist())) == [box]
+    for others in (placed([9.0] * 20, away.tolist()), placed(sigma[1:].tolist(), away[1:].tolist()),
+                   placed(sigma[::-1].tolist(), away.tolist()), placed(sigma.tolist(), [np.nan] * 20)):  # fmt: skip
+        (told,) = evidence_by_kind(others)
+        assert np.isnan(told.within_m) and "away" not in evidence_lines([told])[0]
+
+
 def test_what_is_said_of_kinds() -> None:
     sigma = {"box": [1.5, 30.0], "box_2": [6.0], "cone": [0.5], "ghost": [0.0]}
     scenes = [

@@ -1,0 +1,198 @@
+"""The exposure for which a configuration asks: one number of cycles, such that its objects have evidence.
+
+With N cycles b_i = N D_i is expected in bin i and s_i = N (D_i/λ_i) λᵒ_i of an object, so that its significance
+
+    σ² = Σ s_i²/b_i = N Σ (s_i²/b_i of one cycle),   over bins with N D_i < the counter's maximum,
+
+is known for every N from the detector's law for one cycle: dead time and pile-up are of a cycle, not of N. Of pilot
+scenes, the same for any dataset size, the least N is taken with which no more than the share `quantile` of all
+objects has less than asked for, rounded up to two digits; whether it holds is then computed with N itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.capture import capture_for
+from datagen.config import DatasetConfig
+from datagen.config.detector import ExposureFor
+from datagen.config.scene_layouts import GivenScenes
+from datagen.design.estimate import coarse_transient, one_detection
+from datagen.design.scene_for import without_floors
+from datagen.detector import Exposure, Spad, detector_for
+from datagen.detector.own_light import own_light
+from datagen.errors import InputError
+from datagen.records import Scene, Transient
+from datagen.scene import generate_scene
+
+Array = NDArray[np.float64]
+
+OBJECTS = 48
+"""So many objects are enough; of them a median significance is known to about a fifth."""
+PILOTS = 64
+"""Pilot scenes, at most."""
+
+
+@dataclass(frozen=True)
+class _Pilot:
+    """A scene's objects under a detector, for one cycle.
+
+    Attributes
+    ----------
+    counter_max : of its detector. rate_hz : laser pulses per second.
+    counts : (n,) expected counts of its bins, falling.
+    squares : object → (n,) Σ s²/b of each of these bins and all that are fainter.
+
+    Where no counter saturates n is 1, for all bins together.
+    """
+
+    counter_max: int | None
+    rate_hz: float
+    counts: Array
+    squares: dict[str, Array]
+
+    @cached_property
+    def full(self) -> Array:
+        """(n,) the number of cycles from which on each bin is full."""
+        maximum = math.inf if self.counter_max is None else float(self.counter_max)
+        most = np.full(len(self.counts), math.inf)
+        np.divide(maximum, self.counts, out=most, where=self.counts > 0)
+        return most
+
+    def significance(self, name: str, cycles: float) -> float:
+        """Of an object, with so many cycles."""
+        first = 0 if self.counter_max is None else int(np.searchsorted(self.full, cycles, side="right"))
+        squares = self.squares[name]
+        return math.sqrt(cycles * float(squares[first])) if first < len(squares) else 0.0
+
+    def cycles_for(self, name: str, evidence: float) -> float:
+        """The least number of cycles that gives an object so much; infinite where none does."""
+        squares = self.squares[name]
+        if self.counter_max is None:
+            return evidence**2 / float(squares[0]) if squares[0] > 0 else math.inf
+        # From where one bin is full to where the next is, σ² is proportional to the cycles.
+        least = np.divide(evidence**2, squares, out=np.full(len(squares), math.inf), where=squares > 0)
+        reached = np.maximum(least, np.concatenate([[0.0], self.full[:-1]]))
+        return float(reached[reached < self.full].min(initial=math.inf))
+
+
+def with_exposure_found(config: DatasetConfig) -> DatasetConfig:
+    """The configuration with plain cycles where it asks for an exposure (`detector.exposure_for`); others as it is.
+
+    Of pilot scenes, whose light is followed coarsely, the smallest number of cycles is taken with which at most the
+    share `quantile` of the objects has less significance than `evidence`. It does not depend on the number of scenes.
+
+    Raises
+    ------
+    InputError : no exposure up to `longest_s` is enough, and why; scenes that were given, not drawn.
+
+    >>> import datagen as dg
+    >>> from datagen.config import config_from_mapping
+    >>> config = config_from_mapping({
+    ...     "scene": {"contents": [{"kind": "box"}]}, "transport": {"target": 0.3},
+    ...     "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 800}},
+    ...     "detector": {"exposure_for": {"evidence": 5}, "photons_per_pulse": 1e9}})
+    >>> found = dg.with_exposure_found(config).detector
+    >>> found.cycles > 1, found.exposure_for
+    (True, None)
+    """
+    asked = config.detector.exposure_for
+    if asked is None:
+        return config
+    if isinstance(config.scene.layout, GivenScenes):
+        raise InputError("detector.exposure_for: only for scenes that are drawn; set cycles for those that are given")
+    pilots = list(_pilots(config, asked))
+    wanted = sorted(pilot.cycles_for(name, asked.evidence) for pilot in pilots for name in pilot.squares)
+    if not wanted:
+        raise _refused(asked, f"none of the first {PILOTS} scenes has an object; add some to scene.contents")
+    enough = math.ceil((1 - asked.quantile) * len(wanted) - 1e-9)
+    longest = min(asked.longest_s * pilot.rate_hz for pilot in pilots)
+    if wanted[enough - 1] > longest:
+        raise _refused(asked, _why_not(pilots, wanted[enough - 1], enough))
+    cycles = min(_rounded_up(wanted[enough - 1]), max(math.floor(longest), 1))
+    _check_counts(config, asked, pilots, cycles, enough)
+    found = {"exposure_for": None, "found_for": asked, "cycles": float(cycles)}
+    return config.model_copy(update={"detector": config.detector.model_copy(update=found)})
+
+
+def _pilots(config: DatasetConfig, asked: ExposureFor) -> Iterator[_Pilot]:
+    """Scenes with objects, until there are enough of these."""
+    free = without_floors(config)
+    one_cycle = {"exposure_for": None, "cycles": 1.0}
+    free = free.model_copy(update={"detector": config.detector.model_copy(update=one_cycle)})
+    found = 0
+    for index in range(PILOTS):
+        scene = generate_scene(free.scene, free.seed, index)
+        if not scene.objects:
+            continue
+        capture = capture_for(free, scene, free.seed, index)
+        spad, exposure = detector_for(free.detector, free.seed, index, capture.time)
+        longest = replace(exposure, cycles=max(round(asked.longest_s * exposure.repetition_rate_hz), 1))
+        transient = coarse_transient(free, index, scene, capture, one_detection(spad, longest))
+        yield _Pilot(spad.counter_max, exposure.repetition_rate_hz, *_of_one_cycle(transient, scene, spad, exposure))
+        found += len(scene.objects)
+        if found >= OBJECTS:
+            return
+
+
+def _of_one_cycle(
+    transient: Transient, scene: Scene, spad: Spad, exposure: Exposure
+) -> tuple[Array, dict[str, Array]]:
+    """`counts` and `squares` of a pilot."""
+    counts, squares = list[Array](), [list[Array]() for _ in scene.objects]
+    parts, unbounded = [transient.parts[name] for name in scene.objects], replace(spad, counter_max=None)
+    for found in own_light(transient.total, parts, transient.time, unbounded, exposure):
+        everything = found.everything.reshape(-1)
+        counts.append(everything)
+        for own, kept in zip(found.own, squares, strict=True):
+            s = own.reshape(-1)
+            kept.append(s * np.divide(s, everything, out=np.zeros_like(s), where=everything > 0))
+    every = np.concatenate(counts)
+    order = np.argsort(-every, kind="stable")
+    fainter = [np.concatenate(kept)[order][::-1].cumsum()[::-1] for kept in squares]
+    first = slice(1) if spad.counter_max is None else slice(None)
+    return every[order][first], {name: of[first].copy() for name, of in zip(scene.objects, fainter, strict=True)}
+
+
+def _rounded_up(cycles: float) -> int:
+    """To two significant digits, which hides the last bits of another processor's arithmetic."""
+    unit = int(10 ** max(math.floor(math.log10(max(cycles, 1.0))) - 1, 0))
+    return max(math.ceil(cycles / unit - 1e-6) * unit, 1)
+
+
+def _check_counts(config: DatasetConfig, asked: ExposureFor, pilots: list[_Pilot], cycles: int, enough: int) -> None:
+    """That enough objects have what is asked for with these cycles, too, and that the counts can be stored."""
+    least = asked.evidence * (1 - 1e-6)
+    met = sum(pilot.significance(name, cycles) >= least for pilot in pilots for name in pilot.squares)
+    if met < enough:
+        raise _refused(asked, f"{_FULL_BEFORE}; raise counter_max, or lower photons_per_pulse")
+    maximum, dtype = config.detector.counter_max or math.inf, config.store.histogram_dtype
+    fullest = min(max(float(pilot.counts[0]) for pilot in pilots) * cycles, maximum)
+    if fullest + 6 * math.sqrt(fullest) > np.iinfo(dtype).max and maximum > np.iinfo(dtype).max:
+        why = f"{cycles:g} cycles would do, but bring {fullest:.2g} counts into a bin, more than {dtype} holds"
+        raise _refused(asked, f"{why}; set a wider store.histogram_dtype, or detector.counter_max")
+
+
+_FULL_BEFORE = "counters are full before enough of the objects have as much"
+
+
+def _why_not(pilots: list[_Pilot], needed: float, enough: int) -> str:
+    lit = [pilot.squares[name][0] > 0 for pilot in pilots for name in pilot.squares]
+    if sum(lit) < enough:
+        dark = f"of {len(lit) - sum(lit)} of {len(lit)} objects in pilot scenes no light is detected"
+        return f"{dark}; raise photons_per_pulse or quantile, or move the gate"
+    if math.isinf(needed):
+        return f"{_FULL_BEFORE}; raise counter_max or quantile"
+    slowest = min(pilot.rate_hz for pilot in pilots)
+    return f"{needed / slowest:.2g} s would be needed; raise longest_s or photons_per_pulse, or lower evidence"
+
+
+def _refused(asked: ExposureFor, why: str) -> InputError:
+    given = ", ".join(f"{name}: {value:g}" for name, value in asked.model_dump().items())
+    return InputError(f"detector.exposure_for = {{{given}}}: {why}")

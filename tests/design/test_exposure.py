@@ -1,0 +1,144 @@
+"""An exposure found for evidence gives it, by the detector's own law, and is the least that does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_measurement import measurement
+
+import datagen as dg
+from datagen.design import exposure
+from datagen.design.estimate import estimated_evidence
+from datagen.detector import detector_for
+from datagen.report.contact_sheet import first_scenes
+from datagen.store import read_manifest
+
+DETECTORS: dict[str, dict[str, Any]] = {
+    "ideal": {},
+    "background": {"ambient_rate_hz": 1e5, "dark_count_rate_hz": 1e4},
+    "one detection a cycle": {"mode": "synchronous", "photons_per_pulse": 2e10},
+    "dead time": {"mode": "free_running", "dead_time_ns": 30, "photons_per_pulse": 2e10},
+    "gate": {"gate": {"start_ns": 15, "width_ns": 20}},
+    "another for each scene": {"detector_class": "any", "mode": "free_running"},
+    "counters": {"counter_max": 2000, "photons_per_pulse": 1e10},
+}
+
+
+def significances(config: dg.DatasetConfig, scenes: int) -> np.ndarray:
+    """Of all objects of the first scenes, each under its own detector."""
+    found = []
+    for index in range(scenes):
+        scene = dg.scene_for(config, index)
+        capture = dg.capture_for(config, scene, config.seed, index)
+        detector = detector_for(config.detector, config.seed, index, capture.time)
+        every = estimated_evidence(config, index, scene, capture, *detector)
+        found += [of.significance for of in every.values()]
+    return np.array(found)
+
+
+def with_cycles(config: dg.DatasetConfig, cycles: float) -> dg.DatasetConfig:
+    return config.model_copy(update={"detector": config.detector.model_copy(update={"cycles": cycles})})
+
+
+@pytest.mark.parametrize("kind", DETECTORS)
+@pytest.mark.parametrize(("evidence", "quantile"), [(10, 0.5), (3, 0.2)])
+def test_it_gives_what_is_asked_and_no_less_does(
+    kind: str, evidence: float, quantile: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With N cycles at most a share of the objects has less; with N/1.1, below what N was rounded up from, more have.
+
+    A significance grows with N as long as no counter is full.
+    """
+    monkeypatch.setattr(exposure, "OBJECTS", 12)
+    asked = {"evidence": evidence, "quantile": quantile, "longest_s": 1e3}
+    found = dg.with_exposure_found(measurement({**DETECTORS[kind], "exposure_for": asked}))
+    cycles = found.detector.cycles
+    assert isinstance(cycles, float) and cycles == float(f"{cycles:.2g}")
+    assert np.mean(significances(found, 6) < evidence) <= quantile
+    assert np.mean(significances(with_cycles(found, round(cycles / 1.1)), 6) < evidence) > quantile
+
+
+def test_it_is_the_same_for_any_number_of_scenes_and_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exposure, "OBJECTS", 6)
+    asked = {"exposure_for": {"evidence": 5}}
+    cycles = {dg.with_exposure_found(measurement(asked, scenes=n)).detector.cycles for n in (1, 4, 4, 100)}
+    assert len(cycles) == 1
+
+
+def test_a_dataset_holds_plain_cycles_and_its_own_configuration_builds_it_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Taken up by the same request, without a search; another request is refused."""
+    monkeypatch.setattr(exposure, "OBJECTS", 6)
+    config = measurement({"exposure_for": {"evidence": 5}})
+    dg.build(config.with_scenes(2), tmp_path / "a", progress=False)
+    stored = read_manifest(tmp_path / "a").parsed_config()
+    assert stored.detector.exposure_for is None and stored.detector.cycles > 1
+    dg.build(stored.with_scenes(4), tmp_path / "b", progress=False)
+    monkeypatch.setattr(exposure, "_pilots", None)
+    assert dg.build(config, tmp_path / "a", progress=False).kept == 0
+    first, second = (sorted(p for p in (tmp_path / n / "data.zarr").rglob("*") if p.is_file()) for n in "ab")
+    assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
+    with pytest.raises(dg.InputError, match=r"exposure is .*'evidence': 5.*name another folder"):
+        dg.build(measurement({"exposure_for": {"evidence": 6}}), tmp_path / "a", progress=False)
+    with pytest.raises(dg.InputError, match="cycles"):
+        dg.build(measurement({"cycles": 77}), tmp_path / "a", progress=False)
+
+
+def test_scenes_on_the_fly_are_those_of_the_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exposure, "OBJECTS", 6)
+    config = measurement({"exposure_for": {"evidence": 5}}, [{"kind": "box", "evidence_at_least": 4}])
+    dg.build(config, tmp_path / "a", progress=False)
+    data = dg.TransientDataset(tmp_path / "a", ("histogram",))
+    for stored, made in zip(data, dg.GeneratedDataset(config, ("histogram",)), strict=True):
+        assert (stored["histogram"] == made["histogram"]).all()
+
+
+def test_rooms_that_wait_for_the_exposure_can_be_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exposure, "OBJECTS", 6)
+    config = measurement({"exposure_for": {"evidence": 5}}, [{"kind": "box", "evidence_at_least": 4}])
+    ((found, _),) = first_scenes([config], 1)
+    assert np.array_equal(dg.scene_for(found, 0).vertices, dg.scene_for(dg.with_exposure_found(config), 0).vertices)
+
+
+@pytest.mark.parametrize(
+    ("detector", "contents", "words"),
+    [
+        ({"exposure_for": {"evidence": 5}}, [], "none of the first 64 scenes has an object"),
+        ({"exposure_for": {"evidence": 5}, "photons_per_pulse": 0}, None, "no light is detected; raise photons"),
+        ({"exposure_for": {"evidence": 5}, "gate": {"start_ns": 45, "width_ns": 1}}, None, "move the gate"),
+        ({"exposure_for": {"evidence": 1e5, "longest_s": 0.01}}, None, "s would be needed; raise longest_s"),
+        ({"exposure_for": {"evidence": 1e3, "longest_s": 1e6}, "counter_max": 1}, None, "counters are full"),
+        ({"exposure_for": {"evidence": 4e4, "longest_s": 1e6}}, None, "more than uint32 holds; set a wider"),
+    ],
+)
+def test_what_no_exposure_reaches_is_refused_in_a_line(
+    detector: dict[str, Any], contents: list[dict[str, Any]] | None, words: str
+) -> None:
+    with pytest.raises(dg.InputError) as refusal:
+        dg.with_exposure_found(measurement(detector, contents))
+    assert str(refusal.value).startswith("detector.exposure_for = {evidence: ") and words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("detector", "words"),
+    [
+        ({"exposure_for": {"evidence": 5}, "cycles": 1000}, "cycles and exposure_for are both given"),
+        ({"found_for": {"evidence": 5}}, "set exposure_for"),
+        ({"exposure_for": {"evidence": 5, "quantile": 1}}, r"detector.exposure_for.quantile = 1"),
+        ({"exposure_for": {"evidence": 0}}, r"detector.exposure_for.evidence = 0"),
+    ],
+)
+def test_one_of_both_is_given(detector: dict[str, Any], words: str) -> None:
+    with pytest.raises(dg.InputError, match=words):
+        measurement(detector)
+
+
+def test_what_needs_the_exposure_says_how_to_find_it() -> None:
+    config = measurement({"exposure_for": {"evidence": 5}})
+    with pytest.raises(dg.InputError, match=r"use dg\.with_exposure_found\(config\)"):
+        detector_for(config.detector, 0, 0)

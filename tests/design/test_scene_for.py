@@ -1,0 +1,76 @@
+"""A floor for evidence: objects have it as stored, a scene is the same whoever asks, and what it bends is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_measurement import measurement
+
+import datagen as dg
+from datagen.building.resimulate import resimulate
+from datagen.pipeline import simulate_sample
+from datagen.store.info import info
+
+FLOOR = 25.0
+FLOORED = [{"kind": "pillar"}, {"kind": "box", "evidence_at_least": FLOOR}]
+
+
+def config(**others: object) -> dg.DatasetConfig:
+    return measurement({"cycles": 300_000}, FLOORED, **others)
+
+
+def test_objects_have_what_is_asked_and_others_are_as_they_fall(tmp_path: Path) -> None:
+    """Boxes under the floor are frequent without it, and there are none with it; the share placed anew is told."""
+    free = measurement({"cycles": 300_000})
+    boxes = [simulate_sample(free, k).parameters["evidence.box.significance"] for k in range(8)]
+    assert 2 <= np.sum(np.array(boxes) < FLOOR) <= 7
+    result = dg.build(config(scenes=8), tmp_path / "a", progress=False)
+    data = dg.TransientDataset(tmp_path / "a", ("histogram",))
+    assert data.parameters("evidence.box.significance").min() >= FLOOR
+    assert data.parameters("evidence.pillar.significance").min() < FLOOR
+    anew = data.parameters("evidence.placed_anew")
+    assert anew.max() > 0
+    told = f"in {np.mean(anew > 0):.0%} of scenes objects were placed anew"
+    for text in (result.summary(), info(tmp_path / "a"), (tmp_path / "a/README.md").read_text()):
+        assert told in text
+
+
+def test_a_scene_that_meets_the_floor_at_once_is_the_one_without_it() -> None:
+    free = measurement({"cycles": 300_000})
+    met = [k for k in range(8) if simulate_sample(free, k).parameters["evidence.box.significance"] > 1.3 * FLOOR]
+    assert met
+    for k in met:
+        one, other = dg.generate_scene(free.scene, free.seed, k), dg.scene_for(config(), k)
+        assert np.array_equal(one.vertices, other.vertices)
+
+
+def test_the_scene_is_the_same_whoever_asks(tmp_path: Path) -> None:
+    """Built in one process or two, made on the fly, simulated again."""
+    one, two = (tmp_path / name for name in ("one", "two"))
+    small = config(store={"fields": ["histogram"], "scenes_per_shard": 1, "histogram_dtype": "uint32"})
+    dg.build(small, one, workers=1, progress=False)
+    dg.build(small, two, workers=2, progress=False)
+    data, other = (dg.TransientDataset(path, ("histogram",)) for path in (one, two))
+    made = dg.GeneratedDataset(small, ("histogram",))
+    for a, b, c in zip(data, other, made, strict=True):
+        assert (a["histogram"] == b["histogram"]).all() and (a["histogram"] == c["histogram"]).all()
+    assert resimulate(one, 4) == ([0, 1, 2, 3], [])
+
+
+def test_what_no_placing_gives_is_refused_in_a_line() -> None:
+    hopeless = [{"kind": "box", "evidence_at_least": 1e4}]
+    with pytest.raises(dg.InputError) as refusal:
+        dg.scene_for(measurement({"cycles": 10}, scene={"contents": hopeless, "max_attempts": 10}), 0)
+    text = str(refusal.value)
+    assert "had less evidence than 10000 σ: raise detector.cycles" in text and "\n" not in text
+    with pytest.raises(dg.InputError, match=r"use dg\.scene_for\(config, index\)"):
+        dg.generate_scene(config().scene, 0, 0)
+
+
+def test_a_scene_without_such_objects_needs_no_light() -> None:
+    """Objects of other contents are asked for nothing."""
+    none = [{"kind": "box", "count": 0, "evidence_at_least": 1e4}, {"kind": "pillar"}]
+    scene = dg.scene_for(measurement({"cycles": 10}, none), 0)
+    assert scene.objects == ("pillar",) and scene.parameters["evidence.placed_anew"] == 0
