@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import transient_of
+
+BACKGROUND_FIELDS = ("background_histogram", "background_transient")
 
 
 def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig | None = None) -> Sample:
@@ -67,10 +70,18 @@ def sample_of(
         effects += detector_effects(config, transient, spad, exposure)
     with _timed(seconds, "detector"):
         used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
-        counts, sampler = detect_and_choice(
-            transient.total, capture.time, used, conditions, seed=derived_seed(seed, index, Purpose.DETECTOR),
-            tolerance=tolerance, approximate=config.detector.approximate,
+        counted = partial(
+            detect_and_choice, time=capture.time, spad=used, exposure=conditions, tolerance=tolerance,
+            approximate=config.detector.approximate,
         )  # fmt: skip
+        counts, sampler = counted(transient.total, seed=derived_seed(seed, index, Purpose.DETECTOR))
+    measured = {"histogram": counts, "transient": transient.total, "transient_stderr": transient.stderr}
+    if given is None and any(field in BACKGROUND_FIELDS for field in config.store.fields):
+        with _timed(seconds, "background"):
+            # Samples of light are those of the whole room: what no object touches differs in nothing.
+            empty = transient_of(lit.without(*lit.objects), capture, accuracy, seed=own_seed).total
+            drawn, _ = counted(empty, seed=derived_seed(seed, index, Purpose.BACKGROUND))
+        measured |= {"background_histogram": drawn, "background_transient": empty}
     with _timed(seconds, "evidence"):
         # A transient that another simulator made is not split by object.
         evidence = (
@@ -85,7 +96,6 @@ def sample_of(
         labels = make_labels(config.labels, scene, wanted, slots)
         if "objects" in wanted:
             labels |= evidence_tables(tuple(evidence.values()), slots.capacity)
-    measured = {"histogram": counts, "transient": transient.total, "transient_stderr": transient.stderr}
     arrays: dict[str, NDArray[np.generic]] = {
         name: values for name, values in measured.items() if name in config.store.fields
     }

@@ -15,7 +15,7 @@ from datagen.store.places import Place, place
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.verify import committed
 
-STAGES = ("scene", "effects", "transport", "detector", "evidence", "labels", "store")
+STAGES = ("scene", "effects", "transport", "detector", "background", "evidence", "labels", "store")
 
 
 def info(path: str | Place) -> str:
@@ -57,7 +57,7 @@ def _told(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         shape = " × ".join(map(str, (schema.scenes, *field.shape)))
         decoded = readable(scenes * field.bytes_per_scene)
         lines.append(
-            f"{field.name:20}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
+            f"{field.name:22}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
         )
     lines += [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
     parts = (_times, _accuracy, _evidence, _decisions, _effects, _failures)
