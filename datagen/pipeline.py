@@ -20,6 +20,8 @@ from datagen.effects import EffectDecisions, decide_detector_effects, decide_tra
 from datagen.errors import InputError
 from datagen.evidence import evidence_image
 from datagen.evidence.own import UNKNOWN, Evidence, evidence_parameters, evidence_tables, own_evidence
+from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
+from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config, generate_scene
@@ -90,19 +92,28 @@ def sample_of(
             else dict.fromkeys(scene.objects, UNKNOWN)
         )
         image = _evidence_image(config, scene, capture, transient, used, conditions)
+    presence = dict[str, Presence]()
+    if "presence" in config.store.fields:
+        with _timed(seconds, "presence"):
+            presence = dict.fromkeys(scene.objects, PRESENCE_UNKNOWN)
+            if given is None:
+                presence = presence_evidence(
+                    lit, capture, accuracy, used, conditions, seed=own_seed, transient=transient
+                )
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
         slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
         labels = make_labels(config.labels, scene, wanted, slots)
         if "objects" in wanted:
             labels |= evidence_tables(tuple(evidence.values()), slots.capacity)
+        if "presence" in config.store.fields:
+            labels["object_presence"] = presence_table(tuple(presence.values()), slots.capacity)
     arrays: dict[str, NDArray[np.generic]] = {
         name: values for name, values in measured.items() if name in config.store.fields
     }
     arrays |= labels | image | _geometry(scene, capture, transient)
-    return Sample(
-        index, arrays, _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts), seconds
-    )
+    parameters = _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts)
+    return Sample(index, arrays, parameters | presence_parameters(presence), seconds)
 
 
 def _evidence_image(

@@ -15,7 +15,7 @@ from datagen.store.places import Place, place
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.verify import committed
 
-STAGES = ("scene", "effects", "transport", "detector", "background", "evidence", "labels", "store")
+STAGES = ("scene", "effects", "transport", "detector", "background", "evidence", "presence", "labels", "store")
 
 
 def info(path: str | Place) -> str:

@@ -134,7 +134,7 @@ def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Sch
     """
     if config.scenes > MOST_SCENES:
         raise InputError(f"scenes = {config.scenes}: must be ≤ {MOST_SCENES}")
-    fields = _large_fields(config) + _object_tables(config) + _small_fields(config)
+    fields = _large_fields(config) + _object_tables(config) + _presence(config) + _small_fields(config)
     if scenes_per_shard is None:
         scenes_per_shard = config.store.scenes_per_shard or _scenes_per_shard(fields, config.scenes)
     for field in fields:
@@ -234,6 +234,17 @@ def _object_tables(config: DatasetConfig) -> tuple[Field, ...]:
               "sqrt(sum s^2 / b) over all bins, s its expected detections, b all: standard deviations of an ideal "
               "matched filter; 0: no object", False),
     )  # fmt: skip
+
+
+def _presence(config: DatasetConfig) -> tuple[Field, ...]:
+    if "presence" not in config.store.fields:
+        return ()
+    meaning = (
+        "sqrt(sum s^2 / m) over all bins, s what the object adds to the expected detections, m those with or without "
+        "it, whichever are more: standard deviations of an ideal matched filter; 0: no object"
+    )
+    rows = config.scene.most_objects()
+    return (Field("object_presence", ("scene", "object"), (rows,), "float32", "1", meaning, sharded=False),)
 
 
 def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
