@@ -41,13 +41,18 @@ def kind_of(part: str) -> str:
 
 def evidence_by_kind(scenes: Iterable[Mapping[str, object]]) -> list[KindEvidence]:
     """Of scenes' parameters, the kinds in alphabetical order; none where no evidence is stored."""
+    return [_summary(kind, np.array(values)) for kind, values in significance_by_kind(scenes).items()]
+
+
+def significance_by_kind(scenes: Iterable[Mapping[str, object]]) -> dict[str, list[float]]:
+    """Kind, in alphabetical order → the significance of each object of it."""
     found: dict[str, list[float]] = {}
     for parameters in scenes:
         for name, value in parameters.items():
             match = _SIGNIFICANCE.fullmatch(name)
             if match and isinstance(value, int | float):
                 found.setdefault(kind_of(match[1]), []).append(float(value))
-    return [_summary(kind, np.array(values)) for kind, values in sorted(found.items())]
+    return dict(sorted(found.items()))
 
 
 def _summary(kind: str, sigma: np.ndarray) -> KindEvidence:
