@@ -51,7 +51,7 @@ def _told(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         f"{manifest.hardware['cores']} cores",
         *(f"mixed        shards differ in {what}" for what in mixed([record.environment for record in records])),
         "",
-        f"{'field':20}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
+        f"{'field':22}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
     ]
     for field in schema.fields:
         shape = " × ".join(map(str, (schema.scenes, *field.shape)))

@@ -181,6 +181,12 @@ def test_a_capture_without_its_light_stays_as_stored(tmp_path: Path) -> None:
 
 
 def test_a_transient_from_elsewhere_has_none(tmp_path: Path) -> None:
+    """Nor has it presence: that is not known."""
     item = (room(0.5), capture(), np.zeros(capture().shape))
     with pytest.raises(dg.InputError, match="fields: a background is simulated, and a transient given tells nothing"):
         dg.build_from([item], tmp_path / "set", fields=("histogram", "background_histogram"), progress=False)
+    quick = {"transport": {"target": 0.3, "max_bounces": 3}}
+    scenes = [item, (room(0.5), capture())]
+    dg.build_from(scenes, tmp_path / "set", fields=("histogram", "presence"), settings=quick, progress=False)
+    unknown, known = (item["object_presence"] for item in dg.TransientDataset(tmp_path / "set", ("object_presence",)))
+    assert np.isnan(unknown).all() and (known > 0).all()
