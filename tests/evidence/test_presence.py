@@ -123,15 +123,30 @@ def test_one_replicate_tells_no_floor() -> None:
     assert found.significance > 0 and np.isnan(found.floor)
 
 
-def test_a_black_plate_is_known_by_its_shadow_and_a_lone_one_by_its_light() -> None:
+def test_a_black_plate_is_known_by_its_shadow() -> None:
     black = presence(room(0.0))
     own = dg.own_evidence(fine(0.0)[0], IDEAL, EXPOSURE, ["plate"])["plate"]
     assert own.significance == 0 and black.detections < 0 and black.significance > 3 * black.floor
+
+
+@pytest.mark.parametrize(
+    "spad",
+    [
+        IDEAL,
+        replace(IDEAL, gate_start_s=7e-9, gate_width_s=4e-9),
+        replace(IDEAL, mode="synchronous", dead_time_s=4e-8),
+        replace(IDEAL, mode="free_running", dead_time_s=5e-9, jitter_fwhm_s=3e-10),
+    ],
+    ids=["ideal", "gated", "synchronous", "free running"],
+)
+def test_a_lone_plate_is_known_by_its_light(spad: dg.Spad) -> None:
+    """Where nothing is shadowed, presence is the evidence of its own light, whatever the detector."""
     lone = room(0.6, back=False)
     t = dg.simulate(lone, capture(), dg.Accuracy(target=0.005), seed=1)
-    own, alone = dg.own_evidence(t, IDEAL, EXPOSURE, ["plate"])["plate"], presence(lone)
-    assert abs(alone.significance - own.significance) < 0.02 * own.significance + alone.floor
-    assert alone.detections == pytest.approx(own.detections, rel=0.05)
+    own = dg.own_evidence(t, spad, EXPOSURE, ["plate"])["plate"]
+    found = dg.presence_evidence(lone, capture(), COARSE, spad, EXPOSURE, ["plate"], seed=3)["plate"]
+    assert abs(found.significance - own.significance) < 0.02 * own.significance + found.floor
+    assert found.detections == pytest.approx(own.detections, rel=0.05) and own.significance > 10
 
 
 def test_it_grows_with_the_root_of_the_exposure() -> None:
