@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from datagen.detector import Exposure, Spad, detect, expected_histogram
     from datagen.effects import Decision, EffectDecisions, plan_effects
     from datagen.errors import CheckError, InputError, InputWarning
-    from datagen.evidence import Evidence, own_evidence
+    from datagen.evidence import Evidence, Presence, own_evidence, presence_evidence
     from datagen.loader import EpochSampler, TransientDataset, collate, dense
     from datagen.paper.as_printed import AsPrinted, simulate_as_printed
     from datagen.records import (
@@ -53,10 +53,10 @@ __all__ = [
     "GGX", "Accuracy", "AsPrinted", "BuildResult", "Capture", "CheckError", "DatasetConfig", "Decision",
     "EffectDecisions", "EffectsConfig", "EpochSampler", "Evidence", "Exposure", "GeneratedDataset",
     "InputError", "InputWarning", "Lambertian", "Laser", "Material", "OrenNayar", "Part", "Phong", "Pose",
-    "Rectangle", "Retroreflector", "Sample", "Scene", "SceneConfig", "Sensor", "SinLobe", "Spad", "Spend",
+    "Presence", "Rectangle", "Retroreflector", "Sample", "Scene", "SceneConfig", "Sensor", "SinLobe", "Spad", "Spend",
     "TimeAxis", "Transient", "TransientDataset", "__version__", "build", "build_from", "capture_for", "collate",
     "dense", "detect", "expected_histogram", "generate_scene", "load_config", "own_evidence", "plan_effects",
-    "scene_for", "simulate", "simulate_as_printed", "with_exposure_found",
+    "presence_evidence", "scene_for", "simulate", "simulate_as_printed", "with_exposure_found",
 ]  # fmt: skip
 _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "AsPrinted": "datagen.paper.as_printed",
@@ -72,6 +72,7 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "GeneratedDataset": "datagen.building.on_the_fly",
     "InputError": "datagen.errors",
     "InputWarning": "datagen.errors",
+    "Presence": "datagen.evidence",
     "SceneConfig": "datagen.config",
     "Spad": "datagen.detector",
     "TransientDataset": "datagen.loader",
@@ -86,6 +87,7 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "load_config": "datagen.config",
     "own_evidence": "datagen.evidence",
     "plan_effects": "datagen.effects",
+    "presence_evidence": "datagen.evidence",
     "scene_for": "datagen.design.scene_for",
     "simulate": "datagen.transport",
     "simulate_as_printed": "datagen.paper.as_printed",

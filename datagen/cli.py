@@ -185,7 +185,7 @@ def reproduce(out: str, config: str | None, quick: bool, quiet: bool) -> None:
 @click.argument("out")
 @click.option("--format", "form", required=True, help="tal (y-tal), mat (MATLAB), npz, h5, glb or hub.")
 @click.option("--scenes", help="Only these, such as 0,3-5; left out: all.")
-@click.option("--field", help="Of tal and mat: histogram or transient; left out: the histogram where there is one.")
+@click.option("--field", help="Of tal and mat: histogram, transient, background_…; left out: the first there is.")
 def export(dataset: str, out: str, form: str, scenes: str | None, field: str | None) -> None:
     """Write scenes of DATASET into the folder OUT as files that other programs read."""
     from datagen.export import export as write

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +21,15 @@ from datagen.effects import EffectDecisions, decide_detector_effects, decide_tra
 from datagen.errors import InputError
 from datagen.evidence import evidence_image
 from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
+from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
+from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import transient_of
+
+BACKGROUND_FIELDS = ("background_histogram", "background_transient")
 
 
 def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig | None = None) -> Sample:
@@ -68,10 +73,18 @@ def sample_of(
         effects += detector_effects(config, transient, spad, exposure)
     with _timed(seconds, "detector"):
         used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
-        counts, sampler = detect_and_choice(
-            transient.total, capture.time, used, conditions, seed=derived_seed(seed, index, Purpose.DETECTOR),
-            tolerance=tolerance, approximate=config.detector.approximate,
+        counted = partial(
+            detect_and_choice, time=capture.time, spad=used, exposure=conditions, tolerance=tolerance,
+            approximate=config.detector.approximate,
         )  # fmt: skip
+        counts, sampler = counted(transient.total, seed=derived_seed(seed, index, Purpose.DETECTOR))
+    measured = {"histogram": counts, "transient": transient.total, "transient_stderr": transient.stderr}
+    if given is None and any(field in BACKGROUND_FIELDS for field in config.store.fields):
+        with _timed(seconds, "background"):
+            # Samples of light are those of the whole room: what no object touches differs in nothing.
+            empty = transient_of(lit.without(*lit.objects), capture, accuracy, seed=own_seed).total
+            drawn, _ = counted(empty, seed=derived_seed(seed, index, Purpose.BACKGROUND))
+        measured |= {"background_histogram": drawn, "background_transient": empty}
     with _timed(seconds, "evidence"):
         # A transient that another simulator made is not split by object.
         parts = scene.objects if given is None else ()
@@ -79,20 +92,28 @@ def sample_of(
         evidence, gain = evidence_and_gain(transient, used, conditions, parts, gain=faded)
         evidence = evidence if given is None else dict.fromkeys(scene.objects, UNKNOWN)
         image = {} if gain is None else {"evidence": evidence_image(scene, capture, config.labels, gain)}
+    presence = dict[str, Presence]()
+    if "presence" in config.store.fields:
+        with _timed(seconds, "presence"):
+            presence = dict.fromkeys(scene.objects, PRESENCE_UNKNOWN)
+            if given is None:
+                presence = presence_evidence(
+                    lit, capture, accuracy, used, conditions, seed=own_seed, transient=transient
+                )
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
         slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
         labels = make_labels(config.labels, scene, wanted, slots)
         if "objects" in wanted:
             labels |= evidence_tables(tuple(evidence.values()), slots.capacity)
-    measured = {"histogram": counts, "transient": transient.total, "transient_stderr": transient.stderr}
+        if "presence" in config.store.fields:
+            labels["object_presence"] = presence_table(tuple(presence.values()), slots.capacity)
     arrays: dict[str, NDArray[np.generic]] = {
         name: values for name, values in measured.items() if name in config.store.fields
     }
     arrays |= labels | image | _geometry(scene, capture, transient)
-    return Sample(
-        index, arrays, _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts), seconds
-    )
+    parameters = _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts)
+    return Sample(index, arrays, parameters | presence_parameters(presence), seconds)
 
 
 def transport_effects(config: DatasetConfig, scene: Scene, capture: Capture, index: int) -> EffectDecisions:

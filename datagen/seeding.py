@@ -23,6 +23,8 @@ class Purpose(IntEnum):
     LABELS = 6
     LOADER = 7
     EFFECTS = 8
+    BACKGROUND = 9
+    LOADER_BACKGROUND = 10
 
 
 def seed_sequence(

@@ -17,7 +17,7 @@ from datagen.building.build import BuildResult, build
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.labels.boxes import classes_in
-from datagen.pipeline import sample_of
+from datagen.pipeline import BACKGROUND_FIELDS, sample_of
 from datagen.records import Capture, Sample, Scene
 
 
@@ -160,6 +160,8 @@ def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, setti
         if name in settings:
             raise InputError(f"settings: {name!r} follows from the scenes and captures given; leave it out")
     fields = fields or ("histogram", "transient", *(("depth",) if all(of.scene.hidden_view for of in given) else ()))
+    if any(name in BACKGROUND_FIELDS for name in fields) and any(of.transient is not None for of in given):
+        raise InputError("fields: a background is simulated, and a transient given tells nothing of it; leave it out")
     classes = {name for of in given for name in classes_in(of.scene)}
     layout = {
         "kind": "given",

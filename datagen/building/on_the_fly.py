@@ -14,6 +14,7 @@ from datagen.errors import InputError
 from datagen.pipeline import simulate_sample
 from datagen.store import schema_of
 from datagen.store.shard import encoded
+from datagen.store.stats import COUNTS
 
 
 class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
@@ -66,7 +67,6 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
         for scene in range(self._first + begin, self._config.scenes, step):
             sample = simulate_sample(self._config, scene)
             values = {name: encoded(field, sample.arrays[name]) for name, field in self._fields.items()}
-            if "histogram" in values:
-                values["histogram"] = values["histogram"].astype(np.float32)
+            values |= {name: values[name].astype(np.float32) for name in COUNTS if name in values}
             item = {name: torch.from_numpy(np.ascontiguousarray(of)) for name, of in values.items()}
             yield item | {"scene": torch.tensor(scene)}

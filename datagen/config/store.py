@@ -10,7 +10,7 @@ from datagen.config.base import Settings
 
 StoredField = Literal[
     "histogram", "transient", "transient_stderr", "depth", "normal", "albedo", "part_id", "shaded", "occupancy",
-    "sdf", "objects", "evidence",
+    "sdf", "objects", "evidence", "presence", "background_histogram", "background_transient",
 ]  # fmt: skip
 
 
@@ -19,7 +19,9 @@ class StoreConfig(Settings):
 
     fields: Annotated[tuple[StoredField, ...], Field(min_length=1)] = ("histogram", "transient", "depth")
     """The fields to store. `objects` stands for the tables of object classes, poses, boxes and evidence; `evidence`
-    for the image of expected detections from each label pixel."""
+    for the image of expected detections from each label pixel; `background_histogram` and `background_transient` for
+    counts and light of the same room without its objects, a simulation more; `presence` for the evidence of each
+    object by the scene with it against the scene without it, a simulation more for each object."""
     scenes_per_shard: Annotated[int, Field(ge=1, le=256)] | None = None
     """A power of two; left out: chosen from the size of a sample and the number of scenes (8 to 256, shards of at
     most 256 MiB)."""

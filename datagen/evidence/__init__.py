@@ -17,9 +17,10 @@ from pathlib import Path
 
 from datagen.compiled import drop_stale_kernels
 from datagen.evidence.own import Evidence, own_evidence
+from datagen.evidence.presence import Presence, presence_evidence
 from datagen.evidence.seen import evidence_image
 
-__all__ = ["Evidence", "evidence_image", "own_evidence"]
+__all__ = ["Evidence", "Presence", "evidence_image", "own_evidence", "presence_evidence"]
 
 _HERE = Path(__file__).parent
 drop_stale_kernels(_HERE, _HERE.with_name("transport"))

@@ -98,6 +98,20 @@ def evidence_and_gain(
     return evidence, np.concatenate(gains) if gain else None
 
 
+def significance_in_time(
+    transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str]
+) -> dict[str, NDArray[np.float64]]:
+    """Of each part √Σ s²/b over laser points and pixels, (bin,): the root of the sum of its squares is the
+    significance."""
+    names = tuple(parts)
+    squares = np.zeros((len(names), transient.time.bins))
+    for found in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):
+        for k, own in enumerate(found.own):
+            share = np.divide(own, found.everything, out=np.zeros_like(own), where=found.everything > 0)
+            squares[k] += (own * share).sum(axis=(0, 1))
+    return dict(zip(names, np.sqrt(squares), strict=True))
+
+
 def evidence_parameters(found: Mapping[str, Evidence]) -> dict[str, Scalar]:
     """As scalars of a sample: `evidence.PART.…`, and `evidence.weakest`, the least significance of any object."""
     if not found:

@@ -33,7 +33,8 @@ def export(
     dataset, out : the dataset, and the folder to write `scene-000003.…` into (made where it is missing).
     format : `tal`, `mat`, `npz`, `h5`, `glb`, or `hub`: the whole dataset as a folder for the Hugging Face Hub.
     scenes : numbers, or a text such as `"0,3-5"`; left out: all that could be made.
-    field : of `tal` and `mat`, the "histogram" or the "transient"; left out: the histogram where there is one.
+    field : of `tal` and `mat`, "histogram", "transient", or either of the background's; left out: the histogram
+        where there is one.
 
     Returns
     -------
@@ -47,7 +48,7 @@ def export(
     if format not in FORMATS:
         raise InputError(f"--format {format}: must be one of {', '.join(FORMATS)}")
     if field is not None and (format not in _MEASURED or field not in QUANTITIES):
-        raise InputError(f"--field {field}: must be histogram or transient, with --format tal or mat")
+        raise InputError(f"--field {field}: must be one of {', '.join(QUANTITIES)}, with --format tal or mat")
     root, target = Scenes(dataset), Path(out)
     try:
         if format == "hub":

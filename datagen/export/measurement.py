@@ -13,7 +13,7 @@ from datagen.records import TimeAxis
 from datagen.records.arrays import Floats
 from datagen.store.scenes import SceneContent
 
-QUANTITIES = ("histogram", "transient")
+QUANTITIES = ("histogram", "transient", "background_histogram", "background_transient")
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Measurement:
     Attributes
     ----------
     values : (L, P, T) counts or photons; confocal: P = 1.
-    quantity : "histogram" or "transient".
+    quantity : one of `QUANTITIES`.
     time : bin i covers [start + i width, start + (i + 1) width).
     paired : whether pixel i was looked at with laser point i alone (a confocal scan).
     laser_points, seen_points : (L, 3) and (P, 3), paired (L, 3): points on the wall, metres.
@@ -81,7 +81,7 @@ def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement
 
     Parameters
     ----------
-    quantity : "histogram" or "transient"; left out: the first of these that the dataset has.
+    quantity : one of `QUANTITIES`; left out: the first of these that the dataset has.
 
     Raises
     ------

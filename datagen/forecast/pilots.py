@@ -34,6 +34,9 @@ FAR = 4.0
 SURPRISING = 1.5
 """A pilot that takes so many times longer than the trial lets expect is run again: a kernel was compiled for it."""
 
+LIGHT_STAGES = ("transport", "background", "presence")
+"""Stages that take as long as the light they follow."""
+
 SampleFunction = Callable[[DatasetConfig, int], Sample]
 
 
@@ -60,8 +63,9 @@ class Pilot:
         return sum(self.seconds.values())
 
     def at_full_effort(self) -> Pilot:
-        """Transport in proportion to effort, noise over signal (both squared) in proportion to 1 / effort."""
-        seconds = {**self.seconds, "transport": self.seconds.get("transport", 0.0) / self.effort}
+        """Light in proportion to effort, noise over signal (both squared) in proportion to 1 / effort."""
+        light = {stage: self.seconds[stage] / self.effort for stage in LIGHT_STAGES if stage in self.seconds}
+        seconds = {**self.seconds, **light}
         slower = sum(seconds.values()) / self.total_s if self.total_s > 0 else 1.0
         noise = self.effort * self.error**2 / max(1.0 - self.error**2, 1e-6)
         error = math.sqrt(noise / (1.0 + noise)) if self.effort < 1.0 else self.error

@@ -217,11 +217,11 @@ def _whole_build(expected: Forecast) -> Iterator[str]:
 
 
 def _fields(config: DatasetConfig, schema: Schema, expected: Forecast) -> Iterator[str]:
-    yield f"{'field':20}{'one scene':22}{'dtype':9}{'decoded':>10}{'on disk':>10}"
+    yield f"{'field':22}{'one scene':22}{'dtype':9}{'decoded':>10}{'on disk':>10}"
     for field in schema.fields:
         shape = " × ".join(map(str, field.shape))
         decoded, stored = config.scenes * field.bytes_per_scene, config.scenes * expected.stored[field.name]
-        yield f"{field.name:20}{shape:22}{field.dtype:9}{readable(decoded):>10}{readable(_two(stored)):>10}"
+        yield f"{field.name:22}{shape:22}{field.dtype:9}{readable(decoded):>10}{readable(_two(stored)):>10}"
     decoded = config.scenes * schema.bytes_per_scene
     records = config.scenes * expected.stored["records"]
     yield f"{'commit records and table':51}{'':>10}{readable(_two(records)):>10}"

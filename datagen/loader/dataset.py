@@ -20,13 +20,13 @@ from datagen.errors import CheckError, InputError
 from datagen.loader.batch import Batch
 from datagen.loader.draws import DrawCounter
 from datagen.loader.events import events_of
-from datagen.loader.redrawn_noise import NoiseSource
+from datagen.loader.redrawn_noise import TRANSIENT_OF, NoiseSource
 from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.places import Bucket, place
 from datagen.store.record import recorded_shards
 from datagen.store.schema import EVIDENCE_SINCE, SPLITS_SINCE
-from datagen.store.stats import QUANTITIES, WITH_STATS
+from datagen.store.stats import COUNTS, QUANTITIES, WITH_STATS
 from datagen.store.table import TABLE, read_splits, read_table, stats_of_rows
 
 COUNT_TYPES = ("float32", "float64", "int32", "int64", "stored")
@@ -49,6 +49,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     redraw_noise : draw histograms anew from the stored transient, with the scene's own detector, at every read: the
         n-th read of a scene is its draw n, a function of (`seed`, n, scene). So every epoch has noise of its own
         without any call, whatever wraps the dataset, samples from it or works for it; `set_epoch` fixes the count.
+        A `background_histogram` is drawn anew, too, with noise of its own, where the dataset has the field
+        `background_transient`; elsewhere it stays the one capture that is stored.
     representation : `"events"`: instead of `histogram` an item has `events`, (N, 3), the laser, pixel and bin of
         every bin that is not empty (int16, int32 where an axis is longer), and `counts`, (N,), what is in them: an
         input of networks for points, and less to move where most bins are empty. `collate` joins a batch, with the
@@ -115,8 +117,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         tables = tuple(name for name in self.fields if name.startswith("object_")) or ("objects",)
         asked = (fields,) if isinstance(fields, str) else tuple(fields)
         self.selected = tuple(dict.fromkeys(f for name in asked for f in (tables if name == "objects" else (name,))))
+        self._light = {name: of for name, of in TRANSIENT_OF.items() if redraw_noise and of in self.fields}
         for name in self.selected:
-            if name not in self.fields and not (name == "histogram" and redraw_noise):
+            if name not in self.fields and name not in self._light:
                 raise InputError(f"fields: {name!r} is not in {path}; it has {', '.join(self.fields)}")
         if counts == "int32" and "histogram" in self.fields and self._schema.by_name["histogram"].dtype == "uint32":
             raise InputError("counts = 'int32': histograms are stored as uint32, which it cannot hold; use 'int64'")
@@ -142,7 +145,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             self.scenes = self._scenes_with_evidence(evidence_at_least)
         self.seed = seed
         # Shared memory: no worker checks what another has.
-        stored = ["transient" if name == "histogram" and self._noise else name for name in self.selected]
+        stored = [self._light.get(name, name) for name in self.selected]
         self._seen: dict[str, Any] = {
             name: torch.zeros(self._schema.scenes, dtype=torch.bool).share_memory_() for name in stored
         }
@@ -158,14 +161,15 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     def __repr__(self) -> str:
         """Where from, how many samples of which split, and what an item holds."""
         part = f" of split {self.split!r}" if self.split else ""
-        drawn = "histogram, drawn anew at every read" if self._noise else "histogram"
-        fields = (f"{drawn if name == 'histogram' else name} {self.shape(name)}" for name in self.selected)
+        anew = ", drawn anew at every read"
+        fields = (f"{name}{anew if name in self._light else ''} {self.shape(name)}" for name in self.selected)
         return f"TransientDataset({str(self.path)!r}: {len(self)} scenes{part}; {', '.join(fields)})"
 
     def __getitems__(self, items: Sequence[int]) -> list[dict[str, torch.Tensor]]:
         """Several items in one read each field; the batch that a `DataLoader` asks for."""
         scenes = [int(self.scenes[self._checked(item)]) for item in items]
-        values = {name: self._values(name, scenes) for name in self.selected}
+        drawn = self._drawn(scenes)
+        values = {name: drawn[name] if name in drawn else self._stored_as(name, scenes) for name in self.selected}
         events = events_of(values.pop("histogram")) if self._as_events else None
         batch = {name: torch.from_numpy(of) for name, of in values.items()} | {"scene": torch.tensor(scenes)}
         if events is None:
@@ -188,8 +192,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     def shape(self, field: str) -> tuple[int, ...]:
         """The shape of one scene's value of a field."""
-        stored = "transient" if field == "histogram" and self._noise else field
-        return self._schema.by_name[stored].shape
+        return self._schema.by_name[self._light.get(field, field)].shape
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -296,12 +299,10 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             self._reader = DatasetReader(self.path, self._manifest, seen, self._check, seen)
         return self._reader.read(name, scenes, dtype)
 
-    def _values(self, name: str, scenes: Sequence[int]) -> NDArray[np.generic]:
-        if name != "histogram":
-            return self._stored(name, scenes)
-        if self._as_events:
-            return self._stored(name, scenes) if self._noise is None else self._drawn(scenes)
-        return self._stored(name, scenes, self._counts) if self._noise is None else self._cast(self._drawn(scenes))
+    def _stored_as(self, name: str, scenes: Sequence[int]) -> NDArray[np.generic]:
+        """As stored, counts as they are asked for; events keep those that are not empty, and cast them then."""
+        as_events = name == "histogram" and self._as_events
+        return self._stored(name, scenes, self._counts if name in COUNTS and not as_events else None)
 
     def _cast(self, counts: NDArray[np.generic]) -> NDArray[np.generic]:
         if self._counts is None:
@@ -311,11 +312,20 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise InputError(f"counts = {self._counts.name!r}: {most} counts do not fit; use 'int64'")
         return counts.astype(self._counts)
 
-    def _drawn(self, scenes: Sequence[int]) -> NDArray[np.integer[Any]]:
+    def _drawn(self, scenes: Sequence[int]) -> dict[str, NDArray[np.generic]]:
+        """Of the histograms asked for, those that are drawn anew."""
+        wanted = [name for name in self.selected if name in self._light]
+        if not wanted:
+            return {}
         assert self._noise is not None and self._draws is not None
-        transients, taken = self._stored("transient", scenes), self._draws.take(scenes)
-        drawn = [
-            self._noise.draw(transient, scene, self.seed, *draw)
-            for transient, scene, draw in zip(transients, scenes, taken, strict=True)
-        ]
-        return np.stack(drawn)
+        taken, found = self._draws.take(scenes), dict[str, NDArray[np.generic]]()
+        for name in wanted:
+            light = self._light[name]
+            drawn = np.stack(
+                [
+                    self._noise.draw(light, transient, scene, self.seed, *draw)
+                    for transient, scene, draw in zip(self._stored(light, scenes), scenes, taken, strict=True)
+                ]
+            )
+            found[name] = drawn if name == "histogram" and self._as_events else self._cast(drawn)
+        return found

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from datagen.detector import Exposure, Spad
 
 
+TRANSIENT_OF = {"histogram": "transient", "background_histogram": "background_transient"}
+_PURPOSE = {"transient": Purpose.LOADER, "background_transient": Purpose.LOADER_BACKGROUND}
+
+
 class NoiseSource:
     """Counts from a stored transient, with the detector that the scene was given."""
 
@@ -31,30 +35,31 @@ class NoiseSource:
             what = " ".join(str(error).split())
             raise InputError(f"redraw_noise: the dataset's own configuration cannot be used ({what})") from None
         self._seed = manifest.seed
-        self._decided: dict[int, tuple[Spad, Exposure, float]] = {}
+        self._decided: dict[tuple[str, int], tuple[Spad, Exposure, float]] = {}
 
     def draw(
-        self, transient: NDArray[np.generic], scene: int, seed: int, number: int, stream: int = 0
+        self, field: str, transient: NDArray[np.generic], scene: int, seed: int, number: int, stream: int = 0
     ) -> NDArray[np.integer[Any]]:
-        """Counts of a scene, (laser, pixel, bin): a function of (seed, number of the draw, stream, scene)."""
+        """Counts of a scene's field with light, (laser, pixel, bin): a function of (field, seed, number of the draw,
+        stream, scene)."""
         from datagen.detector import detect
 
-        spad, exposure, tolerance = self._detector_of(scene, transient)
-        key = seed_sequence(seed, scene, Purpose.LOADER, attempt=number, part=stream)
+        spad, exposure, tolerance = self._detector_of(field, scene, transient)
+        key = seed_sequence(seed, scene, _PURPOSE[field], attempt=number, part=stream)
         noise_seed = int(key.generate_state(1, np.uint64)[0])
         return detect(
             transient.astype(np.float64), self._time, spad, exposure, seed=noise_seed, tolerance=tolerance,
             approximate=self._detector.approximate,
         )  # fmt: skip
 
-    def _detector_of(self, scene: int, transient: NDArray[np.generic]) -> tuple[Spad, Exposure, float]:
+    def _detector_of(self, field: str, scene: int, transient: NDArray[np.generic]) -> tuple[Spad, Exposure, float]:
         """The detector of a scene with the effects that its transient calls for, decided once."""
-        if scene not in self._decided:
+        if (field, scene) not in self._decided:
             from datagen.detector import detector_for
             from datagen.effects import decide_detector_effects
 
             given = detector_for(self._detector, self._seed, scene, self._time)
             seen = transient.astype(np.float64)
             plan = decide_detector_effects(seen, self._time, *given, self._effects, self._detector.tolerance)
-            self._decided[scene] = plan.apply_detector(*given, self._detector.tolerance)
-        return self._decided[scene]
+            self._decided[field, scene] = plan.apply_detector(*given, self._detector.tolerance)
+        return self._decided[field, scene]

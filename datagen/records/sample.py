@@ -109,7 +109,7 @@ class Sample:
 
     arrays : field name → array, as `store/schema.py` describes them (no scene axis).
     parameters : scalars for the table `samples.parquet`: what was drawn, the error estimate, the effects decided.
-    seconds : wall-clock seconds by stage ("scene", "transport", "detector", "evidence", "labels").
+    seconds : wall-clock seconds by stage ("scene", "transport", "detector", "background", "evidence", "labels").
     """
 
     index: int

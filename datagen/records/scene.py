@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
@@ -239,6 +239,26 @@ class Scene:
     def objects(self) -> tuple[str, ...]:
         """Names of the parts whose role is object, in their order."""
         return tuple(name for name, role in zip(self.part_names, self.roles, strict=True) if role == "object")
+
+    def without(self, *names: str) -> Scene:
+        """The same scene when the named parts have been carried out of it; all else, parameters too, stays.
+
+        Raises `InputError` for a part that is not there, and where none would be left.
+        """
+        gone = self.faces_of(*names)
+        kept = [k for k, name in enumerate(self.part_names) if name not in names]
+        if not kept:
+            raise InputError(f"Scene.without: {', '.join(names)}: a scene needs at least one surface")
+        triangles = np.delete(self.triangles, gone, axis=0)
+        used, renumbered = np.unique(triangles, return_inverse=True)
+        number = np.full(len(self.part_names), -1, np.int32)
+        number[kept] = np.arange(len(kept), dtype=np.int32)
+        return replace(
+            self, vertices=self.vertices[used], triangles=renumbered.reshape(triangles.shape).astype(np.int32),
+            face_part=number[np.delete(self.face_part, gone)], part_names=tuple(self.part_names[k] for k in kept),
+            materials=tuple(self.materials[k] for k in kept), roles=tuple(self.roles[k] for k in kept),
+            poses={name: pose for name, pose in self.poses.items() if name not in names},
+        )  # fmt: skip
 
     @property
     def corners(self) -> Floats:

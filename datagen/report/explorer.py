@@ -19,6 +19,7 @@ from datagen.labels import ViewFrame
 from datagen.labels.boxes import classes_in
 from datagen.records import Scene
 from datagen.report import scan_plots as scans
+from datagen.report.evidence_pictures import stated
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.style import part_colors
 from datagen.report.time_plots import busy_window, clear_channel
@@ -46,14 +47,14 @@ def scene_data(stored: StoredScene, scene: Scene, error: float | None, again: Re
         "layout": str(stored.parameters.get("layout.kind", "")),
         "classes": list(classes_in(scene)),
         "error": None if error is None or not np.isfinite(error) else float(error),
-        "parts": _parts(scene),
+        "parts": _parts(scene, stated(stored, scene)),
         "device": None if scene.device_position is None else np.round(scene.device_position, 3).tolist(),
         "labels": _labels(stored, scene),
         "scan": None if again is None else _scan(again),
     }
 
 
-def _parts(scene: Scene) -> list[dict[str, Any]]:
+def _parts(scene: Scene, significance: Mapping[str, float]) -> list[dict[str, Any]]:
     found, colors = [], part_colors(scene)
     for name, role in zip(scene.part_names, scene.roles, strict=True):
         if "ceiling" in name:
@@ -66,7 +67,8 @@ def _parts(scene: Scene) -> list[dict[str, Any]]:
             box = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(8, 3) @ axes
             corners = box[_CUBE]
         points = np.round(corners, 3).reshape(-1).tolist()
-        found.append({"name": name, "role": role, "color": colors[name], "corners": points})
+        part = {"name": name, "role": role, "color": colors[name], "corners": points}
+        found.append(part | ({"sigma": float(f"{significance[name]:.2g}")} if name in significance else {}))
     return found
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.records import Scene
+from datagen.report.evidence_pictures import kinds_told
 from datagen.report.explorer import explorer, scene_data
 from datagen.report.html import head, inside, table
 from datagen.report.parameter_plots import parameter_page, varying
@@ -19,6 +20,7 @@ from datagen.report.style import house_style
 from datagen.scene import stand_in
 from datagen.store import Manifest, committed, read_manifest
 from datagen.store.card import ranges
+from datagen.store.evidence_told import LEAST
 from datagen.store.info import info, scenes_made
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.table import table_of
@@ -75,9 +77,14 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
         scene = _room(stored) if again is None else again.scene
         shown.append(scene_data(stored, scene, _error(record), again))
         if again is not None:
-            for name, picture in pages(stored, again, ["overview"]):
+            for name, picture in pages(stored, again, ["overview", "evidence"]):
                 pictures.append(inside(picture, f"scene {record.index}, {name}"))
     yield explorer(shown)
+    rests = kinds_told([scene.parameters for scene in made])
+    if rests:
+        yield "<h2>What the labels rest on</h2><p>Significance of each object's own light in the data, kind by kind: "
+        yield f"how many objects have how many standard deviations; red: under {LEAST:g}, what no network can learn "
+        yield f"from the data.</p>{rests}"
     yield "<h2>Scenes in full</h2>"
     yield from pictures
     figure = parameter_page(varying([scene.parameters for scene in made]))

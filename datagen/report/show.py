@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from datagen.labels import make_labels
 from datagen.report import pages as drawn
 from datagen.report.effects_page import effects_page
+from datagen.report.evidence_pictures import evidence_page
 from datagen.report.replay import Replay, StoredScene, read_scene, replay
 from datagen.report.room_plots import RoomPicture
 from datagen.report.style import house_style, save_png
@@ -17,16 +18,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-PAGES = ("overview", "room", "transient", "histogram", "labels", "scan", "effects")
+PAGES = ("overview", "room", "transient", "histogram", "evidence", "labels", "scan", "effects")
 """The pictures of a scene, in the order in which they are made."""
 
 
 def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list[Path]:
     """Draw scene `index` of a dataset as PNGs and return their paths, the overview first.
 
-    The room in plan and opened in 3D, the transient stacked by part, counts over their expectation, the labels, and
-    slices of the scan where it has several channels. The scene is simulated again from the stored configuration and
-    seed for what a dataset does not hold (geometry, the split by part); counts and labels are the stored ones.
+    The room in plan and opened in 3D, the transient stacked by part, counts over their expectation, each object's
+    light over the noise with its significance, the labels, and slices of the scan where it has several channels. The
+    scene is simulated again from the stored configuration and seed for what a dataset does not hold (geometry, the
+    split by part); counts, labels and significances are the stored ones.
 
     Parameters
     ----------
@@ -52,7 +54,8 @@ def default_folder(dataset: str | Path) -> Path:
 
 
 def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> Iterator[tuple[str, Figure]]:
-    """(name, figure) of the pictures asked for, made one at a time; `scan` only where there are several channels.
+    """(name, figure) of the pictures asked for, made one at a time; `scan` only where there are several channels,
+    `evidence` where there are objects.
 
     To be used within `house_style()`.
     """
@@ -68,6 +71,7 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
         "room": lambda: drawn.room_page(stored, again, room),
         "transient": lambda: drawn.transient_page(stored, again),
         "histogram": lambda: drawn.histogram_page(stored, again),
+        "evidence": lambda: evidence_page(stored, again),
         "labels": lambda: drawn.labels_page(stored, again, labels),
         "scan": lambda: drawn.scan_page(stored, again),
         "effects": lambda: effects_page(stored, again),

@@ -56,6 +56,18 @@ def evidence_by_kind(scenes: Iterable[Mapping[str, object]], together: str | Non
 
     together : all kinds as one, of this name.
     """
+    return [_summary(kind, *np.array(told).T) for kind, told in _of_kinds(scenes, together).items()]
+
+
+def significance_by_kind(scenes: Iterable[Mapping[str, object]]) -> dict[str, list[float]]:
+    """Kind, in alphabetical order → the significance of each object of it."""
+    return {kind: [value for value, _ in told] for kind, told in _of_kinds(scenes).items()}
+
+
+def _of_kinds(
+    scenes: Iterable[Mapping[str, object]], together: str | None = None
+) -> dict[str, list[tuple[float, float]]]:
+    """Kind → significance and distance of each object of it."""
     found: dict[str, list[tuple[float, float]]] = {}
     for parameters in scenes:
         for name, value in parameters.items():
@@ -64,7 +76,7 @@ def evidence_by_kind(scenes: Iterable[Mapping[str, object]], together: str | Non
                 away = parameters.get(f"{match[1]}.away_m")
                 told = float(value), float(away) if isinstance(away, float) else math.nan
                 found.setdefault(together or kind_of(match[1]), []).append(told)
-    return [_summary(kind, *np.array(values).T) for kind, values in sorted(found.items())]
+    return dict(sorted(found.items()))
 
 
 def _summary(kind: str, sigma: Floats, away_m: Floats) -> KindEvidence:

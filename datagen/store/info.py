@@ -15,7 +15,7 @@ from datagen.store.places import Place, place
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.verify import committed
 
-STAGES = ("scene", "effects", "transport", "detector", "evidence", "labels", "store")
+STAGES = ("scene", "effects", "transport", "detector", "background", "evidence", "presence", "labels", "store")
 
 
 def info(path: str | Place) -> str:
@@ -51,13 +51,13 @@ def _told(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         f"{manifest.hardware['cores']} cores",
         *(f"mixed        shards differ in {what}" for what in mixed([record.environment for record in records])),
         "",
-        f"{'field':20}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
+        f"{'field':22}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
     ]
     for field in schema.fields:
         shape = " × ".join(map(str, (schema.scenes, *field.shape)))
         decoded = readable(scenes * field.bytes_per_scene)
         lines.append(
-            f"{field.name:20}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
+            f"{field.name:22}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
         )
     lines += [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
     parts = (_times, _accuracy, _evidence, _decisions, _effects, _failures)

@@ -29,7 +29,8 @@ SCHEMA_VERSIONS = {
     "`stats.*` in the table, `stats` in `dataset.json`; with a target a seed yields other light",
     6: "datagen 0.6: the evidence of each object, columns `evidence.*` and tables object_detections, "
     "object_brightest_bin, object_significance beside the label `objects`; field evidence",
-    7: "datagen 0.7: with a target a seed yields other light of meshes (small triangles are taken together)",
+    7: "datagen 0.7: with a target a seed yields other light of meshes (small triangles are taken together); "
+    "fields background_histogram, background_transient, presence; column evidence.placed_anew",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
@@ -135,7 +136,7 @@ def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Sch
     """
     if config.scenes > MOST_SCENES:
         raise InputError(f"scenes = {config.scenes}: must be ≤ {MOST_SCENES}")
-    fields = _large_fields(config) + _object_tables(config) + _small_fields(config)
+    fields = _large_fields(config) + _object_tables(config) + _presence(config) + _small_fields(config)
     if scenes_per_shard is None:
         scenes_per_shard = config.store.scenes_per_shard or _scenes_per_shard(fields, config.scenes)
     for field in fields:
@@ -184,6 +185,10 @@ def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
               "expected impulse response of the scene, before the detector"),
         Field("transient_stderr", _MEASURED, measured, "float32", photons,
               "standard error of the transient from independent replicates; NaN when there was only one"),
+        Field("background_histogram", _MEASURED, measured, config.store.histogram_dtype, "counts",
+              "photons detected over an exposure of the same room without its objects, with noise of its own"),
+        Field("background_transient", _MEASURED, measured, "float32", photons,
+              "expected impulse response of the same room without its objects"),
         Field("depth", _IMAGE, image, "float32", "m",
               "distance of the surface seen from the plane of the relay wall, along its normal; 0: empty"),
         Field("normal", (*_IMAGE, "axis"), (*image, 3), "float32", "1",
@@ -231,6 +236,17 @@ def _object_tables(config: DatasetConfig) -> tuple[Field, ...]:
               "sqrt(sum s^2 / b) over all bins, s its expected detections, b all: standard deviations of an ideal "
               "matched filter; 0: no object", False),
     )  # fmt: skip
+
+
+def _presence(config: DatasetConfig) -> tuple[Field, ...]:
+    if "presence" not in config.store.fields:
+        return ()
+    meaning = (
+        "sqrt(sum s^2 / m) over all bins, s what the object adds to the expected detections, m those with or without "
+        "it, whichever are more: standard deviations of an ideal matched filter; 0: no object"
+    )
+    rows = config.scene.most_objects()
+    return (Field("object_presence", ("scene", "object"), (rows,), "float32", "1", meaning, sharded=False),)
 
 
 def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:

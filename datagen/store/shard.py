@@ -19,9 +19,9 @@ from datagen.store.environment import made_with
 from datagen.store.files import PARTIAL, own_path, sha256_of, sync_folder, write_atomically
 from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, record_path
 from datagen.store.schema import Field, Schema
-from datagen.store.stats import WITH_STATS, stats_of
+from datagen.store.stats import COUNTS, WITH_STATS, stats_of
 
-FINITE = ("transient", "depth", "normal", "albedo", "shaded", "sdf", "evidence")
+FINITE = ("transient", "background_transient", "depth", "normal", "albedo", "shaded", "sdf", "evidence")
 """Fields that have no use for NaN and infinity."""
 
 
@@ -71,7 +71,7 @@ def _check_range(field: Field, value: NDArray[np.generic], limits: np.iinfo) -> 
         wider = "; set store.histogram_dtype to a wider type or shorten the exposure"
         raise InputError(
             f"field {field.name!r}: {worst} lies outside {limits.min} … {limits.max} of {field.dtype}"
-            f"{wider if field.name == 'histogram' else ''}"
+            f"{wider if field.name in COUNTS else ''}"
         )
 
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 LABELS = ("depth", "normal", "albedo", "shaded", "occupancy", "sdf")
 """Labels that are quantities, not indices."""
-WITH_STATS = ("histogram", *LABELS)
+COUNTS = ("histogram", "background_histogram")
+WITH_STATS = (*COUNTS, *LABELS)
 _STEPS = 2.0**20
 """Labels are added up in steps of a millionth of their unit."""
 
@@ -41,7 +42,7 @@ def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
     """Of one scene's values of a field."""
     size = max(values.size, 1)
     found = values[values != 0]
-    if field == "histogram":
+    if field in COUNTS:
         if values.dtype.itemsize <= 2:
             every = np.bincount(found)  # as `unique`, and several times as fast
             counts, times = np.flatnonzero(every), every[every > 0]

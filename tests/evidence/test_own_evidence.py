@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matched_filter import DRAWS, MODES, separation
+from matched_filter import DRAWS, MODES, farthest_of, separation
 
 import datagen as dg
 from datagen.detector.expected import one_per_cycle_mean
@@ -156,9 +156,18 @@ def test_as_parameters_and_tables() -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_a_matched_filter_sees_what_is_stated(mode: str) -> None:
     """Of drawn histograms. 5 scenes, at 1e-5 each (4.4 standard errors); `matched_filter.py` does it for 200."""
-    stated, measured, error = separation(MODES.index(mode), mode)
-    assert stated > 0.5 and DRAWS == 1000
-    assert abs(measured - stated) < 4.4 * error + 0.02 * stated
+    found = separation(MODES.index(mode), mode)
+    assert found.stated > 0.5 and DRAWS == 1000
+    assert found.beyond < 4.4
+
+
+@pytest.mark.nightly
+def test_matched_filters_see_what_is_stated_in_200_scenes() -> None:
+    """Level 1e-3 for all of them together; the median has far less error than the 3 % asked."""
+    found = [separation(number, MODES[number % len(MODES)]) for number in range(200)]
+    assert max(of.beyond for of in found) < farthest_of(len(found))
+    # Where σ is under 1 the ratio is little but noise.
+    assert abs(np.median([of.measured / of.stated for of in found if of.stated > 1]) - 1) < 0.03
 
 
 def placed(sigma: list[float], away_m: list[float]) -> list[dict[str, float]]:

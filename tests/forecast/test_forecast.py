@@ -15,7 +15,7 @@ from store import fake_samples
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.forecast.forecast import Forecast, forecast, outcomes, records_of
-from datagen.forecast.pilots import MOST, Pilots, run_pilots, spread_indices, with_less_effort
+from datagen.forecast.pilots import MOST, Pilot, Pilots, run_pilots, spread_indices, with_less_effort
 from datagen.pipeline import simulate_sample
 from datagen.records import Sample
 from datagen.seeding import Purpose, generator
@@ -168,3 +168,13 @@ def test_a_trial_simulates_what_the_scene_would() -> None:
 
     alone, trial = decided(simulate_sample(reduced, 0)), decided(simulate_sample(reduced, 0, config.transport))
     assert alone != trial == decided(simulate_sample(config, 0))
+
+
+def test_less_effort_spares_every_simulation_of_light() -> None:
+    """Of the scene, of its background, and of it without each object; nothing else takes longer at full effort."""
+    spent = {"scene": 1.0, "transport": 2.0, "background": 2.0, "presence": 4.0, "labels": 3.0}
+    full = Pilot(0, 0.5, spent, 12.0, 0.1).at_full_effort()
+    assert full.seconds == {"scene": 1.0, "transport": 4.0, "background": 4.0, "presence": 8.0, "labels": 3.0}
+    assert full.processor_s == 20.0
+    plain = Pilot(0, 0.5, {"transport": 2.0, "labels": 3.0}, 5.0, 0.1).at_full_effort()
+    assert plain.seconds == {"transport": 4.0, "labels": 3.0}

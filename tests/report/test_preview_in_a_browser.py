@@ -20,6 +20,7 @@ const moved = (id, value, kind) => {
   const it = document.getElementById(id); it.value = value; it.dispatchEvent(new Event(kind)); };
 say("when"); moved("time", 3, "input"); say("when"); say("found"); moved("of_class", "chair", "change"); say("found");
 document.getElementById("gallery").children[1].click(); say("chosen");
+say("objects"); told.push(String(document.querySelectorAll(".weak").length));
 told.push(String(document.documentElement.scrollWidth <= window.innerWidth));
 document.getElementById("told").textContent = told.join("|") + "|" + window.faults.join(";");
 </script>"""
@@ -31,7 +32,7 @@ def scene(index: int, label: str, scanned: bool) -> dict[str, object]:
     scan = {"rows": 2, "columns": 2, "bins": 4, "decades": 4.0, "highest": 1e-9, "start_ns": 2.0, "width_ns": 0.5}
     return {
         "index": index, "layout": "l_corridor", "classes": [label], "error": 0.01 * index, "device": [0.0, 0, 1],
-        "parts": [{"name": label, "role": "object", "color": "#E69F00", "corners": corners}],
+        "parts": [{"name": label, "role": "object", "color": "#E69F00", "corners": corners, "sigma": 0.5 + index}],
         "labels": [{"name": "depth", "rows": 2, "columns": 2, "bands": 1, "size": [2, 1], "values": "AECA/w=="}],
         "scan": {**scan, "curves": [curve]} if scanned else None,
     }  # fmt: skip
@@ -50,9 +51,11 @@ def test_it_loads_slides_and_filters(tmp_path: Path, width: int) -> None:
     )  # fmt: skip
     told = re.search(r'<pre id="told">(.*?)</pre>', done.stdout)
     assert told is not None, done.stderr
-    before, after, all_shown, some_shown, chosen, fits, faults = told[1].split("|")
+    before, after, all_shown, some_shown, chosen, objects, weak, fits, faults = told[1].split("|")
     assert (before, after) == ("2.50 – 3.00 ns", "3.50 – 4.00 ns")
     assert (all_shown, some_shown) == ("2 of 2 rooms shown", "1 of 2 rooms shown")
+    # One of the two is under 3 σ, in the gallery alone: the other is chosen.
+    assert (objects, weak) == ("chair 7.5 σ", "1")
     assert (chosen, fits, faults) == ("Scene 7", "true", "")
 
 

@@ -56,8 +56,10 @@ def replayed(
     config = config_from_mapping({"name": "handmade"})
     labels = make_labels(config.labels, scene, IMAGE_FIELDS + VOLUME_FIELDS[:1]) if stored else {}
     arrays = {"histogram": counts, "transient": total, **labels} if stored else {}
+    noise = np.maximum(expected, 1e-300)
+    own = {name: np.sqrt(((photons * parts[name]) ** 2 / noise).sum(axis=(0, 1))) for name in scene.objects}
     return StoredScene(config, 3, arrays), Replay(
-        scene, capture, transient, counts, expected, 0.0 if stored else None
+        scene, capture, transient, counts, expected, 0.0 if stored else None, own=own
     )
 
 

@@ -141,7 +141,7 @@ def test_cards_agree_with_the_dataset(dataset: Path) -> None:
 
 def test_info_sums_up(dataset: Path) -> None:
     text = info(dataset)
-    for piece in ("scenes       12 of 12", f"{'histogram':20}12 × 4 × 1 × 16", "transport     0.0020", "scenes/s"):
+    for piece in ("scenes       12 of 12", f"{'histogram':22}12 × 4 × 1 × 16", "transport     0.0020", "scenes/s"):
         assert piece in text
 
 

@@ -1,0 +1,260 @@
+"""Does it matter to train with weights by evidence? A small network learns depth, with and without them.
+
+    python docs/evidence_training.py docs/evidence_training.png
+
+builds 1 600 scenes of a box before a wall, whose albedo is drawn over three and a half decades, so that a third of
+the boxes have no evidence to speak of; trains the network of README on 80 % of them; prints the error on the rest by
+the significance of their box; and draws it with predictions beside truth and evidence.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+from torch.utils.data import DataLoader
+
+import datagen as dg
+from datagen.config import config_from_mapping
+from datagen.report.style import captioned, house_style, save_png
+
+Array = NDArray[np.float64]
+
+SIDE = 16
+LEAST = 3.0
+BOUNDS = (0.0, 1.0, 3.0, 10.0, 30.0, np.inf)
+"""Of the classes of significance in which errors are told."""
+SHOWN = (0.3, 2.0, 7.0, 25.0, 150.0)
+"""Of the scenes kept back those whose significance is nearest to these are drawn."""
+DRAWS = 8
+RECIPES = {
+    "every box alike": torch.ones_like,
+    "weighted by σ²/(9 + σ²)": lambda sigma: sigma**2 / (LEAST**2 + sigma**2),
+    "only boxes over 3 σ": lambda sigma: (sigma >= LEAST).float(),
+}
+"""What a label counts for, by the significance of its object."""
+BLIND = "the mean depth, whatever is measured"
+COLORS = dict(zip((BLIND, *RECIPES), ("#9A9A9A", "#222222", "#0072B2", "#D55E00"), strict=True))
+
+
+def configuration(scenes: int) -> dg.DatasetConfig:
+    """A box at a place of its own in front of a wall, daylight, and 2 ms at each of 8 × 8 points."""
+    place = {"relay_distance_m": 3.0, "wall_width_m": 1.6, "height_m": 1.8, "device_height_m": 1.0}
+    screen = {"screen_to_wall_m": 1.6, "screen_offset_m": 0.2, "space_width_m": 1.6}
+    box = {
+        "kind": "box", "width_m": {"uniform": [0.5, 0.9]}, "depth_m": {"uniform": [0.2, 0.4]},
+        "height_m": {"uniform": [0.5, 0.9]}, "elevation_m": {"uniform": [0.1, 0.8]},
+        "rotation_deg": {"uniform": [-20, 20]}, "albedo": {"log_uniform": [0.0003, 0.9]},
+    }  # fmt: skip
+    return config_from_mapping(
+        {
+            "name": "boxes_by_evidence",
+            "seed": 3,
+            "scenes": scenes,
+            "scene": {
+                "layout": {"kind": "isolated_wall", **place, **screen},
+                "contents": [box],
+                "materials": {"relay_wall": {"albedo": 0.9}, "screen": {"material": ["matt_black_paint"]}},
+            },
+            "capture": {"scan": {"rows": 8, "columns": 8}, "time": {"bins": 128, "bin_width_ps": 150}},
+            "transport": {"target": 0.05},
+            "detector": {"cycles": 60000, "photons_per_pulse": 1.0e8, "ambient_rate_hz": 1.0e6},
+            "labels": {"rows": SIDE, "columns": SIDE},
+            "store": {"fields": ["histogram", "transient", "depth", "evidence", "objects"]},
+        }
+    )
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """histograms : (draw, scene, laser, 1, bin) counts. depth, evidence : (scene, row, column). sigma : (scene,)."""
+
+    histograms: torch.Tensor
+    depth: torch.Tensor
+    evidence: torch.Tensor
+    sigma: torch.Tensor
+
+    @property
+    def box(self) -> torch.Tensor:
+        """(scene, row, column): 1 on the pixels that show the box."""
+        return (self.depth > 0).float()
+
+
+def read(path: Path, splits: tuple[str, ...], draws: int) -> Scenes:
+    """Scenes of some splits, with so many draws of their noise."""
+    fields = ("histogram", "depth", "evidence", "object_significance")
+    every = [dg.TransientDataset(path, fields, split=split, redraw_noise=True) for split in splits]
+    data = torch.utils.data.ConcatDataset(every)
+    drawn = [next(iter(DataLoader(data, batch_size=len(data), collate_fn=dg.collate))) for _ in range(draws)]
+    first = drawn[0]
+    histograms = torch.stack([batch["histogram"] for batch in drawn])
+    return Scenes(histograms, first["depth"], first["evidence"], first["object_significance"][:, 0])
+
+
+class Predictor:
+    """The network of README, for log(1 + counts) less their mean over the training scenes; depth in metres."""
+
+    def __init__(self, train: Scenes, seed: int) -> None:
+        torch.manual_seed(seed)
+        layers = torch.nn.LazyLinear(64), torch.nn.LayerNorm(64), torch.nn.ReLU(), torch.nn.Linear(64, SIDE * SIDE)
+        self.model = torch.nn.Sequential(torch.nn.Flatten(), *layers, torch.nn.Unflatten(1, (SIDE, SIDE)))
+        counts = torch.log1p(train.histograms[0])
+        self.mean, self.spread, self.depth = counts.mean(dim=0), counts.std(), mean_depth(train)
+        self(train.histograms[0, :1])
+
+    def __call__(self, counts: torch.Tensor) -> torch.Tensor:
+        """(scene, row, column) of histograms (scene, laser, 1, bin)."""
+        return self.depth + torch.as_tensor(self.model((torch.log1p(counts) - self.mean) / self.spread))
+
+
+def mean_depth(train: Scenes) -> float:
+    """Over all pixels that show a box."""
+    return float(train.depth.sum() / train.box.sum())
+
+
+def trained(recipe: str, train: Scenes, seed: int, epochs: int) -> Predictor:
+    """Each epoch sees another draw of the noise; the loss is the weighted mean square error on pixels of the box."""
+    predictor = Predictor(train, seed)
+    weight = RECIPES[recipe](train.sigma)[:, None, None] * train.box
+    weight /= weight.mean()
+    optimizer = torch.optim.Adam(predictor.model.parameters(), lr=3e-3)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
+    for epoch in range(epochs):
+        counts = train.histograms[epoch % len(train.histograms)]
+        for chosen in torch.randperm(len(weight)).split(32):
+            loss = (weight[chosen] * (predictor(counts[chosen]) - train.depth[chosen]) ** 2).mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+        schedule.step()
+    return predictor
+
+
+def predicted(recipe: str, train: Scenes, counts: torch.Tensor, seed: int, epochs: int) -> torch.Tensor:
+    """(scene, row, column) depth from counts, by a network that was trained with a recipe."""
+    predictor = trained(recipe, train, seed, epochs)
+    with torch.no_grad():
+        return predictor(counts)
+
+
+def square_error(found: torch.Tensor, scenes: Scenes) -> Array:
+    """(scene,) mean square error of depth in m² on the pixels of the box."""
+    square = ((found - scenes.depth) ** 2 * scenes.box).sum((1, 2)) / scenes.box.sum((1, 2)).clamp(min=1)
+    return np.asarray(square.double().numpy())
+
+
+def compare(scenes: int, epochs: int, seeds: int) -> tuple[dict[str, Array], dict[str, Array], Scenes]:
+    """Recipe → (seed, scene) square errors on scenes kept back; recipe → predictions of the first seed."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "boxes.zarr")
+        dg.build(configuration(scenes), path, progress=False)
+        train, kept = read(path, ("train",), DRAWS), read(path, ("val", "test"), 1)
+    found = {BLIND: square_error(torch.full_like(kept.depth, mean_depth(train)), kept)[None]}
+    pictures = {}
+    for recipe in RECIPES:
+        each = [predicted(recipe, train, kept.histograms[0], seed, epochs) for seed in range(seeds)]
+        found[recipe] = np.stack([square_error(of, kept) for of in each])
+        pictures[recipe] = each[0].numpy()
+    return found, pictures, kept
+
+
+def by_class(square: Array, sigma: Array) -> tuple[Array, Array]:
+    """(class,) root mean square over scenes and seeds, and its standard deviation between seeds, m."""
+    here = [(sigma >= low) & (sigma < high) for low, high in pairwise(BOUNDS)]
+    each = np.array([[np.sqrt(of[some].mean()) if some.any() else np.nan for some in here] for of in square])
+    return np.sqrt((each**2).mean(axis=0)), each.std(axis=0, ddof=min(len(each) - 1, 1))
+
+
+def table(found: Mapping[str, Array], sigma: Array) -> str:
+    """Recipe → error on scenes kept back, by the significance of their box."""
+    names = [f"{low:g} to {high:g} σ" for low, high in pairwise(BOUNDS[:-1])]
+    counts = np.histogram(sigma, BOUNDS)[0]
+    lines = ["| error of depth (mm) | " + " | ".join([*names, f"over {BOUNDS[-2]:g} σ"]) + " |"]
+    lines += ["|---|" + "---:|" * len(counts), "| scenes kept back | " + " | ".join(map(str, counts)) + " |"]
+    for recipe, square in found.items():
+        cells = (
+            f"{1e3 * mean:.0f}{f' ± {1e3 * off:.0f}' if len(square) > 1 else ''}"
+            for mean, off in zip(*by_class(square, sigma), strict=True)
+        )
+        lines.append(f"| {recipe} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def draw(found: Mapping[str, Array], pictures: Mapping[str, Array], kept: Scenes, out: Path) -> None:
+    """Error against significance, and for a few scenes predictions beside truth and evidence."""
+    sigma = kept.sigma.double().numpy()
+    text = (
+        "Left: root mean square error of depth on the pixels of the box, in scenes kept back, by the significance of "
+        "the box (bars: between seeds). Right: five of these scenes, from no evidence to much; truth, two networks "
+        "(shown where the box is; they were trained there alone), and the expected detections from each pixel (sides "
+        "that the view does not see are not in it)."
+    )
+    with house_style():
+        figure, grid = captioned(
+            12, [5.2], text, "Depth of a hidden box, learnt with and without its evidence", 2, [1, 1.5]
+        )
+        axes = figure.add_subplot(grid[0, 0])
+        for recipe, square in found.items():
+            mean, off = by_class(square, sigma)
+            axes.errorbar(range(len(mean)), 1e3 * mean, 1e3 * off, label=recipe, color=COLORS[recipe], capsize=3)
+        names = ["< 1", "1 to 3", "3 to 10", "10 to 30", "> 30"]
+        axes.set_xticks(range(len(names)), names)
+        axes.set(xlabel="significance of the box (σ)", ylabel="error of depth (mm)", ylim=(0, None))
+        axes.legend(loc="lower left")
+        right = figure.add_subfigure(grid[0, 1])
+        chosen = [int(np.abs(np.log(sigma.clip(1e-3) / level)).argmin()) for level in SHOWN]
+        first, second = list(RECIPES)[:2]
+        rows = {"truth": kept.depth.numpy(), first: pictures[first], second: pictures[second]}
+        most = float(kept.depth.max())
+        for column, scene in enumerate(chosen):
+            box = kept.box[scene].numpy() > 0
+            for line, (name, images) in enumerate(rows.items()):
+                panel = right.add_subplot(4, len(chosen), line * len(chosen) + column + 1)
+                panel.imshow(np.where(box, images[scene], np.nan), cmap="viridis_r", vmin=0, vmax=most)
+                _framed(panel)
+                if line == 0:
+                    panel.set_title(f"{_short(sigma[scene])} σ")
+                if column == 0:
+                    panel.set_ylabel(name.replace(" by ", "\nby ").replace("every ", "every\n"), fontsize=8)
+            panel = right.add_subplot(4, len(chosen), 3 * len(chosen) + column + 1)
+            light = kept.evidence[scene].numpy()
+            panel.imshow(np.log10(np.where(box, light, np.nan).clip(1e-2)), cmap="magma", vmin=-2, vmax=2)
+            _framed(panel)
+            panel.set(xlabel=f"{_short(light.sum())} detections")
+            if column == 0:
+                panel.set_ylabel("evidence\n(0.01 … 100)", fontsize=8)
+        save_png(figure, out)
+
+
+def _short(value: float) -> str:
+    return f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
+
+
+def _framed(panel: Axes) -> None:
+    panel.set(xticks=[], yticks=[])
+    panel.spines[["top", "right"]].set_visible(True)
+
+
+def main() -> None:
+    """Print the table and draw the picture."""
+    arguments = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    arguments.add_argument("out", type=Path)
+    for name, default in (("scenes", 1600), ("epochs", 30), ("seeds", 4)):
+        arguments.add_argument(f"--{name}", type=int, default=default)
+    asked = arguments.parse_args()
+    torch.set_num_threads(1)
+    found, pictures, kept = compare(asked.scenes, asked.epochs, asked.seeds)
+    print(table(found, kept.sigma.double().numpy()))
+    draw(found, pictures, kept, asked.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,187 @@
+"""Presence: a scene with an object against the same scene without it, by laws and by a matched filter on draws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from datasets import write_dataset
+
+import datagen as dg
+from datagen.config import config_from_mapping
+from datagen.pipeline import simulate_sample
+
+IDEAL = dg.Spad(pde=0.3, mode="ideal", dark_count_rate_hz=1e4)
+EXPOSURE = dg.Exposure(repetition_rate_hz=2e7, cycles=10_000, photons_per_pulse=3e8)
+COARSE = dg.Accuracy(target=0.05)
+
+
+def plate(x: float, y: float, half: float) -> trimesh.Trimesh:
+    """Facing the wall x = 0, x in front of it."""
+    corners = [(x, y + a * half, b * half) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    return trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
+
+
+def room(albedo: float = 0.6, back: bool = True) -> dg.Scene:
+    """A wall, another behind it that a plate shadows, and a second plate behind that wall."""
+    parts = [
+        dg.Part("relay_wall", plate(0, 0, 2), dg.Lambertian(0.8), "relay_wall"),
+        dg.Part("plate", plate(1, 0, 0.3), dg.Lambertian(albedo)),
+    ]
+    if back:
+        parts += [
+            dg.Part("back", plate(1.6, 0, 2), dg.Lambertian(0.8), "structure"),
+            dg.Part("hidden", plate(2.2, 0, 0.3), dg.Lambertian(0.8)),
+        ]
+    return dg.Scene.from_parts(parts)
+
+
+def capture() -> dg.Capture:
+    place, points = (1.2, -1.5, 0.0), [(0, 0.3, 0.2), (0, -0.3, 0.3), (0, 0.1, -0.4)]
+    sensor = dg.Sensor.grid(place, (0, 0.1, 0), (0, 0.2, 0), (0, 0, 0.2), rows=1, cols=2)
+    return dg.Capture(dg.Laser(place, points), sensor, dg.TimeAxis(bins=100, width_s=2.5e-10, origin="wall"))
+
+
+def presence(scene: dg.Scene, accuracy: dg.Accuracy = COARSE, exposure: dg.Exposure = EXPOSURE) -> dg.Presence:
+    return dg.presence_evidence(scene, capture(), accuracy, IDEAL, exposure, ["plate"], seed=3)["plate"]
+
+
+@cache
+def fine(albedo: float) -> tuple[dg.Transient, dg.Transient]:
+    """With the plate, and without it."""
+    scene = room(albedo)
+    with_it, without = (
+        dg.simulate(of, capture(), dg.Accuracy(target=0.005), seed=7) for of in (scene, scene.without("plate"))
+    )
+    return with_it, without
+
+
+def expected(albedo: float, exposure: dg.Exposure = EXPOSURE) -> list[np.ndarray]:
+    """Detections with the plate and without it, of fine transients, whose errors are far below the difference."""
+    return [dg.expected_histogram(of.total, of.time, IDEAL, exposure) for of in fine(albedo)]
+
+
+def truth(albedo: float, exposure: dg.Exposure = EXPOSURE) -> float:
+    full, empty = expected(albedo, exposure)
+    return float(np.sqrt(((full - empty) ** 2 / np.maximum(full, empty)).sum()))
+
+
+@pytest.mark.parametrize(("albedo", "faint"), [(0.0, True), (0.3, False), (0.8, True)])
+def test_a_matched_filter_on_draws_finds_the_stated_separation(albedo: float, faint: bool) -> None:
+    """On 1 000 draws with and without the plate; the exposure brings σ to 6. Faint: under daylight, many times the
+    plate's change in every bin, where both spreads are equal."""
+    draws, wanted = 1000, 6.0
+    day = replace(EXPOSURE, ambient_rate_hz=6e11 if faint else 1e4)
+    exposure = replace(day, cycles=int(day.cycles * (wanted / truth(albedo, day)) ** 2) + 1)
+    stated = presence(room(albedo), dg.Accuracy(target=0.01), exposure)
+    full, empty = expected(albedo, exposure)
+    weight = (full - empty) / np.maximum(full, empty)
+    answers = []
+    for seed, of in enumerate(fine(albedo)):
+        many = np.tile(of.total, (draws, 1, 1))
+        counts = dg.detect(many, of.time, IDEAL, exposure, seed=seed).reshape(draws, *weight.shape)
+        answers.append((weight * counts).sum(axis=(1, 2, 3)))
+    spreads = [of.std(ddof=1) for of in answers]
+    measured = (answers[0].mean() - answers[1].mean()) / max(spreads)
+    unsure = 4 * np.hypot(np.hypot(np.sqrt(2 / draws), measured / np.sqrt(2 * draws)), stated.floor)
+    assert measured > stated.significance - unsure
+    if faint:
+        assert np.abs(full - empty).max() < 0.1 * full.min()
+        assert measured == pytest.approx(stated.significance, abs=unsure)
+    assert stated.floor < 0.1 * stated.significance
+
+
+@pytest.mark.parametrize("target", [0.1, 0.02])
+@pytest.mark.parametrize("albedo", [0.0, 0.3, 0.8])
+def test_it_is_within_its_floor_of_the_truth(albedo: float, target: float) -> None:
+    found = presence(room(albedo), dg.Accuracy(target=target))
+    assert abs(found.significance - truth(albedo)) < found.floor < 0.25 * found.significance
+
+
+def test_errors_are_no_evidence() -> None:
+    """Of a plate that no light reaches, with samples so few that two simulations differ by many σ; and of other
+    samples for each scene, which is the most that errors do."""
+    scene, accuracy = room(), dg.Accuracy(lookins=256, fov_samples=1)
+    exposure = replace(EXPOSURE, cycles=10**7)
+    pair = [dg.simulate(scene, capture(), accuracy, seed=seed) for seed in (1, 2)]
+    a, b = (dg.expected_histogram(of.total, of.time, IDEAL, exposure) for of in pair)
+    assert float(np.sqrt(((a - b) ** 2 / np.maximum(a, b)).sum())) > 100
+    for given in (None, pair[1]):
+        found = dg.presence_evidence(
+            scene, capture(), accuracy, IDEAL, exposure, ["hidden", "plate"], seed=1, transient=given
+        )
+        assert found["hidden"].significance < 1.2 * found["hidden"].floor
+        assert found["plate"].significance > found["plate"].floor
+
+
+def test_one_replicate_tells_no_floor() -> None:
+    found = presence(room(), dg.Accuracy(lookins=256, fov_samples=1, replicates=1))
+    assert found.significance > 0 and np.isnan(found.floor)
+
+
+def test_a_black_plate_is_known_by_its_shadow() -> None:
+    black = presence(room(0.0))
+    own = dg.own_evidence(fine(0.0)[0], IDEAL, EXPOSURE, ["plate"])["plate"]
+    assert own.significance == 0 and black.detections < 0 and black.significance > 3 * black.floor
+
+
+@pytest.mark.parametrize(
+    "spad",
+    [
+        IDEAL,
+        replace(IDEAL, gate_start_s=7e-9, gate_width_s=4e-9),
+        replace(IDEAL, mode="synchronous", dead_time_s=4e-8),
+        replace(IDEAL, mode="free_running", dead_time_s=5e-9, jitter_fwhm_s=3e-10),
+    ],
+    ids=["ideal", "gated", "synchronous", "free running"],
+)
+def test_a_lone_plate_is_known_by_its_light(spad: dg.Spad) -> None:
+    """Where nothing is shadowed, presence is the evidence of its own light, whatever the detector."""
+    lone = room(0.6, back=False)
+    t = dg.simulate(lone, capture(), dg.Accuracy(target=0.005), seed=1)
+    own = dg.own_evidence(t, spad, EXPOSURE, ["plate"])["plate"]
+    found = dg.presence_evidence(lone, capture(), COARSE, spad, EXPOSURE, ["plate"], seed=3)["plate"]
+    assert abs(found.significance - own.significance) < 0.02 * own.significance + found.floor
+    assert found.detections == pytest.approx(own.detections, rel=0.05) and own.significance > 10
+
+
+def test_it_grows_with_the_root_of_the_exposure() -> None:
+    once, four = (presence(room(), exposure=replace(EXPOSURE, cycles=n * EXPOSURE.cycles)) for n in (1, 4))
+    for name, times in (("significance", 2), ("floor", 2), ("detections", 4)):
+        assert getattr(four, name) == pytest.approx(times * getattr(once, name), rel=1e-9)
+
+
+def test_what_it_refuses() -> None:
+    with pytest.raises(dg.InputError, match="presence_evidence: part 'door': this scene has relay_wall, plate"):
+        dg.presence_evidence(room(), capture(), COARSE, IDEAL, EXPOSURE, ["door"])
+    assert dg.presence_evidence(room(), capture(), COARSE, IDEAL, EXPOSURE, []) == {}
+
+
+def test_a_dataset_has_it_on_request(tmp_path: Path) -> None:
+    values = {
+        "seed": 6,
+        "scenes": 2,
+        "scene": {"layout": {"kind": "l_corridor"}, "contents": [{"kind": "box", "count": {"choice": [1, 2]}}]},
+        "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 96, "bin_width_ps": 600}},
+        "transport": {"target": 0.2},
+        "detector": {"cycles": 100_000},
+    }
+    plain = config_from_mapping(values | {"store": {"fields": ["histogram"]}})
+    asked = config_from_mapping(values | {"store": {"fields": ["histogram", "objects", "presence"]}})
+    data = dg.TransientDataset(write_dataset(asked, tmp_path / "set"), ("objects", "histogram"))
+    for index in range(2):
+        without, item = simulate_sample(plain, index), data[index]
+        assert np.array_equal(without.arrays["histogram"], item["histogram"].numpy())
+        assert not any("presence" in name for name in without.parameters)
+        count = int(item["object_count"])
+        table = item["object_presence"].numpy()
+        names = ("box", "box_2")[:count]
+        assert np.allclose(table[:count], [data.parameters(f"evidence.{name}.presence")[index] for name in names])
+        assert not table[count:].any()
+        for name in names:
+            assert data.parameters(f"evidence.{name}.presence_floor")[index] > 0
+    assert "evidence.box.presence_detections" in simulate_sample(asked, 0).parameters

@@ -1,0 +1,77 @@
+"""The comparison of docs/evidence_training.py: small, and on labels of which it is known what they rest on."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+SCRIPT = Path(__file__).parents[2] / "docs" / "evidence_training.py"
+made: dict[str, Any] = runpy.run_path(str(SCRIPT))
+PLAIN, WEIGHTED, OVER = made["RECIPES"]
+
+
+def scenes(count: int, seed: int) -> Any:
+    """The depth of a box is the bin of its light; of one in two there is no light, and the depth is anything."""
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(0.2, 1.4, count)
+    seen = np.arange(count) % 2 == 0
+    light = 40 * np.exp(-(((np.arange(16) - 10 * depth[:, None]) / 1.5) ** 2)) * seen[:, None]
+    counts = torch.from_numpy(rng.poisson(1 + light[:, None, None, :], (count, 4, 1, 16)).astype(np.float32))
+    image = torch.zeros(count, 16, 16)
+    image[:, 4:12, 4:12] = torch.from_numpy(depth.astype(np.float32))[:, None, None]
+    sigma = torch.from_numpy(np.where(seen, 30.0, 0.01).astype(np.float32))
+    return made["Scenes"](counts[None], image, torch.zeros_like(image), sigma)
+
+
+def test_labels_without_light_cost_a_network_that_believes_them() -> None:
+    train, kept = scenes(96, 1), scenes(400, 2)
+    seen = kept.sigma.numpy() > 3
+    errors = {}
+    for recipe in (PLAIN, WEIGHTED, OVER):
+        found = [made["predicted"](recipe, train, kept.histograms[0], seed, 40) for seed in range(3)]
+        errors[recipe] = np.mean([made["square_error"](of, kept)[seen].mean() for of in found])
+    blind = made["square_error"](torch.full_like(kept.depth, made["mean_depth"](train)), kept)
+    assert errors[WEIGHTED] < 0.2 * blind[seen].mean()
+    assert errors[WEIGHTED] < 0.9 * errors[PLAIN] and errors[OVER] < 0.9 * errors[PLAIN]
+    # Nobody can know these; to be told of it is what evidence is for.
+    assert blind[~seen].mean() == pytest.approx(1.2**2 / 12, rel=0.2)
+
+
+def test_weights_are_those_stated() -> None:
+    sigma = torch.tensor([0.0, 3.0, 30.0])
+    weight = {name: of(sigma).tolist() for name, of in made["RECIPES"].items()}
+    assert weight[PLAIN] == [1, 1, 1] and weight[OVER] == [0, 1, 1]
+    assert np.allclose(weight[WEIGHTED], [0, 0.5, 900 / 909])
+
+
+def test_errors_are_told_by_class() -> None:
+    square, sigma = np.array([[0.04, 0.16, 0.25], [0.04, 0.16, 0.49]]), np.array([0.5, 0.9, 100.0])
+    mean, off = made["by_class"](square, sigma)
+    assert np.allclose(mean[[0, -1]], [np.sqrt(0.1), np.sqrt(0.37)]) and np.isnan(mean[1])
+    assert np.allclose(off[[0, -1]], [0.0, np.std([0.5, 0.7], ddof=1)])
+    assert "| every | 316 ± 0 | nan ± nan | nan ± nan | nan ± nan | 608 ± 141 |" in made["table"](
+        {"every": square}, sigma
+    )
+
+
+def test_the_command_prints_a_table_and_draws(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    threads = torch.get_num_threads()
+    out = tmp_path / "picture.png"
+    monkeypatch.setattr(sys, "argv", [str(SCRIPT), str(out), "--scenes", "24", "--epochs", "1", "--seeds", "2"])
+    try:
+        made["main"]()
+    finally:
+        torch.set_num_threads(threads)
+    rows = capsys.readouterr().out.splitlines()
+    assert len(rows) == 7 and "| scenes kept back | " in rows[2]
+    # Two of each ten, and of what is left over.
+    assert 4 <= sum(int(cell) for cell in rows[2].split("|")[2:-1]) <= 6
+    assert out.stat().st_size > 10_000

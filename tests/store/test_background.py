@@ -1,0 +1,192 @@
+"""The background capture: the same room without its objects, measured by the same device with noise of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from datasets import write_dataset
+from scipy import stats
+
+import datagen as dg
+from datagen.building.resimulate import resimulate
+from datagen.config import config_from_mapping
+from datagen.export import export
+from datagen.pipeline import sample_of, simulate_sample
+from datagen.records import Rectangle, Sample
+from datagen.store import verify
+
+FIELDS = ("histogram", "transient", "depth", "background_histogram", "background_transient")
+
+
+def config(transport: dict[str, Any] | None = None, fields: tuple[str, ...] = FIELDS) -> dg.DatasetConfig:
+    return config_from_mapping(
+        {
+            "seed": 5,
+            "scenes": 3,
+            "scene": {"layout": {"kind": "l_corridor"}, "contents": [{"kind": "box", "count": {"choice": [1, 2]}}]},
+            "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 96, "bin_width_ps": 600}},
+            "transport": transport or {"target": 0.1},
+            # Decided for the room with its objects, effects may be others than for the room without.
+            "effects": {"pile_up": "on", "occlusion": "on"},
+            "detector": {"cycles": 30_000, "ambient_rate_hz": 1e6, "dead_time_ns": 40},
+            "labels": {"rows": 4, "columns": 4},
+            "store": {"fields": list(fields), "scenes_per_shard": 2},
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(config(), tmp_path_factory.mktemp("background") / "set")
+
+
+def plate(x: float, half: float) -> trimesh.Trimesh:
+    """Facing the wall x = 0, x in front of it."""
+    corners = [(x, a * half, b * half) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    return trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
+
+
+def room(albedo: float | None) -> dg.Scene:
+    """A wall, another 2 m behind it, and between them a plate of an albedo, or none."""
+    parts = [
+        dg.Part("relay_wall", plate(0, 2), dg.Lambertian(0.8), "relay_wall"),
+        dg.Part("back", plate(2, 2), dg.Lambertian(0.8), "structure"),
+    ]
+    if albedo is not None:
+        parts.append(dg.Part("plate", plate(1, 0.3), dg.Lambertian(albedo)))
+    return dg.Scene.from_parts(parts, relay_wall=Rectangle.of((0, 0, 0), (0, 1, 0), (0, 0, 1)))
+
+
+def capture() -> dg.Capture:
+    place, points = (1.5, -1.5, 0.0), [(0, 0.2, 0.2), (0, -0.2, 0.3)]
+    sensor = dg.Sensor.grid(place, (0, 0.1, 0), (0, 0.1, 0), (0, 0, 0.1), rows=1, cols=2)
+    return dg.Capture(dg.Laser(place, points), sensor, dg.TimeAxis(bins=120, width_s=2e-10, origin="wall"))
+
+
+def sample(scene: dg.Scene) -> Sample:
+    """Three bounces: the primary by cells, without noise."""
+    time = {"bins": 120, "bin_width_ps": 200, "origin": "wall"}
+    shape = {"scan": {"rows": 2, "columns": 1}, "field_of_view": {"rows": 1, "columns": 2}, "pairing": "exhaustive"}
+    given = config_from_mapping(
+        {
+            "capture": {"time": time, **shape},
+            "transport": {"target": 0.01, "max_bounces": 3},
+            "store": {"fields": ["histogram", "transient", "background_histogram", "background_transient"]},
+        }
+    )
+    return sample_of(given, 0, scene, capture())
+
+
+@pytest.mark.parametrize("transport", [{"target": 0.1}, {"lookins": 256, "fov_samples": 2, "max_bounces": None}])
+def test_it_is_the_room_without_its_objects_bit_for_bit(transport: dict[str, Any]) -> None:
+    given = config(transport)
+    scene = dg.generate_scene(given.scene, given.seed, 0)
+    capture = dg.capture_for(given, scene, given.seed, 0)
+    emptied = scene.without(*scene.objects)
+    assert scene.objects and not emptied.objects
+    full, empty = (sample_of(given, 0, room, capture) for room in (scene, emptied))
+    assert np.array_equal(full.arrays["background_transient"], empty.arrays["transient"])
+    assert np.array_equal(empty.arrays["background_transient"], empty.arrays["transient"])
+    assert not np.array_equal(full.arrays["transient"], empty.arrays["transient"])
+    # The same mean, and noise of its own: one stream for both would make them equal.
+    assert np.array_equal(full.arrays["background_histogram"], empty.arrays["background_histogram"])
+    a, b = (empty.arrays[name].astype(float) for name in ("histogram", "background_histogram"))
+    seen = a + b > 8
+    chi2 = float((((a - b) ** 2)[seen] / (a + b)[seen]).sum())
+    low, high = stats.chi2.ppf([1e-6, 1 - 1e-6], seen.sum())
+    assert seen.sum() > 50 and low < chi2 < high
+
+
+def test_without_a_part_is_as_if_it_had_never_been_there() -> None:
+    emptied, never = room(0.5).without("plate"), room(None)
+    for name in ("vertices", "triangles", "face_part"):
+        assert np.array_equal(getattr(emptied, name), getattr(never, name))
+    assert (emptied.part_names, emptied.roles) == (never.part_names, never.roles)
+    assert room(0.5).without("back").objects == ("plate",)
+    with pytest.raises(dg.InputError, match="part 'door': this scene has relay_wall, back, plate"):
+        room(0.5).without("door")
+    with pytest.raises(dg.InputError, match=r"Scene.without: .*: a scene needs at least one surface"):
+        room(None).without("relay_wall", "back")
+
+
+def test_what_is_left_of_the_difference_is_the_objects_shadow() -> None:
+    """Histogram − background: the object's own light, and the light of other things that it keeps away."""
+    for albedo in (0.0, 0.8):
+        found, scene = sample(room(albedo)), room(albedo)
+        t = dg.simulate(scene, capture(), dg.Accuracy(target=0.01, max_bounces=3), seed=1)
+        difference = found.arrays["transient"] - found.arrays["background_transient"]
+        shadow = (difference - t.parts["plate"]).sum(axis=-1)
+        whole = found.arrays["transient"].sum(axis=-1)
+        # Of every pair of laser point and pixel.
+        assert (shadow < -0.02 * whole).all()
+        assert ((difference.sum(axis=-1) > 0) == (albedo > 0)).all()
+        # Whatever the plate keeps away has been to the back wall: of earlier bins all of the difference is its own.
+        early = capture().time.edges_s[1:] <= 2 * 2.0 / 299_792_458
+        rest = (difference - t.parts["plate"])[..., early]
+        assert np.abs(rest).max() <= 0.01 * found.arrays["transient"].max()
+
+
+def test_the_fields_change_nothing_else() -> None:
+    plain = simulate_sample(config(fields=("histogram", "transient", "depth")), 1)
+    more = simulate_sample(config(), 1)
+    assert set(more.arrays) - set(plain.arrays) == {"background_histogram", "background_transient"}
+    assert all(np.array_equal(more.arrays[name], values) for name, values in plain.arrays.items())
+    assert more.parameters == plain.parameters and "background" in more.seconds and "background" not in plain.seconds
+
+
+def test_a_dataset_has_it_everywhere(built: Path, tmp_path: Path) -> None:
+    assert verify(built, deep=True).problems == ()
+    assert resimulate(built, 3)[1] == []
+    data = dg.TransientDataset(built, FIELDS)
+    made = list(dg.GeneratedDataset(config(), FIELDS))
+    for index, item in enumerate(made):
+        for name in FIELDS:
+            assert np.array_equal(data[index][name].numpy(), item[name].numpy())
+    assert data.stats["background_histogram"]["mean"] > 0
+    assert "background_histogram" in (built / "README.md").read_text()
+    (file,) = export(built, tmp_path, "npz", scenes="1")
+    with np.load(file) as stored:
+        assert np.array_equal(stored["background_histogram"], data[1]["background_histogram"].numpy())
+    export(built, tmp_path, "mat", scenes="1", field="background_histogram")
+
+
+def test_fresh_noise_is_that_of_both(built: Path) -> None:
+    both, alone = (
+        dg.TransientDataset(built, fields, redraw_noise=True)
+        for fields in (("histogram", "background_histogram"), ("histogram",))
+    )
+    drawn = [(both[0]["histogram"], both[0]["background_histogram"]) for _ in range(2)]
+    both.set_epoch(0)
+    again = both[0]
+    alone.set_epoch(0)
+    assert np.array_equal(again["histogram"], alone[0]["histogram"])
+    backgrounds = [again["background_histogram"], *(b for _, b in drawn)]
+    assert len({tuple(b.flatten().tolist()) for b in backgrounds}) >= 3
+    assert "background_histogram, drawn anew at every read" in repr(both)
+    stored = dg.TransientDataset(built, ("background_histogram",))[0]["background_histogram"]
+    assert not any(np.array_equal(stored, b) for b in backgrounds)
+
+
+def test_a_capture_without_its_light_stays_as_stored(tmp_path: Path) -> None:
+    lean = config(fields=("histogram", "transient", "background_histogram"))
+    path = write_dataset(lean, tmp_path / "lean")
+    data = dg.TransientDataset(path, ("histogram", "background_histogram"), redraw_noise=True)
+    first, second = data[0], data[0]
+    assert np.array_equal(first["background_histogram"], second["background_histogram"])
+    assert not np.array_equal(first["histogram"], second["histogram"])
+
+
+def test_a_transient_from_elsewhere_has_none(tmp_path: Path) -> None:
+    """Nor has it presence: that is not known."""
+    item = (room(0.5), capture(), np.zeros(capture().shape))
+    with pytest.raises(dg.InputError, match="fields: a background is simulated, and a transient given tells nothing"):
+        dg.build_from([item], tmp_path / "set", fields=("histogram", "background_histogram"), progress=False)
+    quick = {"transport": {"target": 0.3, "max_bounces": 3}}
+    scenes = [item, (room(0.5), capture())]
+    dg.build_from(scenes, tmp_path / "set", fields=("histogram", "presence"), settings=quick, progress=False)
+    unknown, known = (item["object_presence"] for item in dg.TransientDataset(tmp_path / "set", ("object_presence",)))
+    assert np.isnan(unknown).all() and (known > 0).all()
