@@ -93,7 +93,11 @@ def test_commands_and_options_exist(page: Path) -> None:
         while isinstance(found, click.Group) and (words := words[1:]):
             found = found.get_command(click.Context(found), words[0])
             assert found is not None, command
-        known = [option for parameter in getattr(found, "params", []) for option in parameter.opts]
+        known = [
+            option
+            for parameter in getattr(found, "params", [])
+            for option in (*parameter.opts, *parameter.secondary_opts)
+        ]
         assert {word for word in words if word.startswith("--")} <= {*known, "--help", "--version"}, command
 
 

@@ -70,7 +70,11 @@ def truth(albedo: float, exposure: dg.Exposure = EXPOSURE) -> float:
     return float(np.sqrt(((full - empty) ** 2 / np.maximum(full, empty)).sum()))
 
 
-@pytest.mark.parametrize(("albedo", "faint"), [(0.0, True), (0.3, False), (0.8, True)])
+@pytest.mark.parametrize(
+    ("albedo", "faint"),
+    [pytest.param(0.0, True, marks=pytest.mark.nightly), (0.3, False),
+     pytest.param(0.8, True, marks=pytest.mark.nightly)],
+)  # fmt: skip
 def test_a_matched_filter_on_draws_finds_the_stated_separation(albedo: float, faint: bool) -> None:
     """On 1 000 draws with and without the plate; the exposure brings σ to 6. Faint: under daylight, many times the
     plate's change in every bin, where both spreads are equal."""

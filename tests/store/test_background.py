@@ -189,4 +189,4 @@ def test_a_transient_from_elsewhere_has_none(tmp_path: Path) -> None:
     scenes = [item, (room(0.5), capture())]
     dg.build_from(scenes, tmp_path / "set", fields=("histogram", "presence"), settings=quick, progress=False)
     unknown, known = (item["object_presence"] for item in dg.TransientDataset(tmp_path / "set", ("object_presence",)))
-    assert np.isnan(unknown).all() and (known > 0).all()
+    assert unknown.isnan().all() and (known > 0).all()

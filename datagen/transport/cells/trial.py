@@ -36,7 +36,7 @@ LOOKED_AT, EVENLY = 6, 0.25
 """Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
 HELPS = 0.1
 """Share of the error to be met, for each of K parts over K, under which cutting a part does not help the whole."""
-TOO_DEAR = 1 << 14
+TOO_DEAR = 1 << 16
 """Cells and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
 hidden may take any number of rays for light that is a millionth of the whole."""
 WITHIN, WITHIN_PARTS = 0.6, 0.65

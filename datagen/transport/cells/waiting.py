@@ -33,11 +33,13 @@ def put_vertex(cell, k, vertex, y, w, path):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def vertex_of(cell, k, vertex):  # type: ignore[no-untyped-def]
+    """Vertex 0, 1 or 2 of waiting cell k, metres."""
     return get(cell, k, 5 * vertex)
 
 
 @njit(cache=True)
 def copy_cell(cell, k, to):  # type: ignore[no-untyped-def]
+    """Row k once more in row `to`."""
     for j in range(18):
         cell[to, j] = cell[k, j]
 
