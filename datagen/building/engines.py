@@ -71,6 +71,8 @@ class LocalProcesses:
         self.capacity = workers
         self._idle: list[_Process] = [_Process() for _ in range(workers)]
         self._busy: dict[Future[Any], _Process] = {}
+        # One that Ctrl-C finds between the two lists is to end with the others.
+        self._all = list(self._idle)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Start a job; at most `capacity` may be under way, finished ones being those whose future is done."""
@@ -79,7 +81,9 @@ class LocalProcesses:
             died = isinstance(future.exception(), self.deaths)
             if died or process.jobs >= SHARDS_PER_PROCESS:
                 process.stop(kill=died)
+                self._all.remove(process)
                 process = _Process()
+                self._all.append(process)
             self._idle.append(process)
         process = self._idle.pop()
         future = process.submit(function, *arguments)
@@ -88,7 +92,7 @@ class LocalProcesses:
 
     def close(self, kill: bool) -> None:
         """Free the workers; with `kill` those that are busy die at once."""
-        for process in [*self._idle, *self._busy.values()]:
+        for process in self._all:
             process.stop(kill)
 
 
