@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 
 import numpy as np
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.config.transport import TransportConfig
-from datagen.design.estimate import one_detection
+from datagen.design.light import light_of, transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
-from datagen.effects import EffectDecisions, decide_detector_effects, decide_transport_effects
+from datagen.effects import EffectDecisions, decide_detector_effects
 from datagen.errors import InputError
 from datagen.evidence import evidence_image
 from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
@@ -27,7 +27,6 @@ from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
 from datagen.scene import check_scene_config
 from datagen.seeding import Purpose, derived_seed
-from datagen.transport import transient_of
 
 BACKGROUND_FIELDS = ("background_histogram", "background_transient")
 
@@ -62,10 +61,8 @@ def sample_of(
     spad, exposure = detector_for(config.detector, seed, index, capture.time)
     with _timed(seconds, "transport"):
         if given is None:
-            own_seed = derived_seed(seed, index, Purpose.TRANSPORT)
-            lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
-            accuracy = replace(accuracy, faint_part=one_detection(spad, exposure))
-            transient = transient_of(lit, capture, accuracy, seed=own_seed)
+            light = light_of(config, index, scene, capture, effects, spad, exposure)
+            transient = light.transient()
         else:
             unknown, nowhere = np.full(given.shape, np.nan), np.zeros(given.shape[:2])
             transient = Transient(capture.time, {"given": given}, {}, unknown, nowhere, capture.laser.targets)
@@ -81,8 +78,7 @@ def sample_of(
     measured = {"histogram": counts, "transient": transient.total, "transient_stderr": transient.stderr}
     if given is None and any(field in BACKGROUND_FIELDS for field in config.store.fields):
         with _timed(seconds, "background"):
-            # Samples of light are those of the whole room: what no object touches differs in nothing.
-            empty = transient_of(lit.without(*lit.objects), capture, accuracy, seed=own_seed).total
+            empty = light.background().total
             drawn, _ = counted(empty, seed=derived_seed(seed, index, Purpose.BACKGROUND))
         measured |= {"background_histogram": drawn, "background_transient": empty}
     with _timed(seconds, "evidence"):
@@ -97,9 +93,8 @@ def sample_of(
         with _timed(seconds, "presence"):
             presence = dict.fromkeys(scene.objects, PRESENCE_UNKNOWN)
             if given is None:
-                presence = presence_evidence(
-                    lit, capture, accuracy, used, conditions, seed=own_seed, transient=transient
-                )
+                seen = (light.scene, capture, light.accuracy, used, conditions)
+                presence = presence_evidence(*seen, seed=light.seed, transient=transient)
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
         slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
@@ -114,12 +109,6 @@ def sample_of(
     arrays |= labels | image | _geometry(scene, capture, transient)
     parameters = _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts)
     return Sample(index, arrays, parameters | presence_parameters(presence), seconds)
-
-
-def transport_effects(config: DatasetConfig, scene: Scene, capture: Capture, index: int) -> EffectDecisions:
-    """What of scene `index` the transport is to simulate, and why."""
-    seed = derived_seed(config.seed, index, Purpose.EFFECTS)
-    return decide_transport_effects(scene, capture, config.transport.accuracy(), config.effects, seed)
 
 
 def detector_effects(config: DatasetConfig, transient: Transient, spad: Spad, exposure: Exposure) -> EffectDecisions:

@@ -23,10 +23,10 @@ from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.config.detector import ExposureFor
 from datagen.config.scene_layouts import GivenScenes
-from datagen.design.estimate import coarse_transient, one_detection
+from datagen.design.estimate import coarse_transient
 from datagen.design.scene_for import without_floors
 from datagen.detector import Exposure, Spad, detector_for
-from datagen.detector.own_light import own_light
+from datagen.detector.own_light import own_light, squared_over
 from datagen.errors import InputError
 from datagen.records import Scene, Transient
 from datagen.scene import generate_scene
@@ -134,7 +134,7 @@ def _pilots(config: DatasetConfig, asked: ExposureFor) -> Iterator[_Pilot]:
         capture = capture_for(free, scene, free.seed, index)
         spad, exposure = detector_for(free.detector, free.seed, index, capture.time)
         longest = replace(exposure, cycles=max(round(asked.longest_s * exposure.repetition_rate_hz), 1))
-        transient = coarse_transient(free, index, scene, capture, one_detection(spad, longest))
+        transient = coarse_transient(free, index, scene, capture, spad, longest)
         yield _Pilot(spad.counter_max, exposure.repetition_rate_hz, *_of_one_cycle(transient, scene, spad, exposure))
         found += len(scene.objects)
         if found >= OBJECTS:
@@ -151,8 +151,7 @@ def _of_one_cycle(
         everything = found.everything.reshape(-1)
         counts.append(everything)
         for own, kept in zip(found.own, squares, strict=True):
-            s = own.reshape(-1)
-            kept.append(s * np.divide(s, everything, out=np.zeros_like(s), where=everything > 0))
+            kept.append(squared_over(own.reshape(-1), everything))
     every = np.concatenate(counts)
     order = np.argsort(-every, kind="stable")
     fainter = [np.concatenate(kept)[order][::-1].cumsum()[::-1] for kept in squares]

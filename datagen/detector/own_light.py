@@ -77,6 +77,11 @@ def own_light(
         yield OwnLight(first, everything, tuple(own), armed)
 
 
+def squared_over(own: Array, everything: Array) -> Array:
+    """s²/b of each bin: the sum of it is the square of a light's significance. 0 where nothing is expected."""
+    return own * np.divide(own, everything, out=np.zeros_like(own), where=everything > 0)
+
+
 def detections_per_photon(armed: Array, time: TimeAxis, spad: Spad, exposure: Exposure) -> Array:
     """(laser, pixel, bin) expected detections over the exposure for a photon at the aperture per emitted photon that
     arrives in a bin: N photons_per_pulse PDE gate D/λ. armed : of `OwnLight`."""

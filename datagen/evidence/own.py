@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.detector import Exposure, Spad
-from datagen.detector.own_light import detections_per_photon, own_light
+from datagen.detector.own_light import detections_per_photon, own_light, squared_over
 from datagen.errors import InputError
 from datagen.records import Scalar, Transient
 from datagen.records.arrays import Floats
@@ -87,11 +87,9 @@ def evidence_and_gain(
     for found in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):
         if gain:
             gains.append(detections_per_photon(found.armed, transient.time, spad, exposure))
-        there = found.everything > 0
         for k, own in enumerate(found.own):
-            share = np.divide(own, found.everything, out=np.zeros_like(own), where=there)
             sums[k] += own.sum()
-            squares[k] += (own * share).sum()
+            squares[k] += squared_over(own, found.everything).sum()
             most[k] = max(most[k], own.max())
     each = zip(sums.tolist(), most.tolist(), np.sqrt(squares).tolist(), strict=True)
     evidence = {name: Evidence(*values) for name, values in zip(names, each, strict=True)}
@@ -107,8 +105,7 @@ def significance_in_time(
     squares = np.zeros((len(names), transient.time.bins))
     for found in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):
         for k, own in enumerate(found.own):
-            share = np.divide(own, found.everything, out=np.zeros_like(own), where=found.everything > 0)
-            squares[k] += (own * share).sum(axis=(0, 1))
+            squares[k] += squared_over(own, found.everything).sum(axis=(0, 1))
     return dict(zip(names, np.sqrt(squares), strict=True))
 
 

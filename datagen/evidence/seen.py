@@ -25,7 +25,7 @@ from datagen.records import Capture, Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot
 from datagen.transport.cells.geometry import get, less
-from datagen.transport.cells.light import weight
+from datagen.transport.cells.weights import weight
 from datagen.transport.fov import FovPool, PixelCones, fov_points
 from datagen.transport.raycast import Raycaster
 from datagen.transport.vertices import LaserPoints

@@ -133,12 +133,13 @@ def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
 def _decisions(config: DatasetConfig) -> list[str]:
     """The effects decided for scene 0 and why, and the detector's sampler."""
     from datagen.capture import capture_for
+    from datagen.design.light import transport_effects
     from datagen.design.scene_for import scene_for
     from datagen.detector import choose_sampler, detector_for
     from datagen.effects import EFFECTS, EffectDecisions, decision_lines
     from datagen.effects.decide import FORESEEN_LOOKINS
     from datagen.effects.trial import few_samples
-    from datagen.pipeline import detector_effects, transport_effects
+    from datagen.pipeline import detector_effects
     from datagen.transport import simulate
 
     scene = scene_for(config, 0)

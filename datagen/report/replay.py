@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
+from datagen.design.light import light_of, transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, Spad, choose_sampler, detect, detector_for, expected_histogram
 from datagen.effects import EffectDecisions
 from datagen.errors import InputError
 from datagen.evidence.own import significance_in_time
 from datagen.labels import ViewFrame
-from datagen.pipeline import detector_effects, transport_effects
+from datagen.pipeline import detector_effects
 from datagen.records import Capture, Scalar, Scene, TimeAxis, Transient
 from datagen.scene import stand_in
 from datagen.seeding import Purpose, derived_seed
 from datagen.store import Manifest
 from datagen.store.scenes import Scenes
-from datagen.transport import transient_of
 
 REPRODUCED = 1e-5
 """Relative L2 difference up to which a transient counts as reproduced (storage in float32 costs 1e-7)."""
@@ -128,9 +128,8 @@ def replay(stored: StoredScene) -> Replay:
     scene = scene_for(config, index)
     capture = capture_for(config, scene, config.seed, index)
     effects = transport_effects(config, scene, capture, index)
-    lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
-    transient = transient_of(lit, capture, accuracy, seed=derived_seed(config.seed, index, Purpose.TRANSPORT))
     given = detector_for(config.detector, config.seed, index, capture.time)
+    transient = light_of(config, index, scene, capture, effects, *given).transient()
     effects += detector_effects(config, transient, *given)
     spad, exposure, tolerance = effects.apply_detector(*given, config.detector.tolerance)
     approximate = config.detector.approximate

@@ -73,6 +73,12 @@ def mix(a: np.uint64, b: np.uint64) -> np.uint64:
 
 
 @njit(cache=True)
+def word_of(seed: int, row: int, number: int) -> np.uint64:
+    """The word of a number in a row of a stream."""
+    return mix(mix(np.uint64(seed), np.uint64(row)), np.uint64(number))
+
+
+@njit(cache=True)
 def _reverse_bits(x: np.uint64) -> np.uint64:
     x = ((x >> np.uint64(1)) & np.uint64(0x55555555)) | ((x & np.uint64(0x55555555)) << np.uint64(1))
     x = ((x >> np.uint64(2)) & np.uint64(0x33333333)) | ((x & np.uint64(0x33333333)) << np.uint64(2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.materials import GGX, Material, Phong, Retroreflector
 from datagen.transport.cells.clusters import COARSEST
 from datagen.transport.cells.hierarchy import Hierarchy
-from datagen.transport.cells.light import AT_ONCE, Clock, Cutting, Lasers, gather
+from datagen.transport.cells.light import AT_ONCE, gather
 from datagen.transport.cells.occlusion import Occluders
 from datagen.transport.cells.patches import Patches
 from datagen.transport.sampling import stream_seeds
@@ -25,6 +26,47 @@ the scene, up to which they are points."""
 EDGE_LEVELS, MOST_AT_EDGES = range(2, 7), 1 << 14
 """How often pixels that see more than one surface are quartered: as often as leaves no more than so many patches of
 all of them, for what one has too much others lack."""
+
+
+class Lasers(NamedTuple):
+    """Laser points as the loop wants them; the fields of `LaserPoints`, and `power` (L,), what arrives there."""
+
+    position: Floats
+    normal: Floats
+    to_laser: Floats
+    part: Ints
+    power: Floats
+    leg: Floats
+
+
+class Cutting(NamedTuple):
+    """How finely to cut.
+
+    Attributes
+    ----------
+    error : (K,) L2 error in a histogram, in photons, up to which a cell of each part is left as it is.
+    coarsest : (K,) largest cell of each part, relative to its distance.
+    peak : (K,) largest value of each part's BRDF, 1/sr.
+    rays_on_last_leg : whether it is asked what stands between a cell and the pixel.
+    proofs : whether rays are saved where it is proven that nothing can stand in their way.
+    seed : of the points that stand for clusters of small triangles.
+    """
+
+    error: Floats
+    coarsest: Floats
+    peak: Floats
+    rays_on_last_leg: bool
+    proofs: bool
+    seed: int
+
+
+class Clock(NamedTuple):
+    """Path to bins: at = path · per_metre − start; `device` whether the legs of laser and sensor count."""
+
+    per_metre: float
+    start: float
+    device: bool
+    attenuation: float
 
 
 @dataclass(frozen=True)

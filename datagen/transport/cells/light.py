@@ -1,34 +1,21 @@
 """The primary of one laser point and pixel: surfaces cut into cells, each of them spread over its arrival times.
 
-Flux per hidden area at y, with x the laser point and z the middle of a patch of the pixel (docs/physics.md):
-
-    w(y) = f₁ cosθ₁ cosθ₂ / R₁²  ·  f₂  ·  cosθ₂′ cosθ₃ / (R₂² + a/π)  ·  f₃ W,     arriving at (R₁ + R₂)/c,
-
-a the patch's area, which bounds what a near cell can give it, and W the sensor's share. A cell is a triangle. Its
-energy is exact for weights of second degree (three quarters of the middle and a quarter of the vertices), its weights
-are taken as linear and its arrival times too, moved so that their mean is that of second degree.
+A cell is a triangle, or a cluster of small ones. Its energy is exact for weights (`weights`) of second degree (three
+quarters of the middle and a quarter of the vertices), its weights are taken as linear and its arrival times too,
+moved so that their mean is that of second degree.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from datagen.records.arrays import Floats, Ints
-from datagen.transport.brdf import LAMBERTIAN, dot, evaluate
+from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import spread, widened
-from datagen.transport.cells.clusters import (
-    COARSEST,
-    UNLIKE,
-    anywhere,
-    as_one,
-    is_small,
-    sides_turned,
-)
-from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less
+from datagen.transport.cells.clusters import anywhere, as_one, is_small, sides_turned
+from datagen.transport.cells.geometry import above, ball, corner, get, half, less
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST
 from datagen.transport.cells.occlusion import RING, hidden, narrowed, narrowed_to_box, shaded
 from datagen.transport.cells.waiting import (
@@ -44,131 +31,19 @@ from datagen.transport.cells.waiting import (
     put_vertex,
     vertex_of,
 )
-from datagen.transport.sampling import mix
+from datagen.transport.cells.weights import brightest, judged, smear, weight
+from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 0.5, 0.05
 """Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
 STILL_UNFOUND = 0.5
 """What the latter is multiplied with for each larger cell about it of which no ray found anything either: what lies
 deep behind a mesh cannot be proven hidden, and is not searched as finely as an edge."""
-SMEARED = 0.3
-"""Of a patch, the share that its arrival times spread over."""
-BLURRED = 0.25
-"""Of the error that a cell may make, the share that may come of the patch that sees it, as it does for many alike."""
 AT_ONCE = 0.01
 """Size of a patch, in bins, up to which all of it is reached at once."""
 TURNS, FEWEST = 16, 1 / 64
 """Light up to which one quarter of a pixel stands for the others: relative to the error that a cell may make, and to
 what all of the part might bring."""
-
-
-class Lasers(NamedTuple):
-    """Laser points as the loop wants them; the fields of `LaserPoints`, and `power` (L,), what arrives there."""
-
-    position: Floats
-    normal: Floats
-    to_laser: Floats
-    part: Ints
-    power: Floats
-    leg: Floats
-
-
-class Cutting(NamedTuple):
-    """How finely to cut.
-
-    Attributes
-    ----------
-    error : (K,) L2 error in a histogram, in photons, up to which a cell of each part is left as it is.
-    coarsest : (K,) largest cell of each part, relative to its distance.
-    peak : (K,) largest value of each part's BRDF, 1/sr.
-    rays_on_last_leg : whether it is asked what stands between a cell and the pixel.
-    proofs : whether rays are saved where it is proven that nothing can stand in their way.
-    seed : of the points that stand for clusters of small triangles.
-    """
-
-    error: Floats
-    coarsest: Floats
-    peak: Floats
-    rays_on_last_leg: bool
-    proofs: bool
-    seed: int
-
-
-class Clock(NamedTuple):
-    """Path to bins: at = path · per_metre − start; `device` whether the legs of laser and sensor count."""
-
-    per_metre: float
-    start: float
-    device: bool
-    attenuation: float
-
-
-@njit(cache=True, error_model="numpy")
-def weight(y, n, kind2, values2, lit_from, seen_from, footprint):  # type: ignore[no-untyped-def]
-    """w(y) but for power, sensor and air, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
-    path: a point, its normal, the direction on to the device, and the BRDF's kind and values."""
-    x, n1, to_laser, kind1, values1 = lit_from
-    z, n3, to_sensor, kind3, values3 = seen_from
-    d1, d3 = less(y, x), less(y, z)
-    square1, square3 = dot(d1, d1), dot(d3, d3)
-    r1, r3 = math.sqrt(square1), math.sqrt(square3)
-    up1, up3 = dot(d1, n1), dot(d3, n3)
-    in2, out2 = -dot(d1, n), -dot(d3, n)
-    if up1 <= 0.0 or up3 <= 0.0 or in2 * out2 <= 0.0:
-        return 0.0, r1, r3
-    if in2 < 0.0:
-        n = (-n[0], -n[1], -n[2])
-    per1, per3 = 1.0 / r1, 1.0 / r3
-    w1, w3 = (d1[0] * per1, d1[1] * per1, d1[2] * per1), (d3[0] * per3, d3[1] * per3, d3[2] * per3)
-    f1 = evaluate(kind1, values1, n1, to_laser, w1)
-    f2 = evaluate(kind2, values2, n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
-    f3 = evaluate(kind3, values3, n3, w3, to_sensor)
-    w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
-    return w, r1, r3
-
-
-@njit(cache=True, error_model="numpy")
-def _judged(cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre):  # type: ignore[no-untyped-def]
-    """What becomes of waiting cell k, h long, with wm, R₁ and R₂ at its middle, seen from a patch of some size.
-
-    Returns whether it is cut; whether the patch is quartered first; the L2 error if its light should be missing
-    (infinite where that was not asked); and how far its arrival times are bent.
-    """
-    # What the patch itself cannot tell apart needs no cutting.
-    ratio1, ratio3, ratio_z = h / r1, h / math.sqrt(r3 * r3 + footprint / math.pi), size / r3
-    if ratio_z > limit and quarters and size > 0.5 * h:
-        return False, True, np.inf, 0.0
-    if max(ratio1, ratio3) > limit:
-        return True, False, np.inf, 0.0
-    at_a, at_b, at_c = cell[k, 4], cell[k, 9], cell[k, 14]
-    bend = (at_a + at_b + at_c) / 3 - (r1 + r3)
-    width = max(1.0, (max(at_a, at_b, at_c) - min(at_a, at_b, at_c)) * per_metre)
-    over = gain * cell[k, 15] * max(wm, cell[k, 3], cell[k, 8], cell[k, 13]) / math.sqrt(width)
-    curved = (COARSEST / limit) ** 2 * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / width
-    smeared = ratio_z * ratio_z + min((SMEARED * size * per_metre / width) ** 4, UNLIKE)
-    quarter = quarters and over * smeared > BLURRED * allowed
-    return not quarter and over * curved > allowed, quarter, over, bend
-
-
-@njit(cache=True, error_model="numpy")
-def _smear(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
-    """Variance of the path by way of a patch, from one side of it to the other, m²."""
-    per, variance = 1.0 / math.sqrt(dot(d3, d3)), 0.0
-    for side in range(2):
-        longer = 0.0
-        for j in range(3):
-            longer += (d3[j] * per + (to_sensor[j] if device else 0.0)) * across[p, q, side, j]
-        variance += longer * longer / 12
-    return variance
-
-
-@njit(cache=True, error_model="numpy")
-def _brightest(m, radius, area, rise, height, x, z, size):  # type: ignore[no-untyped-def]
-    """What a box or cell about m may bring at most for every photon, BRDF and solid angle of one, if x lights it and
-    something within `size` of z is seen by it; `rise` it has above the plane of x, `height` x above its own."""
-    near1 = max(distance(m, x) - radius, math.sqrt(area / (2 * math.pi)))
-    near3 = max(distance(m, z) - radius - size, 0.25 * size)
-    return area * min(1.0, rise / near1) * min(1.0, height / near1) / (near1 * near3) ** 2
 
 
 @njit(cache=True)
@@ -274,7 +149,7 @@ def _gather(  # type: ignore[no-untyped-def]
             if allowed[k] == np.inf:
                 continue
             into, kind2, values2 = row[pair] + row_of_part[k], kind[k], values[k]
-            word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(k))
+            word = word_of(cutting.seed, pair, k)
             most, turn, cells, rays = np.inf, np.int64(word >> np.uint64(8)), 0, 0
             cell[0, 16], cell[0, 17] = 1.0, UNFOUND
             top = push(tag, 0, BOX, roots[k], 0, 0, some, 2 * some if apart else some)
@@ -306,7 +181,7 @@ def _gather(  # type: ignore[no-untyped-def]
                     if rise <= 0.0 or most3[p, q] <= 0.0:
                         continue
                     at_most = share * lit * most3[p, q] * peak[k1] * peak[k] * strongest
-                    at_most *= _brightest(m, h, area, rise, height, x, z, size)
+                    at_most *= brightest(m, h, area, rise, height, x, z, size)
                     if what == BOX and q == 0 and at == roots[k]:
                         most = at_most
                     # Whatever of the patch is seen, its light is little: one quarter stands for it, and such cells
@@ -341,7 +216,7 @@ def _gather(  # type: ignore[no-untyped-def]
                         )
                         quarter = small and quarters and size > 0.3 * near3
                         if small and not quarter:
-                            word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8))
+                            word = word_of(cutting.seed, pair, 8 * at)
                             f, y = anywhere(start, end, area_before, corners, word)
                             n = get(normal, f, 0)
                             w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint)
@@ -355,8 +230,8 @@ def _gather(  # type: ignore[no-untyped-def]
                                 path = r1 + r3
                                 air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
                                 t, energy = (path + device) * per_metre - start_bin, w * air * gain * area
-                                smear = _smear(less(y, z), seen_from[2], clock.device, across3, p, q)
-                                at_a, at_b, at_c = widened(t, t, t, smear * per_metre * per_metre)
+                                variance = smear(less(y, z), seen_from[2], clock.device, across3, p, q)
+                                at_a, at_b, at_c = widened(t, t, t, variance * per_metre * per_metre)
                                 overflow[into] += spread(histogram, into, at_a, at_b, at_c, 1.0, 1.0, 1.0, energy)
                             continue
                 if not quarter and (alone or what != BOX):
@@ -387,7 +262,7 @@ def _gather(  # type: ignore[no-untyped-def]
                         cell[top, 15] = area
                         for j in range(3):
                             put_vertex(cell, top, j, m, wm, r1 + r3 + 4.0 * longer + (j - 1.0) * apart)
-                    cut, quarter, over, bend = _judged(
+                    cut, quarter, over, bend = judged(
                         cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre
                     )
                     if alone:
@@ -424,9 +299,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             rays += 1
                             y = m
                             if alone:
-                                word = mix(
-                                    mix(np.uint64(cutting.seed), np.uint64(pair)), np.uint64(at) * np.uint64(8)
-                                )
+                                word = word_of(cutting.seed, pair, 8 * at)
                                 f, y = anywhere(start, end, area_before, corners, word)
                             if not _seen(
                                 y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
@@ -439,8 +312,7 @@ def _gather(  # type: ignore[no-untyped-def]
                                 y, part = half(m, vertex_of(cell, top, j)), 1.0
                                 if alone:
                                     low, high = start + j * (end - start) // 3, start + (j + 1) * (end - start) // 3
-                                    word = np.uint64(at) * np.uint64(8) + np.uint64(j + 1)
-                                    word = mix(mix(np.uint64(cutting.seed), np.uint64(pair)), word)
+                                    word = word_of(cutting.seed, pair, 8 * at + j + 1)
                                     f, y = anywhere(low, high, area_before, corners, word)
                                     facing = dot(less(y, x), get(normal, f, 0)) * dot(less(y, z), get(normal, f, 0))
                                     part = (area_before[high] - area_before[low]) * max(facing, 0.0)
@@ -512,8 +384,8 @@ def _gather(  # type: ignore[no-untyped-def]
                     cell[top, 4] * per_metre + zero, cell[top, 9] * per_metre + zero, cell[top, 14] * per_metre + zero
                 )  # fmt: skip
                 if size * per_metre > AT_ONCE:
-                    smear = _smear(less(m, z), seen_from[2], clock.device, across3, p, q) * per_metre * per_metre
-                    at_a, at_b, at_c = widened(at_a, at_b, at_c, smear)
+                    variance = smear(less(m, z), seen_from[2], clock.device, across3, p, q) * per_metre * per_metre
+                    at_a, at_b, at_c = widened(at_a, at_b, at_c, variance)
                 overflow[into] += spread(histogram, into, at_a, at_b, at_c, wa, wb, wc, energy)
             work[k, 0] += cells
             work[k, 1] += rays

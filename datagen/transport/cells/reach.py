@@ -23,7 +23,7 @@ from datagen.transport.brdf import MaterialTable, dot, evaluate
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less, longest, put
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, Hierarchy, one_of
 from datagen.transport.cells.occlusion import Occluders, hidden, shaded
-from datagen.transport.sampling import mix
+from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 4.0, 0.4
 """Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
@@ -221,7 +221,7 @@ def _cut(  # type: ignore[no-untyped-def]
                         boxes[closed], boxes[closed + 1] = children[at, 0], children[at, 1]
                         closed += 2
                         continue
-                    word = mix(mix(np.uint64(seed), np.uint64(p)), np.uint64(at))
+                    word = word_of(seed, p, at)
                     start = one_of(start, end, area_before, word)
                     end = start + 1
                 for f in range(start, end):

@@ -1,0 +1,62 @@
+"""The light of a scene of a dataset: what of it is followed, how accurately, and with which random numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from datagen.config import DatasetConfig
+from datagen.detector import Exposure, Spad
+from datagen.effects import EffectDecisions, decide_transport_effects
+from datagen.records import Accuracy, Capture, Scene, Transient
+from datagen.seeding import Purpose, derived_seed
+from datagen.transport import transient_of
+
+
+@dataclass(frozen=True)
+class Light:
+    """What is handed to the transport.
+
+    Attributes
+    ----------
+    scene, accuracy : as the decisions about effects leave them.
+    seed : of the scene's own stream.
+    """
+
+    scene: Scene
+    capture: Capture
+    accuracy: Accuracy
+    seed: int
+
+    def transient(self) -> Transient:
+        """The light of the scene."""
+        return transient_of(self.scene, self.capture, self.accuracy, seed=self.seed)
+
+    def background(self) -> Transient:
+        """That of the scene without its objects, from the same samples: what no object touches differs in nothing."""
+        empty = self.scene.without(*self.scene.objects)
+        return transient_of(empty, self.capture, self.accuracy, seed=self.seed)
+
+
+def transport_effects(config: DatasetConfig, scene: Scene, capture: Capture, index: int) -> EffectDecisions:
+    """What of scene `index` the transport is to simulate, and why."""
+    seed = derived_seed(config.seed, index, Purpose.EFFECTS)
+    return decide_transport_effects(scene, capture, config.transport.accuracy(), config.effects, seed)
+
+
+def light_of(
+    config: DatasetConfig, index: int, scene: Scene, capture: Capture, effects: EffectDecisions, spad: Spad,
+    exposure: Exposure,
+) -> Light:  # fmt: skip
+    """The light of scene `index`, after `transport_effects` were decided, for a detector."""
+    lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
+    accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
+    return Light(lit, capture, accuracy, derived_seed(config.seed, index, Purpose.TRANSPORT))
+
+
+def _one_detection(spad: Spad, exposure: Exposure) -> float:
+    """Photons at the aperture, per emitted photon and over a whole scan, that give one detection on average.
+
+    An object with less light than that is not held to an error of its own.
+    """
+    counted = exposure.photons_per_pulse * exposure.cycles * spad.pde
+    return 1.0 / counted if counted > 0 else 0.0

@@ -1,0 +1,92 @@
+"""What a cell gives to one laser point and pixel, how wrong that may be, and how much it is at most.
+
+Flux per hidden area at y, with x the laser point and z the middle of a patch of the pixel (docs/physics.md):
+
+    w(y) = f₁ cosθ₁ cosθ₂ / R₁²  ·  f₂  ·  cosθ₂′ cosθ₃ / (R₂² + a/π)  ·  f₃ W,     arriving at (R₁ + R₂)/c,
+
+a the patch's area, which bounds what a near cell can give it, and W the sensor's share.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from datagen.transport.brdf import dot, evaluate
+from datagen.transport.cells.clusters import COARSEST, UNLIKE
+from datagen.transport.cells.geometry import distance, less
+
+SMEARED = 0.3
+"""Of a patch, the share that its arrival times spread over."""
+BLURRED = 0.25
+"""Of the error that a cell may make, the share that may come of the patch that sees it, as it does for many alike."""
+
+
+@njit(cache=True, error_model="numpy")
+def weight(y, n, kind2, values2, lit_from, seen_from, footprint):  # type: ignore[no-untyped-def]
+    """w(y) but for power, sensor and air, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
+    path: a point, its normal, the direction on to the device, and the BRDF's kind and values."""
+    x, n1, to_laser, kind1, values1 = lit_from
+    z, n3, to_sensor, kind3, values3 = seen_from
+    d1, d3 = less(y, x), less(y, z)
+    square1, square3 = dot(d1, d1), dot(d3, d3)
+    r1, r3 = math.sqrt(square1), math.sqrt(square3)
+    up1, up3 = dot(d1, n1), dot(d3, n3)
+    in2, out2 = -dot(d1, n), -dot(d3, n)
+    if up1 <= 0.0 or up3 <= 0.0 or in2 * out2 <= 0.0:
+        return 0.0, r1, r3
+    if in2 < 0.0:
+        n = (-n[0], -n[1], -n[2])
+    per1, per3 = 1.0 / r1, 1.0 / r3
+    w1, w3 = (d1[0] * per1, d1[1] * per1, d1[2] * per1), (d3[0] * per3, d3[1] * per3, d3[2] * per3)
+    f1 = evaluate(kind1, values1, n1, to_laser, w1)
+    f2 = evaluate(kind2, values2, n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
+    f3 = evaluate(kind3, values3, n3, w3, to_sensor)
+    w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
+    return w, r1, r3
+
+
+@njit(cache=True, error_model="numpy")
+def judged(cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre):  # type: ignore[no-untyped-def]
+    """What becomes of waiting cell k, h long, with wm, R₁ and R₂ at its middle, seen from a patch of some size.
+
+    Returns whether it is cut; whether the patch is quartered first; the L2 error if its light should be missing
+    (infinite where that was not asked); and how far its arrival times are bent.
+    """
+    # What the patch itself cannot tell apart needs no cutting.
+    ratio1, ratio3, ratio_z = h / r1, h / math.sqrt(r3 * r3 + footprint / math.pi), size / r3
+    if ratio_z > limit and quarters and size > 0.5 * h:
+        return False, True, np.inf, 0.0
+    if max(ratio1, ratio3) > limit:
+        return True, False, np.inf, 0.0
+    at_a, at_b, at_c = cell[k, 4], cell[k, 9], cell[k, 14]
+    bend = (at_a + at_b + at_c) / 3 - (r1 + r3)
+    width = max(1.0, (max(at_a, at_b, at_c) - min(at_a, at_b, at_c)) * per_metre)
+    over = gain * cell[k, 15] * max(wm, cell[k, 3], cell[k, 8], cell[k, 13]) / math.sqrt(width)
+    curved = (COARSEST / limit) ** 2 * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / width
+    smeared = ratio_z * ratio_z + min((SMEARED * size * per_metre / width) ** 4, UNLIKE)
+    quarter = quarters and over * smeared > BLURRED * allowed
+    return not quarter and over * curved > allowed, quarter, over, bend
+
+
+@njit(cache=True, error_model="numpy")
+def smear(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
+    """Variance of the path by way of a patch, from one side of it to the other, m²."""
+    per, variance = 1.0 / math.sqrt(dot(d3, d3)), 0.0
+    for side in range(2):
+        longer = 0.0
+        for j in range(3):
+            longer += (d3[j] * per + (to_sensor[j] if device else 0.0)) * across[p, q, side, j]
+        variance += longer * longer / 12
+    return variance
+
+
+@njit(cache=True, error_model="numpy")
+def brightest(m, radius, area, rise, height, x, z, size):  # type: ignore[no-untyped-def]
+    """What a box or cell about m may bring at most for every photon, BRDF and solid angle of one, if x lights it and
+    something within `size` of z is seen by it; `rise` it has above the plane of x, `height` x above its own."""
+    near1 = max(distance(m, x) - radius, math.sqrt(area / (2 * math.pi)))
+    near3 = max(distance(m, z) - radius - size, 0.25 * size)
+    return area * min(1.0, rise / near1) * min(1.0, height / near1) / (near1 * near3) ** 2
