@@ -261,6 +261,11 @@ class _Build:
                 progress.under_way(sum(self._scenes_done(shard) for shard in running.values()))
                 for future in done:
                     shard = running.pop(future)
+                    if future.cancelled():
+                        self.engine.restore(progress.say)
+                        self._clear(shard)
+                        waiting.appendleft(shard)
+                        continue
                     failures = self._outcome(future, shard)
                     if failures is None:
                         waiting.appendleft(shard)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import logging
 import multiprocessing
 import os
 import signal
@@ -14,13 +15,15 @@ from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Any, NoReturn, Protocol
 
-from datagen.errors import InputError
+from datagen.errors import CheckError, InputError
 
 MOST_WORKERS = 4096
 SHARDS_PER_PROCESS = 16
 """A worker process is replaced after so many shards, so that no leak in a library lasts."""
 PATIENCE_S = 3.0
 """How long a worker may take to end in order after SIGTERM."""
+RETURN_S = 300.0
+"""How long a scheduler that was lost may take to be there again."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """Workers are the parallelism, and a sum split over threads could round differently."""
 
@@ -54,7 +57,14 @@ class Engine(Protocol):
     deaths: tuple[type[BaseException], ...]
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Start a job."""
+        """Start a job. It is cancelled where the engine loses whoever hands jobs to workers."""
+        ...
+
+    def restore(self, say: Callable[[str], None]) -> None:
+        """After jobs were cancelled: be ready for others. `say` gets a line where that takes a while.
+
+        Raises `CheckError` where it takes too long.
+        """
         ...
 
     def close(self, kill: bool) -> None:
@@ -89,6 +99,9 @@ class LocalProcesses:
         future = process.submit(function, *arguments)
         self._busy[future] = process
         return future
+
+    def restore(self, say: Callable[[str], None]) -> None:
+        """Nothing cancels a job here."""
 
     def close(self, kill: bool) -> None:
         """Free the workers; with `kill` those that are busy die at once."""
@@ -190,19 +203,47 @@ class DaskCluster:
                     n_workers=workers, threads_per_worker=1, dashboard_address=None,
                     scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
                 )  # fmt: skip
+        self._dask, self._scheduler = dask, scheduler
         try:
-            self._client = dask.Client(self._cluster or scheduler, timeout=20)
+            self._connect()
         except (OSError, ValueError, TypeError, TimeoutError) as error:
             # A TypeError: an address with tls, and no certificates.
             raise InputError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from None
         # One job in reserve for each worker, so that none waits for this process.
         self.capacity = 2 * max(workers, len(self._client.nthreads()))
+
+    def _connect(self) -> None:
+        self._client = self._dask.Client(self._cluster or self._scheduler, timeout=20)
         self._executor = self._client.get_executor(pure=False, retries=0)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Start a job."""
+        """Start a job. It is cancelled when the scheduler is lost."""
         future: Future[Any] = self._executor.submit(function, *arguments)
         return future
+
+    def restore(self, say: Callable[[str], None]) -> None:
+        """Wait for a scheduler that was lost to be there again, and a worker of its.
+
+        Workers of a lost scheduler end by themselves, so that none goes on with a shard that others then make.
+        """
+        if self._client.status == "running":
+            return
+        say(f"the scheduler {self._scheduler} was lost; waiting for it to be there again")
+        last = time.monotonic() + RETURN_S
+        # A client that gives up prints its traceback: what there is to say was said.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+        while True:
+            self._client.close(timeout=1)
+            try:
+                self._connect()
+                self._client.wait_for_workers(1, timeout=max(last - time.monotonic(), 1.0))
+                return
+            except (OSError, TimeoutError):
+                if time.monotonic() > last:
+                    raise CheckError(
+                        f"--scheduler {self._scheduler}: was lost, and has not been there again with a worker for "
+                        f"{RETURN_S:g} s; what is committed stays, run the same command when it is"
+                    ) from None
 
     def close(self, kill: bool) -> None:
         """Leave the cluster, and end one that was started here."""

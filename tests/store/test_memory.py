@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from datagen.building import engines
 from datagen.building.build import build
 from datagen.config import config_from_mapping
 
@@ -26,25 +30,36 @@ def test_memory_of_a_worker_is_flat(tmp_path: Path) -> None:
     assert abs(growth_mb_a_1000(tmp_path, 10_000)) < MOST_MB_A_1000
 
 
+class Here:
+    """An engine that does its jobs in this process, and notes what it then holds."""
+
+    capacity, deaths = 1, ()
+
+    def __init__(self) -> None:
+        self.resident_mb: list[float] = []
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_result(function(*arguments))
+        self.resident_mb.append(resident_mb())
+        return future
+
+    def restore(self, say: Callable[[str], None]) -> None: ...
+
+    def close(self, kill: bool) -> None: ...
+
+
 def growth_mb_a_1000(folder: Path, scenes: int) -> float:
     """Slope of the resident memory over the shards after the first fifth, MB in 1000 scenes."""
-    from datagen.building import shard_job
-
     config = config_from_mapping({
         "scenes": scenes, "transport": {"lookins": 16, "fov_samples": 1, "max_bounces": 3},
         "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 512, "bin_width_ps": 100}},
         "store": {"fields": ["histogram", "transient"], "scenes_per_shard": 16},
     })  # fmt: skip
-    found: list[float] = []
-    run = shard_job.run_shard
-
-    def measured(job: shard_job.ShardJob) -> dict[int, str]:
-        failures = run(job)
-        found.append(resident_mb())
-        return failures
-
+    here = Here()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("datagen.building.build.run_shard", measured)
+        patch.setattr(engines, "LocalProcesses", lambda workers: here)
         build(config, folder / "set", progress=False)
-    settled = np.array(found[len(found) // 5 :])
+    assert len(here.resident_mb) == -(-scenes // 16)
+    settled = np.array(here.resident_mb[len(here.resident_mb) // 5 :])
     return float(np.polyfit(np.arange(len(settled)) * 0.016, settled, 1)[0])

@@ -1,0 +1,149 @@
+"""A cluster of processes: encrypted as documented, and a scheduler that is lost half way."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from fake_samples import fake_sample, small_config
+
+from datagen.building.build import build
+from datagen.config import DatasetConfig
+from datagen.records import Sample
+from datagen.store.digest import dataset_digest
+
+PATIENCE_S = 120.0
+CHILD = """
+import sys
+from test_dask_clusters import many_shards, unhurried
+from datagen.building.build import build
+from datagen.errors import InputError
+try:
+    build(many_shards(), sys.argv[1], engine="dask", scheduler=sys.argv[2], sample_function=unhurried)
+except InputError as error:
+    sys.exit(f"datagen: {error}")
+"""
+
+
+def many_shards() -> DatasetConfig:
+    return small_config(scenes=40, store={"fields": ["histogram", "depth"], "scenes_per_shard": 1})
+
+
+def unhurried(config: DatasetConfig, index: int) -> Sample:
+    """So that somebody can come between."""
+    time.sleep(0.1)
+    return fake_sample(config, index)
+
+
+@pytest.fixture(scope="module")
+def secrets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The variables of docs/configuration.md, with a certificate of our own for all three."""
+    x509 = pytest.importorskip("cryptography.x509", reason="cryptography is not installed")
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    folder, key = tmp_path_factory.mktemp("tls"), ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "datagen")])
+    now, day = datetime.datetime.now(datetime.UTC), datetime.timedelta(days=1)
+    builder = x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number(), now - day, now + day)
+    certificate = builder.add_extension(x509.BasicConstraints(ca=True, path_length=None), True).sign(
+        key, hashes.SHA256()
+    )
+    (folder / "cert.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    kind = (serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    (folder / "key.pem").write_bytes(key.private_bytes(*kind))
+    prefix, cert = "DASK_DISTRIBUTED__COMM__", str(folder / "cert.pem")
+    told = {f"{prefix}TLS__CA_FILE": cert, f"{prefix}REQUIRE_ENCRYPTION": "True"}
+    for role in ("CLIENT", "SCHEDULER", "WORKER"):
+        told |= {f"{prefix}TLS__{role}__CERT": cert, f"{prefix}TLS__{role}__KEY": str(folder / "key.pem")}
+    return told
+
+
+class Cluster:
+    """A scheduler and a worker, as processes."""
+
+    def __init__(self, folder: Path, secrets: dict[str, str]) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.address = f"tls://127.0.0.1:{free.getsockname()[1]}"
+        # Workers fork from a server that has imported what they need.
+        quick = {"DASK_DISTRIBUTED__WORKER__MULTIPROCESSING_METHOD": "forkserver"}
+        here = {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])}
+        self.folder, self.environment = folder, os.environ | secrets | quick | here
+        self.running: list[subprocess.Popen[bytes]] = []
+        self.begin()
+
+    def begin(self) -> None:
+        """Both, anew."""
+        self._start("distributed.cli.dask_scheduler", "--host", self.address)
+        self._start("distributed.cli.dask_worker", self.address, "--nthreads", "1", "--death-timeout", "60")
+
+    def _start(self, module: str, *arguments: str) -> None:
+        command = [sys.executable, "-m", module, *arguments, "--no-dashboard"]
+        with open(self.folder / f"{module}.log", "ab") as log:
+            self.running.append(
+                subprocess.Popen(command, env=self.environment, cwd=self.folder, stdout=log, stderr=log)
+            )
+
+    def lose(self) -> None:
+        """Its scheduler, at once."""
+        self.running[0].kill()
+
+    def end(self) -> None:
+        for process in self.running:
+            process.send_signal(signal.SIGTERM)
+        for process in self.running:
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        self.running.clear()
+
+
+@contextmanager
+def build_on(cluster: Cluster, out: Path, **more: str) -> Iterator[subprocess.Popen[str]]:
+    running = subprocess.Popen(
+        [sys.executable, "-c", CHILD, str(out), cluster.address], env=cluster.environment | more, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        yield running
+    finally:
+        running.kill()
+        running.wait()
+
+
+@pytest.mark.nightly
+def test_an_encrypted_cluster_whose_scheduler_is_lost_ends_with_the_same_dataset(
+    tmp_path: Path, secrets: dict[str, str]
+) -> None:
+    cluster = Cluster(tmp_path, secrets)
+    try:
+        with build_on(cluster, tmp_path / "set") as running:
+            last = time.monotonic() + PATIENCE_S
+            while len(list(tmp_path.glob("set/build/shard-*.json"))) < 5:
+                assert time.monotonic() < last and running.poll() is None, running.communicate()
+                time.sleep(0.05)
+            cluster.lose()
+            cluster.end()
+            cluster.begin()
+            _, told = running.communicate(timeout=PATIENCE_S)
+        assert running.returncode == 0, told
+        assert f"the scheduler {cluster.address} was lost; waiting" in told and "Traceback" not in told
+        with build_on(cluster, tmp_path / "no", DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT="") as refused:
+            _, told = refused.communicate(timeout=PATIENCE_S)
+        assert refused.returncode == 1 and told.splitlines()[-1].startswith("datagen: --scheduler tls://"), told
+    finally:
+        cluster.end()
+    build(many_shards(), tmp_path / "here", sample_function=fake_sample, progress=False)
+    assert dataset_digest(tmp_path / "set") == dataset_digest(tmp_path / "here")
