@@ -55,7 +55,7 @@ def fine(albedo: float) -> tuple[dg.Transient, dg.Transient]:
     """With the plate, and without it."""
     scene = room(albedo)
     with_it, without = (
-        dg.simulate(of, capture(), dg.Accuracy(target=0.005), seed=7) for of in (scene, scene.without("plate"))
+        dg.simulate(of, capture(), dg.Accuracy(target=0.01), seed=7) for of in (scene, scene.without("plate"))
     )
     return with_it, without
 
