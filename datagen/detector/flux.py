@@ -221,14 +221,15 @@ def flux_per_cycle(transient: Array, cycle: Cycle, spad: Spad, exposure: Exposur
     return flux
 
 
-def light_flux(light: Array, cycle: Cycle, spad: Spad, exposure: Exposure) -> Array:
-    """(laser, pixel, n) what some of a transient's light adds to its flux per cycle."""
-    return _light_per_cycle(light, cycle, spad, exposure) * cycle.gate
+def arrivals(light: Array, cycle: Cycle) -> Array:
+    """(laser, pixel, n) photons of some light that arrive in each bin of the period, after the pulse's length and all
+    that the diode's response adds to it before the avalanche; in an array of its own."""
+    return cycle.light_fold(spread(light, cycle.before_avalanche))
 
 
 def _light_per_cycle(light: Array, cycle: Cycle, spad: Spad, exposure: Exposure) -> Array:
     """As if the gate were always open."""
-    flux = cycle.light_fold(spread(light, cycle.before_avalanche))
+    flux = arrivals(light, cycle)
     flux *= spad.pde * exposure.photons_per_pulse
     return flux
 

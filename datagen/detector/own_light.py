@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.detector.expected import detections_and_events
-from datagen.detector.flux import Cycle, checked_transient, cycle_of, flux_per_cycle, light_flux
+from datagen.detector.flux import Cycle, arrivals, checked_transient, cycle_of, flux_per_cycle
 from datagen.detector.sampler_choice import poisson_bias
 from datagen.detector.spad import Exposure, Spad
 from datagen.detector.tdc import Tdc
@@ -69,8 +69,12 @@ def own_light(
         flux = flux_per_cycle(block, cycle, spad, exposure)
         detections, armed = _detections(flux, cycle, spad)
         everything = tdc.mean(exposure.cycles * detections)
-        each = exposure.cycles * armed
-        own = [tdc.mean(each * light_flux(light[part], cycle, spad, exposure)) for light in lights]
+        counted = exposure.cycles * spad.pde * exposure.photons_per_pulse * (cycle.gate * armed)
+        own = []
+        for light in lights:
+            arriving = arrivals(light[part], cycle)
+            arriving *= counted
+            own.append(tdc.mean(arriving))
         if spad.counter_max is not None:
             own = [(everything < spad.counter_max) * of for of in own]
             everything = np.minimum(everything, spad.counter_max)
