@@ -1,11 +1,12 @@
 """Carry out the steps of docker/Dockerfile, and the commands of docker/compose.yaml, where no container engine is.
 
-    python tests/docker_image.py ROOT          (as root)
+    python tests/docker_image.py ROOT [image|compose]          (as root; both parts, or one of them)
 
 ROOT: a clean root filesystem that stands for the base image: Debian bookworm with a Python 3.11 found as `python`. It
 is changed. COPY obeys Dockerfile.dockerignore; RUN is executed in a chroot with ENV and WORKDIR as they then are.
 Scheduler, workers and builder are then plain processes in that chroot, as the user and with the environment that
-compose.yaml gives them, and the dataset is verified. Any step that fails ends it with that step's status.
+compose.yaml gives them, and the dataset is verified. /proc and /dev, with a /dev/shm that all may write, are mounted
+there. Any step that fails ends it with that step's status.
 """
 
 from __future__ import annotations
@@ -106,10 +107,17 @@ def filled_in(value: Any) -> Any:
     return text
 
 
-def main(root: Path) -> None:
+def main(root: Path, parts: tuple[str, ...]) -> None:
     image = Image(root)
     for name, arguments in instructions((DOCKER / "Dockerfile").read_text()):
-        image.carry_out(name, arguments)
+        if "image" in parts or name in ("WORKDIR", "ENV", "ENTRYPOINT"):
+            image.carry_out(name, arguments)
+    if "compose" in parts:
+        carry_out_compose(root, image)
+
+
+def carry_out_compose(root: Path, image: Image) -> None:
+    """Scheduler and two workers, four scenes of the builder's configuration, and their verification."""
     compose = yaml.safe_load((DOCKER / "compose.yaml").read_text())
     services = compose["services"]
     user = filled_in(services["worker"]["user"])
@@ -158,4 +166,4 @@ def main(root: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]).resolve())
+    main(Path(sys.argv[1]).resolve(), tuple(sys.argv[2:]) or ("image", "compose"))
