@@ -44,8 +44,9 @@ def build(out: Path) -> None:
 
 
 def reconstruct(out: Path) -> None:
-    """Filtered backprojection of each scan, in slabs so that it fits into memory."""
+    """Filtered backprojection of each scan, in slabs to fit into memory; f-k migration of the confocal one."""
     import tal
+    import tal.reconstruct.fk
 
     for name in SCANS:
         data = tal.io.read_capture(str(out / name / "scene-000000.hdf5"))
@@ -55,6 +56,11 @@ def reconstruct(out: Path) -> None:
         slabs = [volume[:, :, k : k + 2] for k in range(0, volume.shape[2], 2)]
         found = [np.abs(tal.reconstruct.bp.solve(data, slab, progress=False)) for slab in slabs]
         np.savez(out / f"{name}.npz", found=np.concatenate(found, axis=2), volume=volume)
+    migrated = tal.io.read_capture(str(out / "confocal" / "scene-000000.hdf5"))
+    points, step_m = migrated.sensor_grid_xyz, migrated.delta_t / 2
+    found = np.abs(tal.reconstruct.fk.solve(migrated))
+    k, i, j = np.unravel_index(found.argmax(), found.shape)
+    print(f"f-k migration: brightest at x {points[i, j, 0]:.2f}, y {points[i, j, 1]:.2f}, z {k * step_m:.3f} m")
 
 
 def draw(out: Path) -> None:
