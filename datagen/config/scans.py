@@ -149,5 +149,6 @@ def _refuse_too_many(rows: int, columns: int) -> None:
 
 
 AnyScan = Annotated[
-    GridScan | PointsScan | CircleScan | RandomScan | SubsetScan | ImportedScan, ByKind(default="grid")
+    GridScan | PointsScan | CircleScan | RandomScan | SubsetScan | ImportedScan,
+    ByKind(default="grid", unlisted=("imported",)),
 ]

@@ -253,5 +253,5 @@ class ImportedCaptures(NoLayout):
 
 
 _Layouts = StraightCorridor | LCorridor | TCorridor | ZCorridor | CorridorRoom | DoorwayRoom | IsolatedWall
-AnyLayout = Annotated[_Layouts | GivenScenes | ImportedCaptures, ByKind()]
+AnyLayout = Annotated[_Layouts | GivenScenes | ImportedCaptures, ByKind(unlisted=("given", "imported"))]
 LAYOUT_KINDS = tuple(kinds_of(_Layouts))

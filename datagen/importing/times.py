@@ -6,8 +6,6 @@ import re
 from pathlib import Path
 from typing import Literal
 
-import pydantic
-
 from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
@@ -40,9 +38,8 @@ def time_bins(
             bins=bins, bin_width_ps=float(f"{width * 1e12:.12g}"), start_ns=float(f"{start_s * 1e9:.12g}"),
             origin=origin,
         )  # fmt: skip
-    except pydantic.ValidationError as error:
-        found = error.errors(include_url=False)[0]
-        raise InputError(f"{path}: {found['loc'][0]} = {found['input']}: {found['msg'].lower()}") from None
+    except InputError as error:
+        raise InputError(f"{path}: {str(error).removeprefix('TimeConfig: ')}") from None
 
 
 def seconds_of(text: str) -> float:
