@@ -13,19 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError
+from datagen.errors import InputError, printable
 from datagen.export.hdf5 import h5py
+from datagen.importing.matlab5 import read_matlab5
 
 LARGEST_BYTES = 2**33
 """Of one variable in memory."""
 MOST_COMPRESSED = 1100
 """No more bytes come out of one that deflate has packed; a file that declares more holds less than it says."""
 LONGEST_TEXT = 2**20
-_NUMBERS = {
-    "double": 8, "single": 4, "logical": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4,
-    "int64": 8, "uint64": 8,
-}  # fmt: skip
-"""MATLAB's classes of numbers, and their bytes."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +36,15 @@ class Content:
     texts: Mapping[str, str]
     names: tuple[str, ...]
 
+    @property
+    def listed(self) -> str:
+        """What there is, for people: names may be anything in a file from anywhere."""
+        return ", ".join(" ".join(printable(name[:40]).split()) for name in self.names[:12]) or "nothing"
+
     def array(self, name: str) -> NDArray[Any]:
         """A variable; raises `InputError` where it is missing."""
         if name not in self.arrays:
-            listed = ", ".join(self.names[:20]) or "nothing"
-            raise InputError(f"{self.path}: {name}: missing; the file has {listed}")
+            raise InputError(f"{self.path}: {name}: missing; the file has {self.listed}")
         return self.arrays[name]
 
     def number(self, name: str) -> float:
@@ -84,7 +84,8 @@ def hdf5_content(path: Path, wanted: tuple[str, ...], matlab: bool = False) -> C
     kind = "MATLAB 7.3" if matlab else "HDF5"
     arrays, texts = dict[str, NDArray[Any]](), dict[str, str]()
     with _told(path, kind), h5py().File(path, "r") as file:
-        names = tuple(file.keys())
+        # What is no UTF-8 comes as bytes.
+        names = tuple(name.decode("utf-8", "replace") if isinstance(name, bytes) else name for name in file)
         for name in wanted:
             if name not in names:
                 continue
@@ -130,26 +131,9 @@ def matlab_content(path: Path, wanted: tuple[str, ...]) -> Content:
     """Variables of a MATLAB file of any version, axes in MATLAB's order. Raises as `hdf5_content` does."""
     if is_hdf5(path):
         return hdf5_content(path, wanted, matlab=True)
-    from scipy.io import loadmat, whosmat
-
     with _told(path, "MATLAB"):
-        listed = {name: (shape, kind) for name, shape, kind in whosmat(path)}
-        there = [name for name in wanted if name in listed]
-        for name in there:
-            shape, kind = listed[name]
-            if kind not in _NUMBERS:
-                raise InputError(f"{path}: {name}: is a {kind}, an array of numbers is needed")
-            size = math.prod(map(int, shape)) * _NUMBERS[kind]
-            _check_size(path, name, tuple(shape), size)
-            if MOST_COMPRESSED * path.stat().st_size < size:
-                raise InputError(f"{path}: {name}: {size} bytes declared ({shape}), more than the file can hold")
-        # Without names scipy reads all.
-        found = loadmat(path, variable_names=there) if there else {}
-    arrays = {name: np.asarray(found[name]) for name in there if name in found}
-    for name, value in arrays.items():
-        if value.dtype.kind not in "fiub":
-            raise InputError(f"{path}: {name}: holds {value.dtype}, real numbers are needed")
-    return Content(path, arrays, {}, tuple(listed))
+        arrays, names = read_matlab5(path, wanted, LARGEST_BYTES // 8)
+    return Content(path, arrays, {}, tuple(names))
 
 
 def _check_size(path: Path, name: str, shape: tuple[int, ...], size: int) -> None:
@@ -169,5 +153,5 @@ def _told(path: Path, kind: str) -> Iterator[None]:
     except MemoryError:
         raise InputError(f"{path}: does not fit into memory; cut it into smaller files") from None
     except Exception as error:
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        reason = " ".join(printable(str(error)).split())[:200] or type(error).__name__
         raise InputError(f"{path}: cannot be read as {kind} ({reason}); it is damaged, or of another kind") from None

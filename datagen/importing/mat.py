@@ -41,8 +41,7 @@ def read_mat(path: Path, options: ImportOptions, delays: Path | None = None) -> 
         return _pairs(content, options)
     name = next((name for name in _AXES if name in content.names), None)
     if name is None:
-        there = ", ".join(content.names[:20]) or "nothing"
-        raise InputError(f"{path}: has {there}; meas, rect_data or trans_data is needed")
+        raise InputError(f"{path}: has {content.listed}; meas, rect_data or trans_data is needed")
     return _grid(content, name, options, delays)
 
 

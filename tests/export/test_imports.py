@@ -18,8 +18,12 @@ from point_target import LIGHT, SCANS, config_of, point_sample
 
 import datagen as dg
 from datagen.cli import run
+from datagen.config.imported import ImportOptions
 from datagen.export import export
 from datagen.export.measurement import Measurement, measurement
+from datagen.importing.containers import matlab_content
+from datagen.importing.mat import read_mat
+from datagen.importing.tal import read_tal
 from datagen.store import read_manifest, verify
 from datagen.store.digest import dataset_digest
 from datagen.store.info import info
@@ -63,8 +67,11 @@ def check_geometry(back: SceneContent, m: Measurement) -> None:
     assert (corners[0, :2] <= both + 1e-9).all() and (both <= corners[1, :2] + 1e-9).all()
 
 
-@pytest.mark.parametrize("origin", ["wall", "source"])
-@pytest.mark.parametrize("scan", SCANS)
+GRIDS = ("confocal", "single", "exhaustive")
+CASES = [(scan, origin) for scan in SCANS for origin in ("wall", "source") if scan in GRIDS or origin == "source"]
+
+
+@pytest.mark.parametrize(("scan", "origin"), CASES)
 def test_y_tal_comes_back_bit_for_bit(scan: str, origin: str, made: Any, tmp_path: Path) -> None:
     back = Scenes(brought_back(made(scan, origin), tmp_path, "tal"))
     config = back.manifest.parsed_config()
@@ -80,8 +87,7 @@ def test_y_tal_comes_back_bit_for_bit(scan: str, origin: str, made: Any, tmp_pat
     np.testing.assert_allclose(got.arrays["hidden_bounds"], m.hidden, atol=1e-9)
 
 
-@pytest.mark.parametrize("origin", ["wall", "source"])
-@pytest.mark.parametrize("scan", SCANS)
+@pytest.mark.parametrize(("scan", "origin"), CASES)
 def test_matlab_comes_back_bit_for_bit_from_the_wall_on(scan: str, origin: str, made: Any, tmp_path: Path) -> None:
     back = Scenes(brought_back(made(scan, origin), tmp_path, "mat"))
     m, got = measurement(Scenes(made(scan, origin)).read(1)).from_time_zero(), back.read(0)
@@ -349,6 +355,50 @@ def test_noise_is_drawn_anew_where_the_detector_is_known(tmp_path: Path) -> None
     assert abs(float(first.mean()) / 4500 - 1) < 0.02
 
 
+@pytest.mark.parametrize("packed", [False, True])
+def test_matlab_arrays_are_read_as_scipy_reads_them(packed: bool, tmp_path: Path) -> None:
+    random = np.random.default_rng(4)
+    kinds = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8", "i8", "u8")
+    variables: dict[str, Any] = {f"of_{kind}": random.integers(0, 99, (3, 4, 5)).astype(kind) for kind in kinds}
+    variables |= {"a": 3.5, "tiny": np.uint8([[1, 2]]), "none": np.zeros((0, 3)), "on": np.array([[True, False]])}
+    scipy.io.savemat(tmp_path / "m.mat", {"text": "left out", **variables, "cell": np.array([1, "x"], object)},
+                     do_compression=packed)  # fmt: skip
+    content = matlab_content(tmp_path / "m.mat", (*variables, "missing"))
+    assert content.names == ("text", *variables, "cell") and set(content.arrays) == set(variables)
+    for name, due in scipy.io.loadmat(tmp_path / "m.mat", variable_names=list(variables)).items():
+        if name in variables:
+            np.testing.assert_array_equal(content.arrays[name], due)
+    for name, told in (("text", "text"), ("cell", "cell array")):
+        with pytest.raises(dg.InputError, match=told):
+            matlab_content(tmp_path / "m.mat", (name,))
+
+
+@pytest.mark.parametrize("name", ["c.hdf5", "plain.mat", "packed.mat"])
+def test_no_damage_ends_in_anything_but_a_line(name: str, tmp_path: Path) -> None:
+    """Bytes changed and cut: a capture, or a refusal."""
+    random, path = np.random.default_rng(5), tmp_path / name
+    if name == "c.hdf5":
+        tal(path, random.poisson(1.0, (8, 2, 2)).astype(np.float32), 1, grid(2, 2), grid(2, 2))
+    else:
+        variables = {"rect_data": np.ones((2, 2, 9)), "width": 1.0}
+        scipy.io.savemat(path, variables, do_compression=name == "packed.mat")
+    whole, refused = path.read_bytes(), 0
+    for _ in range(60):
+        harmed = bytearray(whole[: random.integers(1, len(whole))] if random.random() < 0.2 else whole)
+        reach = min(len(harmed), int(random.choice([256, 2048, len(harmed)])))
+        for place in random.integers(0, reach, random.integers(1, 12)):
+            harmed[place] = random.integers(256)
+        path.write_bytes(harmed)
+        try:
+            options = ImportOptions(bin_width_ps=None if name == "c.hdf5" else 4.0)
+            read = read_tal(path, options) if name == "c.hdf5" else read_mat(path, options)
+            assert read.in_order().geometry()["laser_points"].shape[1] == 3
+        except dg.InputError as error:
+            refused += 1
+            assert "\n" not in str(error) and len(str(error)) < 900
+    assert refused > 10
+
+
 # What is refused
 
 
@@ -492,7 +542,7 @@ REFUSED = {
     "counts and light": "--field transient", "too few bins": "--bins 9", "no suffix": "--format",
     "a wall for y-tal": "--wall", "mat without a bin width": "--bin 4ps", "mat without a wall": "--wall",
     "mat without delays": "--tof", "other delays": "(2, 2)", "delays beyond all": "ps", "another wall": "--wall",
-    "frames": "(2, 3, 3, 8)", "cells": "cell", "another program's mat": "rect_data",
+    "frames": "(2, 3, 3, 8)", "cells": "cell array", "another program's mat": "rect_data",
     "truncated mat": "damaged|data_s_u", "pairs that do not fit": "(N, 3)",
 }  # fmt: skip
 

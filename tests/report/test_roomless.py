@@ -73,6 +73,7 @@ def texts(path: Path, index: int = 0) -> dict[str, str]:
         }
 
 
+@pytest.mark.usefixtures("without_ticks")
 def test_scenes_made_in_python(given: Path, tmp_path: Path) -> None:
     pictures = show(given, 1, tmp_path / "show")
     assert [path.stem for path in pictures] == [
