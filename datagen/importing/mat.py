@@ -70,7 +70,7 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
                 f"{path}: tofgrid: {int(shifts.max())} bins of {time.bin_width_ps:g} ps to the wall and back, and "
                 f"{values.shape[-1]} bins in all; are they ps, and is --bin right?"
             )
-        values = np.take_along_axis(values, shifts[..., None] + np.arange(kept), axis=-1)
+        values = _shifted(values, shifts, kept)
         time = time.model_copy(update={"bins": kept})
     values = values if at[0] < at[1] else values.swapaxes(0, 1)
     rows, columns, bins = values.shape
@@ -78,6 +78,15 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
     return Recording(
         path, values.reshape(-1, 1, bins), True, points, points, time, UNKNOWN, UNKNOWN, _FACING
     )  # fmt: skip
+
+
+def _shifted(values: NDArray[Any], shifts: NDArray[np.int64], kept: int) -> NDArray[Any]:
+    """So many bins of each point of the grid, from its shift on."""
+    found = np.empty((*shifts.shape, kept), values.dtype)
+    for shift in np.unique(shifts):
+        alike = shifts == shift
+        found[alike] = values[alike, shift : shift + kept]
+    return found
 
 
 def _axes_of(name: str, shape: tuple[int, ...]) -> str:
