@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from datagen.effects import Decision, EffectDecisions, plan_effects
     from datagen.errors import CheckError, InputError, InputWarning
     from datagen.evidence import Evidence, Presence, own_evidence, presence_evidence
+    from datagen.importing import import_captures
     from datagen.loader import EpochSampler, TransientDataset, collate, dense
     from datagen.paper.as_printed import AsPrinted, simulate_as_printed
     from datagen.records import (
@@ -55,8 +56,8 @@ __all__ = [
     "InputError", "InputWarning", "Lambertian", "Laser", "Material", "OrenNayar", "Part", "Phong", "Pose",
     "Presence", "Rectangle", "Retroreflector", "Sample", "Scene", "SceneConfig", "Sensor", "SinLobe", "Spad", "Spend",
     "TimeAxis", "Transient", "TransientDataset", "__version__", "build", "build_from", "capture_for", "collate",
-    "dense", "detect", "expected_histogram", "generate_scene", "load_config", "own_evidence", "plan_effects",
-    "presence_evidence", "scene_for", "simulate", "simulate_as_printed", "with_exposure_found",
+    "dense", "detect", "expected_histogram", "generate_scene", "import_captures", "load_config", "own_evidence",
+    "plan_effects", "presence_evidence", "scene_for", "simulate", "simulate_as_printed", "with_exposure_found",
 ]  # fmt: skip
 _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "AsPrinted": "datagen.paper.as_printed",
@@ -84,6 +85,7 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "detect": "datagen.detector",
     "expected_histogram": "datagen.detector",
     "generate_scene": "datagen.scene",
+    "import_captures": "datagen.importing",
     "load_config": "datagen.config",
     "own_evidence": "datagen.evidence",
     "plan_effects": "datagen.effects",

@@ -28,6 +28,7 @@ STAGES = (
     "evidence",
     "design",
     "building",
+    "importing",
     "loader",
     "paper",
     "errors",

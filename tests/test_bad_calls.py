@@ -62,6 +62,20 @@ def detected(transient: Any = None, time: Any = TIME, spad: Any = SPAD, exposure
     return dg.detect(np.zeros(64) if transient is None else transient, time, spad, exposure, **rest)
 
 
+LIGHT = np.zeros((1, 2, 64))
+
+
+def transient(**other: Any) -> dg.Transient:
+    fields = {"time": TIME, "components": {"primary": LIGHT}, "parts": {}, "stderr": LIGHT, "overflow": LIGHT[..., 0]}
+    return dg.Transient(**fields | {"laser_points": np.zeros((1, 3))} | other)
+
+
+def spend(**other: Any) -> dg.Spend:
+    of = {"lookins": {"primary": 16.0}, "share": {"primary": 1.0}, "way": {"primary": "walk"}}
+    rest = {"fov_samples": {"primary": 4}, "rounds": 1, "cost": 1e3, "outcome": "done"}
+    return dg.Spend(**of | rest | other)
+
+
 TRIANGLE = np.array([(0.0, 0, 0), (1, 0, 0), (0, 1, 0)])
 BAD: dict[str, tuple[str, Callable[[], object]]] = {
     # Parts and scenes
@@ -160,6 +174,58 @@ BAD: dict[str, tuple[str, Callable[[], object]]] = {
     "as printed with an accuracy": ("settings", lambda: dg.simulate_as_printed(room(), CAPTURE, FEW)),
     "as printed of half a ray": ("rays", lambda: dg.AsPrinted(rays=1.5)),
     "as printed of a list": ("grid", lambda: dg.AsPrinted(grid=["angles"])),
+    # Records that the stages hand on
+    "transient of a time axis's bins": ("Transient.time", lambda: transient(time=64)),
+    "components in a list": ("Transient.components", lambda: transient(components=[LIGHT])),
+    "no components": ("Transient.components", lambda: transient(components={})),
+    "components by number": ("Transient.components", lambda: transient(components={1: LIGHT})),
+    "components of lists": ("'primary'", lambda: transient(components={"primary": LIGHT.tolist()})),
+    "components of other bins": ("'primary'", lambda: transient(components={"primary": LIGHT[..., 1:]})),
+    "components of one axis": ("'primary'", lambda: transient(components={"primary": LIGHT[0, 0]})),
+    "complex components": ("'primary'", lambda: transient(components={"primary": LIGHT * 1j})),
+    "parts of another scan": ("Transient.parts['box']", lambda: transient(parts={"box": LIGHT[:, :1]})),
+    "errors of None": ("Transient.stderr", lambda: transient(stderr=None)),
+    "overflow of all bins": ("Transient.overflow", lambda: transient(overflow=LIGHT)),
+    "laser points in a plane": ("Transient.laser_points", lambda: transient(laser_points=np.zeros((1, 2)))),
+    "stages by text": ("Transient.seconds", lambda: transient(seconds={"trace": "1 s"})),
+    "rays in a list": ("Transient.rays", lambda: transient(rays=[3])),
+    "spend of a number": ("Transient.spend", lambda: transient(spend=3)),
+    "bound of text": ("Transient.error_bound", lambda: transient(error_bound="1 %")),
+    "met in words": ("Transient.met_target", lambda: transient(met_target="yes")),
+    "lookins in a list": ("Spend.lookins", lambda: spend(lookins=[3])),
+    "share of text": ("Spend.share", lambda: spend(share={"primary": "all"})),
+    "way by number": ("Spend.way", lambda: spend(way={"primary": 3})),
+    "ways of others": ("Spend.way", lambda: spend(way={"secondary": "walk"})),
+    "half a round": ("Spend.rounds", lambda: spend(rounds=1.5)),
+    "cost of text": ("Spend.cost", lambda: spend(cost="much")),
+    "outcome of None": ("Spend.outcome", lambda: spend(outcome=None)),
+    "sample of no number": ("Sample.index", lambda: dg.Sample("first", {}, {}, {})),
+    "arrays in a list": ("Sample.arrays", lambda: dg.Sample(0, [LIGHT], {}, {})),
+    "arrays of lists": ("Sample.arrays['depth']", lambda: dg.Sample(0, {"depth": [[1.0]]}, {}, {})),
+    "parameters of None": ("Sample.parameters", lambda: dg.Sample(0, {}, None, {})),
+    "a parameter in a list": ("parameter x", lambda: dg.Sample(0, {}, {"x": [1]}, {})),
+    "stages in words": ("Sample.seconds", lambda: dg.Sample(0, {}, {}, {"scene": "long"})),
+    # Configuration made in Python
+    "a key of another section": ("SceneConfig: rows: unknown key", lambda: dg.SceneConfig(rows=3)),
+    "a key nearly right": ("did you mean 'contents'", lambda: dg.SceneConfig(content=())),
+    "a value too large": ("SceneConfig: minimum_seen = 3", lambda: dg.SceneConfig(minimum_seen=3)),
+    "an unknown layout": ("layout: kind = 'attic'", lambda: dg.SceneConfig(layout={"kind": "attic"})),
+    "a section by place": ("takes keys by name", lambda: dg.SceneConfig({"contents": ()})),
+    "objects in a list": ("SceneConfig: contents", lambda: dg.SceneConfig(contents=[])),
+    "an object too small": (
+        "contents[0].width_m", lambda: dg.SceneConfig(contents=({"kind": "box", "width_m": -1.0},)),
+    ),
+    "an object too large": (
+        "footprint", lambda: dg.SceneConfig(contents=({"kind": "box", "width_m": 90.0, "depth_m": 90.0},)),
+    ),
+    "an effect of text": ("EffectsConfig: pile_up", lambda: dg.EffectsConfig(pile_up="maybe")),
+    "an unknown effect": ("EffectsConfig: fog: unknown key", lambda: dg.EffectsConfig(fog="on")),
+    "tolerance in words": ("EffectsConfig: tolerance", lambda: dg.EffectsConfig(tolerance="fine")),
+    "scenes in words": ("DatasetConfig: scenes = 'many'", lambda: dg.DatasetConfig(scenes="many")),
+    "a section of a number": ("DatasetConfig: capture = 3", lambda: dg.DatasetConfig(capture=3)),
+    "a scan of no kind": (
+        "DatasetConfig: capture.scan: kind = 'gird'", lambda: dg.DatasetConfig(capture={"scan": {"kind": "gird"}}),
+    ),
     # Detector
     "pde in percent": ("pde", lambda: dg.Spad(pde=30)),
     "dead time in ns": ("dead_time_s", lambda: dg.Spad(dead_time_s=50)),
@@ -269,6 +335,8 @@ def test_what_is_legal_and_absurd_is_warned_of(what: str) -> None:
 
 
 def test_what_is_usual_is_not() -> None:
+    assert transient(spend=spend(), error_bound=np.float64(0.01), met_target=np.True_).total is LIGHT
+    assert dg.SceneConfig(contents=()).contents == () and dg.EffectsConfig().tolerance > 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = dg.simulate(room(), CAPTURE, dg.Accuracy(lookins=1024), seed=np.int64(3))

@@ -6,7 +6,7 @@ import click
 
 from datagen.bench.measuring import markdown
 from datagen.config import DatasetConfig, load_config
-from datagen.config.scene_layouts import GivenScenes
+from datagen.config.scene_layouts import NoLayout
 from datagen.design.exposure import with_exposure_found
 from datagen.pipeline import simulate_sample
 from datagen.store.evidence_told import KindEvidence, evidence_by_kind
@@ -39,7 +39,7 @@ def main(configs: tuple[str, ...], scenes: int, target: float | None, kinds: boo
     rows = []
     for config in loaded:
         # A configuration of one scene is about that scene; others go on where they end.
-        drawn = config.scenes > 1 and not isinstance(config.scene.layout, GivenScenes)
+        drawn = config.scenes > 1 and not isinstance(config.scene.layout, NoLayout)
         count = scenes if drawn else min(scenes, config.scenes)
         config = config.with_scenes(max(count, config.scenes))
         for kind in found_in(config, count, target)[0 if kinds else -1 :]:

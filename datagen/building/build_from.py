@@ -48,8 +48,8 @@ def build_from(
     InputError : no scenes, captures that differ in shape or times, settings that are none, another dataset at `path`.
     CheckError : scenes failed (all others are there), or the disk refused.
 
-    The dataset is read, verified and exported like any other. What would draw its rooms again, `show` and
-    `export --format glb`, says that it cannot.
+    The dataset is read, verified and exported like any other; `show` and `preview` draw what is stored. What would
+    draw its rooms again, such as `export --format glb`, says that it cannot.
 
     A script that calls it needs `if __name__ == "__main__":`, as with all of Python's pools.
 

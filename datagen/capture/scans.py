@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from datagen.config.scans import AnyScan, CircleScan, GridScan, PointsScan, RandomScan, SubsetScan
+from datagen.config.scans import AnyScan, CircleScan, GridScan, ImportedScan, PointsScan, RandomScan, SubsetScan
 from datagen.errors import InputError
 from datagen.records import Rectangle
 from datagen.records.arrays import Floats
@@ -29,6 +29,8 @@ def scan_targets(scan: AnyScan, wall: Rectangle, rng: np.random.Generator) -> Fl
             return np.array([_listed(f"scan.points_m[{i}]", p, wall) for i, p in enumerate(scan.points_m)])
         case CircleScan():
             return _circle(scan, wall)
+        case ImportedScan():
+            raise InputError("capture.scan.kind = 'imported': its points stand in the dataset, scene by scene")
     center, right, up = rectangle_on("scan", wall, scan.center_m, scan.width_m, scan.height_m)
     match scan:
         case RandomScan():

@@ -4,16 +4,40 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pydantic
 from pydantic import BaseModel, ConfigDict
 
 from datagen.errors import InputError
 
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    # Its own name is pydantic's affair.
+    ModelMetaclass = type(BaseModel)
 
-class Settings(BaseModel):
-    """A frozen section of the configuration; unknown keys and values of another type are refused."""
+
+class _ToldInALine(ModelMetaclass):
+    """Makes models: what is wrong with one made in Python is told as of one read from a file. A model within another
+    is made by pydantic itself, and its errors belong to that one."""
+
+    def __call__(cls, *values: Any, **named: Any) -> Any:
+        """The model of these values; raises `InputError`, one line, for what is none."""
+        if values:
+            raise InputError(f"{cls.__name__}: takes keys by name, as in {cls.__name__}(key=value)")
+        try:
+            return super().__call__(**named)
+        except pydantic.ValidationError as error:
+            raise_input_error(cls.__name__, error, cast(type[BaseModel], cls))
+            raise
+
+
+class Settings(BaseModel, metaclass=_ToldInALine):
+    """A frozen section of the configuration; unknown keys and values of another type are refused.
+
+    Raises `InputError`, one line, where it is made of values that are not allowed.
+    """
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True,

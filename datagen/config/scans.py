@@ -124,6 +124,22 @@ class SubsetScan(_Spread, _CountedScan):
         return self
 
 
+class ImportedScan(Settings):
+    """Laser points wherever the files of an import have them: a dataset holds them scene by scene. Written by
+    `datagen import`, and no scan to build with."""
+
+    model_config = ConfigDict(json_schema_extra=_kind_required)
+
+    kind: Literal["imported"] = "imported"
+    count: Annotated[int, Field(ge=1, le=2**22)]
+    """How many laser points."""
+
+    @property
+    def laser_points(self) -> int:
+        """The number of laser points."""
+        return self.count
+
+
 def _refuse_too_many(rows: int, columns: int) -> None:
     if rows * columns > LARGEST_SCAN:
         raise ValueError(
@@ -132,4 +148,7 @@ def _refuse_too_many(rows: int, columns: int) -> None:
         )
 
 
-AnyScan = Annotated[GridScan | PointsScan | CircleScan | RandomScan | SubsetScan, ByKind(default="grid")]
+AnyScan = Annotated[
+    GridScan | PointsScan | CircleScan | RandomScan | SubsetScan | ImportedScan,
+    ByKind(default="grid", unlisted=("imported",)),
+]

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, largest_count, support, within
 from datagen.config.scene_contents import Box, Content, Mesh, MeshFolder, Pillar
-from datagen.config.scene_layouts import AnyLayout, GivenScenes, LCorridor
+from datagen.config.scene_layouts import AnyLayout, GivenScenes, ImportedCaptures, LCorridor
 from datagen.config.scene_materials import Materials
 from datagen.errors import InputError
 
@@ -63,13 +63,13 @@ class SceneConfig(Settings):
 
     def object_classes(self) -> tuple[str, ...]:
         """The classes of all objects that can be drawn, sorted: what the numbers in the label `objects` stand for."""
-        if isinstance(self.layout, GivenScenes):
+        if isinstance(self.layout, GivenScenes | ImportedCaptures):
             return self.layout.classes
         return tuple(sorted({name for item in self.contents for name in item.class_names}))
 
     def most_objects(self) -> int:
         """The largest number of objects that a scene can hold, or 1: the rows of the label `objects`."""
-        if isinstance(self.layout, GivenScenes):
+        if isinstance(self.layout, GivenScenes | ImportedCaptures):
             return self.layout.most_objects
         return max(1, sum(largest_count(item.count) for item in self.contents))
 

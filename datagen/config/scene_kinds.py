@@ -21,9 +21,10 @@ def kinds_of(union: Any) -> dict[str, type[BaseModel]]:
 @dataclass(frozen=True)
 class ByKind:
     """Annotation of a union of models: `Annotated[Pillar | Box, ByKind()]`. `default` is the kind of a mapping
-    without the key, or None where the key is required."""
+    without the key, or None where the key is required. `unlisted` kinds are not offered to who writes a file."""
 
     default: str | None = None
+    unlisted: tuple[str, ...] = ()
 
     def __get_pydantic_core_schema__(self, union: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """A union tagged by `kind`.
@@ -41,7 +42,7 @@ class ByKind:
             return tag(kind) if kind in kinds else _UNKNOWN
 
         def refuse(value: Any) -> Any:
-            raise ValueError(_refusal(value, kinds))
+            raise ValueError(_refusal(value, [kind for kind in kinds if kind not in self.unlisted]))
 
         choices = {tag(kind): handler.generate_schema(model) for kind, model in models.items()}
         refusing = core_schema.no_info_plain_validator_function(

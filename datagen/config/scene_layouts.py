@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, Fraction, Length, Uniform, support, within
+from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.config.scene_kinds import ByKind, kinds_of
 from datagen.config.scene_relay import RelayWall
 
@@ -209,8 +210,21 @@ class IsolatedWall(Layout):
         return along, across + self._largest("wall_width_m")
 
 
-class GivenScenes(Layout):
+class NoLayout(Layout):
+    """Scenes that are there, and no rooms to draw: written into a dataset by what made it, and not to build from."""
+
+    why: ClassVar[str]
+    """Why there is no room to draw, as a whole clause."""
+
+    def largest_hidden_m(self) -> tuple[float, float]:
+        """Unknown, and nothing has to fit."""
+        return float("inf"), float("inf")
+
+
+class GivenScenes(NoLayout):
     """No rooms to draw: the scenes were made in Python. Written by `build_from`, and no layout to build from."""
+
+    why = "these scenes were made in Python, and cannot be drawn again here"
 
     kind: Literal["given"] = "given"
     digest: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -220,11 +234,24 @@ class GivenScenes(Layout):
     most_objects: Annotated[int, Field(ge=1, le=10_000)] = 1
     """In one scene."""
 
-    def largest_hidden_m(self) -> tuple[float, float]:
-        """Unknown, and nothing has to fit."""
-        return float("inf"), float("inf")
+
+class ImportedCaptures(NoLayout):
+    """No rooms: captures of another program or of a laboratory. Written by `datagen import`, and no layout to build
+    from."""
+
+    why = "these captures were imported, and have no room to draw"
+    classes: ClassVar[tuple[str, ...]] = ()
+    most_objects: ClassVar[int] = 1
+
+    kind: Literal["imported"] = "imported"
+    files: Annotated[tuple[ImportedFile, ...], Field(min_length=1)]
+    """One for each scene, in its order."""
+    options: ImportOptions = ImportOptions()
+    """What was said of them where they do not say it themselves."""
+    detector_is_known: bool = False
+    """Whether the section `detector` is of these captures, and not what is taken where nothing is said."""
 
 
 _Layouts = StraightCorridor | LCorridor | TCorridor | ZCorridor | CorridorRoom | DoorwayRoom | IsolatedWall
-AnyLayout = Annotated[_Layouts | GivenScenes, ByKind()]
+AnyLayout = Annotated[_Layouts | GivenScenes | ImportedCaptures, ByKind(unlisted=("given", "imported"))]
 LAYOUT_KINDS = tuple(kinds_of(_Layouts))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.config.detector import ExposureFor
-from datagen.config.scene_layouts import GivenScenes
+from datagen.config.scene_layouts import NoLayout
 from datagen.design.estimate import coarse_transient
 from datagen.design.scene_for import without_floors
 from datagen.detector import Exposure, Spad, detector_for
@@ -105,7 +105,7 @@ def with_exposure_found(config: DatasetConfig) -> DatasetConfig:
     asked = config.detector.exposure_for
     if asked is None:
         return config
-    if isinstance(config.scene.layout, GivenScenes):
+    if isinstance(config.scene.layout, NoLayout):
         raise InputError("detector.exposure_for: only for scenes that are drawn; set cycles for those that are given")
     pilots = list(_pilots(config, asked))
     wanted = sorted(pilot.cycles_for(name, asked.evidence) for pilot in pilots for name in pilot.squares)

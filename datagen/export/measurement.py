@@ -13,6 +13,7 @@ from datagen.records import TimeAxis
 from datagen.records.arrays import Floats
 from datagen.store.scenes import SceneContent
 
+_SAME_PLACE_M = 1e-9
 QUANTITIES = ("histogram", "transient", "background_histogram", "background_transient")
 
 
@@ -107,7 +108,7 @@ def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement
     seen = _on_plane(arrays["sensor_position"], corners.mean(axis=1), center, axes[2])
     paired = capture["pairing"] == "confocal"
     halves = np.linalg.norm(corners[:, 0] - corners[:, 2], axis=1) / 2
-    if paired and (np.linalg.norm(seen - lit, axis=1) <= halves).all():
+    if paired and (np.linalg.norm(seen - lit, axis=1) <= halves + _SAME_PLACE_M).all():
         # The pixels lie around the laser points: on an uneven wall these are where the light goes.
         seen = lit
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2

@@ -34,6 +34,11 @@ class NoiseSource:
         except (KeyError, ValueError) as error:
             what = " ".join(str(error).split())
             raise InputError(f"redraw_noise: the dataset's own configuration cannot be used ({what})") from None
+        if manifest.imported and not config["scene"]["layout"].get("detector_is_known"):
+            raise InputError(
+                "redraw_noise: an imported dataset says nothing of its detector; import it with "
+                "settings={'detector': {…}}"
+            )
         self._seed = manifest.seed
         self._decided: dict[tuple[str, int], tuple[Spad, Exposure, float]] = {}
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -47,6 +49,25 @@ def check_kind(name: str, value: object, *kinds: type, remedy: str = "") -> None
     if not isinstance(value, kinds):
         wanted = " or ".join(kind.__name__ for kind in kinds)
         raise InputError(f"{name} = {shown(value)}: {wanted} needed{f'; {remedy}' if remedy else ''}")
+
+
+def check_mapping(name: str, value: object, *kinds: type, remedy: str) -> None:
+    """Raise `InputError` unless `value` is a mapping of texts to values of one of `kinds`."""
+    if not isinstance(value, Mapping):
+        raise InputError(f"{name} = {shown(value)}: Mapping needed; {remedy}")
+    for key, item in value.items():
+        check_kind(f"{name}: key", key, str, remedy=remedy)
+        check_kind(f"{name}[{key!r}]", item, *kinds, remedy=remedy)
+
+
+def check_reals(name: str, value: object, shape: tuple[int | None, ...]) -> None:
+    """Raise `InputError` unless `value` is an array of real numbers of the wanted shape (None: any size)."""
+    check_kind(name, value, np.ndarray)
+    assert isinstance(value, np.ndarray)
+    fits = value.ndim == len(shape) and all(w is None or w == g for g, w in zip(value.shape, shape, strict=False))
+    if not fits or value.dtype.kind not in "fiu":
+        wanted = ", ".join("n" if size is None else str(size) for size in shape)
+        raise InputError(f"{name}: {value.dtype} {value.shape} given, real numbers of shape ({wanted}) needed")
 
 
 def numbers_of(what: str, text: str, count: int) -> list[int]:

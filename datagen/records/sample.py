@@ -9,8 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.errors import InputError
 from datagen.records.arrays import Floats
 from datagen.records.capture import TimeAxis
+from datagen.records.checks import check_flag, check_integer, check_kind, check_mapping, check_number, check_reals
 
 Scalar = float | int | str | bool
 
@@ -30,6 +32,10 @@ class Spend:
     rounds : passes over the scene; 1 for fixed sample counts.
     cost : all work in units of one connection with its shadow ray (`transport/cost.py`), a function of counts alone.
     outcome : why it ended, in words.
+
+    Raises
+    ------
+    InputError : values of other types, or components that are not the same throughout.
     """
 
     lookins: Mapping[str, float]
@@ -39,6 +45,21 @@ class Spend:
     rounds: int
     cost: float
     outcome: str
+
+    def __post_init__(self) -> None:
+        numbers = (int, float, np.integer, np.floating)
+        for name in ("lookins", "share", "fov_samples"):
+            check_mapping(f"Spend.{name}", getattr(self, name), *numbers, remedy="component → number")
+        check_mapping("Spend.way", self.way, str, remedy="component → way")
+        for name in ("share", "way", "fov_samples"):
+            if set(getattr(self, name)) != set(self.lookins):
+                raise InputError(
+                    f"Spend.{name}: of {', '.join(getattr(self, name)) or 'nothing'}, Spend.lookins of "
+                    f"{', '.join(self.lookins) or 'nothing'}; all have the same components"
+                )
+        check_integer("Spend", "rounds", self.rounds, 0, 2**53)
+        check_number("Spend", "cost", self.cost, 0.0, np.inf, "connections")
+        check_kind("Spend.outcome", self.outcome, str)
 
     def parameters(self) -> dict[str, Scalar]:
         """As flat scalars, `primary.lookins`, `primary.share` … `rounds`, `cost`."""
@@ -72,6 +93,10 @@ class Transient:
     part_errors : with an accuracy target, object part → estimated relative L2 error of its own primary; only parts
         whose light `Accuracy.faint_part` lets count, and none where the primary is sampled (narrow lobes). More than
         the part target where an object is so nearly hidden that its light was not worth the rays.
+
+    Raises
+    ------
+    InputError : values of other types, arrays of other shapes or bins, no components.
     """
 
     time: TimeAxis
@@ -86,6 +111,29 @@ class Transient:
     error_bound: float | None = None
     met_target: bool | None = None
     part_errors: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_kind("Transient.time", self.time, TimeAxis)
+        check_mapping("Transient.components", self.components, np.ndarray, remedy="name → (L, P, T) light")
+        check_mapping("Transient.parts", self.parts, np.ndarray, remedy="name → (L, P, T) light")
+        if not self.components:
+            raise InputError("Transient.components: none given; at least one such as 'primary' is needed")
+        first = next(iter(self.components.values()))
+        shape = (*(first.shape[:2] if first.ndim == 3 else (None, None)), self.time.bins)
+        for kind in ("components", "parts"):
+            for name, light in getattr(self, kind).items():
+                check_reals(f"Transient.{kind}[{name!r}]", light, shape)
+        check_reals("Transient.stderr", self.stderr, shape)
+        check_reals("Transient.overflow", self.overflow, shape[:2])
+        check_reals("Transient.laser_points", self.laser_points, (None, 3))
+        numbers = (int, float, np.integer, np.floating)
+        for name, what in (("seconds", "stage"), ("rays", "kind"), ("part_errors", "part")):
+            check_mapping(f"Transient.{name}", getattr(self, name), *numbers, remedy=f"{what} → number")
+        check_kind("Transient.spend", self.spend, Spend, type(None))
+        if self.error_bound is not None:
+            check_kind("Transient.error_bound", self.error_bound, *numbers)
+        if self.met_target is not None:
+            check_flag("Transient.met_target", self.met_target)
 
     @cached_property
     def total(self) -> Floats:
@@ -110,9 +158,22 @@ class Sample:
     arrays : field name → array, as `store/schema.py` describes them (no scene axis).
     parameters : scalars for the table `samples.parquet`: what was drawn, the error estimate, the effects decided.
     seconds : wall-clock seconds by stage ("scene", "transport", "detector", "background", "evidence", "labels").
+
+    Raises `InputError` for values of other types; what a dataset holds is compared with it when it is written.
     """
 
     index: int
     arrays: Mapping[str, NDArray[np.generic]]
     parameters: Mapping[str, Scalar]
     seconds: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        check_integer("Sample", "index", self.index, 0, 2**53)
+        check_mapping("Sample.arrays", self.arrays, np.ndarray, np.generic, remedy="field → array")
+        check_mapping("Sample.parameters", self.parameters, object, remedy="name → number, text, true or false")
+        for name, value in self.parameters.items():
+            if not isinstance(value, float | int | str | np.generic):
+                kind = type(value).__name__
+                raise InputError(f"parameter {name}: {kind} made, must be a number, a text, true or false")
+        numbers = (int, float, np.integer, np.floating)
+        check_mapping("Sample.seconds", self.seconds, *numbers, remedy="stage → seconds")

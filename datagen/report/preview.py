@@ -15,6 +15,7 @@ from datagen.report.explorer import explorer, scene_data
 from datagen.report.html import head, inside, table
 from datagen.report.parameter_plots import parameter_page, varying
 from datagen.report.replay import StoredScene, config_of, read_scene, replay
+from datagen.report.roomless import roomless_pages, why_roomless
 from datagen.report.show import pages
 from datagen.report.style import house_style
 from datagen.scene import stand_in
@@ -69,17 +70,22 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
 def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes: int) -> Iterator[str]:
     made = scenes_made(records)
     config, _ = config_of(manifest)
+    roomless = why_roomless(config)
     yield head(config.name)
     full, shown, pictures = [record.index for record in made[:scenes]], list[dict[str, Any]](), list[str]()
-    for record in made[:ROOMS]:
+    for record in made[: ROOMS if roomless is None else scenes]:
         stored = read_scene(root, record.index)
+        if roomless is not None:
+            for name, picture in roomless_pages(stored):
+                pictures.append(inside(picture, f"scene {record.index}, {name}"))
+            continue
         again = replay(stored) if record.index in full else None
         scene = _room(stored) if again is None else again.scene
         shown.append(scene_data(stored, scene, _error(record), again))
         if again is not None:
             for name, picture in pages(stored, again, ["overview", "evidence"]):
                 pictures.append(inside(picture, f"scene {record.index}, {name}"))
-    yield explorer(shown)
+    yield explorer(shown) if roomless is None else f"<p>There are no rooms to show: {roomless}.</p>"
     rests = kinds_told([scene.parameters for scene in made])
     if rests:
         yield "<h2>What the labels rest on</h2><p>Significance of each object's own light in the data, kind by kind: "

@@ -91,6 +91,7 @@ def draw_time_slice(
     raster: Raster,
     time: TimeAxis,
     limits: tuple[float, float],
+    unit: str = "photons per emitted photon and bin",
 ) -> None:
     """One row of the scan: place on the wall across, time down, the logarithm of the signal as brightness."""
     from matplotlib.colors import LogNorm
@@ -109,7 +110,7 @@ def draw_time_slice(
     place, norm = (*across, edges[-1], edges[0]), LogNorm(lowest, highest)
     image = axes.imshow(np.maximum(scan[row].T, lowest), extent=place, norm=norm, **style)
     axes.set_ylim(limits[::-1])
-    figure.colorbar(image, ax=axes, pad=0.02, label="photons per emitted photon and bin")
+    figure.colorbar(image, ax=axes, pad=0.02, label=unit)
 
 
 def draw_moment(axes: Axes, scan: NDArray[np.float64], bins: slice, raster: Raster) -> None:

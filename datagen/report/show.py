@@ -12,6 +12,7 @@ from datagen.report.effects_page import effects_page
 from datagen.report.evidence_pictures import evidence_page
 from datagen.report.replay import Replay, StoredScene, read_scene, replay
 from datagen.report.room_plots import RoomPicture
+from datagen.report.roomless import roomless_pages, why_roomless
 from datagen.report.style import house_style, save_png
 
 if TYPE_CHECKING:
@@ -28,7 +29,8 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
     The room in plan and opened in 3D, the transient stacked by part, counts over their expectation, each object's
     light over the noise with its significance, the labels, and slices of the scan where it has several channels. The
     scene is simulated again from the stored configuration and seed for what a dataset does not hold (geometry, the
-    split by part); counts, labels and significances are the stored ones.
+    split by part); counts, labels and significances are the stored ones. Of scenes that were made in Python, and of
+    imported captures, whose rooms nobody can draw, what is stored is drawn: measurements over wall and time, labels.
 
     Parameters
     ----------
@@ -41,10 +43,10 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
     """
     stored = read_scene(dataset, index)
     folder = default_folder(dataset) if out is None else Path(out)
-    again = replay(stored)
     stem = f"scene-{index:06d}"
     with house_style():
-        return [save_png(figure, folder / f"{stem}-{name}.png") for name, figure in pages(stored, again)]
+        made = pages(stored, replay(stored)) if why_roomless(stored.config) is None else roomless_pages(stored)
+        return [save_png(figure, folder / f"{stem}-{name}.png") for name, figure in made]
 
 
 def default_folder(dataset: str | Path) -> Path:

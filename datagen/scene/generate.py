@@ -15,7 +15,7 @@ import numpy as np
 from datagen.config.distributions import draw
 from datagen.config.scene import SceneConfig
 from datagen.config.scene_contents import Mesh, MeshFolder
-from datagen.config.scene_layouts import GivenScenes
+from datagen.config.scene_layouts import NoLayout
 from datagen.errors import InputError
 from datagen.records import Pose, Rectangle, Role, Scalar, Scene
 from datagen.records.arrays import Floats
@@ -74,10 +74,8 @@ def generate_scene(spec: SceneConfig, seed: int, index: int, short_of: Shortfall
     'l_corridor'
     """
     check_kind("spec", spec, SceneConfig, remedy="such as load_config(path).scene")
-    if isinstance(spec.layout, GivenScenes):
-        raise InputError(
-            "scene.layout.kind = 'given': these scenes were made in Python, and cannot be drawn again here"
-        )
+    if isinstance(spec.layout, NoLayout):
+        raise InputError(f"scene.layout.kind = {spec.layout.kind!r}: {spec.layout.why}")
     if short_of is None:
         _check_needs_no_light(spec)
     reasons: Counter[tuple[str, str]] = Counter()

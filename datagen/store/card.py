@@ -22,8 +22,10 @@ from datagen.store.schema import Schema
 from datagen.store.table import TABLE, table_of
 
 CARD = "README.md"
+_MOST_FILES = 20
+"""So many files of an import are listed."""
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
-_TAGS = ["non-line-of-sight", "single-photon", "transient-imaging", "synthetic"]
+_TAGS = ["non-line-of-sight", "single-photon", "transient-imaging"]
 
 
 def write_card(root: Path, manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | None = None) -> None:
@@ -45,9 +47,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | N
         f"# {config['name']}",
         "",
         *([config["description"], ""] if config["description"] else []),
-        "Simulated non-line-of-sight measurements: a laser lights points on a relay wall, light is followed around",
-        "the corner and back, and a single-photon detector counts it. Made by datagen "
-        f"{manifest.versions['datagen']}; nothing here was measured.",
+        *_origin_lines(manifest),
         "",
         "## State",
         "",
@@ -73,6 +73,10 @@ def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | N
         "",
         *_class_lines(schema),
         *_time_lines(config["capture"]),
+        "Lengths are metres, in the frame of each file; right-handed."
+        if manifest.imported
+        else "Lengths are metres, z up, right-handed.",
+        "",
         *_stats_lines(manifest),
         *(_evidence_lines(table) if table is not None else []),
         *(_parameter_lines(table) if table is not None else []),
@@ -88,7 +92,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | N
         "",
         "## Provenance",
         "",
-        f"- seed {manifest.seed}; each scene depends on (seed, scene index) only",
+        *_made_lines(manifest),
         f"- configuration fingerprint `{manifest.fingerprint}`; the whole configuration stands in `dataset.json`",
         *(f"- mesh `{mesh}`, SHA-256 `{sha}`" for mesh, sha in manifest.meshes.items()),
         f"- licence: {config.get('license') or 'none stated, so all rights are reserved'}",
@@ -101,11 +105,46 @@ def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | N
     return printable("\n".join(lines).replace("\r\n", "\n"))
 
 
+def _origin_lines(manifest: Manifest) -> list[str]:
+    """Whether it was simulated or measured."""
+    version = manifest.versions["datagen"]
+    if manifest.imported:
+        return [
+            "Non-line-of-sight captures as files of other programs or of a laboratory hold them, imported by datagen "
+            f"{version};",
+            "nothing was simulated for this dataset, and what is hidden is not known to it.",
+        ]
+    return [
+        "Simulated non-line-of-sight measurements: a laser lights points on a relay wall, light is followed around",
+        "the corner and back, and a single-photon detector counts it. Made by datagen "
+        f"{version}; nothing here was measured.",
+    ]
+
+
+def _made_lines(manifest: Manifest) -> list[str]:
+    """What the scenes follow from: files, or a seed."""
+    files = manifest.imported
+    if not files:
+        return [f"- seed {manifest.seed}; each scene depends on (seed, scene index) only"]
+    shown = [f"- scene {scene}: `{of.name}` ({of.format}), SHA-256 `{of.sha256}`" for scene, of in enumerate(files)]
+    more = [f"- and {len(shown) - _MOST_FILES} more, see `dataset.json`"] if len(shown) > _MOST_FILES else []
+    given = manifest.config["scene"]["layout"]["options"]
+    said = ", ".join(f"{name} {_option(value)}" for name, value in given.items() if value is not None)
+    return [*shown[:_MOST_FILES], *more, *([f"- options of the import: {said}"] if said else [])]
+
+
+def _option(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"`{value['name']}`, SHA-256 `{value['sha256']}`"
+    return " × ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
 def _front_matter(manifest: Manifest, whole: bool) -> list[str]:
     """What the Hugging Face Hub reads of a card, in YAML: its viewer then shows the rows of the table."""
     scenes, terms = manifest.schema.scenes, manifest.config.get("license", "")
     size = next((name for most, name in _SIZES if scenes < most), "n>1M")
-    named = {"pretty_name": manifest.config["name"], "size_categories": [size], "tags": _TAGS}
+    tags = [*_TAGS] if manifest.imported else [*_TAGS, "synthetic"]
+    named = {"pretty_name": manifest.config["name"], "size_categories": [size], "tags": tags}
     if terms:
         named |= {"license": "other", "license_link": terms} if "://" in terms else {"license": terms.lower()}
     if whole:
@@ -184,8 +223,6 @@ def _time_lines(capture: dict[str, Any]) -> list[str]:
     return [
         f"Bin `i` covers [{start} + i · {width}, {start} + (i + 1) · {width}) ns, counted from {origin}. "
         f"Pairing: {pairing}{pixels}.",
-        "Lengths are metres, z up, right-handed.",
-        "",
     ]
 
 

@@ -50,6 +50,16 @@ _RESPONSIBLE = {
     "rai:dataSocialImpact": "Seeing around corners serves rescue and road safety, and could serve surveillance.",
     "rai:personalSensitiveInformation": "None: figures of persons are parametric shapes.",
 }
+_IMPORTED = _RESPONSIBLE | {
+    "rai:dataCollection": "Imported: captures as files of other programs or of a laboratory hold them; dataset.json "
+    "has names and SHA-256 of the files. How they were made is not known to datagen.",
+    "rai:dataCollectionType": "Others",
+    "rai:dataAnnotationProtocol": "There are no labels.",
+    "rai:dataBiases": "Those of who chose what to capture.",
+    "rai:dataLimitations": "What the detector was, and what was hidden, is not part of the files.",
+    "rai:dataUseCases": "To try and compare methods of non-line-of-sight imaging.",
+    "rai:personalSensitiveInformation": "Not known: people may have been captured.",
+}
 
 
 def write_croissant(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
@@ -65,22 +75,23 @@ def croissant(root: Place, manifest: Manifest, records: Sequence[ShardRecord]) -
     config, fields = manifest.config, manifest.schema.fields
     made = datetime.datetime.fromtimestamp(max(record.finished for record in records), datetime.UTC)
     terms = config.get("license") or NO_LICENSE
+    what = "Imported" if manifest.imported else "Simulated"
     name = config["name"]
     made_by = (
         f"datagen {manifest.versions['datagen']}, seed {manifest.seed}, configuration {manifest.fingerprint[:12]}"
     )
     cite = (
-        f"@misc{{{name}, title = {{{name}: simulated non-line-of-sight single-photon measurements}}, "
+        f"@misc{{{name}, title = {{{name}: {what.lower()} non-line-of-sight single-photon measurements}}, "
         f"year = {{{made.year}}}, note = {{{made_by}}}}}"
     )
     return {
         "@context": _CONTEXT, "@type": "sc:Dataset", "conformsTo": "http://mlcommons.org/croissant/1.1",
         "name": name,
-        "description": config["description"] or "Simulated non-line-of-sight single-photon measurements.",
+        "description": config["description"] or f"{what} non-line-of-sight single-photon measurements.",
         "version": f"{manifest.schema_version}.{manifest.schema.scenes}.0",
         "license": terms if "://" in terms else f"https://spdx.org/licenses/{terms}.html",
         "url": "https://doi.org/10.3390/s24206522", "citeAs": cite, "datePublished": made.date().isoformat(),
-        **_RESPONSIBLE,
+        **(_IMPORTED if manifest.imported else _RESPONSIBLE),
         "distribution": [_table_file(root), *map(_shards, fields)],
         "recordSet": [_scenes(root), _arrays(manifest)],
     }  # fmt: skip

@@ -15,7 +15,18 @@ from datagen.store.places import Place, place
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.verify import committed
 
-STAGES = ("scene", "effects", "transport", "detector", "background", "evidence", "presence", "labels", "store")
+STAGES = (
+    "read",
+    "scene",
+    "effects",
+    "transport",
+    "detector",
+    "background",
+    "evidence",
+    "presence",
+    "labels",
+    "store",
+)
 
 
 def info(path: str | Place) -> str:
@@ -49,6 +60,7 @@ def _told(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         f"made by      datagen {manifest.versions['datagen']}, schema {manifest.schema_version}, commit "
         f"{(manifest.commit or 'unknown')[:12]}, on {manifest.hardware['processor']}, "
         f"{manifest.hardware['cores']} cores",
+        *_imported(manifest),
         *(f"mixed        shards differ in {what}" for what in mixed([record.environment for record in records])),
         "",
         f"{'field':22}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
@@ -62,6 +74,15 @@ def _told(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
     lines += [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
     parts = (_times, _accuracy, _evidence, _decisions, _effects, _failures)
     return "\n".join([*lines, "", *(line for part in parts for line in part(records))])
+
+
+def _imported(manifest: Manifest) -> Iterator[str]:
+    """Where the captures come from, where they were not simulated."""
+    files = manifest.imported
+    if files:
+        kinds = ", ".join(dict.fromkeys(of.format for of in files))
+        names = ", ".join(of.name for of in files[:3])
+        yield f"imported     from {len(files)} files ({kinds}): {names}{', …' if len(files) > 3 else ''}"
 
 
 def scenes_made(records: Sequence[ShardRecord]) -> list[SceneRecord]:

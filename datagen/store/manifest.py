@@ -13,7 +13,9 @@ import pydantic
 
 from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping
 from datagen.config.capture import TimeConfig
+from datagen.config.imported import ImportedFile
 from datagen.config.scene_contents import Mesh
+from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 from datagen.store.arrays import COORDINATES, GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
@@ -79,6 +81,21 @@ class Manifest:
     def seed(self) -> int:
         """The dataset seed."""
         return int(self.config["seed"])
+
+    @property
+    def imported(self) -> tuple[ImportedFile, ...]:
+        """The files that its captures were imported from; none where they were simulated.
+
+        Raises `InputError` for what an import does not write.
+        """
+        scene = self.config.get("scene")
+        layout = scene.get("layout") if isinstance(scene, dict) else None
+        if not isinstance(layout, dict) or layout.get("kind") != "imported":
+            return ()
+        try:
+            return ImportedCaptures.model_validate_json(json.dumps(layout)).files
+        except pydantic.ValidationError as error:
+            raise InputError(f"{MANIFEST}: scene.layout: {' '.join(str(error).split())}") from None
 
     @property
     def must_be_sealed(self) -> bool:

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from datagen.config import DatasetConfig
+from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 
 SCHEMA_VERSIONS = {
@@ -177,11 +178,13 @@ def _scenes_per_shard(fields: tuple[Field, ...], scenes: int) -> int:
 def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
     measured = config.capture.shape
     image, volume = (config.labels.rows, config.labels.columns), config.labels.voxels
-    photons = "photons at the aperture per emitted photon"
+    imported = isinstance(config.scene.layout, ImportedCaptures)
+    photons = "as in the file" if imported else "photons at the aperture per emitted photon"
     known = (
         Field("histogram", _MEASURED, measured, config.store.histogram_dtype, "counts",
               "photons detected over the exposure"),
         Field("transient", _MEASURED, measured, "float32", photons,
+              "signal over time, as the file has it" if imported else
               "expected impulse response of the scene, before the detector"),
         Field("transient_stderr", _MEASURED, measured, "float32", photons,
               "standard error of the transient from independent replicates; NaN when there was only one"),
@@ -253,15 +256,18 @@ def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
     lasers, pixels = config.capture.scan.laser_points, config.capture.shape[1]
     all_pixels = lasers if config.capture.pairing == "confocal" else pixels
     rectangle = ("scene", "vector", "axis")
+    imported = isinstance(config.scene.layout, ImportedCaptures)
+    unknown = "; NaN when unknown" if imported else ""
     # The axis `laser` of a flood's histograms has length 1, so its many points need an axis of another name.
     point = "laser" if lasers == config.capture.shape[0] else "laser_point"
     small = (
         ("laser_points", ("scene", point, "axis"), (lasers, 3),
          "where each laser ray meets the scene (of a flood: its quadrature points); NaN where it meets nothing"),
         ("sensor_pixels", ("scene", "sensor_pixel", "corner", "axis"), (all_pixels, 4, 3),
-         "corners, in order around, of each pixel's field of view on (or beyond) the relay wall"),
-        ("laser_position", ("scene", "axis"), (3,), "where the laser stands"),
-        ("sensor_position", ("scene", "axis"), (3,), "centre of the sensor's aperture"),
+         "corners, in order around, of each pixel's field of view on (or beyond) the relay wall"
+         + ("; all on one point: its extent is unknown" if imported else "")),
+        ("laser_position", ("scene", "axis"), (3,), f"where the laser stands{unknown}"),
+        ("sensor_position", ("scene", "axis"), (3,), f"centre of the sensor's aperture{unknown}"),
         ("relay_wall", rectangle, (3, 3), "the visible wall: centre and half extents right, up; NaN when unknown"),
         ("hidden_view", rectangle, (3, 3),
          "the rectangle label images look from: centre and half extents right, up; NaN when unknown"),

@@ -1,0 +1,276 @@
+"""Files of captures as one dataset, a scene for each: `datagen import`."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from datagen.building.build import BuildResult, build
+from datagen.config import DatasetConfig, config_from_mapping
+from datagen.config.capture import TimeConfig
+from datagen.config.imported import ImportedFile, ImportOptions
+from datagen.config.scene_layouts import ImportedCaptures
+from datagen.errors import InputError
+from datagen.importing.mat import read_mat
+from datagen.importing.recording import Recording, numbers_in
+from datagen.importing.tal import read_tal
+from datagen.importing.times import metres_of, seconds_of
+from datagen.records import Sample, Scalar
+from datagen.records.checks import check_choice, check_kind, check_number
+from datagen.store.files import sha256_of
+
+FORMATS = ("tal", "mat")
+FIELDS = ("histogram", "transient")
+AXES = ("xyt", "yxt", "txy", "tyx")
+_BY_SUFFIX = {".hdf5": "tal", ".h5": "tal", ".hdf": "tal", ".mat": "mat"}
+_LARGEST = {"uint16": 2**16 - 1, "uint32": 2**32 - 1}
+_SETTINGS = ("detector", "effects", "splits", "store")
+
+
+def import_captures(
+    files: str | Path | Sequence[str | Path], path: str | Path, *, format: str | None = None,
+    bin_width: float | str | None = None, wall: float | str | tuple[float, float] | None = None,
+    tof: str | Path | None = None, axes: str | None = None, bins: int | None = None, field: str | None = None,
+    name: str = "imported", description: str = "", license: str = "", settings: Mapping[str, Any] | None = None,
+    workers: int = 1, progress: bool = True,
+) -> BuildResult:  # fmt: skip
+    """Make a dataset of captures of a laboratory or of another program, a scene for each file.
+
+    It is read, verified and exported like a simulated one, without labels: what is hidden is not known. Points keep
+    the frame of their file; a grid is stored row by row from the top left, as in simulated datasets.
+
+    Parameters
+    ----------
+    files : of y-tal (HDF5), or of MATLAB in the formats that docs/exports.md lists; all of one shape, time axis and
+        pairing.
+    path : the folder to make; the same call again resumes.
+    format : "tal" or "mat"; left out: by each file's suffix.
+    bin_width, wall : width of a time bin (seconds, or a text such as "4ps") and size of the scanned grid from its
+        first to its last point (metres, width and height, or "2m"), where a file does not say them.
+    tof : file with `tofgrid`, for MATLAB's `meas` without; "none": nothing is to be taken off.
+    axes : of a MATLAB grid that is not as its variable is usually, such as "txy".
+    bins : keep so many of the first time bins, such as those of a simulated dataset.
+    field : "histogram" (counts) or "transient" (anything else); left out: histogram where all values are whole.
+    name, description, license : as in a configuration; they stand on the dataset's cards.
+    settings : sections `detector` (with which `redraw_noise` draws from a transient), `effects`, `splits`, `store`.
+    workers, progress : as of `build`.
+
+    Raises
+    ------
+    InputError : a file that is damaged, of another kind, or lacks what no option says; values that are negative or
+        not finite; files that differ in shape or times; another dataset at `path`. Nothing has been made then.
+
+    Examples
+    --------
+    >>> import datagen as dg, numpy as np, scipy.io, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     counts = np.random.default_rng(0).poisson(1.0, (8, 8, 64)).astype(np.uint16)
+    ...     scipy.io.savemat(f"{folder}/letter.mat", {"rect_data": counts, "width": 0.35})
+    ...     result = dg.import_captures(f"{folder}/letter.mat", f"{folder}/real", bin_width="4ps", progress=False)
+    ...     data = dg.TransientDataset(f"{folder}/real", ("histogram", "laser_points"))
+    ...     data.shape("histogram"), data[0]["laser_points"][0].tolist()
+    ((64, 1, 64), [-0.35, 0.35, 0.0])
+    """
+    check_kind("path", path, str, os.PathLike, remedy="name the folder to make")
+    paths = _paths(files)
+    if field is not None:
+        check_choice("--field", field, FIELDS)
+    options, delays = _options(bin_width, wall, tof, axes, bins)
+    given = [_read(number, file, format, options, delays) for number, file in enumerate(paths)]
+    config = _config(given, field, options, dict(settings or {}), {
+        "name": name, "description": description, "license": license,
+    })  # fmt: skip
+    samples = ImportedSamples(tuple(str(file.resolve()) for file in paths), None if delays is None else str(delays))
+    return build(config, path, workers, progress=progress, sample_function=samples)
+
+
+@dataclass(frozen=True)
+class ImportedSamples:
+    """The sample function of captures in files, which are read again as the configuration says."""
+
+    files: tuple[str, ...]
+    delays: str | None
+
+    def __call__(self, config: DatasetConfig, index: int) -> Sample:
+        """Sample number `index`."""
+        began, layout = time.perf_counter(), config.scene.layout
+        assert isinstance(layout, ImportedCaptures)
+        told, delays = layout.files[index], None if self.delays is None else Path(self.delays)
+        path = Path(self.files[index])
+        if sha256_of(path) != told.sha256:
+            raise InputError(f"{path}: has changed since the import began; import it again")
+        recording = _recording(path, told.format, layout.options, delays)
+        field = config.store.fields[0]
+        dtype = config.store.histogram_dtype if field == "histogram" else "float32"
+        recording = replace(recording, values=recording.values.astype(dtype)).in_order()
+        total = recording.values.sum(dtype=np.float64)
+        parameters: dict[str, Scalar] = {
+            "capture.file": told.name,
+            "imported.format": told.format,
+            "imported.sha256": told.sha256,
+            **({"histogram.counts": int(total)} if field == "histogram" else {"transient.energy": float(total)}),
+        }
+        arrays = {field: recording.values, **recording.geometry()}
+        return Sample(index, arrays, parameters, {"read": time.perf_counter() - began})
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """What is remembered of a file that was looked through."""
+
+    file: ImportedFile
+    shape: tuple[int, ...]
+    pixels: int
+    paired: bool
+    time: TimeConfig
+    whole: bool
+    most: float
+
+
+def _paths(files: str | Path | Sequence[str | Path]) -> list[Path]:
+    check_kind("files", files, str, os.PathLike, Sequence, remedy="name files of captures")
+    listed = [files] if isinstance(files, str | os.PathLike) else list(files)
+    if not listed:
+        raise InputError("files: none given; name at least one capture")
+    for number, file in enumerate(listed):
+        check_kind(f"files[{number}]", file, str, os.PathLike)
+        if not Path(file).is_file():
+            what = "is a directory; name the files in it" if Path(file).is_dir() else "no such file"
+            raise InputError(f"{file}: {what}")
+    return [Path(file) for file in listed]
+
+
+def _options(
+    bin_width: object, wall: object, tof: str | Path | None, axes: str | None, bins: int | None
+) -> tuple[ImportOptions, Path | None]:
+    """As the dataset states them, and where `tofgrid` is."""
+    width_s = seconds_of(bin_width) if isinstance(bin_width, str) else bin_width
+    if width_s is not None:
+        check_number("import", "bin_width", width_s, 1e-16, 1e-3, "seconds, or a text such as '4ps'")
+    size = metres_of(wall) if isinstance(wall, str) else wall
+    size = size if size is None or isinstance(size, tuple | list) else (size, size)
+    if size is not None:
+        if len(size) != 2:
+            raise InputError(f"import.wall = {size}: one size, or width and height, are needed")
+        for value in size:
+            check_number("import", "wall", value, 1e-6, 1e5, "metres, or a text such as '2m'")
+    if axes is not None:
+        check_choice("--axes", axes, AXES)
+    if bins is not None and (not isinstance(bins, int) or isinstance(bins, bool) or not 1 <= bins <= 1_000_000):
+        raise InputError(f"--bins {bins}: must be an integer in 1 … 1000000")
+    told: ImportedFile | Literal["none"] | None = None
+    delays = None
+    if tof is not None and str(tof) != "none":
+        check_kind("tof", tof, str, os.PathLike)
+        delays = Path(tof)
+        if not delays.is_file():
+            raise InputError(f"--tof {tof}: no such file; name the one with tofgrid, or none")
+        told = ImportedFile(name=delays.name, sha256=sha256_of(delays), format="mat")
+        delays = delays.resolve()
+    elif tof is not None:
+        told = "none"
+    return ImportOptions(
+        bin_width_ps=None if width_s is None else float(f"{float(cast(float, width_s)) * 1e12:.12g}"),
+        wall_m=None if size is None else (float(size[0]), float(size[1])), axes=cast(Any, axes), delays=told,
+        bins=bins,
+    ), delays  # fmt: skip
+
+
+def _read(number: int, path: Path, format: str | None, options: ImportOptions, delays: Path | None) -> _Looked:
+    """Look through one file, all of it."""
+    form = format or _BY_SUFFIX.get(path.suffix.lower())
+    if form not in FORMATS:
+        raise InputError(
+            f"{path}: --format {format}: must be one of {', '.join(FORMATS)}"
+            if format is not None
+            else f"{path}: its suffix says no format; say --format tal or --format mat"
+        )
+    digest = sha256_of(path)
+    recording = _recording(path, cast(Literal["tal", "mat"], form), options, delays)
+    whole, most = numbers_in(path, recording.values)
+    file = ImportedFile(name=path.name, sha256=digest, format=cast(Literal["tal", "mat"], form))
+    shape = recording.values.shape
+    return _Looked(file, shape, len(recording.seen_points), recording.paired, recording.time, whole, most)
+
+
+def _recording(path: Path, format: str, options: ImportOptions, delays: Path | None) -> Recording:
+    if format == "tal":
+        return read_tal(path, options).first_bins(options.bins)
+    return read_mat(path, options, delays).first_bins(options.bins)
+
+
+def _config(
+    given: list[_Looked], field: str | None, options: ImportOptions, settings: dict[str, Any], named: dict[str, Any]
+) -> DatasetConfig:
+    """The configuration that the dataset states: the files by their digests, the scan as the first has it."""
+    first = given[0]
+    for other in given:
+        if (other.shape, other.paired, other.time) != (first.shape, first.paired, first.time):
+            shorter = min(other.time.bins, first.time.bins)
+            times = {of.time.model_copy(update={"bins": shorter}) for of in (first, other)}
+            only_bins = (other.shape[:2], other.paired, len(times)) == (first.shape[:2], first.paired, 1)
+            remedy = f"take --bins {shorter} of all" if only_bins else "import them into several"
+            raise InputError(
+                f"{other.file.name}: {_told(other)}, {first.file.name}: {_told(first)}; all of a dataset have one "
+                f"shape, time axis and pairing: {remedy}"
+            )
+    for key in settings:
+        if key not in _SETTINGS:
+            raise InputError(f"settings: {key!r} is not for an import; there are {', '.join(_SETTINGS)}")
+    lasers, pixels, _ = first.shape
+    view = {} if first.paired else {"rows": 1, "columns": pixels}
+    capture = {
+        "pairing": "confocal" if first.paired else "exhaustive",
+        "scan": {"kind": "imported", "count": lasers},
+        "field_of_view": view,
+        "time": first.time.model_dump(mode="json"),
+    }
+    layout = {
+        "kind": "imported",
+        "files": [of.file.model_dump(mode="json") for of in given],
+        "options": options.model_dump(mode="json"),
+        "detector_is_known": "detector" in settings,
+    }
+    store = dict(settings.pop("store", {})) | _stored(given, field)
+    scene = {"layout": layout, "contents": []}
+    whole = settings | named | {"scenes": len(given), "scene": scene, "capture": capture, "store": store}
+    return config_from_mapping(json.loads(json.dumps(whole, default=str)), source="import")
+
+
+def _told(of: _Looked) -> str:
+    time, pairing = of.time, "confocal" if of.paired else "exhaustive"
+    return f"{of.shape} {pairing}, {time.bin_width_ps:g} ps from {time.start_ns:g} ns ({time.origin})"
+
+
+def _stored(given: list[_Looked], field: str | None) -> dict[str, Any]:
+    """Counts where all values are whole numbers that fit, else light."""
+    fraction = next((of for of in given if not of.whole), None)
+    most = max(given, key=lambda of: of.most)
+    if field == "histogram" and fraction is not None:
+        raise InputError(
+            f"{fraction.file.name}: holds fractions, which are no counts; leave --field histogram out, or round them"
+        )
+    if field is None and fraction is not None and any(of.whole and of.most > 0 for of in given):
+        counts = next(of for of in given if of.whole and of.most > 0)
+        raise InputError(
+            f"{fraction.file.name} holds fractions and {counts.file.name} whole numbers; import them into two "
+            "datasets, or all with --field transient"
+        )
+    if field == "transient" or fraction is not None:
+        if most.most > float(np.finfo(np.float32).max):
+            raise InputError(f"{most.file.name}: holds {most.most:g}, more than a float32 can")
+        return {"fields": ["transient"]}
+    dtype = next((name for name, limit in _LARGEST.items() if most.most <= limit), None)
+    if dtype is None:
+        raise InputError(
+            f"{most.file.name}: counts up to {most.most:g}, at most {_LARGEST['uint32']} are stored; take "
+            "--field transient"
+        )
+    return {"fields": ["histogram"], "histogram_dtype": dtype}

@@ -1,0 +1,157 @@
+"""Numbers out of HDF5 and MATLAB files that may come from anywhere: nothing is run, followed or believed on sight."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError, printable
+from datagen.export.hdf5 import h5py
+from datagen.importing.matlab5 import read_matlab5
+
+LARGEST_BYTES = 2**33
+"""Of one variable in memory."""
+MOST_COMPRESSED = 1100
+"""No more bytes come out of one that deflate has packed; a file that declares more holds less than it says."""
+LONGEST_TEXT = 2**20
+
+
+@dataclass(frozen=True)
+class Content:
+    """Variables of a file.
+
+    arrays : name → numbers, of those asked for that are there. texts : likewise. names : of all there are.
+    """
+
+    path: Path
+    arrays: Mapping[str, NDArray[Any]]
+    texts: Mapping[str, str]
+    names: tuple[str, ...]
+
+    @property
+    def listed(self) -> str:
+        """What there is, for people: names may be anything in a file from anywhere."""
+        return ", ".join(" ".join(printable(name[:40]).split()) for name in self.names[:12]) or "nothing"
+
+    def array(self, name: str) -> NDArray[Any]:
+        """A variable; raises `InputError` where it is missing."""
+        if name not in self.arrays:
+            raise InputError(f"{self.path}: {name}: missing; the file has {self.listed}")
+        return self.arrays[name]
+
+    def number(self, name: str) -> float:
+        """A variable that is one finite number; raises `InputError` for what is none."""
+        value = self.array(name)
+        if value.size != 1 or value.dtype.kind not in "fiub" or not math.isfinite(float(value.reshape(-1)[0])):
+            raise InputError(
+                f"{self.path}: {name}: shape {value.shape} of {value.dtype}, one finite number is needed"
+            )
+        return float(value.reshape(-1)[0])
+
+    def points(self, name: str) -> NDArray[np.float64]:
+        """(…, 3) a variable that is points, metres; raises `InputError` for what are none."""
+        value = self.array(name)
+        if value.ndim < 1 or value.shape[-1] != 3 or value.size == 0:
+            raise InputError(f"{self.path}: {name}: shape {value.shape}, (…, 3) needed: points in metres")
+        points = value.astype(np.float64)
+        if not np.isfinite(points).all() or abs(points).max() > 1e6:
+            raise InputError(f"{self.path}: {name}: holds coordinates that are NaN, infinite or beyond 1000 km")
+        return points
+
+
+def is_hdf5(path: Path) -> bool:
+    """Whether a file is HDF5, or MATLAB's version 7.3, which is HDF5 behind a head of 512 bytes."""
+    signature = b"\x89HDF\r\n\x1a\n"
+    with path.open("rb") as file:
+        head = file.read(1024)
+    return head.startswith(signature) or head[512:520] == signature
+
+
+def hdf5_content(path: Path, wanted: tuple[str, ...], matlab: bool = False) -> Content:
+    """Variables at the root of an HDF5 file; of a MATLAB file with their axes in MATLAB's order.
+
+    Raises `InputError` for a file that cannot be read, what are no numbers, what lies in another file, and what is
+    larger than `LARGEST_BYTES` or than the file can hold.
+    """
+    kind = "MATLAB 7.3" if matlab else "HDF5"
+    arrays, texts = dict[str, NDArray[Any]](), dict[str, str]()
+    with _told(path, kind), h5py().File(path, "r") as file:
+        # What is no UTF-8 comes as bytes.
+        names = tuple(name.decode("utf-8", "replace") if isinstance(name, bytes) else name for name in file)
+        for name in wanted:
+            if name not in names:
+                continue
+            found = _hdf5_value(path, file, name)
+            if isinstance(found, str):
+                texts[name] = found
+            elif found is not None:
+                arrays[name] = found.T if matlab else found
+    return Content(path, arrays, texts, names)
+
+
+def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
+    lib = h5py()
+    if not isinstance(file.get(name, getlink=True), lib.HardLink):
+        raise InputError(f"{path}: {name}: is a link to somewhere else; copy what it stands for into the file")
+    data = file[name]
+    if not isinstance(data, lib.Dataset):
+        raise InputError(f"{path}: {name}: is a group, an array is needed")
+    if data.shape is None:
+        return None
+    if data.is_virtual or data.external:
+        raise InputError(f"{path}: {name}: its values lie in another file; copy them into this one")
+    if data.dtype.kind in "OSU":
+        if lib.check_string_dtype(data.dtype) is None or data.shape not in ((), (1,)):
+            raise InputError(f"{path}: {name}: holds {data.dtype}, not numbers")
+        text = data.asstr(errors="replace")[()]
+        return str(text if data.shape == () else text[0])[:LONGEST_TEXT]
+    if data.dtype.kind not in "fiub":
+        raise InputError(f"{path}: {name}: holds {data.dtype}, real numbers are needed")
+    size = math.prod(data.shape) * data.dtype.itemsize
+    _check_size(path, name, data.shape, size)
+    held = data.id.get_storage_size()
+    if size > 0 and MOST_COMPRESSED * held < size:
+        raise InputError(
+            f"{path}: {name}: {size} bytes declared ({data.shape}) and {held} there; write the file anew"
+        )
+    if data.attrs.get("MATLAB_empty"):
+        return np.zeros(0)
+    return np.asarray(data[()])
+
+
+def matlab_content(path: Path, wanted: tuple[str, ...]) -> Content:
+    """Variables of a MATLAB file of any version, axes in MATLAB's order. Raises as `hdf5_content` does."""
+    if is_hdf5(path):
+        return hdf5_content(path, wanted, matlab=True)
+    with _told(path, "MATLAB"):
+        arrays, names = read_matlab5(path, wanted, LARGEST_BYTES // 8)
+    return Content(path, arrays, {}, tuple(names))
+
+
+def _check_size(path: Path, name: str, shape: tuple[int, ...], size: int) -> None:
+    if size > LARGEST_BYTES:
+        raise InputError(f"{path}: {name}: shape {shape}, {size} bytes; at most {LARGEST_BYTES} are read")
+
+
+@contextmanager
+def _told(path: Path, kind: str) -> Iterator[None]:
+    """Whatever a reader stumbles over in a damaged file, in one line."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except InputError:
+        raise
+    except MemoryError:
+        raise InputError(f"{path}: does not fit into memory; cut it into smaller files") from None
+    except Exception as error:
+        reason = " ".join(printable(str(error)).split())[:200] or type(error).__name__
+        raise InputError(f"{path}: cannot be read as {kind} ({reason}); it is damaged, or of another kind") from None

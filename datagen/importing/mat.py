@@ -1,0 +1,211 @@
+"""MATLAB files of any version: confocal grids as Stanford publishes them, and lists of pairs of points.
+
+- `meas` (y, x, t), the f-k migration data (Lindell, Wetzstein and O'Toole 2019): times count from the laser, and
+  `tofgrid` (ps), in the file or in one of its own, is the light's way to the wall and back; `bin_resolution` (s),
+  `wall_size` (m) and `grid_points` where `datagen export` wrote them. The published files have 32 ps, 2 m × 2 m.
+- `rect_data` (x, y, t), the light-cone transform's (O'Toole, Lindell and Wetzstein 2018): times count from the wall;
+  `width` is half of the wall's (m). The published files have 4 ps.
+- `trans_data` (N, T), `camera_points` and `laser_points` (N, 3): a row for each pair, counted from the wall.
+
+Row 0 is the top and column 0 the left of a grid, for somebody who faces the wall.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.config.imported import ImportOptions
+from datagen.errors import InputError
+from datagen.importing.containers import Content, matlab_content
+from datagen.importing.recording import UNKNOWN, Recording
+from datagen.importing.times import SAME, time_bins
+from datagen.records.arrays import Floats
+
+_LISTED = ("trans_data", "camera_points", "laser_points", "camera_normals")
+_GRID = ("meas", "rect_data", "tofgrid", "wall_size", "width", "grid_points")
+_AXES = {"meas": "yxt", "rect_data": "xyt"}
+_FACING = np.array([0.0, 0.0, 1.0])
+
+
+def read_mat(path: Path, options: ImportOptions, delays: Path | None = None) -> Recording:
+    """Read one file; `delays` is that of `tofgrid`, where it is another.
+
+    Raises `InputError`, one line, for a file that is damaged or lacks something that no option says.
+    """
+    content = matlab_content(path, (*_LISTED, *_GRID, "bin_resolution"))
+    if "trans_data" in content.names:
+        return _pairs(content, options)
+    name = next((name for name in _AXES if name in content.names), None)
+    if name is None:
+        raise InputError(f"{path}: has {content.listed}; meas, rect_data or trans_data is needed")
+    return _grid(content, name, options, delays)
+
+
+def _bin_width_s(content: Content) -> float | None:
+    return content.number("bin_resolution") if "bin_resolution" in content.arrays else None
+
+
+def _grid(content: Content, name: str, options: ImportOptions, delays: Path | None) -> Recording:
+    """A confocal grid of points."""
+    path, stored = content.path, content.array(name)
+    if stored.ndim != 3 or stored.size == 0:
+        raise InputError(f"{path}: {name}: shape {stored.shape}; one capture has two axes of the grid and time")
+    axes = options.axes or _axes_of(name, stored.shape)
+    at = [axes.index(axis) for axis in "yx"]
+    # The order in which the two axes of the grid stand is that of the file's other variables, too.
+    first, second = sorted(at)
+    values = stored.transpose(first, second, axes.index("t"))
+    time = time_bins(
+        path, values.shape[-1], _bin_width_s(content), options, start_s=0.0, origin="wall", named="bin_resolution"
+    )
+    shifts = _shifts(content, name, values.shape[:2], time.bin_width_ps, options, delays)
+    if shifts.any():
+        kept = values.shape[-1] - int(shifts.max())
+        if kept < 1:
+            raise InputError(
+                f"{path}: tofgrid: {int(shifts.max())} bins of {time.bin_width_ps:g} ps to the wall and back, and "
+                f"{values.shape[-1]} bins in all; are they ps, and is --bin right?"
+            )
+        values = _shifted(values, shifts, kept)
+        time = time.model_copy(update={"bins": kept})
+    values = values if at[0] < at[1] else values.swapaxes(0, 1)
+    rows, columns, bins = values.shape
+    points = _points(content, name, rows, columns, options).reshape(-1, 3)
+    return Recording(
+        path, values.reshape(-1, 1, bins), True, points, points, time, UNKNOWN, UNKNOWN, _FACING
+    )  # fmt: skip
+
+
+def _shifted(values: NDArray[Any], shifts: NDArray[np.int64], kept: int) -> NDArray[Any]:
+    """So many bins of each point of the grid, from its shift on."""
+    found = np.empty((*shifts.shape, kept), values.dtype)
+    for shift in np.unique(shifts):
+        alike = shifts == shift
+        found[alike] = values[alike, shift : shift + kept]
+    return found
+
+
+def _axes_of(name: str, shape: tuple[int, ...]) -> str:
+    """Time last; first where the other two are alike and these are not."""
+    usual = _AXES[name]
+    return f"t{usual[:2]}" if shape[1] == shape[2] != shape[0] else usual
+
+
+def _shifts(
+    content: Content,
+    name: str,
+    grid: tuple[int, ...],
+    bin_width_ps: float,
+    options: ImportOptions,
+    delays: Path | None,
+) -> NDArray[np.int64]:
+    """Of the grid: whole bins from the laser to the wall and back, 0 where times count from the wall."""
+    if delays is not None:
+        if "tofgrid" in content.arrays:
+            raise InputError(f"{content.path}: has a tofgrid of its own; leave --tof out")
+        content = matlab_content(delays, ("tofgrid",))
+    elif "tofgrid" not in content.arrays:
+        if name == "meas" and options.delays is None:
+            raise InputError(
+                f"{content.path}: tofgrid: missing, and meas counts from the laser; name its file: --tof tof.mat, or "
+                "--tof none where it has been taken off"
+            )
+        return np.zeros(grid, np.int64)
+    elif options.delays == "none":
+        raise InputError(f"{content.path}: has a tofgrid, and --tof none; leave --tof out")
+    found = content.array("tofgrid")
+    if found.shape != grid:
+        raise InputError(f"{content.path}: tofgrid: shape {found.shape}, the grid is {grid}")
+    if not np.isfinite(found).all() or (found < 0).any() or (found > 1e12).any():
+        raise InputError(f"{content.path}: tofgrid: must be picoseconds ≥ 0, finite")
+    return np.floor(found.astype(np.float64) / bin_width_ps).astype(np.int64)
+
+
+def _points(content: Content, name: str, rows: int, columns: int, options: ImportOptions) -> Floats:
+    """(rows, columns, 3) from the top left, metres, in the frame of the wall."""
+    if "grid_points" in content.arrays:
+        points = content.points("grid_points")
+        if points.shape != (rows, columns, 3):
+            raise InputError(f"{content.path}: grid_points: shape {points.shape}, ({rows}, {columns}, 3) needed")
+        return points
+    width, height = _wall(content, name, options)
+    across = np.linspace(-width / 2, width / 2, columns) if columns > 1 else np.zeros(1)
+    up = np.linspace(height / 2, -height / 2, rows) if rows > 1 else np.zeros(1)
+    x, y = np.meshgrid(across, up)
+    return np.stack([x, y, np.zeros_like(x)], axis=-1)
+
+
+def _wall(content: Content, name: str, options: ImportOptions) -> tuple[float, float]:
+    said: tuple[float, float] | None = None
+    if name == "rect_data" and "width" in content.arrays:
+        said = (2 * content.number("width"),) * 2
+    elif "wall_size" in content.arrays:
+        size = content.array("wall_size").ravel()
+        if size.size not in (1, 2) or size.dtype.kind not in "fiu" or not np.isfinite(size).all():
+            raise InputError(f"{content.path}: wall_size: one or two numbers are needed, metres")
+        said = float(size[0]), float(size[-1])
+    if said is None and options.wall_m is None:
+        known = "width" if name == "rect_data" else "wall_size"
+        raise InputError(f"{content.path}: {known}: missing; say how large the scanned grid is: --wall 2m")
+    if said is not None and options.wall_m is not None and not np.allclose(said, options.wall_m, rtol=SAME):
+        raise InputError(
+            f"{content.path}: says a wall of {said[0]:g} × {said[1]:g} m, --wall {options.wall_m[0]:g} × "
+            f"{options.wall_m[1]:g} m; leave --wall out"
+        )
+    width, height = said or options.wall_m or (0.0, 0.0)
+    if not (0 < width <= 1e5 and 0 < height <= 1e5):
+        raise InputError(f"{content.path}: a wall of {width:g} × {height:g} m: must be > 0 and ≤ 100 km")
+    return width, height
+
+
+def _pairs(content: Content, options: ImportOptions) -> Recording:
+    """A row for each pair: a confocal scan or any other one for one, or every pixel for every laser point."""
+    for flag, value in (("wall", options.wall_m), ("axes", options.axes), ("tof", options.delays)):
+        if value is not None:
+            raise InputError(f"--{flag}: {content.path} lists its points itself; leave the option out")
+    rows, seen, lit = content.array("trans_data"), content.points("camera_points"), content.points("laser_points")
+    if rows.ndim != 2 or rows.size == 0 or seen.shape != (len(rows), 3) or lit.shape != (len(rows), 3):
+        raise InputError(
+            f"{content.path}: trans_data {rows.shape}, camera_points {seen.shape}, laser_points {lit.shape}: must be "
+            "(N, T), (N, 3), (N, 3)"
+        )
+    time = time_bins(
+        content.path, rows.shape[1], _bin_width_s(content), options, start_s=0.0, origin="wall",
+        named="bin_resolution",
+    )  # fmt: skip
+    lasers, pixels = _every_pixel(lit, seen)
+    if lasers * pixels == len(rows):
+        values: NDArray[Any] = rows.reshape(lasers, pixels, -1)
+        lit, seen = lit[::pixels], seen[:pixels]
+    else:
+        values = rows[:, None]
+    paired = lasers * pixels != len(rows)
+    return Recording(content.path, values, paired, lit, seen, time, UNKNOWN, UNKNOWN, _normal(content))
+
+
+def _every_pixel(lit: Floats, seen: Floats) -> tuple[int, int]:
+    """(lasers, pixels) of a list that has every pixel for one laser point after the other; (0, 0) of any other,
+    and of one for one.
+    """
+    changes = np.flatnonzero((lit != lit[0]).any(axis=1))
+    pixels = int(changes[0]) if len(changes) else len(lit)
+    if len(lit) % pixels or (pixels == 1 and (seen != seen[0]).any()):
+        return 0, 0
+    lasers = len(lit) // pixels
+    in_order = np.array_equal(lit, np.repeat(lit[::pixels], pixels, axis=0))
+    alike = np.array_equal(seen, np.tile(seen[:pixels], (lasers, 1)))
+    return (lasers, pixels) if in_order and alike else (0, 0)
+
+
+def _normal(content: Content) -> Floats:
+    if "camera_normals" in content.arrays:
+        value = content.array("camera_normals")
+        if value.ndim == 2 and value.shape[1] == 3 and value.size and np.isfinite(value).all():
+            mean = value.mean(axis=0, dtype=np.float64)
+            if np.linalg.norm(mean) > 0.1:
+                return np.asarray(mean / np.linalg.norm(mean))
+    return _FACING

@@ -1,0 +1,137 @@
+"""MATLAB files of version 5 (which later versions write, too, up to 7): arrays of numbers, and nothing else of them.
+
+The format is MathWorks' *MAT-File Format* (2019), chapter 1. Readers that make every kind of object of a file end the
+process on one that is damaged; this one looks at sizes before it believes them.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+
+_HEAD = 4096
+"""Bytes of a variable in which its name and sizes stand."""
+_INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_NO_NUMBERS = {1: "cell array", 2: "structure", 3: "object", 4: "text", 5: "sparse array"}
+_NUMBERS = range(6, 16)
+_IS_COMPLEX = 0x0800
+_MOST_AXES = 32
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What stands before a variable's numbers.
+
+    kind : MATLAB's class, by number. at : where its data element begins in the matrix.
+    """
+
+    name: str
+    kind: int
+    is_complex: bool
+    shape: tuple[int, ...]
+    at: int
+
+
+def read_matlab5(path: Path, wanted: tuple[str, ...], largest: int) -> tuple[Mapping[str, NDArray[Any]], list[str]]:
+    """Of the variables wanted those that are there, in MATLAB's order of axes, and the names of all there are.
+
+    Whole numbers may come in a narrower type than MATLAB has them in, as they are stored. Raises `InputError` for
+    what is damaged, no array of real numbers, or more than `largest` bytes.
+    """
+    arrays, names = dict[str, NDArray[Any]](), list[str]()
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        if content[124:128] != b"\x00\x01IM":
+            raise InputError(f"{path}: is no MATLAB file of version 5 or 7.3; save it with -v7 or -v7.3")
+        for kind, begin, end in _elements(content):
+            compressed = kind == _COMPRESSED
+            if not compressed and kind != _MATRIX:
+                continue
+            head = content[begin : min(end, begin + _HEAD)]
+            found = _variable(_unpacked(head, _HEAD)[8:] if compressed else head)
+            names.append(found.name)
+            if found.name in wanted:
+                _check(path, found, largest, end - begin)
+                matrix = content[begin:end]
+                if compressed:
+                    matrix = _unpacked(matrix, 8 + _HEAD + 8 * math.prod(found.shape))[8:]
+                arrays[found.name] = _numbers(matrix, found)
+    return arrays, names
+
+
+def _elements(content: mmap.mmap) -> Iterator[tuple[int, int, int]]:
+    """(type, begin, end) of the data elements of a file."""
+    at = 128
+    while at + 8 <= len(content):
+        kind, size = struct.unpack("<II", content[at : at + 8])
+        if at + 8 + size > len(content):
+            raise ValueError("ends before its last variable does")
+        yield kind, at + 8, at + 8 + size
+        at += 8 + size
+
+
+def _unpacked(packed: bytes, most: int) -> bytes:
+    """The beginning of what is compressed: the matrix's own tag (8 bytes), and it."""
+    found = zlib.decompressobj().decompress(packed, most)
+    if len(found) < 8 or struct.unpack("<I", found[:4])[0] != _MATRIX:
+        raise ValueError("holds a compressed element that is no array")
+    return found
+
+
+def _element(matrix: bytes, at: int) -> tuple[int, bytes, int]:
+    """(type, content, where the next begins) of an element within a matrix."""
+    kind, size = struct.unpack("<II", matrix[at : at + 8])
+    if kind >> 16:
+        # Up to four bytes stand in the tag itself.
+        return kind & 0xFFFF, matrix[at + 4 : at + 4 + min(kind >> 16, 4)], at + 8
+    if at + 8 + size > len(matrix):
+        raise ValueError("an array ends before its numbers do")
+    return kind, matrix[at + 8 : at + 8 + size], at + 8 + -(-size // 8) * 8
+
+
+def _variable(head: bytes) -> Variable:
+    kind, flags, at = _element(head, 0)
+    sized, dims, at = _element(head, at)
+    named, name, at = _element(head, at)
+    if (kind, sized, named) != (_UINT32, _INT32, _INT8) or len(flags) != 8 or len(dims) % 4:
+        raise ValueError("an array has no head")
+    shape = struct.unpack(f"<{len(dims) // 4}i", dims)
+    if not 2 <= len(shape) <= _MOST_AXES or min(shape) < 0:
+        raise ValueError(f"an array of the shape {shape}")
+    (flag,) = struct.unpack("<I", flags[:4])
+    return Variable(name.decode("latin-1"), flag & 0xFF, bool(flag & _IS_COMPLEX), shape, at)
+
+
+def _check(path: Path, found: Variable, largest: int, held: int) -> None:
+    """Refuse what are no real numbers, or more than there can be: deflate packs a thousand bytes into one at most."""
+    count = math.prod(found.shape)
+    if found.kind not in _NUMBERS or found.is_complex:
+        kind = "complex array" if found.is_complex else _NO_NUMBERS.get(found.kind, "thing of no known kind")
+        raise InputError(f"{path}: {found.name}: is a {kind}, an array of real numbers is needed")
+    if count > largest or count > 1100 * held:
+        raise InputError(f"{path}: {found.name}: shape {found.shape} declared, more than the file can hold")
+
+
+def _numbers(matrix: bytes, found: Variable) -> NDArray[Any]:
+    kind, size = struct.unpack("<II", matrix[found.at : found.at + 8])
+    if kind >> 16:
+        kind, content, _ = _element(matrix, found.at)
+        size, begin = len(content), found.at + 4
+    else:
+        begin = found.at + 8
+    dtype = np.dtype("<" + _TYPES[kind]) if kind in _TYPES else None
+    count = math.prod(found.shape)
+    if dtype is None or size != count * dtype.itemsize or begin + size > len(matrix):
+        raise ValueError(f"{found.name} is not as long as its shape {found.shape} says")
+    return np.frombuffer(matrix, dtype, count, begin).reshape(found.shape, order="F")

@@ -1,0 +1,130 @@
+"""What a file holds of one capture, whichever format it has, and how a dataset holds the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.config.capture import TimeConfig
+from datagen.errors import InputError
+from datagen.export.measurement import WallFrame, lattice
+from datagen.records.arrays import Floats
+
+UNKNOWN = np.full(3, np.nan)
+SMALLEST_WALL_M = 0.01
+"""Where all points are one, the relay wall is so wide about it."""
+_AT_ONCE = 2**22
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One capture, in the file's own frame, metres.
+
+    Attributes
+    ----------
+    path : of the file.
+    values : (L, P, T) as the file has them; paired: (L, 1, T).
+    paired : whether pixel i was looked at with laser point i alone.
+    laser_points, seen_points : (L, 3) and (P, 3), paired (L, 3).
+    time : of the bins.
+    laser_position, sensor_position : (3,) of the devices; NaN where the file does not say.
+    normal : (3,) unit normal of the relay wall, towards what is hidden.
+    hidden : (2, 3) corners of the box that holds what is hidden, or None.
+    """
+
+    path: Path
+    values: NDArray[Any]
+    paired: bool
+    laser_points: Floats
+    seen_points: Floats
+    time: TimeConfig
+    laser_position: Floats
+    sensor_position: Floats
+    normal: Floats
+    hidden: Floats | None = None
+
+    @property
+    def frame(self) -> WallFrame:
+        """Right and up on the relay wall: up is the file's y, or its z on a wall that lies across y."""
+        up = np.array([0.0, 1.0, 0.0] if abs(self.normal[1]) < 0.9 else [0.0, 0.0, 1.0])
+        up = up - (up @ self.normal) * self.normal
+        up = up / np.linalg.norm(up)
+        seen = self.seen_points
+        middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
+        return WallFrame(middle, np.stack([np.cross(up, self.normal), up, self.normal]))
+
+    def in_order(self) -> Recording:
+        """The same with grids row by row from the top left, as somebody sees them who faces the wall; points that
+        form no grid keep their order."""
+        if self.paired:
+            order = _rows(self.frame.of(self.seen_points))
+            lit = self.laser_points[order]
+            return replace(self, values=self.values[order], laser_points=lit, seen_points=self.seen_points[order])
+        lasers, pixels = _rows(self.frame.of(self.laser_points)), _rows(self.frame.of(self.seen_points))
+        values = self.values[lasers[:, None], pixels]
+        return replace(
+            self, values=values, laser_points=self.laser_points[lasers], seen_points=self.seen_points[pixels]
+        )
+
+    def first_bins(self, bins: int | None) -> Recording:
+        """The same with so many of the first bins; raises `InputError` where there are fewer."""
+        if bins is None:
+            return self
+        if bins > self.time.bins:
+            raise InputError(f"{self.path}: has {self.time.bins} bins, --bins {bins} asks for more")
+        return replace(self, values=self.values[..., :bins], time=self.time.model_copy(update={"bins": bins}))
+
+    def geometry(self) -> dict[str, Floats]:
+        """The fields of a dataset that say where things are. Pixels have a place and no extent: files say no more."""
+        frame = self.frame
+        both = frame.of(np.concatenate([self.laser_points, self.seen_points]))[:, :2]
+        low, high = both.min(axis=0), both.max(axis=0)
+        halves = np.maximum((high - low) / 2, SMALLEST_WALL_M / 2)
+        center = frame.origin + ((low + high) / 2) @ frame.axes[:2]
+        return {
+            "laser_points": self.laser_points,
+            "sensor_pixels": np.repeat(self.seen_points[:, None], 4, axis=1),
+            "laser_position": self.laser_position,
+            "sensor_position": self.sensor_position,
+            "relay_wall": np.stack([center, halves[0] * frame.axes[0], halves[1] * frame.axes[1]]),
+            "hidden_view": np.full((3, 3), np.nan),
+            "hidden_bounds": np.full((2, 3), np.nan) if self.hidden is None else self.hidden,
+        }
+
+
+def _rows(points: Floats) -> NDArray[np.int64]:
+    """(N,): the numbers of points row by row from the top left, or as they come where they form no grid."""
+    place = lattice(points)
+    return np.arange(len(points)) if place is None else place.T[::-1].ravel()
+
+
+def numbers_in(path: Path, values: NDArray[Any]) -> tuple[bool, float]:
+    """Whether all values are whole numbers, and the largest.
+
+    Raises `InputError` for values that are negative or not finite: neither counts nor light.
+    """
+    whole, most = True, 0.0
+    for some in _pieces(values):
+        if some.dtype.kind == "f" and not np.isfinite(some).all():
+            count = int(np.count_nonzero(~np.isfinite(some)))
+            raise InputError(f"{path}: holds NaN or infinite values ({count} and perhaps more); mend them first")
+        if some.dtype.kind in "fi" and (some < 0).any():
+            raise InputError(
+                f"{path}: holds negative values, such as {some.min():g}: neither counts nor light; undo what was "
+                "subtracted first"
+            )
+        whole = whole and (some.dtype.kind != "f" or bool((some == np.rint(some)).all()))
+        most = max(most, float(some.max()))
+    return whole, most
+
+
+def _pieces(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """All values in the order of memory, some at a time."""
+    flat = values.ravel(order="K")
+    for begin in range(0, flat.size, _AT_ONCE):
+        yield flat[begin : begin + _AT_ONCE]

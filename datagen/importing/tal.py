@@ -1,0 +1,123 @@
+"""Captures of y-tal (https://github.com/diegoroyo/tal, `tal.io.read_capture`), in every layout of its H."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from datagen.config.imported import ImportOptions
+from datagen.errors import InputError
+from datagen.export.tal import HFormat
+from datagen.importing.containers import Content, hdf5_content
+from datagen.importing.recording import UNKNOWN, Recording
+from datagen.importing.times import time_bins
+from datagen.records.arrays import Floats
+from datagen.units import time_from_path
+
+_WANTED = (
+    "H", "H_format", "sensor_xyz", "sensor_grid_xyz", "sensor_grid_normals", "laser_xyz", "laser_grid_xyz", "delta_t",
+    "t_start", "t_accounts_first_and_last_bounces", "scene_info",
+)  # fmt: skip
+_GRIDS = {HFormat.T_Sx_Sy: (2, False), HFormat.T_Lx_Ly_Sx_Sy: (2, True), HFormat.T_Si: (1, False),
+          HFormat.T_Li_Si: (1, True)}  # fmt: skip
+"""Axes of each set of points, and whether lasers have axes of their own."""
+
+
+def read_tal(path: Path, options: ImportOptions) -> Recording:
+    """Read one file. Times and distances are metres of path there, and the frame is kept.
+
+    Raises `InputError`, one line, for a file that is damaged or lacks something.
+    """
+    for name in ("wall_m", "axes", "delays"):
+        if getattr(options, name) is not None:
+            flag = {"wall_m": "wall", "delays": "tof"}.get(name, name)
+            raise InputError(f"--{flag}: a file of y-tal says it itself; leave the option out")
+    content = hdf5_content(path, _WANTED)
+    if "H" not in content.names and {"data", "cameraGridPositions"} <= {*content.names}:
+        raise InputError(
+            f"{path}: is of the Zaragoza NLOS dataset; let y-tal write it anew first: "
+            "tal.io.write_capture(new, tal.io.read_capture(old))"
+        )
+    seen, lit = content.points("sensor_grid_xyz"), content.points("laser_grid_xyz")
+    values, paired = _values(content, lit, seen)
+    from_source = bool(content.number("t_accounts_first_and_last_bounces"))
+    laser, sensor = (
+        content.points(name).reshape(-1)[:3] if name in content.arrays else UNKNOWN
+        for name in ("laser_xyz", "sensor_xyz")
+    )
+    if from_source and np.isnan([laser, sensor]).any():
+        raise InputError(
+            f"{path}: laser_xyz, sensor_xyz: missing, and its times count from the laser "
+            "(t_accounts_first_and_last_bounces)"
+        )
+    width_s = time_from_path(content.number("delta_t")) if "delta_t" in content.arrays else None
+    time = time_bins(
+        path, values.shape[-1], width_s, options, start_s=time_from_path(content.number("t_start")),
+        origin="source" if from_source else "wall", named="delta_t",
+    )  # fmt: skip
+    return Recording(
+        path, values, paired, lit.reshape(-1, 3), seen.reshape(-1, 3), time, laser, sensor, _normal(content),
+        _hidden(content.texts.get("scene_info")),
+    )  # fmt: skip
+
+
+def _values(content: Content, lit: Floats, seen: Floats) -> tuple[NDArray[Any], bool]:
+    """H as (L, P, T), and whether its pixels go with one laser point each."""
+    h, number = content.array("H"), content.number("H_format")
+    try:
+        form = HFormat(int(number))
+        axes, exhaustive = _GRIDS[form]
+    except (ValueError, KeyError):
+        known = ", ".join(f"{of.value} ({of.name})" for of in _GRIDS)
+        raise InputError(f"{content.path}: H_format = {number:g}: must be one of {known}") from None
+    if h.ndim != 1 + axes * (1 + exhaustive) or h.size == 0:
+        raise InputError(f"{content.path}: H: shape {h.shape}, which is no {form.name}")
+    _check_grid(content.path, "sensor_grid_xyz", h.shape[-axes:], seen)
+    pixels = math.prod(h.shape[-axes:])
+    lasers = math.prod(lit.shape[:-1])
+    if exhaustive:
+        _check_grid(content.path, "laser_grid_xyz", h.shape[1 : 1 + axes], lit)
+        return np.moveaxis(h.reshape(len(h), lasers, pixels), 0, -1), False
+    values = np.moveaxis(h.reshape(len(h), pixels), 0, -1)
+    if lasers == pixels:
+        return values[:, None], True
+    if lasers == 1:
+        return values[None], False
+    raise InputError(
+        f"{content.path}: laser_grid_xyz: {lasers} points beside {pixels} pixels in a {form.name}; one, or one for "
+        "each pixel, is needed"
+    )
+
+
+def _check_grid(path: Path, name: str, axes: tuple[int, ...], points: Floats) -> None:
+    there = points.shape[:-1]
+    if math.prod(there) != math.prod(axes) or (len(there) == len(axes) and there != axes):
+        raise InputError(f"{path}: {name}: shape {points.shape} does not fit H, which has {axes} of them")
+
+
+def _normal(content: Content) -> Floats:
+    """Of the relay wall; along z where the file says none."""
+    if "sensor_grid_normals" in content.arrays:
+        value = content.array("sensor_grid_normals")
+        if value.ndim and value.shape[-1] == 3 and value.size and np.isfinite(value).all():
+            mean = value.reshape(-1, 3).mean(axis=0, dtype=np.float64)
+            if np.linalg.norm(mean) > 0.1:
+                return np.asarray(mean / np.linalg.norm(mean))
+    return np.array([0.0, 0.0, 1.0])
+
+
+def _hidden(info: str | None) -> Floats | None:
+    """(2, 3) the box that `scene_info` says to hold what is hidden, if it says so in plain YAML."""
+    try:
+        volume = yaml.safe_load(info or "")["volume"]
+        center, size = (np.asarray(volume[name], np.float64).reshape(3) for name in ("center", "size"))
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):
+        # Notes of any kind, which nothing here rests on.
+        return None
+    corners = np.stack([center - size / 2, center + size / 2])
+    return corners if np.isfinite(corners).all() else None

@@ -1,0 +1,220 @@
+"""The pictures of a scene whose room nobody can draw: made in Python, or captured elsewhere. Only what is stored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.config import DatasetConfig
+from datagen.config.scene_layouts import ImportedCaptures, NoLayout
+from datagen.errors import InputError
+from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ObjectBoxes, ViewFrame
+from datagen.records import Capture, Lambertian, Laser, Part, Rectangle, Scene, Sensor
+from datagen.records.arrays import Floats
+from datagen.report import scan_plots as scans
+from datagen.report.label_plots import draw_boxes, draw_label
+from datagen.report.replay import StoredScene
+from datagen.report.style import EXPECTED, INK, captioned, empty_note
+from datagen.report.time_plots import busy_window, time_label
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+QUANTITIES = ("histogram", "transient")
+_MOMENTS = 4
+
+
+def why_roomless(config: DatasetConfig) -> str | None:
+    """Why the rooms of a dataset cannot be drawn, as a whole clause; None where they can."""
+    layout = config.scene.layout
+    return layout.why if isinstance(layout, NoLayout) else None
+
+
+def roomless_pages(stored: StoredScene, labels: bool = True) -> Iterator[tuple[str, Figure]]:
+    """(name, figure) of each stored measurement, `histogram` and `transient`, and of the stored `labels`.
+
+    To be used within `house_style()`. Raises `InputError` where nothing of it is stored.
+    """
+    there = [name for name in QUANTITIES if name in stored.arrays]
+    images = [name for name in (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS) if name in stored.arrays]
+    seen = labels and np.isfinite(stored.arrays["hidden_view"]).all()
+    if not there and not (seen and images):
+        raise InputError(
+            f"{stored.title}: {why_roomless(stored.config)}, and neither histogram, transient nor labels are stored"
+        )
+    for name in there:
+        yield name, _measured_page(stored, name)
+    if seen and (images or OBJECT_TABLES[0] in stored.arrays):
+        yield "labels", _labels_page(stored, images)
+
+
+def _measured_page(stored: StoredScene, name: str) -> Figure:
+    """A measurement over the wall, over time, and at a few moments."""
+    capture, frame = _capture(stored), _frame(stored)
+    values = np.asarray(stored.arrays[name], np.float64)
+    whole, time = values.sum(axis=2), capture.time
+    laser, pixel = (int(k) for k in np.unravel_index(int(np.argmax(whole)), whole.shape))
+    raster = scans.raster_of(capture, (laser, pixel), frame)
+    source = f" File: {stored.parameters['capture.file']}." if "capture.file" in stored.parameters else ""
+    text = (
+        f"The stored {name}, and nothing beyond it: {why_roomless(stored.config)}.{source} Left: its sum at each "
+        "place on the relay wall. Middle: along the row that has most (brightness: logarithm). Right: over time, "
+        "summed over all and at the place that has most."
+    )
+    if raster is not None:
+        text += (
+            f" Below: the wall at {_MOMENTS} moments, right and up as for somebody who faces it (square root of the "
+            "signal, each on its own scale)."
+        )
+    heights = [4.4] if raster is None else [4.4, 3.4]
+    figure, grid = captioned(15, heights, text, f"{stored.title}: {name}")
+    # Subfigures, so that one row's columns are not another's.
+    above = figure.add_subfigure(grid[0, 0])
+    places, sliced, curves = (above.add_subplot(1, 3, k) for k in (1, 2, 3))
+    unit = _unit(stored, name)
+    scan = _listed(values) if raster is None else scans.scan_of(values, raster)
+    shown = raster or _numbered(scan.shape[1])
+    _draw_places(places, capture, raster, scan.sum(axis=-1), frame)
+    row = scans.clear_row(scan)
+    limits = busy_window(scan.reshape(-1, time.bins), time, 0.98)
+    scans.draw_time_slice(above, sliced, scan, row, shown, time, limits, unit)
+    sliced.set_title(f"Time along row {row + 1} from the top" if raster else f"Time against {_counted(values)}")
+    if raster is None:
+        sliced.set_xlabel(f"number of the {_counted(values)}")
+    _draw_curves(curves, values, (laser, pixel), stored, unit)
+    if raster is not None:
+        below = figure.add_subfigure(grid[1, 0])
+        for number, bins in enumerate(scans.moments(scan, _MOMENTS)):
+            axes = below.add_subplot(1, _MOMENTS, number + 1)
+            scans.draw_moment(axes, scan, bins, raster)
+            edges = time.edges_s * 1e9
+            axes.set_title(f"{edges[bins.start]:.4g} – {edges[bins.stop]:.4g} ns")
+    return figure
+
+
+def _unit(stored: StoredScene, name: str) -> str:
+    if name == "histogram":
+        return "counts per bin"
+    imported = isinstance(stored.config.scene.layout, ImportedCaptures)
+    return "signal per bin" if imported else "photons per emitted photon and bin"
+
+
+def _draw_curves(
+    axes: Axes, values: NDArray[np.float64], channel: tuple[int, int], stored: StoredScene, unit: str
+) -> None:
+    time = stored.config.capture.time.axis()
+    whole, one = values.sum(axis=(0, 1)), values[channel]
+    axes.set(xlabel=time_label(time), ylabel=unit, title="Over time")
+    if not whole.any():
+        empty_note(axes, "nothing arrives within the time window")
+        return
+    edges = time.edges_s * 1e9
+    axes.stairs(whole, edges, color=INK, linewidth=0.9, label="sum over all")
+    axes.stairs(one, edges, color=EXPECTED, linewidth=0.9, label=f"laser point {channel[0]}, pixel {channel[1]}")
+    axes.set_yscale("log")
+    lowest = float(one[one > 0].min(initial=float(whole.max())))
+    axes.set_ylim(max(0.5 * lowest, 1e-6 * float(whole.max())), 3 * float(whole.max()))
+    axes.set_xlim(*busy_window(whole, time))
+    axes.legend(loc="upper right")
+
+
+def _draw_places(
+    axes: Axes, capture: Capture, raster: scans.Raster | None, total: NDArray[np.float64], frame: ViewFrame | None
+) -> None:
+    """The sum over time as a picture of the wall, or as points on it where they make no grid."""
+    axes.set_title("Sum over time, on the relay wall")
+    if raster is not None:
+        scans.draw_moment(axes, total[..., None], slice(0, 1), raster)
+        return
+    points = capture.laser.targets if len(capture.laser.targets) > 1 else capture.sensor.pixels.mean(axis=1)
+    x, y = (points - points.mean(axis=0) if frame is None else frame.to_view(points))[:, :2].T
+    colors = total.ravel() if total.size == len(points) else None
+    axes.scatter(x, y, s=16, c=colors, cmap="magma" if colors is not None else None)
+    axes.set(xlabel="right (m)", ylabel="up (m)")
+    axes.set_aspect("equal", adjustable="datalim")
+
+
+def _counted(values: NDArray[Any]) -> str:
+    return "laser point" if len(values) > 1 or values.shape[1] == 1 else "pixel"
+
+
+def _listed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(1, N, bin): the channels of a scan without a grid, in its order."""
+    return values.sum(axis=1)[None] if _counted(values) == "laser point" else values
+
+
+def _numbered(count: int) -> scans.Raster:
+    number = np.arange(count)
+    return scans.Raster(np.zeros((1, count, 2), np.int64), number.astype(np.float64), np.zeros(1), "laser points")
+
+
+def _rectangle(stored: StoredScene, name: str) -> Rectangle | None:
+    vectors = stored.arrays[name]
+    return Rectangle(*vectors) if np.isfinite(vectors).all() else None
+
+
+def _frame(stored: StoredScene) -> ViewFrame | None:
+    """Of the labels, or of the relay wall: where its points are counted from in pictures."""
+    found = _rectangle(stored, "hidden_view") or _rectangle(stored, "relay_wall")
+    return None if found is None else ViewFrame.about(found)
+
+
+def _capture(stored: StoredScene) -> Capture:
+    """The capture as it is stored. Of devices nobody knows the place of, which no picture here shows, some place."""
+    arrays, settings = stored.arrays, stored.config.capture
+    lit, pixels = np.asarray(arrays["laser_points"], np.float64), np.asarray(arrays["sensor_pixels"], np.float64)
+    middle = pixels.mean(axis=(0, 1))
+    lit = np.where(np.isfinite(lit), lit, middle)
+
+    def placed(name: str) -> Floats:
+        position = arrays[name]
+        return position if np.isfinite(position).all() else middle + np.array([0.0, 0.0, 1.0 + np.ptp(lit)])
+
+    laser, sensor = Laser(placed("laser_position"), lit), Sensor(placed("sensor_position"), pixels)
+    return Capture(laser, sensor, settings.time.axis(), settings.pairing, settings.illumination)
+
+
+def _labels_page(stored: StoredScene, images: Sequence[str]) -> Figure:
+    """The stored labels, two or three in a row."""
+    scene = _as_labelled(stored)
+    boxes = None
+    if OBJECT_TABLES[0] in stored.arrays:
+        boxes = ObjectBoxes.from_tables({name: stored.arrays[name] for name in OBJECT_TABLES})
+    text = (
+        "Ground truth as stored, seen from the plane of the relay wall, orthographically; right and up as for "
+        "somebody who faces it."
+    )
+    panels = len(images) + (boxes is not None)
+    columns = min(3, panels)
+    frame, width = ViewFrame.of(scene), 4.6 * columns if columns > 1 else 7.0
+    high = float(np.clip(0.7 * width / columns * frame.half_height_m / frame.half_width_m, 1.5, 5.0)) + 1.0
+    heights = [high] * -(-panels // columns)
+    figure, grid = captioned(width, heights, text, f"{stored.title}: labels", columns)
+    for number, field in enumerate(images):
+        draw_label(figure, figure.add_subplot(grid[divmod(number, columns)]), scene, field, stored.arrays[field])
+    if boxes is not None:
+        axes = figure.add_subplot(grid[divmod(len(images), columns)])
+        draw_boxes(axes, scene, boxes, stored.classes, stored.arrays.get("depth"))
+    return figure
+
+
+def _as_labelled(stored: StoredScene) -> Scene:
+    """What labels need of a scene, their window and the names of the parts: each a pane in that window."""
+    import trimesh
+
+    view = _rectangle(stored, "hidden_view")
+    assert view is not None
+    objects = {int(part) for part in np.ravel(stored.arrays.get("object_part", ())) if part >= 0}
+    names = str(stored.parameters.get("scene.part_names", "")).split(",")
+    pane = trimesh.Trimesh(view.corners, [(0, 1, 2), (0, 2, 3)], process=False)
+    parts = [
+        Part(name, pane, Lambertian(0.5), "object" if number in objects else "structure")
+        for number, name in enumerate(names)
+    ]
+    bounds = stored.arrays["hidden_bounds"]
+    hidden = bounds if np.isfinite(bounds).all() else None
+    return Scene.from_parts(parts, hidden_view=view, hidden_bounds=hidden)

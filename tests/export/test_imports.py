@@ -1,0 +1,609 @@
+"""Imported captures: what was exported comes back bit for bit, files of others are read as their makers read them,
+and what is damaged or lacks something is refused in a line, with nothing made."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+import torch
+from datasets import write_dataset
+from point_target import LIGHT, SCANS, config_of, point_sample
+
+import datagen as dg
+from datagen.cli import run
+from datagen.config.imported import ImportOptions
+from datagen.export import export
+from datagen.export.measurement import Measurement, measurement
+from datagen.importing.containers import matlab_content
+from datagen.importing.mat import read_mat
+from datagen.importing.tal import read_tal
+from datagen.store import read_manifest, verify
+from datagen.store.digest import dataset_digest
+from datagen.store.info import info
+from datagen.store.scenes import SceneContent, Scenes
+
+h5py = pytest.importorskip("h5py", reason="h5py is not installed (extra `export`)")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Path]:
+    folder, there = tmp_path_factory.mktemp("datasets"), dict[tuple[str, str], Path]()
+
+    def of(scan: str, origin: str = "wall") -> Path:
+        key = scan, origin
+        if key not in there:
+            there[key] = write_dataset(config_of(scan, origin), folder / f"{scan}-{origin}.zarr", point_sample)
+        return there[key]
+
+    return of
+
+
+def brought_back(dataset: Path, folder: Path, format: str, scenes: str = "1", **options: Any) -> Path:
+    files = export(dataset, folder / "files", format, scenes, options.pop("light", None))
+    dg.import_captures(files, folder / "back.zarr", progress=False, **options)
+    return folder / "back.zarr"
+
+
+def check_geometry(back: SceneContent, m: Measurement) -> None:
+    """To the float32 of the format, in the frame of the wall, which files count in."""
+    seen, lit = back.arrays["sensor_pixels"], back.arrays["laser_points"]
+    np.testing.assert_allclose(lit, m.laser_points, atol=1e-6)
+    np.testing.assert_allclose(seen, np.repeat(m.seen_points[:, None], 4, axis=1), atol=1e-6)
+    again = measurement(back)
+    np.testing.assert_allclose(again.laser_points, m.laser_points, atol=1e-6)
+    np.testing.assert_allclose(again.seen_points, m.seen_points, atol=1e-6)
+    assert again.paired == m.paired
+    right, up = back.arrays["relay_wall"][1:]
+    assert right[0] > 0 and up[1] > 0 and right @ up == 0
+    corners = back.arrays["relay_wall"][0] + [[-1, -1], [1, 1]] @ back.arrays["relay_wall"][1:]
+    both = np.concatenate([lit, seen[:, 0]])[:, :2]
+    assert (corners[0, :2] <= both + 1e-9).all() and (both <= corners[1, :2] + 1e-9).all()
+
+
+GRIDS = ("confocal", "single", "exhaustive")
+CASES = [(scan, origin) for scan in SCANS for origin in ("wall", "source") if scan in GRIDS or origin == "source"]
+
+
+@pytest.mark.parametrize(("scan", "origin"), CASES)
+def test_y_tal_comes_back_bit_for_bit(scan: str, origin: str, made: Any, tmp_path: Path) -> None:
+    back = Scenes(brought_back(made(scan, origin), tmp_path, "tal"))
+    config = back.manifest.parsed_config()
+    m, got = measurement(Scenes(made(scan, origin)).read(1)).from_time_zero(), back.read(0)
+    assert got.arrays["histogram"].dtype == np.uint16
+    np.testing.assert_array_equal(got.arrays["histogram"], m.values)
+    assert config.capture.time.axis() == got.time and got.time.origin == origin
+    np.testing.assert_allclose([got.time.width_s, got.time.start_s], [m.time.width_s, m.time.start_s], atol=1e-22)
+    check_geometry(got, m)
+    np.testing.assert_allclose(got.arrays["laser_position"], m.laser_position, atol=1e-6)
+    np.testing.assert_allclose(got.arrays["sensor_position"], m.sensor_position, atol=1e-6)
+    assert m.hidden is not None
+    np.testing.assert_allclose(got.arrays["hidden_bounds"], m.hidden, atol=1e-9)
+
+
+@pytest.mark.parametrize(("scan", "origin"), CASES)
+def test_matlab_comes_back_bit_for_bit_from_the_wall_on(scan: str, origin: str, made: Any, tmp_path: Path) -> None:
+    back = Scenes(brought_back(made(scan, origin), tmp_path, "mat"))
+    m, got = measurement(Scenes(made(scan, origin)).read(1)).from_time_zero(), back.read(0)
+    values = got.arrays["histogram"]
+    shape, bins = m.values.shape[:2], values.shape[-1]
+    ways = np.zeros(shape)
+    if origin == "source":
+        ways = np.linalg.norm(m.laser_points - m.laser_position, axis=-1)[:, None]
+        seen = np.linalg.norm(m.seen_points - m.sensor_position, axis=-1)
+        ways = ways + (seen[:, None] if m.paired else seen)
+    shifts = np.floor(ways / LIGHT / m.time.width_s).astype(int)
+    due = np.zeros((*shape, bins))
+    for at, shift in np.ndenumerate(shifts):
+        there = m.values[at][shift : shift + bins]
+        due[at][: len(there)] = there
+    np.testing.assert_array_equal(values, due)
+    assert values.sum() == m.values.sum() and got.time.origin == "wall"
+    np.testing.assert_allclose(got.time.width_s, m.time.width_s, rtol=1e-11)
+    check_geometry(got, m)
+    assert np.isnan(got.arrays["laser_position"]).all() and np.isnan(got.arrays["hidden_bounds"]).all()
+
+
+@pytest.mark.parametrize("format", ["tal", "mat"])
+def test_light_comes_back_as_light(format: str, made: Any, tmp_path: Path) -> None:
+    back = Scenes(brought_back(made("confocal"), tmp_path, format, light="transient"))
+    m = measurement(Scenes(made("confocal")).read(1), "transient").from_time_zero()
+    got = back.read(0).arrays
+    assert "histogram" not in got
+    np.testing.assert_array_equal(got["transient"], m.values)
+    assert back.manifest.schema.by_name["transient"].unit == "as in the file"
+
+
+def test_what_is_brought_back_is_exported_as_before(made: Any, tmp_path: Path) -> None:
+    for scan, format in (("exhaustive", "tal"), ("confocal", "mat"), ("circle", "mat")):
+        folder = tmp_path / f"{scan}-{format}"
+        back = brought_back(made(scan), folder, format)
+        first = next((folder / "files").iterdir())
+        (again,) = export(back, folder / "again", format)
+        contents = [
+            scipy.io.loadmat(path)
+            if format == "mat" and scan == "circle"
+            else {name: of[()] for name, of in h5py.File(path).items()}
+            for path in (first, again)
+        ]
+        for name in (
+            "H",
+            "meas",
+            "tofgrid",
+            "wall_size",
+            "trans_data",
+            "camera_points",
+            "sensor_grid_xyz",
+            "delta_t",
+        ):
+            assert (name in contents[0]) == (name in contents[1])
+            if name in contents[0]:
+                np.testing.assert_allclose(contents[0][name], contents[1][name], rtol=1e-6, atol=1e-6, err_msg=name)
+
+
+def test_simulated_and_imported_scenes_in_one_loader(made: Any, tmp_path: Path) -> None:
+    simulated = made("single")
+    back = brought_back(simulated, tmp_path, "tal", "0-1", bins=1500)
+    fields = ("histogram", "laser_points", "sensor_pixels", "laser_position")
+    both = torch.utils.data.ConcatDataset([dg.TransientDataset(path, fields) for path in (simulated, back)])
+    (batch,) = torch.utils.data.DataLoader(both, batch_size=4, collate_fn=dg.collate)
+    assert batch["histogram"].shape == (4, 1, 18, 1500) and batch["histogram"].dtype == torch.float32
+    # The simulated one begins 40 whole bins after 0, which a file does.
+    assert torch.equal(batch["histogram"][0, ..., :1460], batch["histogram"][2, ..., 40:])
+
+
+# Files as others write them
+
+
+def stanford(folder: Path, axes: str = "xyt", **other: Any) -> tuple[Path, np.ndarray]:
+    """A light-cone-transform file; and (row, column, bin) what it holds, from the top left."""
+    counts = np.random.default_rng(1).poisson(0.7, (5, 6, 40))
+    counts[0, 0, 0] = 9
+    stored = counts.transpose(["yxt".index(axis) for axis in axes])
+    path = folder / "data_s_u.mat"
+    scipy.io.savemat(path, {"rect_data": stored.astype(np.float64), "width": 0.4} | other)
+    return path, counts
+
+
+@pytest.mark.parametrize("axes", ["xyt", "yxt", "txy", "tyx"])
+def test_light_cone_transform_data(axes: str, tmp_path: Path) -> None:
+    path, counts = stanford(tmp_path, axes)
+    dg.import_captures(path, tmp_path / "set", bin_width=4e-12, axes=axes, progress=False)
+    got = Scenes(tmp_path / "set").read(0)
+    np.testing.assert_array_equal(got.arrays["histogram"].reshape(5, 6, 40), counts)
+    points = got.arrays["laser_points"].reshape(5, 6, 3)
+    # `width` is half of the wall; the first row is the top one.
+    np.testing.assert_allclose(points[0, 0], [-0.4, 0.4, 0], atol=1e-12)
+    np.testing.assert_allclose(points[-1, -1], [0.4, -0.4, 0], atol=1e-12)
+    assert got.time == dg.TimeAxis(40, 4e-12, 0.0, "wall")
+
+
+def test_time_comes_first_where_the_other_axes_are_alike(tmp_path: Path) -> None:
+    counts = np.arange(40 * 9).reshape(40, 3, 3)
+    scipy.io.savemat(tmp_path / "cube.mat", {"rect_data": counts, "width": 1})
+    dg.import_captures(tmp_path / "cube.mat", tmp_path / "set", bin_width="4ps", progress=False)
+    got = Scenes(tmp_path / "set").read(0).arrays["histogram"]
+    np.testing.assert_array_equal(got.reshape(3, 3, 40), counts.transpose(2, 1, 0))
+
+
+def test_f_k_migration_data_with_their_own_file_of_delays(tmp_path: Path) -> None:
+    """Version 7.3 with the arrays of MATLAB, as the published ones; shifted as their demonstration shifts them."""
+    random = np.random.default_rng(2)
+    meas, tof = random.poisson(0.5, (4, 6, 64)).astype(np.uint16), random.uniform(320, 640, (4, 6))
+    for name, key, value in (("meas_10min.mat", "meas", meas), ("tof.mat", "tofgrid", tof)):
+        with h5py.File(tmp_path / name, "w", userblock_size=512) as file:
+            file.create_dataset(key, data=value.T)
+    dg.import_captures(
+        tmp_path / "meas_10min.mat", tmp_path / "set", bin_width="32ps", wall="2m x 1m", tof=tmp_path / "tof.mat",
+        license="CC-BY-4.0", description="A letter.", name="letter", progress=False,
+    )  # fmt: skip
+    got = Scenes(tmp_path / "set").read(0)
+    values = got.arrays["histogram"].reshape(4, 6, -1)
+    kept = 64 - int(np.floor(tof / 32).max())
+    assert values.shape[-1] == kept == got.time.bins
+    for at in np.ndindex(4, 6):
+        rolled = np.roll(meas[at], -int(np.floor(tof[at] / 32)))
+        np.testing.assert_array_equal(values[at], rolled[:kept])
+    np.testing.assert_allclose(np.ptp(got.arrays["laser_points"], axis=0), [2, 1, 0])
+    stated = json.loads((tmp_path / "set/dataset.json").read_text())["config"]
+    assert (stated["name"], stated["license"], stated["description"]) == ("letter", "CC-BY-4.0", "A letter.")
+    options = stated["scene"]["layout"]["options"]
+    assert (options["bin_width_ps"], options["wall_m"], options["delays"]["name"]) == (32.0, [2.0, 1.0], "tof.mat")
+
+
+def tal(path: Path, h: np.ndarray, form: int, lit: np.ndarray, seen: np.ndarray, **other: Any) -> Path:
+    """As `tal.io.write_capture` writes: enums of one element, nothing as an empty dataset."""
+    content: dict[str, Any] = {
+        "H": h, "H_format": np.array([form], np.int32), "sensor_grid_xyz": seen, "laser_grid_xyz": lit,
+        "sensor_grid_format": np.array([1 + (seen.ndim == 3)]), "laser_grid_format": np.array([1 + (lit.ndim == 3)]),
+        "sensor_xyz": np.array([-0.5, 0, 0.25], np.float32), "laser_xyz": np.array([-0.5, 0, 0.25], np.float32),
+        "sensor_grid_normals": None, "delta_t": 0.003, "t_start": 0.0, "t_accounts_first_and_last_bounces": True,
+        "volume_format": np.array([2]), "scene_info": "original_format: HDF5_TAL\n",
+    } | other  # fmt: skip
+    with h5py.File(path, "w") as file:
+        for name, value in content.items():
+            file[name] = h5py.Empty(float) if value is None else value
+    return path
+
+
+def grid(nx: int, ny: int, mirrored: bool = False) -> np.ndarray:
+    x, y = np.meshgrid(np.linspace(1, -1, nx) if mirrored else np.linspace(-1, 1, nx), np.linspace(-0.5, 0.5, ny))
+    return np.stack([x.T, y.T, 0 * x.T], axis=-1).astype(np.float32)
+
+
+def light_at(path: Path) -> dict[tuple[float, ...], np.ndarray]:
+    """(x, y of laser point, x, y of pixel) → histogram."""
+    got = Scenes(path).read(0).arrays
+    lit, seen = got["laser_points"][:, :2].round(5), got["sensor_pixels"][:, 0, :2].round(5)
+    values = got["histogram"] if "histogram" in got else got["transient"]
+    paired = values.shape[1] != len(seen)
+    found = {}
+    for laser, pixel in np.ndindex(values.shape[:2]):
+        place = seen[laser] if paired else seen[pixel]
+        found[*(lit[laser] + 0.0).tolist(), *(place + 0.0).tolist()] = values[laser, pixel]
+    return found
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("form", [1, 2, 3, 4])
+def test_every_layout_of_y_tal(form: int, mirrored: bool, tmp_path: Path) -> None:
+    """Each histogram stays with its points, whichever way the axes of their grid run."""
+    seen, lit = grid(4, 3, mirrored), grid(2, 3)
+    if form > 2:
+        seen, lit = seen.reshape(-1, 3), lit.reshape(-1, 3)
+    alone = form in (1, 3)
+    lit = lit.reshape(-1, 3)[1:2].reshape(lit.shape[:0] + ((1, 1, 3) if form == 1 else (1, 3))) if alone else lit
+    shape = (16, *(() if alone else lit.shape[:-1]), *seen.shape[:-1])
+    h = np.random.default_rng(form).poisson(2.0, shape).astype(np.float32)
+    path = tal(tmp_path / "capture.hdf5", h, form, lit, seen)
+    dg.import_captures(path, tmp_path / "set", progress=False)
+    found = light_at(tmp_path / "set")
+    assert len(found) == h[0].size
+    for at in np.ndindex(h.shape[1:]):
+        laser = lit.reshape(-1, 3)[0] if alone else lit[at[: lit.ndim - 1]]
+        pixel = seen[at if alone else at[lit.ndim - 1 :]]
+        key = (*laser[:2].astype(float).round(5).tolist(), *pixel[:2].astype(float).round(5).tolist())
+        np.testing.assert_array_equal(found[key], h[:, *at])
+    order = Scenes(tmp_path / "set").read(0).arrays["sensor_pixels"][:, 0].reshape(3, 4, 3)
+    assert (np.diff(order[..., 0], axis=1) > 0).all() and (np.diff(order[..., 1], axis=0) < 0).all()
+
+
+def test_pixels_and_laser_points_one_for_one_at_other_places(tmp_path: Path) -> None:
+    seen = grid(3, 3)
+    h = np.random.default_rng(0).random((8, 3, 3)).astype(np.float32)
+    tal(tmp_path / "c.hdf5", h, 1, seen + np.float32([0.1, 0, 0]), seen)
+    dg.import_captures(tmp_path / "c.hdf5", tmp_path / "set", progress=False)
+    got = Scenes(tmp_path / "set")
+    assert got.manifest.config["capture"]["pairing"] == "confocal"
+    arrays = got.read(0).arrays
+    np.testing.assert_allclose(arrays["laser_points"] - arrays["sensor_pixels"][:, 0], [[0.1, 0, 0]] * 9, atol=1e-6)
+
+
+def test_a_list_that_is_every_pixel_for_every_laser_point(tmp_path: Path) -> None:
+    """And one that is none: then each row is a laser point and its pixel."""
+    random = np.random.default_rng(3)
+    lit, seen = random.normal(size=(3, 3)), random.normal(size=(5, 3))
+    rows = random.poisson(3.0, (15, 12))
+    pairs = {"laser_points": np.repeat(lit, 5, axis=0), "camera_points": np.tile(seen, (3, 1)), "trans_data": rows}
+    for keep, shape in ((15, (3, 5, 12)), (14, (14, 1, 12))):
+        scipy.io.savemat(tmp_path / "pairs.mat", {name: of[:keep] for name, of in pairs.items()})
+        dg.import_captures(tmp_path / "pairs.mat", tmp_path / f"{keep}", bin_width="8 ps", progress=False)
+        got = Scenes(tmp_path / f"{keep}").read(0).arrays
+        np.testing.assert_array_equal(got["histogram"], rows[:keep].reshape(shape))
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib", "ignore::DeprecationWarning:mlcroissant")
+def test_other_tools_open_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    seen = grid(3, 3)
+    h = np.random.default_rng(0).poisson(1.0, (2, 8, 3, 3)).astype(np.float32)
+    files = [tal(tmp_path / f"{k}.hdf5", h[k], 1, seen, seen, scene_info="volume: !!python/none x") for k in (0, 1)]
+    out = tmp_path / "set"
+    assert run(["import", *map(str, files), str(out), "--quiet", "--name", "two"]) == 0
+    assert "complete with 2 scenes" in capsys.readouterr().out
+    assert run(["import", *map(str, files), str(out), "--quiet", "--name", "two"]) == 0
+    assert "nothing left to build" in capsys.readouterr().out
+    assert not verify(out, deep=True).problems and len(dataset_digest(out)) == 64
+    told = info(out)
+    assert "imported     from 2 files (tal): 0.hdf5, 1.hdf5" in told and "read" in told
+    text = (out / "README.md").read_text()
+    assert "nothing was simulated" in text and "nothing here was measured" not in text and "synthetic" not in text
+    assert read_manifest(out).imported[1].sha256 in text
+    card = json.loads((out / "croissant.json").read_text())
+    assert "Imported" in card["rai:dataCollection"] and "Imported" in card["description"]
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed (extra `tests`)")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        opened = xarray.open_zarr(out / "data.zarr", chunks=None)
+    assert opened.histogram.sum() == h.sum()
+    mlcroissant = pytest.importorskip("mlcroissant", reason="mlcroissant is not installed")
+    found = mlcroissant.Dataset(jsonld=str(out / "croissant.json"))
+    assert not found.metadata.ctx.issues.errors and not found.metadata.ctx.issues.warnings
+    assert [row["scenes/capture.file"] for row in found.records("scenes")] == [b"0.hdf5", b"1.hdf5"]
+    for format in ("tal", "mat", "npz", "h5", "hub"):
+        assert export(out, tmp_path / format, format)
+
+
+def test_one_capture_under_two_names_is_in_one_split(tmp_path: Path) -> None:
+    seen, files = grid(2, 2), []
+    for number in range(20):
+        h = np.full((4, 2, 2), number // 2, np.float32)
+        files.append(tal(tmp_path / f"{number:02}.hdf5", h, 1, seen, seen))
+    dg.import_captures(files, tmp_path / "set", progress=False)
+    data = dg.TransientDataset(tmp_path / "set", "histogram")
+    splits = data.parameters("split").reshape(-1, 2)
+    assert (splits[:, 0] == splits[:, 1]).all() and len(set(splits[:, 0])) > 1
+
+
+def test_noise_is_drawn_anew_where_the_detector_is_known(tmp_path: Path) -> None:
+    seen = grid(2, 2)
+    path = tal(tmp_path / "c.hdf5", np.full((8, 2, 2), 1.5e-9, np.float32), 1, seen, seen, delta_t=3.0)
+    dg.import_captures(path, tmp_path / "bare", progress=False)
+    with pytest.raises(dg.InputError, match="detector"):
+        dg.TransientDataset(tmp_path / "bare", "histogram", redraw_noise=True)
+    detector = {"detector": {"mode": "ideal", "photons_per_pulse": 1e10, "cycles": 1000}}
+    dg.import_captures(path, tmp_path / "set", settings=detector, progress=False)
+    data = dg.TransientDataset(tmp_path / "set", "histogram", redraw_noise=True)
+    first, second = data[0]["histogram"], data[0]["histogram"]
+    assert not torch.equal(first, second)
+    # 1.5e-9 · 1e10 · 1000 photons, of which 0.3 are detected.
+    assert abs(float(first.mean()) / 4500 - 1) < 0.02
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_matlab_arrays_are_read_as_scipy_reads_them(packed: bool, tmp_path: Path) -> None:
+    random = np.random.default_rng(4)
+    kinds = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8", "i8", "u8")
+    variables: dict[str, Any] = {f"of_{kind}": random.integers(0, 99, (3, 4, 5)).astype(kind) for kind in kinds}
+    variables |= {"a": 3.5, "tiny": np.uint8([[1, 2]]), "none": np.zeros((0, 3)), "on": np.array([[True, False]])}
+    scipy.io.savemat(tmp_path / "m.mat", {"text": "left out", **variables, "cell": np.array([1, "x"], object)},
+                     do_compression=packed)  # fmt: skip
+    content = matlab_content(tmp_path / "m.mat", (*variables, "missing"))
+    assert content.names == ("text", *variables, "cell") and set(content.arrays) == set(variables)
+    for name, due in scipy.io.loadmat(tmp_path / "m.mat", variable_names=list(variables)).items():
+        if name in variables:
+            np.testing.assert_array_equal(content.arrays[name], due)
+    for name, told in (("text", "text"), ("cell", "cell array")):
+        with pytest.raises(dg.InputError, match=told):
+            matlab_content(tmp_path / "m.mat", (name,))
+
+
+@pytest.mark.parametrize("name", ["c.hdf5", "plain.mat", "packed.mat"])
+def test_no_damage_ends_in_anything_but_a_line(name: str, tmp_path: Path) -> None:
+    """Bytes changed and cut: a capture, or a refusal."""
+    random, path = np.random.default_rng(5), tmp_path / name
+    if name == "c.hdf5":
+        tal(path, random.poisson(1.0, (8, 2, 2)).astype(np.float32), 1, grid(2, 2), grid(2, 2))
+    else:
+        variables = {"rect_data": np.ones((2, 2, 9)), "width": 1.0}
+        scipy.io.savemat(path, variables, do_compression=name == "packed.mat")
+    whole, refused = path.read_bytes(), 0
+    for _ in range(60):
+        harmed = bytearray(whole[: random.integers(1, len(whole))] if random.random() < 0.2 else whole)
+        reach = min(len(harmed), int(random.choice([256, 2048, len(harmed)])))
+        for place in random.integers(0, reach, random.integers(1, 12)):
+            harmed[place] = random.integers(256)
+        path.write_bytes(harmed)
+        try:
+            options = ImportOptions(bin_width_ps=None if name == "c.hdf5" else 4.0)
+            read = read_tal(path, options) if name == "c.hdf5" else read_mat(path, options)
+            assert read.in_order().geometry()["laser_points"].shape[1] == 3
+        except dg.InputError as error:
+            refused += 1
+            assert "\n" not in str(error) and len(str(error)) < 900
+    assert refused > 10
+
+
+# What is refused
+
+
+def damaged(kind: str, folder: Path) -> tuple[list[Path], dict[str, Any]]:
+    """Files, and the options of their import."""
+    seen, h = grid(3, 3), np.ones((8, 3, 3), np.float32)
+    path, options = folder / "c.hdf5", dict[str, Any]()
+    match kind:
+        case "truncated":
+            tal(path, np.random.default_rng(0).random((64, 3, 3)), 1, seen, seen)
+            path.write_bytes(path.read_bytes()[:-2000])
+        case "noise":
+            path.write_bytes(bytes(range(256)) * 8)
+        case "empty":
+            path.write_bytes(b"")
+        case "no H":
+            with h5py.File(path, "w") as file:
+                file["G"], file["sensor_grid_xyz"], file["laser_grid_xyz"] = h, seen, seen
+        case "Zaragoza":
+            with h5py.File(path, "w") as file:
+                file["data"], file["cameraGridPositions"] = h, seen
+        case "unknown layout":
+            tal(path, h, 0, seen, seen)
+        case "other layout":
+            tal(path, h, 2, seen, seen)
+        case "other grid":
+            tal(path, h[..., :2], 1, seen, seen)
+        case "points in a plane":
+            tal(path, h, 1, seen[..., :2], seen[..., :2])
+        case "a point at infinity":
+            tal(path, h, 1, seen, np.where(seen > 0.9, np.inf, seen).astype(np.float32))
+        case "no bin width":
+            tal(path, h, 1, seen, seen, delta_t=None)
+        case "another bin width":
+            tal(path, h, 1, seen, seen)
+            options = {"bin_width": "4ps"}
+        case "a bin width of 0":
+            tal(path, h, 1, seen, seen, delta_t=0.0)
+        case "no place of the laser":
+            tal(path, h, 1, seen, seen, laser_xyz=None)
+        case "negative":
+            tal(path, h - 2, 1, seen, seen)
+        case "NaN":
+            tal(path, h * np.float32("nan"), 1, seen, seen)
+        case "fractions as counts":
+            tal(path, h / 2, 1, seen, seen)
+            options = {"field": "histogram"}
+        case "counts beyond 32 bits":
+            tal(path, h.astype(np.float64) * 2.0**33, 1, seen, seen)
+        case "complex":
+            tal(path, h * 1j, 1, seen, seen)
+        case "text for H":
+            tal(path, h, 1, seen, seen)
+            with h5py.File(path, "a") as file:
+                del file["H"]
+                file["H"] = "light"
+        case "objects":
+            tal(path, h, 1, seen, seen)
+            with h5py.File(path, "a") as file:
+                del file["H"]
+                file.create_dataset("H", (8, 3, 3), dtype=h5py.special_dtype(ref=h5py.Reference))
+        case "a link":
+            tal(path, h, 1, seen, seen)
+            tal(folder / "other.hdf5", h, 1, seen, seen)
+            with h5py.File(path, "a") as file:
+                del file["H"]
+                file["H"] = h5py.ExternalLink("other.hdf5", "/H")
+        case "values in another file":
+            tal(path, h, 1, seen, seen)
+            (folder / "secret").write_bytes(bytes(8 * 9 * 4))
+            with h5py.File(path, "a") as file:
+                del file["H"]
+                file.create_dataset("H", (8, 3, 3), "f4", external=[(str(folder / "secret"), 0, 8 * 9 * 4)])
+        case "huge":
+            tal(path, h, 1, seen, seen)
+            with h5py.File(path, "a") as file:
+                del file["H"]
+                file.create_dataset("H", (10**6, 10**4, 10**4), "f4", chunks=(1, 100, 100))
+        case "declared and not there":
+            tal(path, h, 1, seen, seen)
+            with h5py.File(path, "a") as file:
+                del file["H"]
+                file.create_dataset("H", (2**20, 3, 3), "f4", chunks=(1024, 3, 3))
+        case "two shapes":
+            files = [tal(path, h, 1, seen, seen), tal(folder / "d.hdf5", h[:4], 1, seen, seen)]
+            return files, options
+        case "counts and light":
+            files = [tal(path, h, 1, seen, seen), tal(folder / "d.hdf5", h / 2, 1, seen, seen)]
+            return files, options
+        case "too few bins":
+            tal(path, h, 1, seen, seen)
+            options = {"bins": 9}
+        case "no suffix":
+            path = tal(folder / "capture", h, 1, seen, seen)
+        case "a wall for y-tal":
+            tal(path, h, 1, seen, seen)
+            options = {"wall": "2m"}
+        case "mat without a bin width":
+            path = stanford(folder)[0]
+        case "mat without a wall":
+            path, options = folder / "m.mat", {"bin_width": "4ps", "tof": "none"}
+            scipy.io.savemat(path, {"meas": h})
+        case "mat without delays":
+            path, options = folder / "m.mat", {"bin_width": "4ps", "wall": 2.0}
+            scipy.io.savemat(path, {"meas": h})
+        case "other delays":
+            path, options = folder / "m.mat", {"bin_width": "4ps", "wall": 2.0}
+            scipy.io.savemat(path, {"meas": h, "tofgrid": np.zeros((2, 2))})
+        case "delays beyond all":
+            path, options = folder / "m.mat", {"bin_width": "4ps", "wall": 2.0}
+            scipy.io.savemat(path, {"meas": h, "tofgrid": np.full((3, 3), 1e4)})
+        case "another wall":
+            path, options = stanford(folder)[0], {"bin_width": "4ps", "wall": "2m"}
+        case "frames":
+            path, options = folder / "m.mat", {"bin_width": "4ps", "wall": 2.0, "tof": "none"}
+            scipy.io.savemat(path, {"meas": np.ones((2, 3, 3, 8))})
+        case "cells":
+            path, options = folder / "m.mat", {"bin_width": "4ps"}
+            scipy.io.savemat(path, {"rect_data": np.array([h, "x"], object), "width": 1.0})
+        case "another program's mat":
+            path = folder / "m.mat"
+            scipy.io.savemat(path, {"dataset": h})
+        case "truncated mat":
+            path, options = stanford(folder)[0], {"bin_width": "4ps"}
+            path.write_bytes(path.read_bytes()[:3000])
+        case "pairs that do not fit":
+            path, options = folder / "m.mat", {"bin_width": "4ps"}
+            scipy.io.savemat(path, {"trans_data": h[0], "camera_points": h[0], "laser_points": np.ones((2, 3))})
+    return [path], options
+
+
+REFUSED = {
+    "truncated": "damaged", "noise": "damaged", "empty": "damaged", "no H": "H: missing; the file has G",
+    "Zaragoza": "Zaragoza", "unknown layout": "H_format = 0", "other layout": "no T_Lx_Ly_Sx_Sy",
+    "other grid": "does not fit H", "points in a plane": "(…, 3) needed", "a point at infinity": "sensor_grid_xyz",
+    "no bin width": "--bin", "another bin width": "--bin 4ps", "a bin width of 0": "bin_width_ps",
+    "no place of the laser": "laser_xyz", "negative": "negative", "NaN": "NaN",
+    "fractions as counts": "--field histogram", "counts beyond 32 bits": "--field transient", "complex": "complex",
+    "text for H": "H", "objects": "not numbers", "a link": "link", "values in another file": "another file",
+    "huge": "at most", "declared and not there": "and 0 there", "two shapes": "--bins 4",
+    "counts and light": "--field transient", "too few bins": "--bins 9", "no suffix": "--format",
+    "a wall for y-tal": "--wall", "mat without a bin width": "--bin 4ps", "mat without a wall": "--wall",
+    "mat without delays": "--tof", "other delays": "(2, 2)", "delays beyond all": "ps", "another wall": "--wall",
+    "frames": "(2, 3, 3, 8)", "cells": "cell array", "another program's mat": "rect_data",
+    "truncated mat": "damaged|data_s_u", "pairs that do not fit": "(N, 3)",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_it_is_refused_in_a_line_and_nothing_is_made(kind: str, tmp_path: Path) -> None:
+    files, options = damaged(kind, tmp_path)
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(dg.InputError) as told:
+        dg.import_captures(files, tmp_path / "set", progress=False, **options)
+    message = str(told.value)
+    assert "\n" not in message and len(message) < 400
+    assert any(piece in message for piece in REFUSED[kind].split("|")), message
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_the_command_refuses_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = str(stanford(tmp_path)[0]), str(tmp_path / "set")
+    for arguments, piece in (
+        ([path, out], "--bin 4ps"),
+        ([path, out, "--bin", "4 parsecs"], "--bin 4 parsecs"),
+        ([path, out, "--bin", "4ps", "--wall", "big"], "--wall big"),
+        ([path, out, "--bin", "4ps", "--axes", "abc"], "--axes"),
+        ([path, out, "--bin", "4ps", "--bins", "0"], "--bins 0"),
+        ([path, out, "--bin", "4ps", "--field", "light"], "--field"),
+        ([path, out, "--bin", "4ps", "--tof", "nowhere.mat"], "nowhere.mat"),
+        ([path, out, "--format", "doc"], "--format doc"),
+        (["nowhere.mat", out], "no such file"),
+        ([str(tmp_path), out], "directory"),
+        ([path, "", "--bin", "4ps"], "OUT"),
+        ([out], "missing argument"),
+    ):
+        assert run(["import", *arguments]) == 2
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1 and piece in err, err
+    assert not Path(out).exists()
+
+
+def test_a_configuration_cannot_ask_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nor can what draws rooms draw one of an imported capture."""
+    path, _ = stanford(tmp_path)
+    dg.import_captures(path, tmp_path / "set", bin_width="4ps", progress=False)
+    config = read_manifest(tmp_path / "set").parsed_config()
+    assert config.capture.shape == (30, 1, 40)
+    for call in (
+        lambda: dg.scene_for(config, 0),
+        lambda: dg.build(config, tmp_path / "again", progress=False),
+        lambda: export(tmp_path / "set", tmp_path / "glb", "glb"),
+    ):
+        with pytest.raises(dg.InputError, match="imported, and have no room to draw"):
+            call()
+    assert run(["verify", "--resimulate", "1", str(tmp_path / "set")]) == 2
+    assert "no room to draw" in capsys.readouterr().err
+
+
+def test_a_file_that_changes_meanwhile_is_told(tmp_path: Path) -> None:
+    path, _ = stanford(tmp_path)
+    dg.import_captures(path, tmp_path / "set", bin_width="4ps", progress=False)
+    from datagen.importing.captures import ImportedSamples
+
+    config = read_manifest(tmp_path / "set").parsed_config()
+    path.write_bytes(path.read_bytes() + b"\0")
+    with pytest.raises(dg.InputError, match="has changed"):
+        ImportedSamples((str(path),), None)(config, 0)
