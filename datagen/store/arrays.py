@@ -70,7 +70,9 @@ def shard_shape(field: Field, scenes_per_shard: int) -> tuple[int, ...]:
 
 def _create(group: zarr.Group, field: Field, schema: Schema) -> None:
     k, dtype = schema.scenes_per_shard, np.dtype(field.dtype)
-    blosc = BloscCodec(cname="zstd", clevel=5, shuffle="bitshuffle", typesize=dtype.itemsize)
+    # Light does not compress: at level 5 a transient is 4 % smaller, for five times the time.
+    level = 1 if dtype.kind == "f" else 5
+    blosc = BloscCodec(cname="zstd", clevel=level, shuffle="bitshuffle", typesize=dtype.itemsize)
     group.create_array(
         field.name,
         shape=(schema.scenes, *field.shape),

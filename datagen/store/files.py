@@ -102,8 +102,11 @@ def holds(path: Place, content: bytes) -> bool:
 
 
 def json_bytes(value: Any) -> bytes:
-    """JSON as every file of a dataset holds it: keys in the order given, floats that round-trip, a final newline."""
-    return (json.dumps(value, indent=2, ensure_ascii=False) + "\n").encode()
+    """JSON as every file of a dataset holds it: keys in the order given, floats that round-trip, a final newline.
+
+    Records are written as mappings of their fields.
+    """
+    return (json.dumps(value, indent=2, ensure_ascii=False, default=vars) + "\n").encode()
 
 
 def finite(value: Any) -> Any:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Annotated
@@ -82,7 +82,7 @@ class ShardRecord:
 
     def to_bytes(self) -> bytes:
         """The record's file."""
-        return sealed(asdict(self))
+        return sealed(vars(self))
 
     def mismatch(self, schema: Schema, fingerprint: str) -> str | None:
         """Why this is no record of a shard of such a dataset, or None."""
