@@ -1,9 +1,11 @@
-"""What a batch costs as histograms and as events: `python tests/store/loading_costs.py` prints the table of
-docs/training.md. 48 samples of 64 × 64 × 1024 counts, 3 % of bins filled, batches of 8, medians over epochs.
+"""What a batch costs as histograms and as events, and what parts of a sample cost: the tables of docs/training.md are
+printed by `python tests/store/loading_costs.py`. 48 samples of 64 × 64 × 1024 counts, 3 % of bins filled, batches
+of 8, medians over epochs.
 """
 
 from __future__ import annotations
 
+import itertools
 import resource
 import statistics
 import sys
@@ -22,7 +24,7 @@ from datasets import write_dataset
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.records import Sample
-from datagen.store import schema_of
+from datagen.store import reader, schema_of
 
 SCENES, EPOCHS = 48, 5
 WAYS: dict[str, dict[str, Any]] = {
@@ -39,6 +41,16 @@ def sample(config: DatasetConfig, index: int) -> Sample:
         for field in schema_of(config).fields
     }
     return Sample(index, arrays, {"index": index}, {})
+
+
+PARTS: dict[str, dict[str, Any]] = {
+    "whole": {},
+    "rows and columns 24 … 39": {"lasers": np.s_[24:40, 24:40]},
+    "every second row and column": {"lasers": np.s_[::2, ::2]},
+    "64 laser points anywhere": {"lasers": np.sort(np.random.default_rng(0).permutation(4096)[:64])},
+    "one laser point": {"lasers": [2080]},
+    "bins 256 … 511": {"bins": slice(256, 512)},
+}
 
 
 def processor_s() -> float:
@@ -69,6 +81,20 @@ def main() -> None:
                 print(
                     f"{workers} workers  {name:16}{wall:8.1f} ms {processor:8.1f} processor ms {size / 8e6:8.2f} MB"
                 )
+        reader.MEMORY_BYTES = 0
+        for name, crop in PARTS.items():
+            data = dg.TransientDataset(root, ("histogram",), counts="stored", **crop)
+            first, *later = [statistics.median(milliseconds(data)) for _ in range(1 + EPOCHS)]
+            print(f"{name:30}{first:8.1f} processor ms, read again {statistics.median(later):8.1f}")
+
+
+def milliseconds(data: dg.TransientDataset) -> list[float]:
+    """Of the processor, for each sample by itself."""
+    taken = [time.process_time()]
+    for item in range(len(data)):
+        data[item]
+        taken.append(time.process_time())
+    return [1e3 * (b - a) for a, b in itertools.pairwise(taken)]
 
 
 if __name__ == "__main__":
