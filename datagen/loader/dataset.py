@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
 from datagen.errors import CheckError, InputError
-from datagen.loader.batch import Batch
+from datagen.loader.batch import Batch, room_for
 from datagen.loader.crops import Crops
 from datagen.loader.draws import DrawCounter
 from datagen.loader.events import events_of
@@ -140,6 +140,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if representation not in ("dense", "events"):
             raise InputError(f"representation = {representation!r}: must be 'dense' or 'events'")
         self._as_events = representation == "events" and "histogram" in self.selected
+        if self._as_events:
+            # Compiled here, once, for all workers that are forked.
+            events_of(np.zeros((1, 1, 1, 64), self._schema.by_name["histogram"].dtype))
         if redraw_noise and "transient" not in self.fields:
             raise InputError(
                 f"redraw_noise: {path} has no field transient to draw from; build it with one (store.fields)"
@@ -183,12 +186,18 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """Several items in one read each field; the batch that a `DataLoader` asks for."""
         scenes = [int(self.scenes[self._checked(item)]) for item in items]
         drawn = self._drawn(scenes)
-        values = {name: drawn[name] if name in drawn else self._stored_as(name, scenes) for name in self.selected}
-        events = events_of(values.pop("histogram")) if self._as_events else None
-        batch = {name: torch.from_numpy(of) for name, of in values.items()} | {"scene": torch.tensor(scenes)}
-        if events is None:
+        batch = {
+            name: torch.from_numpy(drawn[name]) if name in drawn else self._tensor(name, scenes)
+            for name in self.selected
+            if not (self._as_events and name == "histogram")
+        } | {"scene": torch.tensor(scenes)}
+        if not self._as_events:
             return Batch(batch)
-        return Batch(batch, *map(torch.from_numpy, (events[0], self._cast(events[1]))))
+        counts = drawn.get("histogram")
+        if counts is None:
+            counts = self._stored("histogram", scenes, part=self._parts["histogram"])
+        events, of_events = events_of(counts)
+        return Batch(batch, torch.from_numpy(events), torch.from_numpy(self._cast(of_events)))
 
     def __getstate__(self) -> dict[str, Any]:
         """Open files stay with the process that opened them."""
@@ -309,18 +318,20 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return number
 
     def _stored(
-        self, name: str, scenes: Sequence[int], dtype: np.dtype[Any] | None = None, part: Part | None = None
+        self, name: str, scenes: Sequence[int], part: Part | None = None, out: NDArray[np.generic] | None = None
     ) -> NDArray[np.generic]:
         if self._reader is None:
             seen = {field: of.numpy() for field, of in self._seen.items()}
             self._reader = DatasetReader(self.path, self._manifest, seen, self._check, seen)
-        return self._reader.read(name, scenes, dtype, part)
+        return self._reader.read(name, scenes, part=part, out=out)
 
-    def _stored_as(self, name: str, scenes: Sequence[int]) -> NDArray[np.generic]:
-        """As stored, counts as they are asked for; events keep those that are not empty, and cast them then."""
-        as_events = name == "histogram" and self._as_events
-        dtype = self._counts if name in COUNTS and not as_events else None
-        return self._stored(name, scenes, dtype, self._parts[name])
+    def _tensor(self, name: str, scenes: Sequence[int]) -> torch.Tensor:
+        """As stored, counts as they are asked for."""
+        field = self._schema.by_name[name]
+        dtype = self._counts if name in COUNTS and self._counts is not None else np.dtype(field.dtype)
+        tensor = room_for((len(scenes), *self.shape(name)), dtype)
+        self._stored(name, scenes, self._parts[name], tensor.numpy())
+        return tensor
 
     def _cast(self, counts: NDArray[np.generic]) -> NDArray[np.generic]:
         if self._counts is None:

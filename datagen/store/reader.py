@@ -75,16 +75,19 @@ class DatasetReader:
         self._plans: dict[tuple[str, Part, tuple[int, ...], int], Plan] = {}
 
     def read(
-        self, name: str, scenes: Sequence[int], dtype: np.dtype[Any] | None = None, part: Part | None = None
-    ) -> NDArray[np.generic]:
+        self, name: str, scenes: Sequence[int], dtype: np.dtype[Any] | None = None, part: Part | None = None,
+        out: NDArray[np.generic] | None = None,
+    ) -> NDArray[np.generic]:  # fmt: skip
         """(len(scenes), *field.shape): the scenes' values in the field's dtype, or cast to `dtype` one by one, which
-        needs less memory traffic than casting the whole. With `part` (len(scenes), *part.shape).
+        needs less memory traffic than casting the whole. With `part` (len(scenes), *part.shape). Into `out`, where
+        that is given, of this shape, in its dtype.
 
         Raises `CheckError` naming file, scene and remedy for what is missing, damaged or other than was written.
         """
         field = self._fields[name]
         stored = np.dtype(field.dtype).newbyteorder("<")
-        out = np.empty((len(scenes), *(part or field).shape), dtype or stored)
+        if out is None:
+            out = np.empty((len(scenes), *(part or field).shape), dtype or stored)
         if not field.sharded or self._is_kept(field, part):
             for row, scene in enumerate(scenes):
                 out[row] = self._kept_value(field, scene, part)
