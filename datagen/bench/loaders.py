@@ -13,10 +13,12 @@ import math
 import re
 import shutil
 import statistics
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
 
@@ -71,19 +73,34 @@ def write_ours(config: DatasetConfig, root: Path) -> None:
 
 @dataclass
 class Way:
-    """A loader that is measured, and seconds of each epoch so far, by number of workers."""
+    """A loader that is measured; of each epoch so far seconds, and those of the processor, by number of workers."""
 
     name: str
     disk_bytes: int
     loaders: dict[int, Iterable[Any]]
-    seconds: dict[int, list[float]]
+    seconds: dict[int, list[tuple[float, float]]]
 
     def epoch(self, workers: int) -> None:
         """Run through the data once more."""
-        began = time.perf_counter()
-        for _ in self.loaders[workers]:
+        batches = iter(self.loaders[workers])  # which starts the workers
+        began = time.perf_counter(), processor_s()
+        for _ in batches:
             pass
-        self.seconds[workers].append(time.perf_counter() - began)
+        self.seconds[workers].append((time.perf_counter() - began[0], processor_s() - began[1]))
+
+    def later(self, workers: int) -> tuple[float, float]:
+        """Medians of all epochs but the first."""
+        wall, processor = (statistics.median(of) for of in zip(*self.seconds[workers][1:], strict=True))
+        return wall, processor
+
+
+def processor_s() -> float:
+    """Of this process and its workers, all that are alive; elsewhere than on Linux of this one alone."""
+    used = time.process_time()
+    if sys.platform == "linux":
+        # The clock of another process (clock_getcpuclockid).
+        used += sum(time.clock_gettime((~child.pid << 3) | 2) for child in active_children() if child.pid)
+    return used
 
 
 def _way(name: str, disk_bytes: int, data: Callable[[], Any], collate: Callable[[Any], Any] | None) -> Way:
@@ -101,7 +118,7 @@ def _way(name: str, disk_bytes: int, data: Callable[[], Any], collate: Callable[
 
 def ways(folder: Path, shape: tuple[int, int, int], samples: int, only: str) -> tuple[list[Way], list[str]]:
     """Every loader, its data written; and those left out, since they are not installed."""
-    import datagen as dg
+    from datagen.loader import TransientDataset, collate
 
     config, root, found, missing = config_of(shape, samples), folder / "ours.zarr", list[Way](), list[str]()
     write_ours(config, root)
@@ -109,7 +126,7 @@ def ways(folder: Path, shape: tuple[int, int, int], samples: int, only: str) -> 
     for name, options in OURS.items():
         if only in name:
             found.append(
-                _way(name, of_arrays, lambda o=options: dg.TransientDataset(root, ("histogram",), **o), dg.collate)  # type: ignore[misc]
+                _way(name, of_arrays, lambda o=options: TransientDataset(root, ("histogram",), **o), collate)  # type: ignore[misc]
             )
     for peer in PEERS:
         if only not in peer.name:
@@ -136,25 +153,28 @@ def _bytes_below(folder: Path) -> int:
 
 
 def measure(found: Sequence[Way], repeats: int) -> None:
-    """One first epoch of each, then `repeats` of each in turn; those of workers begin, since they are forked."""
+    """One first epoch of each, then `repeats` of each in turn.
+
+    Those of workers begin: no process can be forked any more once tensorstore runs in this one.
+    """
     for _ in range(1 + repeats):
         for workers, way in itertools.product(reversed(WORKERS), found):
             way.epoch(workers)
 
 
 def table(found: Sequence[Way], shape: tuple[int, int, int], samples: int) -> str:
-    """Markdown: samples/s in the first epoch and the median of later ones, MB/s of those, bytes on disk."""
-    mega = 2 * math.prod(shape) / 1e6
-    rows = []
+    """Markdown: bytes on disk; samples/s in the first epoch and, median, later; MB/s and processor ms of these."""
+    mega, rows = 2 * math.prod(shape) / 1e6, list[list[str]]()
     for way in found:
-        later = {n: samples / statistics.median(way.seconds[n][1:]) for n in WORKERS}
-        cells = [f"{samples / way.seconds[n][0]:.0f} / {later[n]:.0f}" for n in WORKERS]
-        rows.append(
-            [way.name, f"{way.disk_bytes / samples / 1e3:.0f}", *cells, *(f"{mega * later[n]:.0f}" for n in WORKERS)]
-        )
-    title = "×".join(map(str, shape))
-    head = [title, "kB on disk", *(f"samples/s, {n} workers: first / later" for n in WORKERS)]
-    return markdown([*head, *(f"MB/s, {n} workers" for n in WORKERS)], rows)
+        row = [way.name, f"{way.disk_bytes / samples / 1e3:.0f}"]
+        for workers in WORKERS:
+            wall, processor = way.later(workers)
+            row += [f"{samples / way.seconds[workers][0][0]:.0f}", f"{samples / wall:.0f}"]
+            row += [f"{mega * samples / wall:.0f}", f"{1e3 * processor / samples:.2f}"]
+        rows.append(row)
+    of_workers = ("first epoch", "samples/s", "MB/s", "processor ms")
+    head = [f"{n} workers: {of}" if of == of_workers[0] else of for n in WORKERS for of in of_workers]
+    return markdown(["×".join(map(str, shape)), "kB on disk", *head], rows)
 
 
 def _shape(text: str) -> tuple[int, int, int]:
@@ -189,14 +209,18 @@ def main(sizes: Sequence[str], megabytes: float, repeats: int, only: str) -> Non
     if not any(only in name for name in names):
         raise click.UsageError(f"--only {only}: the loaders are {'; '.join(names)}")
     click.echo(f"Medians of {repeats} epochs in turn, batches of {BATCH}, {FILLED:.0%} of bins filled; {machine()}")
-    for shape in shapes:
-        samples = max(BATCH, int(megabytes * 1e6 / (2 * math.prod(shape))))
-        folder = Path(tempfile.mkdtemp())
-        try:
-            found, missing = ways(folder, shape, samples, only)
-            measure(found, repeats)
+    folder = Path(tempfile.mkdtemp())
+    try:
+        tables, missing = dict[tuple[int, int, int], tuple[int, list[Way]]](), list[str]()
+        for number, shape in enumerate(shapes):
+            samples = max(BATCH, int(megabytes * 1e6 / (2 * math.prod(shape))))
+            (own := folder / str(number)).mkdir()
+            found, missing = ways(own, shape, samples, only)
+            tables[shape] = samples, found
+        measure([way for _, found in tables.values() for way in found], repeats)
+        for shape, (samples, found) in tables.items():
             click.echo(f"\n{table(found, shape, samples)}")
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
     for name in missing:
         click.echo(f"\nleft out: {name}, not installed (pip install 'nlos-datagen[loaders]')")
