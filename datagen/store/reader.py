@@ -30,6 +30,7 @@ from datagen.store.places import Place
 from datagen.store.record import FileRecord, read_record
 from datagen.store.schema import Field
 from datagen.store.shard import digest
+from datagen.store.threads import in_turn
 
 MEMORY_BYTES = 256 * 2**20
 """Decoded values that a reader keeps: of small fields, and of those that decode to a quarter of this in all."""
@@ -47,7 +48,7 @@ class _Promise:
 
 
 class DatasetReader:
-    """The values of a dataset. Not to be shared between threads; a fork may go on with it.
+    """The values of a dataset. Not to be shared between threads of yours; a fork may go on with it.
 
     Parameters
     ----------
@@ -92,16 +93,18 @@ class DatasetReader:
             for row, scene in enumerate(scenes):
                 out[row] = self._kept_value(field, scene, part)
             return out
-        if part is not None:
-            for row, scene in enumerate(scenes):
-                self._decode_part(field, scene, part, out[row])
-            return out
-        plain = out.dtype == stored
-        decoded = np.empty(0) if plain else np.empty(field.shape, stored)
-        for row, scene in enumerate(scenes):
-            self._decode(field, scene, out[row] if plain else decoded)
-            if not plain:
+
+        def into(row: int) -> None:
+            if part is not None:
+                self._decode_part(field, scenes[row], part, out[row])
+            elif out.dtype == stored:
+                self._decode(field, scenes[row], out[row])
+            else:
+                decoded = np.empty(field.shape, stored)
+                self._decode(field, scenes[row], decoded)
                 out[row] = decoded
+
+        in_turn(into, len(scenes), out.nbytes)
         return out
 
     def close(self) -> None:
@@ -150,14 +153,14 @@ class DatasetReader:
         """One scene of a sharded field, chunk by chunk into `out`, checked."""
         shard, within = divmod(scene, self._schema.scenes_per_shard)
         file = self._opened(field, shard)
-        whole_scene = field.chunk == field.shape
         for place in product(*(range(n) for n in _grid(field))):
             offset, size = self._whereabouts(field, scene, file, (within, *place))
-            chunk = out if whole_scene else np.empty(field.chunk, out.dtype)
+            corner = tuple(slice(p * c, (p + 1) * c) for p, c in zip(place, field.chunk, strict=True))
+            target = out[corner]
+            fits = target.shape == field.chunk and target.flags.c_contiguous
+            chunk = target if fits else np.empty(field.chunk, out.dtype)
             self._decode_chunk(field, shard, scene, file, offset, size, chunk)
-            if not whole_scene:
-                corner = tuple(slice(p * c, (p + 1) * c) for p, c in zip(place, field.chunk, strict=True))
-                target = out[corner]
+            if not fits:
                 target[...] = chunk[tuple(slice(n) for n in target.shape)]
         self._check_digest(field, scene, out)
 
