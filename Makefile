@@ -103,6 +103,7 @@ bench: setup
 	$(BIN)/datagen bench detector
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
 	$(BIN)/datagen bench plan configs/*.yaml
+	$(BIN)/datagen bench loaders
 	$(BIN)/python -m datagen.report.pileup configs/demonstration_room.yaml
 
 peers: setup

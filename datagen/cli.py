@@ -226,6 +226,7 @@ class _Benches(click.Group):
         "stages": "Where a build's time goes, and scenes per second on 1 and 2 workers.",
         "scaling": "Cost and memory against every size.",
         "detector": "Milliseconds per histogram of every sampler, beside a photon-by-photon simulation.",
+        "loaders": "Samples a second of our loader beside zarr, tensorstore, WebDataset and others.",
         "evidence": "How far objects stand out of the noise, kind by kind, in the first scenes.",
         "plan": "Predicted beside actual: seconds, error and bytes of small builds.",
     }

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
+import numpy as np
 import torch
-from torch.utils.data import default_collate
+from torch.utils.data import default_collate, get_worker_info
 
 from datagen.errors import InputError
 from datagen.records.checks import check_kind
+
+
+def room_for(shape: tuple[int, ...], dtype: np.dtype[Any]) -> torch.Tensor:
+    """A tensor to be filled; in a loader's worker in shared memory, so that a batch crosses without a copy."""
+    size = math.prod(shape) * dtype.itemsize
+    if get_worker_info() is None or not size:
+        return torch.from_numpy(np.empty(shape, dtype))
+    kind = torch.from_numpy(np.empty(0, dtype)).dtype
+    shared = torch.empty(0, dtype=kind).untyped_storage()._new_shared(size)
+    return torch.empty(0, dtype=kind).set_(shared).view(shape)
 
 
 class Batch(list[dict[str, torch.Tensor]]):

@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
 from datagen.errors import CheckError, InputError
-from datagen.loader.batch import Batch
+from datagen.loader.batch import Batch, room_for
+from datagen.loader.crops import Crops
 from datagen.loader.draws import DrawCounter
 from datagen.loader.events import events_of
 from datagen.loader.redrawn_noise import TRANSIENT_OF, NoiseSource
 from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
+from datagen.store.parts import Part
 from datagen.store.places import Bucket, place
 from datagen.store.record import recorded_shards
 from datagen.store.schema import EVIDENCE_SINCE, SPLITS_SINCE
@@ -62,7 +64,13 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     seed : of the redrawn noise.
     check : compare every value with the digest in its commit record when it is first read, once for all workers and
         epochs. Costs about 1 ms a MiB of decoded values; without it missing and damaged files are still found, but
-        not files put in another's place.
+        not files put in another's place. Of values read in part the whole file is compared with its hash instead.
+    lasers : the laser points that are read, in this order: a slice, their numbers, a mask, or of a scan that is a
+        grid rows and columns, `lasers=np.s_[8:24, 8:24]`. All fields with that axis are cut: histograms, transients,
+        `laser_points`, the `sensor_pixels` of a confocal scan. What lies elsewhere is not decoded, in steps of
+        256 KiB. Noise that is drawn anew is that of the whole scan, cut.
+    pixels : likewise of the pixels that each laser point is seen by.
+    bins : a slice of the time bins; saves memory, and decoding only with the other two.
     evidence_at_least : only scenes whose every object has at least this significance (docs/evidence.md), 3 for what
         can be learnt at all; scenes without objects stay. `data.parameters("evidence.weakest")` has the numbers, and
         with the label `objects` the field `object_significance` that of each object.
@@ -103,6 +111,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         redraw_noise: bool = False,
         seed: int = 0,
         check: bool = True,
+        lasers: slice | Sequence[int] | NDArray[np.generic] | tuple[slice, slice] | None = None,
+        pixels: slice | Sequence[int] | NDArray[np.generic] | tuple[slice, slice] | None = None,
+        bins: slice | None = None,
         evidence_at_least: float | None = None,
     ) -> None:
         check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder that build made")
@@ -129,10 +140,15 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if representation not in ("dense", "events"):
             raise InputError(f"representation = {representation!r}: must be 'dense' or 'events'")
         self._as_events = representation == "events" and "histogram" in self.selected
+        if self._as_events:
+            # Compiled here, once, for all workers that are forked.
+            events_of(np.zeros((1, 1, 1, 64), self._schema.by_name["histogram"].dtype))
         if redraw_noise and "transient" not in self.fields:
             raise InputError(
                 f"redraw_noise: {path} has no field transient to draw from; build it with one (store.fields)"
             )
+        self._crops = Crops(manifest, lasers, pixels, bins)
+        self._parts = {name: self._crops.part(field) for name, field in self._schema.by_name.items()}
         self._noise = NoiseSource(manifest) if redraw_noise else None
         self._draws = DrawCounter(self._schema.scenes) if redraw_noise else None
         self.scenes = self._scenes_there(manifest)
@@ -161,6 +177,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     def __repr__(self) -> str:
         """Where from, how many samples of which split, and what an item holds."""
         part = f" of split {self.split!r}" if self.split else ""
+        part += f"; of each {self._crops}" if self._crops.chosen else ""
         anew = ", drawn anew at every read"
         fields = (f"{name}{anew if name in self._light else ''} {self.shape(name)}" for name in self.selected)
         return f"TransientDataset({str(self.path)!r}: {len(self)} scenes{part}; {', '.join(fields)})"
@@ -169,12 +186,18 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """Several items in one read each field; the batch that a `DataLoader` asks for."""
         scenes = [int(self.scenes[self._checked(item)]) for item in items]
         drawn = self._drawn(scenes)
-        values = {name: drawn[name] if name in drawn else self._stored_as(name, scenes) for name in self.selected}
-        events = events_of(values.pop("histogram")) if self._as_events else None
-        batch = {name: torch.from_numpy(of) for name, of in values.items()} | {"scene": torch.tensor(scenes)}
-        if events is None:
+        batch = {
+            name: torch.from_numpy(drawn[name]) if name in drawn else self._tensor(name, scenes)
+            for name in self.selected
+            if not (self._as_events and name == "histogram")
+        } | {"scene": torch.tensor(scenes)}
+        if not self._as_events:
             return Batch(batch)
-        return Batch(batch, *map(torch.from_numpy, (events[0], self._cast(events[1]))))
+        counts = drawn.get("histogram")
+        if counts is None:
+            counts = self._stored("histogram", scenes, part=self._parts["histogram"])
+        events, of_events = events_of(counts)
+        return Batch(batch, torch.from_numpy(events), torch.from_numpy(self._cast(of_events)))
 
     def __getstate__(self) -> dict[str, Any]:
         """Open files stay with the process that opened them."""
@@ -191,8 +214,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             self._draws.fix(epoch, self.scenes if items is None else self.scenes[np.asarray(items, np.int64)])
 
     def shape(self, field: str) -> tuple[int, ...]:
-        """The shape of one scene's value of a field."""
-        return self._schema.by_name[self._light.get(field, field)].shape
+        """The shape of one scene's value of a field, as it is handed over."""
+        name = self._light.get(field, field)
+        return (self._parts[name] or self._schema.by_name[name]).shape
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -293,16 +317,21 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise IndexError(f"item {number}: this dataset has {len(self)} items")
         return number
 
-    def _stored(self, name: str, scenes: Sequence[int], dtype: np.dtype[Any] | None = None) -> NDArray[np.generic]:
+    def _stored(
+        self, name: str, scenes: Sequence[int], part: Part | None = None, out: NDArray[np.generic] | None = None
+    ) -> NDArray[np.generic]:
         if self._reader is None:
             seen = {field: of.numpy() for field, of in self._seen.items()}
             self._reader = DatasetReader(self.path, self._manifest, seen, self._check, seen)
-        return self._reader.read(name, scenes, dtype)
+        return self._reader.read(name, scenes, part=part, out=out)
 
-    def _stored_as(self, name: str, scenes: Sequence[int]) -> NDArray[np.generic]:
-        """As stored, counts as they are asked for; events keep those that are not empty, and cast them then."""
-        as_events = name == "histogram" and self._as_events
-        return self._stored(name, scenes, self._counts if name in COUNTS and not as_events else None)
+    def _tensor(self, name: str, scenes: Sequence[int]) -> torch.Tensor:
+        """As stored, counts as they are asked for."""
+        field = self._schema.by_name[name]
+        dtype = self._counts if name in COUNTS and self._counts is not None else np.dtype(field.dtype)
+        tensor = room_for((len(scenes), *self.shape(name)), dtype)
+        self._stored(name, scenes, self._parts[name], tensor.numpy())
+        return tensor
 
     def _cast(self, counts: NDArray[np.generic]) -> NDArray[np.generic]:
         if self._counts is None:
@@ -321,11 +350,11 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         taken, found = self._draws.take(scenes), dict[str, NDArray[np.generic]]()
         for name in wanted:
             light = self._light[name]
-            drawn = np.stack(
-                [
-                    self._noise.draw(light, transient, scene, self.seed, *draw)
-                    for transient, scene, draw in zip(self._stored(light, scenes), scenes, taken, strict=True)
-                ]
-            )
+            part, every = self._parts[light], []
+            for transient, scene, draw in zip(self._stored(light, scenes), scenes, taken, strict=True):
+                # A draw is of the whole scan, of which a part is then what it would be in the whole.
+                counts = self._noise.draw(light, transient, scene, self.seed, *draw)
+                every.append(counts if part is None else part.of(counts))
+            drawn = np.stack(every)
             found[name] = drawn if name == "histogram" and self._as_events else self._cast(drawn)
         return found

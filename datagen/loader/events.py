@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,14 +14,25 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.records.checks import check_kind
 
+_AT_ONCE = 2**20
+"""Bins that are looked through at once, which bounds the memory that it takes."""
+
 
 def events_of(histograms: NDArray[np.generic]) -> tuple[NDArray[np.signedinteger[Any]], NDArray[np.generic]]:
     """Of histograms (n, L, P, T): (N, 4) histogram, laser, pixel and bin of every bin that is not empty, in this
     order, and (N,) its counts. Indices are int16, or int32 where an axis is too long for that.
     """
+    short = max(histograms.shape) <= np.iinfo(np.int16).max
+    in_words = (
+        histograms.dtype.kind == "u"
+        and histograms.shape[-1] * histograms.itemsize % 8 == 0
+        and histograms.flags.c_contiguous
+        and sys.byteorder == "little"
+    )
+    if in_words and histograms.size:
+        return _by_words(histograms, np.dtype(np.int16 if short else np.int32))
     flat = histograms.reshape(-1)
     filled = np.flatnonzero(flat != 0)  # twice as fast as without the comparison
-    short = max(histograms.shape) <= np.iinfo(np.int16).max
     events = np.empty((len(filled), histograms.ndim), np.int16 if short else np.int32)
     rest = filled.astype(np.int32) if histograms.size < 2**31 else filled
     for axis in reversed(range(histograms.ndim)):
@@ -29,6 +41,26 @@ def events_of(histograms: NDArray[np.generic]) -> tuple[NDArray[np.signedinteger
         events[:, axis] = rest - above * size
         rest = above
     return events, flat[filled]
+
+
+def _by_words(
+    histograms: NDArray[np.generic], kind: np.dtype[np.signedinteger[Any]]
+) -> tuple[NDArray[np.signedinteger[Any]], NDArray[np.generic]]:
+    """The same, twice as fast and more, of whole words of 64 bits."""
+    from datagen.loader.filled_bins import take_filled
+
+    _, lasers, pixels, bins = histograms.shape
+    rows: NDArray[Any] = histograms.reshape(-1, bins)
+    words, at_once = rows.view(np.uint64), max(1, _AT_ONCE // bins)
+    # A bin more than there are: what follows the last filled one is written, too.
+    room = np.empty((at_once * bins + 1, 4), kind), np.empty(at_once * bins + 1, histograms.dtype)
+    pieces = []
+    for first in range(0, len(rows), at_once):
+        some = slice(first, first + at_once)
+        found = take_filled(rows[some], words[some], first, lasers, pixels, *room)
+        pieces.append([values[:found].copy() for values in room])
+    events, counts = zip(*pieces, strict=True)
+    return np.concatenate(events), np.concatenate(counts)
 
 
 def dense(events: torch.Tensor, counts: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from datasets import write_dataset
 from rooms import furnished_box, one_point_capture
+from torch.utils.data import IterableDataset
 
 from datagen import Accuracy, simulate
-from datagen.bench import detector, peer_cases, peers, scaling, stages
+from datagen.bench import detector, loader_peers, loaders, peer_cases, peers, scaling, stages
 from datagen.bench.accuracy import Truth, noise_and_bias, with_front
 from datagen.bench.accuracy_report import advice, table
 from datagen.bench.accuracy_settings import Row, fewer_laser_points
@@ -25,6 +26,7 @@ from datagen.capture import capture_for
 from datagen.cli import run
 from datagen.config import load_config
 from datagen.forecast.forecast import Outcome
+from datagen.loader import TransientDataset
 from datagen.scene import generate_scene
 
 CONFIG = """
@@ -96,6 +98,35 @@ def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     monkeypatch.setattr(stages, "scenes_per_second", lambda records, workers: len(records) / workers)
     rows = rows_of(printed_by(["stages", config, "--scenes", "8", "--workers", "1"], capsys), "workers")
     assert [row[0] for row in rows] == ["1"] and rows[0][-1] == "4.00"
+
+
+def test_loaders(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """At a tiny size, without workers."""
+    monkeypatch.setattr(loaders, "WORKERS", (0,))
+    small = ["--size", "4x4x64", "--megabytes", "0.1", "--repeats", "1"]
+    rows = rows_of(printed_by(["loaders", *small], capsys), "4×4×64")
+    assert [row[0] for row in rows[:4]] == [*loaders.OURS, "zarr"]
+    assert all(float(row[column]) > 0 for row in rows for column in (2, 3)), "samples a second"
+
+
+def test_loaders_hand_over_the_same_counts(tmp_path: Path) -> None:
+    config = loaders.config_of((2, 3, 16), 9)
+    loaders.write_ours(config, tmp_path / "ours")
+    due = [loaders.counts_of(config, index) for index in range(9)]
+    assert 0 < sum(map(np.count_nonzero, due)) < 0.1 * 9 * due[0].size
+    there = [peer for peer in loader_peers.PEERS if loader_peers.is_there(peer)]
+    assert {"zarr", "np.memmap, uncompressed"} <= {peer.name for peer in there}
+    for number, peer in enumerate(there):
+        folder = tmp_path / "ours/data.zarr/histogram"
+        if peer.write is not None:
+            folder = tmp_path / str(number)
+            folder.mkdir()
+            peer.write(folder, iter(due))
+        data = peer.read(folder, (9, *due[0].shape))
+        found = list(data) if isinstance(data, IterableDataset) else [data[index] for index in range(9)]
+        assert all(np.array_equal(a.numpy(), b) for a, b in zip(found, due, strict=True)), peer.name
+    ours = TransientDataset(tmp_path / "ours", ("histogram",), counts="stored")
+    assert all(np.array_equal(ours[index]["histogram"].numpy(), due[index]) for index in range(9))
 
 
 def test_a_million_scenes(config: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -230,6 +261,9 @@ def test_fewer_laser_points_keep_their_pixels() -> None:
         (["target", "OUT", "--scenes", "0"], "--scenes 0"),
         (["scaling", "--only", "nothing"], "--only nothing"),
         (["peers", "OUT", "--only", "nothing"], "--only nothing"),
+        (["loaders", "--only", "nothing"], "--only nothing"),
+        (["loaders", "--size", "32x32"], "--size 32x32"),
+        (["loaders", "--megabytes", "0"], "--megabytes"),
         (["paeers"], "paeers"),
     ],
 )
@@ -252,5 +286,5 @@ def test_a_dark_scene_is_refused(config: str, tmp_path: Path, capsys: pytest.Cap
 def test_benches_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["bench", "--help"]) == 0
     listed = capsys.readouterr().out
-    for name in ("accuracy", "target", "peers", "stages", "scaling", "detector", "plan"):
+    for name in ("accuracy", "target", "peers", "stages", "scaling", "detector", "loaders", "plan"):
         assert name in listed and run(["bench", name, "--help"]) == 0

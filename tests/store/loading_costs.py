@@ -1,10 +1,10 @@
-"""What a batch costs as histograms and as events: `python tests/store/loading_costs.py` prints the table of
-docs/training.md. 48 samples of 64 × 64 × 1024 counts, 3 % of bins filled, batches of 8, medians over epochs.
+"""What parts of a sample cost to read: `python tests/store/loading_costs.py` prints the table of docs/training.md.
+48 samples of 64 × 64 × 1024 counts, 3 % of bins filled, medians over samples and epochs.
 """
 
 from __future__ import annotations
 
-import resource
+import itertools
 import statistics
 import sys
 import tempfile
@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from torch.utils.data import DataLoader
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -22,13 +21,16 @@ from datasets import write_dataset
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.records import Sample
-from datagen.store import schema_of
+from datagen.store import reader, schema_of
 
 SCENES, EPOCHS = 48, 5
-WAYS: dict[str, dict[str, Any]] = {
-    "float32": {},
-    "uint16": {"counts": "stored"},
-    "events, uint16": {"counts": "stored", "representation": "events"},
+PARTS: dict[str, dict[str, Any]] = {
+    "whole": {},
+    "rows and columns 24 … 39": {"lasers": np.s_[24:40, 24:40]},
+    "every second row and column": {"lasers": np.s_[::2, ::2]},
+    "64 laser points anywhere": {"lasers": np.sort(np.random.default_rng(0).permutation(4096)[:64])},
+    "one laser point": {"lasers": [2080]},
+    "bins 256 … 511": {"bins": slice(256, 512)},
 }
 
 
@@ -41,11 +43,6 @@ def sample(config: DatasetConfig, index: int) -> Sample:
     return Sample(index, arrays, {"index": index}, {})
 
 
-def processor_s() -> float:
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
-
-
 def main() -> None:
     config = config_from_mapping({
         "scenes": SCENES,
@@ -54,21 +51,20 @@ def main() -> None:
     })  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         root = write_dataset(config, Path(folder) / "set", sample)
-        for workers in (0, 2):
-            for name, options in WAYS.items():
-                data = dg.TransientDataset(root, ("histogram",), **options)
-                taken = []
-                for _ in range(1 + EPOCHS):
-                    began, began_s = time.perf_counter(), processor_s()
-                    for batch in DataLoader(data, 8, num_workers=workers, collate_fn=dg.collate):
-                        size = sum(values.numel() * values.element_size() for values in batch.values())
-                    taken.append((time.perf_counter() - began, processor_s() - began_s))
-                wall, processor = (
-                    1e3 / SCENES * statistics.median(column) for column in zip(*taken[1:], strict=True)
-                )
-                print(
-                    f"{workers} workers  {name:16}{wall:8.1f} ms {processor:8.1f} processor ms {size / 8e6:8.2f} MB"
-                )
+        reader.MEMORY_BYTES = 0
+        for name, crop in PARTS.items():
+            data = dg.TransientDataset(root, ("histogram",), counts="stored", **crop)
+            first, *later = [statistics.median(milliseconds(data)) for _ in range(1 + EPOCHS)]
+            print(f"{name:30}{first:8.1f} processor ms, read again {statistics.median(later):8.1f}")
+
+
+def milliseconds(data: dg.TransientDataset) -> list[float]:
+    """Of the processor, for each sample by itself."""
+    taken = [time.process_time()]
+    for item in range(len(data)):
+        data[item]
+        taken.append(time.process_time())
+    return [1e3 * (b - a) for a, b in itertools.pairwise(taken)]
 
 
 if __name__ == "__main__":

@@ -55,9 +55,14 @@ def test_events_are_the_histograms(dataset: Path, counts: str, dtype: torch.dtyp
         assert torch.equal(batch["depth"], whole["depth"])
 
 
-@pytest.mark.parametrize("shape", [(2, 3, 1, 5), (1, 1, 1, 40_000), (3, 1, 2, 1), (2, 70, 70, 70)])
-def test_indices_are_numpys(shape: tuple[int, ...]) -> None:
-    histograms = np.random.default_rng(0).poisson(0.1, shape).astype(np.uint8)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32, np.int64])
+@pytest.mark.parametrize(
+    "shape", [(2, 3, 1, 5), (1, 1, 1, 40_000), (3, 1, 2, 1), (2, 70, 70, 70), (2, 5, 3, 64), (0, 5, 3, 64)]
+)
+def test_indices_are_numpys(shape: tuple[int, ...], dtype: type[np.integer[Any]]) -> None:
+    """By words of several bins, and where the bins are none."""
+    histograms = np.random.default_rng(0).poisson(0.1, shape).astype(dtype)
+    histograms[..., -1:] *= np.iinfo(dtype).max // 4
     events, counts = events_of(histograms)
     assert events.dtype == (np.int32 if max(shape) > 32767 else np.int16)
     assert np.array_equal(events, np.argwhere(histograms)) and np.array_equal(counts, histograms[histograms > 0])

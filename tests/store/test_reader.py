@@ -19,6 +19,7 @@ from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import CheckError
 from datagen.loader import TransientDataset
 from datagen.store import DatasetReader, Manifest, open_files, prepare, read_manifest, schema, write_shard
+from datagen.store import threads as threading_of_reads
 from datagen.store.shard import digest
 
 
@@ -198,3 +199,26 @@ def test_five_fields_of_more_shards_than_files_are_allowed(tmp_path: Path, shard
         for handle in held:
             os.close(handle)
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+@pytest.mark.parametrize("chunk_bytes", [2**22, 700])
+def test_threads_read_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_bytes: int) -> None:
+    """Several scenes side by side, whole and cast, and the first error of them is raised."""
+    monkeypatch.setattr(schema, "CHUNK_BYTES", chunk_bytes)
+    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
+    manifest = made(tmp_path, config_of(rows=1, columns=5, pixels=3, bins=17))
+    order = [7, 0, 9, 9, 3, 4, 8]
+
+    def read(threads: int) -> list[np.ndarray]:
+        monkeypatch.setattr(threading_of_reads, "WORTH_BYTES", 0 if threads else 2**60)
+        monkeypatch.setattr(threading_of_reads, "cores", lambda: threads)
+        reader = DatasetReader(tmp_path, manifest, ["histogram", "transient"])
+        return [
+            reader.read(name, order, dtype) for name in ("histogram", "transient") for dtype in (None, np.dtype("f8"))
+        ]
+
+    assert all(np.array_equal(a, b) for a, b in zip(read(0), read(3), strict=True))
+    path = tmp_path / "data.zarr/histogram/c/2/0/0/0"
+    path.write_bytes(path.read_bytes()[:-1] + b"\0")
+    with pytest.raises(CheckError, match=r"c/2/0/0/0, scenes 8-9: the shard's index is damaged"):
+        read(3)

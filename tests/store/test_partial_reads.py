@@ -1,0 +1,286 @@
+"""Parts of samples: a partial read is the whole read, cut, however a field is cut into chunks and blocks."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from datasets import write_dataset
+from fake_samples import fake_sample, noisy_config
+from torch.utils.data import DataLoader
+
+import datagen as dg
+from datagen.config import DatasetConfig, config_from_mapping
+from datagen.errors import CheckError, InputError
+from datagen.store import DatasetReader, blosc_frames, parts, read_manifest, schema
+from datagen.store.parts import Part
+
+FIELDS = ("histogram", "transient", "transient_stderr", "laser_points", "sensor_pixels", "depth")
+
+
+def config_of(pairing: str, rows: int, columns: int, pixels: tuple[int, int], bins: int) -> DatasetConfig:
+    return config_from_mapping({
+        "scenes": 3,
+        "capture": {
+            "pairing": pairing,
+            "scan": {"rows": rows, "columns": columns},
+            "field_of_view": {"rows": pixels[0], "columns": pixels[1]},
+            "time": {"bins": bins},
+        },
+        "labels": {"rows": 3, "columns": 3},
+        "store": {"fields": ["histogram", "transient", "transient_stderr", "depth"], "scenes_per_shard": 2},
+    })  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=["several blocks", "chunks of lasers", "chunks of pixels", "confocal, small"])
+def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Chunks of two and more blocks, of which rows of 2000 bytes lie in two; the others of one block each."""
+    config, chunk_bytes = {
+        "several blocks": (config_of("exhaustive", 8, 16, (2, 1), 1000), 2**22),
+        "chunks of lasers": (config_of("exhaustive", 3, 4, (2, 3), 50), 1300),
+        "chunks of pixels": (config_of("exhaustive", 3, 4, (2, 3), 50), 250),
+        "confocal, small": (config_of("confocal", 4, 5, (1, 1), 24), 2**22),
+    }[request.param]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(schema, "CHUNK_BYTES", chunk_bytes)
+        yield write_dataset(config, tmp_path_factory.mktemp("parts") / "set", fake_sample)
+
+
+@pytest.fixture(params=["from shards", "in memory"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0 if request.param == "from shards" else 2**28)
+
+
+def crops(rng: np.random.Generator, lasers: int, pixels: int, bins: int) -> list[dict[str, Any]]:
+    """What people ask for, and what they may."""
+    mask = rng.random(lasers) < 0.3
+    mask[rng.integers(lasers)] = True
+    return [
+        {"lasers": [lasers - 1]},
+        {"lasers": slice(1, None, 2)},
+        {"lasers": slice(None, None, -1), "bins": slice(-7, None)},
+        {"lasers": mask},
+        {"lasers": rng.integers(-lasers, lasers, 9).tolist(), "bins": slice(3, 11)},
+        {"lasers": np.s_[1:3, ::2]},
+        {"lasers": np.s_[:2, -2:], "pixels": rng.permutation(pixels)},
+        {"pixels": [pixels - 1, 0], "bins": slice(5, 6)},
+        {"pixels": slice(None), "lasers": (3,)},
+        {"bins": slice(bins // 2, bins)},
+        {"lasers": slice(None)},
+    ]
+
+
+def cut(whole: np.ndarray, dims: tuple[str, ...], crop: dict[str, Any], grid: tuple[int, int]) -> np.ndarray:
+    """By numpy alone; of a field's values of several scenes, axis by axis."""
+    for axis, name in enumerate(dims, 1):
+        chosen = crop.get({"laser": "lasers", "pixel": "pixels", "bin": "bins"}.get(name, ""))
+        if isinstance(chosen, tuple) and isinstance(chosen[0], slice):
+            chosen = np.arange(grid[0] * grid[1]).reshape(grid)[chosen].reshape(-1)
+        if isinstance(chosen, tuple):
+            chosen = list(chosen)
+        if chosen is not None:
+            whole = np.moveaxis(np.moveaxis(whole, axis, 0)[chosen], 0, axis)
+    return whole
+
+
+@pytest.mark.usefixtures("way")
+def test_a_part_is_the_whole_cut(dataset: Path) -> None:
+    manifest = read_manifest(dataset)
+    whole = dg.TransientDataset(dataset, FIELDS, counts="stored").__getitems__(range(3))
+    capture = manifest.config["capture"]
+    grid, confocal = (capture["scan"]["rows"], capture["scan"]["columns"]), capture["pairing"] == "confocal"
+    sizes = manifest.schema.by_name["histogram"].shape
+    for crop in crops(np.random.default_rng(0), *sizes):
+        data = dg.TransientDataset(dataset, FIELDS, counts="stored", **crop)
+        as_float = dg.TransientDataset(dataset, ("histogram",), **crop)
+        order = [2, 0, 1, 2]
+        items, floats = data.__getitems__(order), as_float.__getitems__(order)
+        for name in FIELDS:
+            dims = manifest.schema.by_name[name].dims[1:]
+            if name == "sensor_pixels":
+                dims = ("laser" if confocal else "pixel", *dims[1:])
+            due = cut(np.stack([whole[item][name].numpy() for item in order]), dims, crop, grid)
+            for item, value in zip(items, due, strict=True):
+                assert item[name].shape == value.shape == data.shape(name), (name, crop)
+                assert np.array_equal(item[name].numpy(), value), (name, crop)
+        assert all(torch.equal(a["histogram"].float(), b["histogram"]) for a, b in zip(items, floats, strict=True))
+
+
+def test_only_blocks_that_hold_the_part_are_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = config_of("confocal", 32, 32, (1, 1), 512)
+    root = write_dataset(config.with_scenes(1), tmp_path / "set", fake_sample)
+    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
+    decoded: list[int] = []
+    plain = blosc_frames.decode
+    monkeypatch.setattr(
+        "datagen.store.blosc_frames.decode", lambda frame, out: (decoded.append(out.nbytes), plain(frame, out))[1]
+    )
+    whole, block = 2 * 1024 * 512, 2**18
+    for lasers, due in (
+        (slice(0, 1), block),
+        (np.s_[8:16, 4:8], block),
+        ([0, 1023], 2 * block),
+        (slice(None), whole),
+    ):
+        dg.TransientDataset(root, ("histogram",), lasers=lasers)[0]
+        assert decoded.pop() == due and not decoded, lasers
+
+
+def test_plans_take_few_runs() -> None:
+    """Of a crop one run a row of the grid; of every second laser point one in all, but where blocks are left out."""
+
+    def runs(axis: np.ndarray, block: int = 4096) -> int:
+        part = Part((axis, np.arange(1)), slice(0, 16))
+        rows = parts.rows_in(part, (256, 1, 16), (0, 0))
+        return len(parts.plan(rows, 16, 4096, block).runs)
+
+    assert runs(np.arange(256).reshape(16, 16)[4:8, 2:9].reshape(-1)) == 4
+    assert runs(np.arange(0, 256, 2)) == runs(np.arange(0, 256, 2), 512) == 1
+    assert runs(np.arange(256)) == 1 and runs(np.arange(256)[::-1]) == 256
+
+
+@pytest.mark.parametrize("size", [70_000, 70_003, 2**17])
+def test_blocks_apart_are_the_blocks_of_the_whole(size: int) -> None:
+    """Also where several threads wrote them in another order, and where the last is short."""
+    from numcodecs import Blosc
+
+    values = np.random.default_rng(1).poisson(0.1, size).astype("u2")
+    frame = bytes(Blosc("zstd", 5, Blosc.BITSHUFFLE, blocksize=16384).encode(values))
+    block = blosc_frames.block_bytes(frame) // 2
+    count = -(-size // block)
+    for chosen in ([0], [count - 1], list(range(0, count, 2)), list(range(count))):
+        out = np.empty(sum(min(block, size - k * block) for k in chosen), "u2")
+        blosc_frames.decode(blosc_frames.only_blocks(frame, chosen), out)
+        assert np.array_equal(out, np.concatenate([values[k * block : (k + 1) * block] for k in chosen]))
+    for other in (values[:100], np.random.default_rng(1).integers(0, 2**16, size).astype("u2")):
+        frame = bytes(Blosc("lz4", 5, Blosc.BITSHUFFLE, blocksize=16384).encode(other))
+        assert blosc_frames.block_bytes(frame) == other.nbytes, "one block, split ones, values as they are"
+
+
+def test_a_table_of_blocks_is_not_believed(tmp_path: Path) -> None:
+    from numcodecs import Blosc
+
+    frame = bytes(Blosc("zstd", 5, Blosc.BITSHUFFLE, blocksize=16384).encode(np.zeros(2**16, "u2")))
+    for broken in (frame[:16] + b"\xff" * 4 + frame[20:], frame[:16] + b"\xff\xff\xff\x7f" + frame[20:], frame[:20]):
+        with pytest.raises(ValueError, match="blocks"):
+            blosc_frames.only_blocks(broken, [0])
+
+
+def test_redrawn_noise_is_that_of_the_whole_cut(tmp_path: Path) -> None:
+    root = write_dataset(noisy_config(), tmp_path / "set", fake_sample)
+    fields, crop = ("histogram", "transient"), {"lasers": np.s_[:, 1:], "bins": slice(2, 9)}
+    whole = dg.TransientDataset(root, fields, redraw_noise=True, seed=7)
+    for representation in ("dense", "events"):
+        data = dg.TransientDataset(root, fields, redraw_noise=True, seed=7, representation=representation, **crop)
+        whole.set_epoch(0)
+        for _ in range(2):
+            (batch,) = DataLoader(data, 12, collate_fn=dg.collate)
+            (due,) = DataLoader(whole, 12, collate_fn=dg.collate)
+            counts = batch.get("histogram")
+            if counts is None:
+                counts = dg.dense(batch["events"], batch["counts"], (12, *data.shape("histogram")))
+            assert torch.equal(counts, due["histogram"][:, [1, 3], :, 2:9]) and counts.sum() > 0
+            assert torch.equal(batch["transient"], due["transient"][:, [1, 3], :, 2:9])
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_events_of_a_part_count_from_its_corner(dataset: Path, workers: int) -> None:
+    crop = {"lasers": np.s_[1:3, 1:], "bins": slice(4, 20)}
+    dense = dg.TransientDataset(dataset, ("histogram", "laser_points"), **crop)
+    events = pickle.loads(pickle.dumps(dg.TransientDataset(dataset, dense.selected, representation="events", **crop)))
+    (due,) = DataLoader(dense, 3, collate_fn=dg.collate)
+    (batch,) = DataLoader(
+        events, 3, collate_fn=dg.collate, num_workers=workers, multiprocessing_context="fork" if workers else None
+    )
+    found = dg.dense(batch["events"], batch["counts"], (3, *events.shape("histogram")))
+    assert torch.equal(found, due["histogram"]) and found.sum() > 0
+    assert torch.equal(batch["laser_points"], due["laser_points"])
+
+
+def test_what_is_read_in_part_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the hash of its file, once for all scenes in it; without it by the checksums of chunks."""
+    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
+    root = write_dataset(config_of("confocal", 4, 4, (1, 1), 64), tmp_path / "set", fake_sample)
+    first, second = (root / f"data.zarr/histogram/c/{shard}/0/0/0" for shard in (0, 1))
+    sound, manifest = first.read_bytes(), read_manifest(root)
+    part = Part((np.arange(3), np.arange(1)), slice(0, 64))
+    seen = {"histogram": np.zeros(3, bool)}
+    reader = DatasetReader(root, manifest, ["histogram"], seen=seen)
+    value = reader.read("histogram", [1], part=part)
+    assert seen["histogram"].tolist() == [True, True, False]
+
+    def refused(message: str, check: bool = True) -> None:
+        with pytest.raises(CheckError, match=message):
+            DatasetReader(root, manifest, ["histogram"], check).read("histogram", [1], part=part)
+
+    # Two chunks exchanged within a file, the index with them: no checksum is wrong.
+    index = np.frombuffer(sound[-4 - 32 :][:32], "<u8").reshape(2, 2).copy()
+    import google_crc32c
+
+    index[[0, 1]] = index[[1, 0]]
+    table = index.tobytes()
+    first.write_bytes(sound[:-36] + table + google_crc32c.value(table).to_bytes(4, "little"))
+    refused("SHA-256 differs")
+    swapped = DatasetReader(root, manifest, ["histogram"], check=False).read("histogram", [0], part=part)
+    assert np.array_equal(swapped, value), "found by the hash alone"
+    shutil.copy(second, first)
+    refused(r"bytes, \d+ were written")
+    flipped = bytearray(sound)
+    flipped[int(index[0, 0]) + 20] ^= 1
+    first.write_bytes(flipped)
+    refused("scene 1: the checksum does not match", check=False)
+    first.unlink()
+    refused("cannot be opened", check=False)
+
+
+def test_a_part_is_told(dataset: Path) -> None:
+    data = dg.TransientDataset(dataset, ("histogram", "depth"), lasers=[0, 2], bins=slice(3, 9))
+    lasers, pixels, bins = read_manifest(dataset).schema.by_name["histogram"].shape
+    assert data.shape("histogram") == (2, pixels, 6) and data.shape("depth") == (3, 3)
+    assert f"of each laser 2 of {lasers}, bin 6 of {bins}; histogram (2, {pixels}, 6)" in repr(data)
+
+
+@pytest.mark.parametrize(
+    ("crop", "told"),
+    [
+        ({"lasers": 3}, "lasers = 3: must choose of 4, such as slice"),
+        ({"lasers": [4]}, "lasers: 4 is not in 0 … 3"),
+        ({"lasers": [0.5]}, "must choose of 4"),
+        ({"lasers": "all"}, "lasers = 'all': must choose of 4"),
+        ({"lasers": [True, False]}, "must choose of 4"),
+        ({"lasers": []}, "must choose of 4"),
+        ({"lasers": [[0], [1, 2]]}, "must choose of 4"),
+        ({"lasers": slice(4, 9)}, "none of 4 is left"),
+        ({"lasers": slice(None, None, 0)}, "must be a slice of whole numbers"),
+        ({"lasers": (slice(1), 1)}, "rows and columns must both be slices"),
+        ({"pixels": np.s_[:1, 2:]}, "pixels"),
+        ({"bins": [1, 2]}, "bins = \\[1, 2\\]: must be a slice of step 1"),
+        ({"bins": slice(0, 8, 2)}, "must be a slice of step 1"),
+        ({"bins": slice(16, 20)}, "none of 16 is left"),
+        ({"bins": slice("a", None)}, "must be a slice of whole numbers"),
+    ],
+)
+def test_what_cannot_be_cut_is_refused(one: Path, crop: dict[str, Any], told: str) -> None:
+    with pytest.raises(InputError, match=told) as error:
+        dg.TransientDataset(one, ("histogram",), **crop)
+    assert "\n" not in str(error.value)
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(noisy_config(), tmp_path_factory.mktemp("parts") / "one", fake_sample)
+
+
+def test_points_that_are_no_grid_have_no_rows(tmp_path: Path) -> None:
+    config = noisy_config().model_dump(mode="json")
+    config["capture"]["scan"] = {"kind": "points", "points_m": [[0.1 * k, 0.0] for k in range(4)]}
+    root = write_dataset(config_from_mapping(config), tmp_path / "set", fake_sample)
+    with pytest.raises(InputError, match="these are no grid of rows and columns"):
+        dg.TransientDataset(root, ("histogram",), lasers=np.s_[:1, :1])
+    assert dg.TransientDataset(root, ("histogram",), lasers=[3, 1]).shape("histogram") == (2, 1, 16)
