@@ -29,6 +29,8 @@ STAGES = (
     "design",
     "building",
     "loader",
+    "suites",
+    "scoring",
     "paper",
     "errors",
 )
