@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -51,43 +53,55 @@ def predicted(train: SuiteScenes, val: SuiteScenes, asked: SuiteScenes, seed: in
     """`depth`, `mask` and `occupancy` of scenes asked for: three networks, trained alike.
 
     Depth is learnt where an object is seen, from its mean over the training scenes; silhouettes and voxels are learnt
-    as the chance that one is there.
+    as the chance that one is there. Of each network the epoch is taken that is best in scenes of the split val.
     """
     mean = float(train.depth[train.mask].mean())
-    targets = torch.from_numpy(train.depth - mean).flatten(1)
-    depth = _trained(train.histogram, targets, torch.from_numpy(train.mask).flatten(1).float(), seed)
+    depth = _trained(train, val, lambda of: (of.depth - mean, of.mask), seed)
     found: dict[str, NDArray[Any]] = {
         "depth": np.maximum(mean + _applied(depth, asked.histogram), 0.0).reshape(asked.depth.shape)
     }
     for name in ("mask", "occupancy"):
-        there: Bools = getattr(train, name)
-        model = _trained(train.histogram, torch.from_numpy(there).flatten(1).float(), None, seed)
+        model = _trained(train, val, lambda of, name=name: (getattr(of, name), None), seed)  # type: ignore[misc]
         least = best_threshold(_applied(model, val.histogram), getattr(val, name).reshape(len(val.scene), -1))
         found[name] = (_applied(model, asked.histogram) > least).reshape(getattr(asked, name).shape)
     return found
 
 
 def _trained(
-    histogram: NDArray[np.float32], target: torch.Tensor, weight: torch.Tensor | None, seed: int
+    train: SuiteScenes, val: SuiteScenes, due: Callable[[SuiteScenes], tuple[NDArray[Any], Bools | None]], seed: int
 ) -> Normalized:
-    """A network whose outputs are near `target` (scene, output) in the weighted mean square, or without weights
-    logarithms of odds of it."""
-    counts = torch.from_numpy(histogram)
+    """A network whose outputs are near the targets (scene, …) of `due` in the mean square over the places named beside
+    them; where none are named, its outputs are the logarithms of odds of the targets."""
+    counts, unseen = torch.from_numpy(train.histogram), torch.from_numpy(val.histogram)
+    (target, weight), (val_target, val_weight) = (_flat(*due(of)) for of in (train, val))
     model = Normalized(counts, target.shape[1], seed)
     optimizer = torch.optim.Adam(model.parameters(), lr=RATE)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, EPOCHS)
+    least, best = float("inf"), copy.deepcopy(model.state_dict())
     for _ in range(EPOCHS):
         for chosen in torch.randperm(len(counts)).split(BATCH):
-            out, due = model(counts[chosen]), target[chosen]
-            if weight is None:
-                loss = torch.nn.functional.binary_cross_entropy_with_logits(out, due)
-            else:
-                loss = (weight[chosen] * (out - due) ** 2).sum() / weight[chosen].sum().clamp(min=1)
+            loss = _loss(model(counts[chosen]), target[chosen], None if weight is None else weight[chosen])
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
         schedule.step()
+        with torch.no_grad():
+            off = float(_loss(model(unseen), val_target, val_weight))
+        if off < least:
+            least, best = off, copy.deepcopy(model.state_dict())
+    model.load_state_dict(best)
     return model
+
+
+def _flat(target: NDArray[Any], weight: Bools | None) -> tuple[torch.Tensor, torch.Tensor | None]:
+    values = torch.from_numpy(target.astype(np.float32)).flatten(1)
+    return values, None if weight is None else torch.from_numpy(weight.astype(np.float32)).flatten(1)
+
+
+def _loss(out: torch.Tensor, due: torch.Tensor, weight: torch.Tensor | None) -> torch.Tensor:
+    if weight is None:
+        return torch.nn.functional.binary_cross_entropy_with_logits(out, due)
+    return (weight * (out - due) ** 2).sum() / weight.sum().clamp(min=1)
 
 
 def _applied(model: Normalized, histogram: NDArray[np.float32]) -> Floats:

@@ -33,14 +33,18 @@ def mean_of_training(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predi
     those that they cover most often, as many as they cover on average.
     """
     count, depth = len(asked.scene), float(train.depth[train.mask].mean())
-    several = max(1, round(float((~np.isnan(train.centers[..., 0])).sum(axis=1).mean())))
     center = np.nanmean(train.centers.reshape(-1, 3), axis=0)
     found = {
         "depth": np.full(asked.depth.shape, depth),
         "mask": np.repeat(_most_often(train.mask)[None], count, axis=0),
-        "centers": np.tile(center, (count, several, 1)),
+        "centers": np.tile(center, (count, _objects(train), 1)),
     }
     return found | {"occupancy": np.repeat(_most_often(train.occupancy)[None], count, axis=0)}
+
+
+def _objects(train: SuiteScenes) -> int:
+    """How many a scene has on average."""
+    return max(1, round(float((~np.isnan(train.centers[..., 0])).sum(axis=1).mean())))
 
 
 def _most_often(sets: Bools) -> Bools:
@@ -63,7 +67,8 @@ def backprojection(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predict
             behind.depths[seen.argmax(axis=0)], brightest > BRIGHT * brightest.max(), volume > BRIGHT * volume.max()
         ))  # fmt: skip
     depth, mask, occupancy = (np.stack(of) for of in zip(*rows, strict=True))
-    return {"depth": depth, "mask": mask, "occupancy": occupancy, "centers": centers_of(depth, mask, asked.view)}
+    centers = centers_of(depth, mask, asked.view, _objects(train))
+    return {"depth": depth, "mask": mask, "occupancy": occupancy, "centers": centers}
 
 
 def network(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predicted:
@@ -71,7 +76,7 @@ def network(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predicted:
     from datagen.baselines.network import predicted
 
     found = predicted(train, suite_scenes(train.root, "val"), asked, seed)
-    return found | {"centers": centers_of(found["depth"], found["mask"], asked.view)}
+    return found | {"centers": centers_of(found["depth"], found["mask"], asked.view, _objects(train))}
 
 
 BASELINES: dict[str, Callable[[SuiteScenes, SuiteScenes, int], Predicted]] = {
@@ -105,14 +110,17 @@ def write_baseline(method: str, suite: str | Path, out: str | Path, split: str =
     return path
 
 
-def centers_of(depth: Floats, mask: Bools, view: Floats) -> Floats:
-    """(N, K, 3) middle of the pixels of each connected patch of a mask, at their mean depth, label frame; the fewer
-    are filled up with NaN. depth, mask : (N, row, column). view : (N, 2) half extents of the images, metres.
+def centers_of(depth: Floats, mask: Bools, view: Floats, least: int = 1) -> Floats:
+    """(N, K, 3) middle of the pixels of each connected patch of a mask, at their mean depth, label frame. Where there
+    are fewer patches than `least`, they stand for several objects; else the fewer are filled up with NaN.
+
+    depth, mask : (N, row, column). view : (N, 2) half extents of the images, metres.
     """
     found = [_centers(*scene) for scene in zip(depth, mask, view, strict=True)]
-    centers = np.full((len(found), max(1, *map(len, found)), 3), np.nan)
+    centers = np.full((len(found), max(least, *map(len, found)), 3), np.nan)
     for row, of in zip(centers, found, strict=True):
-        row[: len(of)] = of
+        if len(of):
+            row[: max(least, len(of))] = of[np.arange(max(least, len(of))) % len(of)]
     return centers
 
 

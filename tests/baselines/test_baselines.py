@@ -110,6 +110,8 @@ def test_patches_have_a_centre_each() -> None:
     depth[0, :2, :2] = 1.0
     found = centers_of(depth, mask, np.full((2, 2), 4.0))
     assert found[0].tolist() == [[-3, 3, 1], [2, -2, 2]] and np.isnan(found[1]).all()
+    several = centers_of(depth, mask, np.full((2, 2), 4.0), least=3)
+    assert several[0].tolist() == [[-3, 3, 1], [2, -2, 2], [-3, 3, 1]] and np.isnan(several[1]).all()
 
 
 def test_the_threshold_is_that_of_the_best_overlap() -> None:
