@@ -70,8 +70,8 @@ def predicted(train: SuiteScenes, val: SuiteScenes, asked: SuiteScenes, seed: in
 def _trained(
     train: SuiteScenes, val: SuiteScenes, due: Callable[[SuiteScenes], tuple[NDArray[Any], Bools | None]], seed: int
 ) -> Normalized:
-    """A network whose outputs are near the targets (scene, …) of `due` in the mean square over the places named beside
-    them; where none are named, its outputs are the logarithms of odds of the targets."""
+    """A network whose outputs are near the targets (scene, …) of `due`, in the mean square over the places beside
+    them; where it names no places, outputs are the logarithms of odds of the targets."""
     counts, unseen = torch.from_numpy(train.histogram), torch.from_numpy(val.histogram)
     (target, weight), (val_target, val_weight) = (_flat(*due(of)) for of in (train, val))
     model = Normalized(counts, target.shape[1], seed)
