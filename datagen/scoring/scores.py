@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records.arrays import Bools, Floats
+from datagen.records.checks import check_kind
 from datagen.scoring.metrics import (
     center_distances,
     chamfer_distance,
@@ -97,6 +99,11 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
     InputError : no such dataset, labels missing; predictions that are not of that form, incomplete, or not finite.
     CheckError : the dataset is damaged.
     """
+    check_kind("suite", suite, str, os.PathLike, remedy="the folder that build_suite made")
+    check_kind(
+        "predictions", predictions, str, os.PathLike, Mapping, remedy="an .npz file, a Zarr group, or a mapping"
+    )
+    check_kind("split", split, str, remedy="such as 'test'")
     truth = read_truth(suite, split)
     found = read_predictions(predictions, truth)
     named = suite_of(truth.manifest)

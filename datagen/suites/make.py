@@ -8,6 +8,7 @@ from pathlib import Path
 
 from datagen.building.build import build
 from datagen.errors import CheckError
+from datagen.records.checks import check_kind
 from datagen.store import read_manifest
 from datagen.store.card import readable
 from datagen.store.digest import dataset_digest
@@ -64,6 +65,7 @@ def build_suite(name: str, path: str | Path, workers: int = 1, *, progress: bool
     InputError : no such suite, or the folder holds something else.
     CheckError : the bytes are not the published ones. The dataset stays; the line says which versions differ.
     """
+    check_kind("name", name, str, remedy=f"one of {', '.join(SUITES)}")
     suite = find_suite(name)
     build(suite.config, path, workers, progress=progress)
     result = examined(suite, Path(path))

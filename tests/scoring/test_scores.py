@@ -178,6 +178,17 @@ def test_what_is_wrong_is_told_in_a_line(
         dg.score(suite, values)
 
 
+def test_wrong_types_are_told(suite: Path) -> None:
+    for call, name in (
+        (lambda: dg.score(3, {}), "suite"),  # type: ignore[arg-type]
+        (lambda: dg.score(suite, 3), "predictions"),  # type: ignore[arg-type]
+        (lambda: dg.score(suite, {}, split=1), "split"),  # type: ignore[arg-type]
+        (lambda: dg.build_suite(3, suite), "name"),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(dg.InputError, match=rf"^{name} = (3|1): "):
+            call()
+
+
 def test_other_files_are_refused(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "text.npz").write_text("depth")
     (tmp_path / "empty").mkdir()
