@@ -47,17 +47,20 @@ if TYPE_CHECKING:
         Transient,
     )
     from datagen.scene import generate_scene
+    from datagen.scoring import Scores, score
+    from datagen.suites import SuiteResult, build_suite
     from datagen.transport import simulate
 
 # Type checkers want a literal; `_HOME` says at run time where each of these names is.
 __all__ = [
     "GGX", "Accuracy", "AsPrinted", "BuildResult", "Capture", "CheckError", "DatasetConfig", "Decision",
-    "EffectDecisions", "EffectsConfig", "EpochSampler", "Evidence", "Exposure", "GeneratedDataset",
-    "InputError", "InputWarning", "Lambertian", "Laser", "Material", "OrenNayar", "Part", "Phong", "Pose",
-    "Presence", "Rectangle", "Retroreflector", "Sample", "Scene", "SceneConfig", "Sensor", "SinLobe", "Spad", "Spend",
-    "TimeAxis", "Transient", "TransientDataset", "__version__", "build", "build_from", "capture_for", "collate",
-    "dense", "detect", "expected_histogram", "generate_scene", "import_captures", "load_config", "own_evidence",
-    "plan_effects", "presence_evidence", "scene_for", "simulate", "simulate_as_printed", "with_exposure_found",
+    "EffectDecisions", "EffectsConfig", "EpochSampler", "Evidence", "Exposure", "GeneratedDataset", "InputError",
+    "InputWarning", "Lambertian", "Laser", "Material", "OrenNayar", "Part", "Phong", "Pose", "Presence", "Rectangle",
+    "Retroreflector", "Sample", "Scene", "SceneConfig", "Scores", "Sensor", "SinLobe", "Spad", "Spend", "SuiteResult",
+    "TimeAxis", "Transient", "TransientDataset", "__version__", "build", "build_from", "build_suite", "capture_for",
+    "collate", "dense", "detect", "expected_histogram", "generate_scene", "import_captures", "load_config",
+    "own_evidence", "plan_effects", "presence_evidence", "scene_for", "score", "simulate", "simulate_as_printed",
+    "with_exposure_found",
 ]  # fmt: skip
 _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "AsPrinted": "datagen.paper.as_printed",
@@ -75,10 +78,13 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "InputWarning": "datagen.errors",
     "Presence": "datagen.evidence",
     "SceneConfig": "datagen.config",
+    "Scores": "datagen.scoring",
     "Spad": "datagen.detector",
+    "SuiteResult": "datagen.suites",
     "TransientDataset": "datagen.loader",
     "build": "datagen.building.build",
     "build_from": "datagen.building.build_from",
+    "build_suite": "datagen.suites",
     "capture_for": "datagen.capture",
     "collate": "datagen.loader",
     "dense": "datagen.loader",
@@ -91,6 +97,7 @@ _HOME = dict.fromkeys(__all__, "datagen.records") | {
     "plan_effects": "datagen.effects",
     "presence_evidence": "datagen.evidence",
     "scene_for": "datagen.design.scene_for",
+    "score": "datagen.scoring",
     "simulate": "datagen.transport",
     "simulate_as_printed": "datagen.paper.as_printed",
     "with_exposure_found": "datagen.design.exposure",

@@ -181,6 +181,51 @@ def reproduce(out: str, config: str | None, quick: bool, quiet: bool) -> None:
 
 
 @cli.command()
+@click.argument("name", required=False)
+@click.argument("out", required=False)
+@click.option("--workers", type=int, default=1, show_default=True, help="Processes, one core each.")
+@click.option("--quiet", is_flag=True, help="No progress.")
+def suite(name: str | None, out: str | None, workers: int, quiet: bool) -> None:
+    """Build the benchmark set NAME in the folder OUT; without either, list the sets."""
+    from datagen.suites.catalogue import find_suite
+    from datagen.suites.make import build_suite, listing
+
+    if name is None:
+        click.echo(listing())
+        return
+    find_suite(name)
+    if out is None:
+        raise click.UsageError("missing argument 'OUT'", click.get_current_context())
+    click.echo(build_suite(name, out, workers, progress=not quiet).summary())
+
+
+@cli.command()
+@click.argument("suite")
+@click.argument("predictions")
+@click.option("--split", default="test", show_default=True, help="Scenes that are scored.")
+@click.option("--json", "as_json", is_flag=True, help="For programs.")
+def score(suite: str, predictions: str, split: str, as_json: bool) -> None:
+    """Hold PREDICTIONS, an .npz file or a Zarr group, against the labels of SUITE, the folder of a benchmark set."""
+    from datagen.scoring.scores import score as scored
+
+    scores = scored(suite, predictions, split)
+    click.echo(scores.json() if as_json else scores.table())
+
+
+@cli.command()
+@click.argument("method")
+@click.argument("suite")
+@click.argument("out")
+@click.option("--split", default="test", show_default=True, help="Scenes that are predicted.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the training.")
+def baseline(method: str, suite: str, out: str, split: str, seed: int) -> None:
+    """Predict SUITE by METHOD (mean, backprojection or network) into the file OUT, which `datagen score` reads."""
+    from datagen.baselines import write_baseline
+
+    click.echo(write_baseline(method, suite, out, split, seed))
+
+
+@cli.command()
 @click.argument("dataset")
 @click.argument("out")
 @click.option("--format", "form", required=True, help="tal (y-tal), mat (MATLAB), npz, h5, glb or hub.")

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 
 import datagen as dg
+from datagen.baselines.network import Normalized
 from datagen.config import config_from_mapping
 from datagen.report.style import captioned, house_style, save_png
 
@@ -103,16 +104,11 @@ class Predictor:
     """The network of README, for log(1 + counts) less their mean over the training scenes; depth in metres."""
 
     def __init__(self, train: Scenes, seed: int) -> None:
-        torch.manual_seed(seed)
-        layers = torch.nn.LazyLinear(64), torch.nn.LayerNorm(64), torch.nn.ReLU(), torch.nn.Linear(64, SIDE * SIDE)
-        self.model = torch.nn.Sequential(torch.nn.Flatten(), *layers, torch.nn.Unflatten(1, (SIDE, SIDE)))
-        counts = torch.log1p(train.histograms[0])
-        self.mean, self.spread, self.depth = counts.mean(dim=0), counts.std(), mean_depth(train)
-        self(train.histograms[0, :1])
+        self.model, self.depth = Normalized(train.histograms[0], SIDE * SIDE, seed), mean_depth(train)
 
     def __call__(self, counts: torch.Tensor) -> torch.Tensor:
         """(scene, row, column) of histograms (scene, laser, 1, bin)."""
-        return self.depth + torch.as_tensor(self.model((torch.log1p(counts) - self.mean) / self.spread))
+        return self.depth + self.model(counts).unflatten(1, (SIDE, SIDE))
 
 
 def mean_depth(train: Scenes) -> float:
@@ -219,7 +215,7 @@ def draw(found: Mapping[str, Array], pictures: Mapping[str, Array], kept: Scenes
             for line, (name, images) in enumerate(rows.items()):
                 panel = right.add_subplot(4, len(chosen), line * len(chosen) + column + 1)
                 panel.imshow(np.where(box, images[scene], np.nan), cmap="viridis_r", vmin=0, vmax=most)
-                _framed(panel)
+                framed(panel)
                 if line == 0:
                     panel.set_title(f"{_short(sigma[scene])} σ")
                 if column == 0:
@@ -227,7 +223,7 @@ def draw(found: Mapping[str, Array], pictures: Mapping[str, Array], kept: Scenes
             panel = right.add_subplot(4, len(chosen), 3 * len(chosen) + column + 1)
             light = kept.evidence[scene].numpy()
             panel.imshow(np.log10(np.where(box, light, np.nan).clip(1e-2)), cmap="magma", vmin=-2, vmax=2)
-            _framed(panel)
+            framed(panel)
             panel.set(xlabel=f"{_short(light.sum())} detections")
             if column == 0:
                 panel.set_ylabel("evidence\n(0.01 … 100)", fontsize=8)
@@ -238,7 +234,8 @@ def _short(value: float) -> str:
     return f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
 
 
-def _framed(panel: Axes) -> None:
+def framed(panel: Axes) -> None:
+    """A picture has a frame and no ticks."""
     panel.set(xticks=[], yticks=[])
     panel.spines[["top", "right"]].set_visible(True)
 

@@ -30,6 +30,8 @@ STAGES = (
     "building",
     "importing",
     "loader",
+    "suites",
+    "scoring",
     "paper",
     "errors",
 )

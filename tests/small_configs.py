@@ -1,4 +1,4 @@
-"""The ready configurations at small size, and digests of what they give, pinned in `small_configs.json`.
+"""Ready configurations and suites at small size, and digests of what they give, pinned in `small_configs.json`.
 
     python tests/small_configs.py [--geometry]
 
@@ -27,7 +27,7 @@ from datagen.store.digest import dataset_digest
 from datagen.store.environment import LIBRARIES, made_with
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
-READY = sorted(CONFIGS.glob("*.yaml"))
+READY = [*sorted(CONFIGS.glob("*.yaml")), *sorted((CONFIGS.parent / "datagen/suites").glob("*.yaml"))]
 MOST = {"rows": 3, "columns": 3, "count": 4}
 """Of a scan or a field of view."""
 
@@ -83,9 +83,8 @@ def made_as_pinned() -> bool:
 def main() -> None:
     old = pinned() if PINNED.exists() else {}
     configs = {path.stem: load_config(path) for path in READY}
-    geometry = old.get("geometry", {})
-    if "--geometry" in sys.argv or not geometry:
-        geometry = {name: geometry_digests(config) for name, config in configs.items()}
+    geometry = {} if "--geometry" in sys.argv else old.get("geometry", {})
+    geometry |= {name: geometry_digests(config) for name, config in configs.items() if name not in geometry}
     values = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, config in configs.items():

@@ -1,0 +1,120 @@
+"""The small network of README: a hidden layer of 64 between all bins and all pixels."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from datagen.baselines.scenes import SuiteScenes
+from datagen.records.arrays import Bools, Floats
+
+HIDDEN = 64
+EPOCHS = 40
+BATCH = 32
+RATE = 3e-3
+THRESHOLDS = np.linspace(0.05, 0.95, 19)
+"""Of the chance that an object is there; the one with which silhouettes (or voxels) overlap best in scenes of the
+split val is taken."""
+
+
+def small_network(outputs: int) -> torch.nn.Sequential:
+    """Histograms (scene, laser, pixel, bin) → (scene, outputs)."""
+    layers = (
+        torch.nn.LazyLinear(HIDDEN),
+        torch.nn.LayerNorm(HIDDEN),
+        torch.nn.ReLU(),
+        torch.nn.Linear(HIDDEN, outputs),
+    )
+    return torch.nn.Sequential(torch.nn.Flatten(), *layers)
+
+
+class Normalized(torch.nn.Module):
+    """A network for log(1 + counts) less their mean over training scenes, over their standard deviation."""
+
+    def __init__(self, train: torch.Tensor, outputs: int, seed: int) -> None:
+        super().__init__()
+        torch.manual_seed(seed)
+        self.network = small_network(outputs)
+        counts = torch.log1p(train)
+        self.mean, self.spread = counts.mean(dim=0), counts.std()
+        self(train[:1])
+
+    def forward(self, counts: torch.Tensor) -> torch.Tensor:
+        """(scene, outputs) of histograms (scene, laser, pixel, bin)."""
+        return torch.as_tensor(self.network((torch.log1p(counts) - self.mean) / self.spread))
+
+
+def predicted(train: SuiteScenes, val: SuiteScenes, asked: SuiteScenes, seed: int) -> dict[str, NDArray[Any]]:
+    """`depth`, `mask` and `occupancy` of scenes asked for: three networks, trained alike.
+
+    Depth is learnt where an object is seen, from its mean over the training scenes; silhouettes and voxels are learnt
+    as the chance that one is there. Of each network the epoch is taken that is best in scenes of the split val.
+    """
+    mean = float(train.depth[train.mask].mean())
+    depth = _trained(train, val, lambda of: (of.depth - mean, of.mask), seed)
+    found: dict[str, NDArray[Any]] = {
+        "depth": np.maximum(mean + _applied(depth, asked.histogram), 0.0).reshape(asked.depth.shape)
+    }
+    for name in ("mask", "occupancy"):
+        model = _trained(train, val, lambda of, name=name: (getattr(of, name), None), seed)  # type: ignore[misc]
+        least = best_threshold(_applied(model, val.histogram), getattr(val, name).reshape(len(val.scene), -1))
+        found[name] = (_applied(model, asked.histogram) > least).reshape(getattr(asked, name).shape)
+    return found
+
+
+def _trained(
+    train: SuiteScenes, val: SuiteScenes, due: Callable[[SuiteScenes], tuple[NDArray[Any], Bools | None]], seed: int
+) -> Normalized:
+    """A network whose outputs are near the targets (scene, …) of `due`, in the mean square over the places beside
+    them; where it names no places, outputs are the logarithms of odds of the targets."""
+    counts, unseen = torch.from_numpy(train.histogram), torch.from_numpy(val.histogram)
+    (target, weight), (val_target, val_weight) = (_flat(*due(of)) for of in (train, val))
+    model = Normalized(counts, target.shape[1], seed)
+    optimizer = torch.optim.Adam(model.parameters(), lr=RATE)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, EPOCHS)
+    least, best = float("inf"), copy.deepcopy(model.state_dict())
+    for _ in range(EPOCHS):
+        for chosen in torch.randperm(len(counts)).split(BATCH):
+            loss = _loss(model(counts[chosen]), target[chosen], None if weight is None else weight[chosen])
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+        schedule.step()
+        with torch.no_grad():
+            off = float(_loss(model(unseen), val_target, val_weight))
+        if off < least:
+            least, best = off, copy.deepcopy(model.state_dict())
+    model.load_state_dict(best)
+    return model
+
+
+def _flat(target: NDArray[Any], weight: Bools | None) -> tuple[torch.Tensor, torch.Tensor | None]:
+    values = torch.from_numpy(target.astype(np.float32)).flatten(1)
+    return values, None if weight is None else torch.from_numpy(weight.astype(np.float32)).flatten(1)
+
+
+def _loss(out: torch.Tensor, due: torch.Tensor, weight: torch.Tensor | None) -> torch.Tensor:
+    if weight is None:
+        return torch.nn.functional.binary_cross_entropy_with_logits(out, due)
+    return (weight * (out - due) ** 2).sum() / weight.sum().clamp(min=1)
+
+
+def _applied(model: Normalized, histogram: NDArray[np.float32]) -> Floats:
+    with torch.no_grad():
+        return np.asarray(model(torch.from_numpy(histogram)).double().numpy())
+
+
+def best_threshold(odds: Floats, there: Bools) -> float:
+    """The logarithm of odds (scene, place) above which places overlap best with those that are there, of
+    `THRESHOLDS`."""
+    levels = np.log(THRESHOLDS / (1 - THRESHOLDS))
+    overlaps = []
+    for level in levels:
+        found = odds > level
+        overlaps.append(np.mean((found & there).sum(axis=1) / np.maximum((found | there).sum(axis=1), 1)))
+    return float(levels[int(np.argmax(overlaps))])

@@ -1,0 +1,136 @@
+"""Baselines: what each predicts of a suite's test scenes, written in the form that `datagen score` reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label
+
+from datagen.baselines.backprojection import reconstructed, scan_of
+from datagen.baselines.grid import HiddenGrid
+from datagen.baselines.scenes import SuiteScenes, suite_scenes
+from datagen.errors import InputError
+from datagen.records.arrays import Bools, Floats
+from datagen.store.files import PARTIAL
+from datagen.store.scenes import Scenes
+
+Predicted = dict[str, NDArray[Any]]
+
+LAYERS = 32
+"""Of the grid that backprojection finds depth on."""
+BRIGHT = 0.5
+"""What is brighter than this share of the brightest is an object."""
+SMALLEST = 4
+"""Pixels of an object."""
+
+
+def mean_of_training(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predicted:
+    """What objects are like on average, whatever is measured: their mean depth and centre, and of pixels and voxels
+    those that they cover most often, as many as they cover on average.
+    """
+    count, depth = len(asked.scene), float(train.depth[train.mask].mean())
+    center = np.nanmean(train.centers.reshape(-1, 3), axis=0)
+    found = {
+        "depth": np.full(asked.depth.shape, depth),
+        "mask": np.repeat(_most_often(train.mask)[None], count, axis=0),
+        "centers": np.tile(center, (count, _objects(train), 1)),
+    }
+    return found | {"occupancy": np.repeat(_most_often(train.occupancy)[None], count, axis=0)}
+
+
+def _objects(train: SuiteScenes) -> int:
+    """How many a scene has on average."""
+    return max(1, round(float((~np.isnan(train.centers[..., 0])).sum(axis=1).mean())))
+
+
+def _most_often(sets: Bools) -> Bools:
+    share = sets.mean(axis=0)
+    most = np.sort(share, axis=None)[::-1][: max(1, round(float(share.sum())))]
+    return np.asarray(share >= most[-1])
+
+
+def backprojection(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predicted:
+    """Filtered backprojection of each scene by itself: depth is that of the brightest voxel behind a pixel."""
+    root, rows = Scenes(asked.root), []
+    for number in asked.scene:
+        content = root.read(int(number))
+        view, bounds, scan = content.arrays["hidden_view"], content.arrays["hidden_bounds"], scan_of(content)
+        behind = HiddenGrid.behind_images(view, bounds, (LAYERS, *asked.depth.shape[1:]))
+        seen = reconstructed(scan, behind)
+        brightest = seen.max(axis=0)
+        volume = reconstructed(scan, HiddenGrid.of_volumes(view, bounds, asked.occupancy.shape[1:]))
+        rows.append((
+            behind.depths[seen.argmax(axis=0)], brightest > BRIGHT * brightest.max(), volume > BRIGHT * volume.max()
+        ))  # fmt: skip
+    depth, mask, occupancy = (np.stack(of) for of in zip(*rows, strict=True))
+    centers = centers_of(depth, mask, asked.view, _objects(train))
+    return {"depth": depth, "mask": mask, "occupancy": occupancy, "centers": centers}
+
+
+def network(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predicted:
+    """README's network, trained on the suite's own training scenes."""
+    from datagen.baselines.network import predicted
+
+    found = predicted(train, suite_scenes(train.root, "val"), asked, seed)
+    return found | {"centers": centers_of(found["depth"], found["mask"], asked.view, _objects(train))}
+
+
+BASELINES: dict[str, Callable[[SuiteScenes, SuiteScenes, int], Predicted]] = {
+    "mean": mean_of_training, "backprojection": backprojection, "network": network,
+}  # fmt: skip
+"""Name → what it predicts of scenes, from training scenes and a seed."""
+
+
+def write_baseline(method: str, suite: str | Path, out: str | Path, split: str = "test", seed: int = 0) -> Path:
+    """Predict the scenes of a suite's split, and write them as the `.npz` file that `datagen score` reads.
+
+    method : `mean`, `backprojection` or `network`.
+
+    Raises `InputError` for an unknown method, no dataset, or one without the fields that are needed.
+    """
+    if method not in BASELINES:
+        raise InputError(f"METHOD = {method!r}: must be one of {', '.join(BASELINES)}")
+    path = Path(out)
+    if path.suffix != ".npz":
+        raise InputError(f"OUT = {str(out)!r}: predictions are a NumPy archive; name a file that ends in .npz")
+    train, asked = suite_scenes(suite, "train"), suite_scenes(suite, split)
+    found = BASELINES[method](train, asked, seed)
+    kept: dict[str, Any] = {name: of.astype("f4") if of.dtype.kind == "f" else of for name, of in found.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f"{path.stem}{PARTIAL}.npz")
+    try:
+        np.savez_compressed(unfinished, scene=asked.scene, **kept)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return path
+
+
+def centers_of(depth: Floats, mask: Bools, view: Floats, least: int = 1) -> Floats:
+    """(N, K, 3) middle of the pixels of each connected patch of a mask, at their mean depth, label frame. Where there
+    are fewer patches than `least`, they stand for several objects; else the fewer are filled up with NaN.
+
+    depth, mask : (N, row, column). view : (N, 2) half extents of the images, metres.
+    """
+    found = [_centers(*scene) for scene in zip(depth, mask, view, strict=True)]
+    centers = np.full((len(found), max(least, *map(len, found)), 3), np.nan)
+    for row, of in zip(centers, found, strict=True):
+        if len(of):
+            row[: max(least, len(of))] = of[np.arange(max(least, len(of))) % len(of)]
+    return centers
+
+
+def _centers(depth: Floats, mask: Bools, half: Floats) -> Floats:
+    patches, count = label(mask, np.ones((3, 3)))
+    rows, columns = mask.shape
+    found = []
+    for number in range(1, count + 1):
+        row, column = np.nonzero(patches == number)
+        if len(row) >= SMALLEST:
+            right = (2 * (column.mean() + 0.5) / columns - 1) * half[0]
+            found.append([right, (1 - 2 * (row.mean() + 0.5) / rows) * half[1], depth[row, column].mean()])
+    return np.array(found).reshape(-1, 3)

@@ -1,0 +1,67 @@
+"""What a baseline may know of a suite's scenes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.loader import TransientDataset, collate
+from datagen.records.arrays import Bools, Floats
+
+FIELDS = ("depth", "part_id", "object_part", "object_box_center", "occupancy", "hidden_view")
+
+
+@dataclass(frozen=True)
+class SuiteScenes:
+    """Scenes of one split.
+
+    Attributes
+    ----------
+    root : the dataset.
+    scene : (N,) numbers.
+    histogram : (N, laser, pixel, bin) counts.
+    depth, mask : (N, row, column) metres; whether an object is seen there.
+    occupancy : (N, depth, row, column) whether an object is there.
+    centers : (N, K, 3) of the objects, label frame, NaN in rows without one.
+    view : (N, 2) half width and half height of the images, metres.
+    """
+
+    root: Path
+    scene: NDArray[np.int64]
+    histogram: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    mask: Bools
+    occupancy: Bools
+    centers: Floats
+    view: Floats
+
+
+def suite_scenes(root: str | Path, split: str) -> SuiteScenes:
+    """All scenes of a split, in memory.
+
+    Raises `InputError` for no dataset, no such split, or without the labels needed.
+    """
+    data = TransientDataset(root, ("histogram",), split=split)
+    missing = [name for name in FIELDS if name not in data.fields]
+    if missing:
+        raise InputError(
+            f"{root}: has no {', '.join(missing)}; store.fields must have depth, part_id, occupancy, objects"
+        )
+    data = TransientDataset(root, ("histogram", *FIELDS), split=split)
+    batch = {name: of.numpy() for name, of in collate(data.__getitems__(range(len(data)))).items()}
+    return _of(Path(root), batch)
+
+
+def _of(root: Path, batch: dict[str, NDArray[np.generic]]) -> SuiteScenes:
+    part, there = batch["object_part"], batch["object_part"] >= 0  # type: ignore[operator]
+    mask = ((batch["part_id"][..., None] == part[:, None, None]) & there[:, None, None]).any(axis=-1)
+    centers = np.where(there[..., None], batch["object_box_center"].astype(np.float64), np.nan)
+    view = np.linalg.norm(batch["hidden_view"][:, 1:].astype(np.float64), axis=-1)
+    return SuiteScenes(
+        root, batch["scene"].astype(np.int64), batch["histogram"].astype(np.float32),
+        batch["depth"].astype(np.float32), mask, batch["occupancy"] > 0, centers, view,  # type: ignore[operator]
+    )  # fmt: skip

@@ -1,0 +1,79 @@
+"""The metrics, of one scene each: arrays in, a number out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
+
+from datagen.records.arrays import Bools, Floats
+
+WINDOW = 1.5
+"""Standard deviation of the window of SSIM, pixels."""
+REACH = 5
+"""The window is cut off after so many pixels: 11 × 11."""
+K1, K2 = 0.01, 0.03
+"""The constants that keep SSIM's quotients finite, as published."""
+
+
+def intersection_over_union(found: Bools, true: Bools) -> float:
+    """|A ∩ B| / |A ∪ B| of two sets of pixels or voxels; NaN where both are empty."""
+    union = np.count_nonzero(found | true)
+    return np.count_nonzero(found & true) / union if union else float("nan")
+
+
+def ssim(found: Floats, true: Floats, value_range: float = 1.0) -> float:
+    """Mean structural similarity of two images (row, column).
+
+    SSIM = (2 μx μy + c1)(2 σxy + c2) / ((μx² + μy² + c1)(σx² + σy² + c2)), c1 = (0.01 L)², c2 = (0.03 L)², L the
+    range of values, under a Gaussian window of 11 × 11 pixels (σ = 1.5), mirrored at the border; its mean over all
+    pixels.
+    Wang, Bovik, Sheikh, Simoncelli, IEEE Trans. Image Processing 13(4), 600 (2004), Eq. 13.
+    """
+    c1, c2 = (K1 * value_range) ** 2, (K2 * value_range) ** 2
+
+    def mean(image: Floats) -> Floats:
+        blurred: Floats = gaussian_filter(image, WINDOW, mode="reflect", radius=REACH)
+        return blurred
+
+    x, y = np.asarray(found, np.float64), np.asarray(true, np.float64)
+    mx, my = mean(x), mean(y)
+    vx, vy, vxy = mean(x * x) - mx**2, mean(y * y) - my**2, mean(x * y) - mx * my
+    map_ = (2 * mx * my + c1) * (2 * vxy + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))
+    return float(map_.mean())
+
+
+def chamfer_distance(found: Floats, true: Floats) -> float:
+    """½ (mean over A of the distance to the nearest of B + mean over B of that to the nearest of A), metres.
+
+    Distances, not their squares; point clouds (N, 3) and (M, 3), neither of them empty.
+    """
+    there, _ = cKDTree(true).query(found)
+    back, _ = cKDTree(found).query(true)
+    return float((there.mean() + back.mean()) / 2)
+
+
+def center_distances(found: Floats, true: Floats, missed_m: float) -> Floats:
+    """(M,) distance of each true centre from the one found that it is matched with, metres.
+
+    Centres (N, 3) found and (M, 3) true are matched one to one such that the sum of the distances is least (the
+    Hungarian method); a true one that is left over counts `missed_m`.
+    """
+    distances = np.full(len(true), missed_m)
+    apart = np.linalg.norm(true[:, None] - found[None], axis=-1)
+    rows, columns = linear_sum_assignment(apart)
+    distances[rows] = apart[rows, columns]
+    return distances
+
+
+def image_points(depth: NDArray[Any], mask: Bools, half_width_m: float, half_height_m: float) -> Floats:
+    """(N, 3) points right, up, depth in the label frame of an image's pixels: their centres, at their depth."""
+    rows, columns = depth.shape
+    row, column = np.nonzero(mask)
+    right = (2 * (column + 0.5) / columns - 1) * half_width_m
+    up = (1 - 2 * (row + 0.5) / rows) * half_height_m
+    return np.stack([right, up, depth[row, column].astype(np.float64)], axis=-1)

@@ -1,0 +1,136 @@
+"""Predictions, from a file or a mapping, held to a form: one line for every way in which they can be wrong."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.records.arrays import Floats
+from datagen.scoring.truth import Truth
+
+QUANTITIES = ("depth", "mask", "points", "occupancy", "centers")
+_REMEDY = "docs/suites.md shows how to write predictions"
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """What was predicted of the scenes of a `Truth`, in its order; what was not is None.
+
+    depth, mask : (N, R, C). occupancy : (N, D, H, W). points : (N, M, 3) and centers : (N, K, 3) in the label frame,
+    rows of NaN are fill.
+    """
+
+    depth: Floats | None = None
+    mask: Floats | None = None
+    points: Floats | None = None
+    occupancy: Floats | None = None
+    centers: Floats | None = None
+
+
+def read_predictions(source: str | Path | Mapping[str, Any], truth: Truth) -> Predictions:
+    """Predictions for the scenes of `truth`; those for other scenes are left aside.
+
+    source : an `.npz` file, a Zarr group, or a mapping, of `scene` (N,) and any of `QUANTITIES`.
+
+    Raises `InputError`: no such file, none of these formats, scenes missing or twice, an unknown or no quantity, a
+    wrong shape, values that are no numbers, not finite, or out of range.
+    """
+    arrays = dict(source) if isinstance(source, Mapping) else _loaded(source)
+    where = "predictions" if isinstance(source, Mapping) else str(source)
+    if "scene" not in arrays:
+        raise InputError(f"{where}: has no `scene`, the numbers of the scenes predicted; {_REMEDY}")
+    for name in arrays:
+        if name not in ("scene", *QUANTITIES):
+            near = difflib.get_close_matches(name, QUANTITIES, 1)
+            meant = f"did you mean {near[0]!r}? Known are" if near else "known are"
+            raise InputError(f"{where}: unknown array {name!r}; {meant} scene, {', '.join(QUANTITIES)}")
+    if len(arrays) == 1:
+        raise InputError(f"{where}: holds nothing beside `scene`; give any of {', '.join(QUANTITIES)}")
+    rows = _rows(where, np.asarray(arrays["scene"]), truth)
+    count = len(np.asarray(arrays["scene"]))
+    made = {
+        name: _checked(f"{where}: {name}", name, np.asarray(arrays[name]), count, rows, truth)
+        for name in QUANTITIES
+        if name in arrays
+    }
+    if "mask" in made and "depth" not in made:
+        raise InputError(f"{where}: `mask` says where `depth` shows an object, and there is no `depth`; give both")
+    return Predictions(**made)
+
+
+def _loaded(path: str | Path) -> dict[str, NDArray[Any]]:
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path}: no such file; name an .npz file or a Zarr group of predictions")
+    try:
+        if path.is_dir():
+            import zarr
+
+            group = zarr.open_group(path, mode="r")
+            return {name: np.asarray(array[...]) for name, array in group.arrays()}
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        reason = str(error).split("\n")[0].strip(os.linesep) or type(error).__name__
+        raise InputError(f"{path}: is no .npz file and no Zarr group of predictions ({reason}); {_REMEDY}") from None
+
+
+def _rows(where: str, scene: NDArray[Any], truth: Truth) -> NDArray[np.intp]:
+    """(N,) the row of each scene of `truth` in the predictions."""
+    if scene.ndim != 1 or scene.dtype.kind not in "iu":
+        raise InputError(f"{where}: scene is {scene.dtype} {scene.shape}; must be whole numbers of shape (N,)")
+    values, first = np.unique(scene, return_index=True)
+    if len(values) < len(scene):
+        twice = next(int(value) for value in values if np.count_nonzero(scene == value) > 1)
+        raise InputError(f"{where}: scene {twice} is there more than once; give one prediction of each")
+    total = truth.manifest.schema.scenes
+    if len(values) and (values[0] < 0 or values[-1] >= total):
+        wrong = values[0] if values[0] < 0 else values[-1]
+        raise InputError(f"{where}: scene {wrong} is none of the dataset's 0 … {total - 1}")
+    missing = np.setdiff1d(truth.scenes, values)
+    if len(missing):
+        raise InputError(
+            f"{where}: {len(missing)} of {len(truth.scenes)} scenes are missing, the first is {missing[0]}; predict "
+            "every scene of the split"
+        )
+    return first[np.searchsorted(values, truth.scenes)]
+
+
+def _checked(where: str, name: str, given: NDArray[Any], count: int, rows: NDArray[np.intp], truth: Truth) -> Floats:
+    if given.dtype.kind not in "fiub":
+        raise InputError(f"{where} is {given.dtype}; must be numbers")
+    image, volume = truth.depth.shape[1:], None if truth.occupancy is None else truth.occupancy.shape[1:]
+    if name == "occupancy" and volume is None:
+        raise InputError(f"{where}: the dataset has no occupancy to hold it against; leave it out")
+    table = name in ("points", "centers")
+    due = volume if name == "occupancy" else image
+    fits = given.ndim == 3 and given.shape[2] == 3 if table else given.shape[1:] == due
+    if not fits or len(given) != count:
+        wanted = f"({count}, any number, 3)" if table else (count, *(due or ()))
+        raise InputError(f"{where} has the shape {given.shape}; must be {wanted}")
+    values = given[rows].astype(np.float64)
+    if table:
+        fill = np.isnan(values)
+        if (fill.any(axis=-1) != fill.all(axis=-1)).any() or np.isinf(values).any():
+            raise InputError(f"{where} has rows that are neither three finite numbers nor three NaN (fill)")
+        return values
+    bad: Callable[[int], str] = lambda k: f"in scene {truth.scenes[k]}"  # noqa: E731
+    wrong = ~np.isfinite(values)
+    if wrong.any():
+        raise InputError(f"{where} has values that are not finite, {bad(int(np.argwhere(wrong)[0][0]))}")
+    high = np.inf if name == "depth" else 1.0
+    wrong = (values < 0) | (values > high)
+    if wrong.any():
+        allowed = "≥ 0 (m; 0: empty)" if name == "depth" else "in 0 … 1"
+        k = tuple(np.argwhere(wrong)[0])
+        raise InputError(f"{where} = {values[k]:g}, {bad(int(k[0]))}: must be {allowed}")
+    return values

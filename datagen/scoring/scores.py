@@ -1,0 +1,176 @@
+"""Predictions against the labels of a suite."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.records.arrays import Bools, Floats
+from datagen.records.checks import check_kind
+from datagen.scoring.metrics import (
+    center_distances,
+    chamfer_distance,
+    image_points,
+    intersection_over_union,
+    ssim,
+)
+from datagen.scoring.predictions import Predictions, read_predictions
+from datagen.scoring.truth import LEAST_SIGMA, Truth, read_truth
+from datagen.store.digest import dataset_digest
+from datagen.suites import suite_of
+
+TOLD = {
+    "depth_rmse_m": "root mean square error of depth on pixels of objects (m)",
+    "depth_mae_m": "mean error of depth on pixels of objects (m)",
+    "silhouette_iou": "overlap of silhouettes (IoU)",
+    "ssim": "SSIM of depth pictures",
+    "chamfer_m": "chamfer distance of points (m)",
+    "occupancy_iou": "overlap of occupied voxels (IoU)",
+    "center_m": "distance of objects' centres (m)",
+}
+"""Metric → what it is."""
+Metrics = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Scores:
+    """How good predictions are.
+
+    Attributes
+    ----------
+    dataset : its name.
+    published : whether it is a suite with the published bytes.
+    split, scenes, scenes_with_evidence : the split, how many scenes it has, and in how many of them every object has
+        evidence.
+    all, with_evidence : metric → value, over everything, and over what has evidence (3 σ) alone; what was not
+        predicted is left out.
+    """
+
+    dataset: str
+    published: bool
+    split: str
+    scenes: int
+    scenes_with_evidence: int
+    all: Mapping[str, float]
+    with_evidence: Mapping[str, float]
+
+    def table(self) -> str:
+        """For people."""
+        state = "as published" if self.published else "not one of the published suites"
+        width = max(map(len, TOLD.values()))
+        lines = [
+            f"{self.dataset} ({state}), split {self.split}: {self.scenes} scenes, in {self.scenes_with_evidence} of "
+            f"them every object has {LEAST_SIGMA:g} σ",
+            "",
+            f"{'':{width}}  {'all':>8}  {f'≥ {LEAST_SIGMA:g} σ':>8}",
+        ]
+        for name, value in self.all.items():
+            lines.append(f"{TOLD[name]:{width}}  {value:8.3f}  {self.with_evidence[name]:8.3f}")
+        return "\n".join(lines)
+
+    def json(self) -> str:
+        """For programs; what could not be had is null."""
+        values = asdict(self)
+        for part in ("all", "with_evidence"):
+            values[part] = {name: None if np.isnan(of) else of for name, of in values[part].items()}
+        return json.dumps(values, indent=1)
+
+
+def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split: str = "test") -> Scores:
+    """Hold predictions against the labels of a suite's test scenes.
+
+    Parameters
+    ----------
+    suite : the folder that `build_suite` made, or any dataset with the fields depth, part_id and objects.
+    predictions : an `.npz` file, a Zarr group, or a mapping: `scene` (N,) and any of `depth` (N, row, column) in m,
+        `mask` (N, row, column) where an object is seen, `points` (N, M, 3) and `centers` (N, K, 3) in the label
+        frame (rows of NaN are fill), `occupancy` (N, depth, row, column) in 0 … 1. docs/suites.md defines them.
+    split : which scenes must be there, and are scored.
+
+    Raises
+    ------
+    InputError : no such dataset, labels missing; predictions that are not of that form, incomplete, or not finite.
+    CheckError : the dataset is damaged.
+    """
+    check_kind("suite", suite, str, os.PathLike, remedy="the folder that build_suite made")
+    check_kind(
+        "predictions", predictions, str, os.PathLike, Mapping, remedy="an .npz file, a Zarr group, or a mapping"
+    )
+    check_kind("split", split, str, remedy="such as 'test'")
+    truth = read_truth(suite, split)
+    found = read_predictions(predictions, truth)
+    named = suite_of(truth.manifest)
+    return Scores(
+        str(truth.manifest.config["name"]),
+        named is not None and dataset_digest(Path(suite)) == named.digest,
+        split,
+        len(truth.scenes),
+        int(truth.all_evident.sum()),
+        _metrics(found, truth, False),
+        _metrics(found, truth, True),
+    )
+
+
+def _metrics(found: Predictions, truth: Truth, evident: bool) -> Metrics:
+    """Metric → value, over everything or over what has evidence: pixels and centres by object, the rest by scene."""
+    values: Metrics = {}
+    chosen = np.flatnonzero(truth.all_evident if evident else np.ones(len(truth.scenes), np.bool_))
+    if found.depth is not None:
+        off = (found.depth - truth.depth)[truth.on_evident if evident else truth.on_object]
+        values["depth_rmse_m"] = float(np.sqrt(np.mean(off**2))) if off.size else float("nan")
+        values["depth_mae_m"] = float(np.mean(np.abs(off))) if off.size else float("nan")
+        mask = found.depth > 0 if found.mask is None else found.mask > 0.5
+        values["silhouette_iou"] = _mean(lambda k: intersection_over_union(mask[k], truth.on_object[k]), chosen)
+        values["ssim"] = _mean(lambda k: _ssim(found.depth, mask, truth, k), chosen)
+    if found.points is not None or found.depth is not None:
+        values["chamfer_m"] = _mean(lambda k: _chamfer(found, truth, k), chosen)
+    if found.occupancy is not None and truth.occupancy is not None:
+        full, known = found.occupancy > 0.5, truth.occupancy > 0
+        values["occupancy_iou"] = _mean(lambda k: intersection_over_union(full[k], known[k]), chosen)
+    if found.centers is not None:
+        values["center_m"] = _centers(found.centers, truth, evident)
+    return values
+
+
+def _mean(of: Callable[[int], float], scenes: NDArray[np.intp]) -> float:
+    each = np.array([of(int(k)) for k in scenes])
+    return float(np.nanmean(each)) if np.isfinite(each).any() else float("nan")
+
+
+def _ssim(depth: Floats | None, mask: Bools, truth: Truth, k: int) -> float:
+    """Of depth as a share of the hidden part's, 0 where no object is seen."""
+    assert depth is not None
+    true = np.where(truth.on_object[k], truth.depth[k], 0.0)
+    return ssim(np.where(mask[k], depth[k], 0.0) / truth.reach[k], true / truth.reach[k])
+
+
+def _chamfer(found: Predictions, truth: Truth, k: int) -> float:
+    """NaN where no object is to be seen; the diagonal of the hidden part where none was predicted."""
+    true = image_points(truth.depth[k], truth.on_object[k], *truth.view[k])
+    if not len(true):
+        return float("nan")
+    if found.points is not None:
+        points = found.points[k][~np.isnan(found.points[k, :, 0])]
+    else:
+        assert found.depth is not None
+        mask = found.depth[k] > 0 if found.mask is None else found.mask[k] > 0.5
+        points = image_points(found.depth[k], mask, *truth.view[k])
+    return chamfer_distance(points, true) if len(points) else float(truth.span[k])
+
+
+def _centers(centers: Floats, truth: Truth, evident: bool) -> float:
+    off: list[Floats] = []
+    for k in range(len(truth.scenes)):
+        there = ~np.isnan(truth.sigma[k])
+        found = centers[k][~np.isnan(centers[k, :, 0])]
+        distances = center_distances(found, truth.centers[k][there], float(truth.span[k]))
+        off.append(distances[truth.evident[k][there]] if evident else distances)
+    every = np.concatenate(off)
+    return float(every.mean()) if every.size else float("nan")

@@ -1,0 +1,52 @@
+"""docs/readme_training.py at small size: README's own lines run, the error falls, and the picture is drawn."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import datagen
+from datagen.config import config_from_mapping
+from datagen.config.yaml_text import parse_yaml
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = ROOT / "docs" / "readme_training.py"
+
+
+def test_the_example_learns_and_is_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], few_pixels: None
+) -> None:
+    values = parse_yaml((ROOT / "configs/quickstart.yaml").read_text(encoding="utf-8"), "quickstart")
+    values["capture"]["scan"] |= {"rows": 8, "columns": 8}
+    values["transport"] = {"lookins": 64, "fov_samples": 1}
+    small = config_from_mapping(values)
+    monkeypatch.setattr(datagen, "load_config", lambda path: small)
+    monkeypatch.syspath_prepend(str(SCRIPT.parent))
+    arguments = ["--scenes", "20", "--epochs", "6", "--workers", "1", "--dataset", str(tmp_path / "set")]
+    monkeypatch.setattr(sys, "argv", [str(SCRIPT), str(tmp_path / "picture.png"), *arguments])
+    threads = torch.get_num_threads()
+    try:
+        made = runpy.run_path(str(SCRIPT))
+        made["main"]()
+    finally:
+        torch.set_num_threads(threads)
+    *epochs, mean = capsys.readouterr().out.splitlines()
+    errors = [float(line.split()[2]) for line in epochs]
+    assert len(errors) == 6 and errors[-1] < 0.7 * errors[0]
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
+    # What is compared with: the mean image of those trained on, on those kept back.
+    train, test = (datagen.TransientDataset(tmp_path / "set", ("depth",), split=of) for of in ("train", "test"))
+    depths = [np.stack([data[k]["depth"].numpy() for k in range(len(data))]) for data in (train, test)]
+    blind = np.sqrt(np.mean((depths[0].mean(axis=0) - depths[1]) ** 2))
+    assert mean == f"mean depth {blind:.3f} m"
+
+
+def test_an_example_that_has_changed_is_noticed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPT.parent))
+    example = runpy.run_path(str(SCRIPT))["example"](tmp_path / "set", 3)
+    assert f"{str(tmp_path / 'set')!r}" in example and "range(3)" in example and "redraw_noise=True" in example
