@@ -88,6 +88,7 @@ def draw(found: Learnt, out: Path) -> None:
         axes.axhline(found.blind, color="#9A9A9A", label="mean depth of the rooms trained on")
         axes.plot(range(1, len(found.errors) + 1), found.errors, color="#0072B2", label="README's network")
         axes.set(xlabel="epoch", ylabel="error of depth (m)", ylim=(0, None))
+        axes.xaxis.get_major_locator().set_params(integer=True)
         axes.legend(loc="lower left")
         right = figure.add_subfigure(grid[0, 1])
         rows = {
