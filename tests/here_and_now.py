@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import pytest
@@ -24,8 +24,21 @@ class HereAndNow:
             done.set_exception(error)
         return done
 
+    def restore(self, say: Callable[[str], None]) -> None:
+        pass
+
     def close(self, kill: bool) -> None:
         pass
+
+
+@contextmanager
+def jobs_go_to(engine: Any) -> Iterator[None]:
+    """Whatever a build asks for."""
+    from datagen.building import build
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(build, "started", lambda *_: nullcontext(engine))
+        yield
 
 
 @contextmanager

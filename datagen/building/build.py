@@ -251,11 +251,14 @@ class _Build:
         if len(waiting) < len(wanted):
             progress.say(f"{len(wanted) - len(waiting)} of {len(wanted)} shards are there already")
         running: dict[Future[Any], int] = {}
+        # Ctrl-C may come between handing a shard out and noting its future, or taking it up: this is on both sides.
+        begun: set[int] = set()
         made = failed = 0
         try:
             while waiting or running:
                 while waiting and len(running) < self.engine.capacity:
                     shard = waiting.popleft()
+                    begun.add(shard)
                     running[self.engine.submit(run_shard, self._job(shard))] = shard
                 done, _ = wait(running, timeout=0.5, return_when=FIRST_COMPLETED)
                 progress.under_way(sum(self._scenes_done(shard) for shard in running.values()))
@@ -277,6 +280,7 @@ class _Build:
                             upload.put_shard(self.root, self.bucket, record)
                     progress.shard_done(shard, sizes[shard], len(failures))
                     made, failed = made + sizes[shard], failed + len(failures)
+                    begun.discard(shard)
                     if failed == made >= min(HOPELESS, self.schema.scenes):
                         scene, reason = min(failures.items())
                         stops = f"all of the first {made} scenes failed, so the build stops"
@@ -284,7 +288,7 @@ class _Build:
         except BaseException:
             # Their writers must be gone before what they left is cleared.
             self.engine.close(kill=True)
-            for shard in running.values():
+            for shard in begun:
                 self._clear(shard)
             raise
         finally:

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import multiprocessing
 import time
+from collections.abc import Callable
 from concurrent.futures import Future
+from pathlib import Path
 from typing import Any
 
 import pytest
+from fake_samples import fake_sample, small_config
+from here_and_now import HereAndNow, jobs_go_to
 
 from datagen.building import engines
+from datagen.building.build import build
+from datagen.building.shard_job import ShardJob
+from datagen.store import running_path
 
 
 def test_ctrl_c_while_a_job_is_handed_over_leaves_no_worker(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -25,3 +32,17 @@ def test_ctrl_c_while_a_job_is_handed_over_leaves_no_worker(monkeypatch: pytest.
     with pytest.raises(KeyboardInterrupt), engines.started("local", 1, None) as engine:
         engine.submit(time.sleep, 3600)
     assert set(multiprocessing.active_children()) <= before
+
+
+def test_ctrl_c_while_a_shard_is_handed_out_leaves_nothing_of_it(tmp_path: Path) -> None:
+    """Its worker had begun, and nobody had noted whose future it was."""
+
+    class Interrupted(HereAndNow):
+        def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+            job: ShardJob = arguments[0]
+            running_path(job.root, job.shard).write_text("0")
+            raise KeyboardInterrupt
+
+    with jobs_go_to(Interrupted()), pytest.raises(KeyboardInterrupt):
+        build(small_config(), tmp_path / "set", sample_function=fake_sample, progress=False)
+    assert list((tmp_path / "set/build").iterdir()) == []

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from here_and_now import HereAndNow, jobs_go_to
 
-from datagen.building import engines
 from datagen.building.build import build
 from datagen.config import config_from_mapping
 
@@ -30,23 +30,16 @@ def test_memory_of_a_worker_is_flat(tmp_path: Path) -> None:
     assert abs(growth_mb_a_1000(tmp_path, 10_000)) < MOST_MB_A_1000
 
 
-class Here:
-    """An engine that does its jobs in this process, and notes what it then holds."""
-
-    capacity, deaths = 1, ()
+class Watched(HereAndNow):
+    """It notes what this process holds after each shard."""
 
     def __init__(self) -> None:
         self.resident_mb: list[float] = []
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(function(*arguments))
+        done = super().submit(function, *arguments)
         self.resident_mb.append(resident_mb())
-        return future
-
-    def restore(self, say: Callable[[str], None]) -> None: ...
-
-    def close(self, kill: bool) -> None: ...
+        return done
 
 
 def growth_mb_a_1000(folder: Path, scenes: int) -> float:
@@ -56,9 +49,8 @@ def growth_mb_a_1000(folder: Path, scenes: int) -> float:
         "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 512, "bin_width_ps": 100}},
         "store": {"fields": ["histogram", "transient"], "scenes_per_shard": 16},
     })  # fmt: skip
-    here = Here()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(engines, "LocalProcesses", lambda workers: here)
+    here = Watched()
+    with jobs_go_to(here):
         build(config, folder / "set", progress=False)
     assert len(here.resident_mb) == -(-scenes // 16)
     settled = np.array(here.resident_mb[len(here.resident_mb) // 5 :])
