@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from datagen.baselines.backprojection import reconstructed, scan_of
 from datagen.baselines.grid import HiddenGrid
 from datagen.baselines.scenes import SuiteScenes, suite_scenes
 from datagen.errors import InputError
+from datagen.labels.frame import image_points
 from datagen.records.arrays import Bools, Floats
-from datagen.store.files import PARTIAL
+from datagen.store.files import write_atomically
 from datagen.store.scenes import Scenes
 
 Predicted = dict[str, NDArray[Any]]
@@ -100,13 +102,10 @@ def write_baseline(method: str, suite: str | Path, out: str | Path, split: str =
     train, asked = suite_scenes(suite, "train"), suite_scenes(suite, split)
     found = BASELINES[method](train, asked, seed)
     kept: dict[str, Any] = {name: of.astype("f4") if of.dtype.kind == "f" else of for name, of in found.items()}
+    content = io.BytesIO()
+    np.savez_compressed(content, scene=asked.scene, **kept)
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f"{path.stem}{PARTIAL}.npz")
-    try:
-        np.savez_compressed(unfinished, scene=asked.scene, **kept)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    write_atomically(path, content.getvalue())
     return path
 
 
@@ -126,11 +125,9 @@ def centers_of(depth: Floats, mask: Bools, view: Floats, least: int = 1) -> Floa
 
 def _centers(depth: Floats, mask: Bools, half: Floats) -> Floats:
     patches, count = label(mask, np.ones((3, 3)))
-    rows, columns = mask.shape
     found = []
     for number in range(1, count + 1):
-        row, column = np.nonzero(patches == number)
-        if len(row) >= SMALLEST:
-            right = (2 * (column.mean() + 0.5) / columns - 1) * half[0]
-            found.append([right, (1 - 2 * (row.mean() + 0.5) / rows) * half[1], depth[row, column].mean()])
+        points = image_points(depth, patches == number, *half)
+        if len(points) >= SMALLEST:
+            found.append(points.mean(axis=0))
     return np.array(found).reshape(-1, 3)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
+from datagen.labels.boxes import objects_seen
 from datagen.loader import TransientDataset, collate
 from datagen.records.arrays import Bools, Floats
 
@@ -56,12 +58,11 @@ def suite_scenes(root: str | Path, split: str) -> SuiteScenes:
     return _of(Path(root), batch)
 
 
-def _of(root: Path, batch: dict[str, NDArray[np.generic]]) -> SuiteScenes:
-    part, there = batch["object_part"], batch["object_part"] >= 0  # type: ignore[operator]
-    mask = ((batch["part_id"][..., None] == part[:, None, None]) & there[:, None, None]).any(axis=-1)
-    centers = np.where(there[..., None], batch["object_box_center"].astype(np.float64), np.nan)
+def _of(root: Path, batch: dict[str, NDArray[Any]]) -> SuiteScenes:
+    mask = objects_seen(batch["part_id"], batch["object_part"]) >= 0
+    centers = np.where((batch["object_part"] >= 0)[..., None], batch["object_box_center"].astype(np.float64), np.nan)
     view = np.linalg.norm(batch["hidden_view"][:, 1:].astype(np.float64), axis=-1)
     return SuiteScenes(
         root, batch["scene"].astype(np.int64), batch["histogram"].astype(np.float32),
-        batch["depth"].astype(np.float32), mask, batch["occupancy"] > 0, centers, view,  # type: ignore[operator]
+        batch["depth"].astype(np.float32), mask, batch["occupancy"] > 0, centers, view,
     )  # fmt: skip

@@ -31,6 +31,7 @@ from datagen.bench.measuring import machine, markdown
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.records import Sample
 from datagen.store import committed, finish, prepare, schema_of, write_shard
+from datagen.store.files import bytes_below
 
 FILLED = 0.03
 BATCH = 8
@@ -122,7 +123,7 @@ def ways(folder: Path, shape: tuple[int, int, int], samples: int, only: str) -> 
 
     config, root, found, missing = config_of(shape, samples), folder / "ours.zarr", list[Way](), list[str]()
     write_ours(config, root)
-    of_arrays = _bytes_below(root / "data.zarr/histogram")
+    of_arrays = bytes_below(root / "data.zarr/histogram")
     for name, options in OURS.items():
         if only in name:
             found.append(
@@ -145,11 +146,7 @@ def _peer_way(peer: Peer, folder: Path, root: Path, config: DatasetConfig) -> Wa
         own.mkdir()
         peer.write(own, (counts_of(config, index) for index in range(config.scenes)))
     shape = (config.scenes, *config.capture.shape)
-    return _way(peer.name, _bytes_below(own), lambda: peer.read(own, shape), None)
-
-
-def _bytes_below(folder: Path) -> int:
-    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    return _way(peer.name, bytes_below(own), lambda: peer.read(own, shape), None)
 
 
 def measure(found: Sequence[Way], repeats: int) -> None:

@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from datagen.config import LabelsConfig
+from datagen.labels.frame import image_points
 from datagen.labels.images import HiddenSurface, hidden_surface
 from datagen.records import Capture, Scene
 from datagen.records.arrays import Bools, Floats, Ints
@@ -79,18 +80,15 @@ def evidence_image(
 
 def _surface_of(found: HiddenSurface, there: Bools) -> _Surface:
     """What the middles of the label pixels that see anything see."""
-    rows, columns = found.face.shape
     frame, corners = found.frame, found.scene.corners[found.face[there]]
-    row, column = np.nonzero(there)
-    right = ((column + 0.5) * 2 / columns - 1) * frame.half_width_m
-    up = (1 - (row + 0.5) * 2 / rows) * frame.half_height_m
+    in_view = image_points(found.depth, there, frame.half_width_m, frame.half_height_m)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     slant = normal @ frame.axes[2]
     normal[slant > 0] *= -1
-    pixel_m2 = 4 * frame.half_width_m * frame.half_height_m / (rows * columns)
+    pixel_m2 = 4 * frame.half_width_m * frame.half_height_m / there.size
     return _Surface(
-        frame.to_world(np.stack([right, up, found.depth[there]], axis=1)), normal,
+        frame.to_world(in_view), normal,
         pixel_m2 / np.maximum(np.abs(slant), GRAZING), found.scene.face_part[found.face[there]].astype(np.int64),
     )  # fmt: skip
 

@@ -15,7 +15,7 @@ from datagen.errors import InputError
 from datagen.forecast.pilots import Pilots
 from datagen.store import Schema, ShardRecord, committed, read_manifest
 from datagen.store.evidence_told import KindEvidence
-from datagen.store.files import finite
+from datagen.store.files import bytes_below, finite
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def outcomes(expected: Forecast, records: Sequence[ShardRecord], dataset: str | 
     store_s = (sum(record.seconds["total"] for record in records) - staged_s) / scenes
     scene_s = statistics.median(sum(scene.seconds.values()) for scene in made) + store_s
     errors = [float(scene.parameters.get("transient.relative_error", math.nan)) for scene in made]
-    files = sum(path.stat().st_size for path in Path(dataset).rglob("*") if path.is_file())
+    files = bytes_below(Path(dataset))
     return [
         Outcome("seconds per scene", "s", expected.scene_s[1], scene_s),
         Outcome("relative error", "", expected.error[1], statistics.median(errors)),

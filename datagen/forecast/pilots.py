@@ -22,6 +22,7 @@ from datagen.errors import InputError
 from datagen.records import Sample, Scalar
 from datagen.store import finish, prepare, schema_of, write_shard
 from datagen.store.evidence_told import KindEvidence, evidence_by_kind
+from datagen.store.files import bytes_below
 from datagen.store.table import table_bytes, table_of
 
 MOST = 8
@@ -183,7 +184,7 @@ def _written(
             for name in names
         }
         stored["records"] = sum(len(record.to_bytes()) for record in records) / count + row
-        everything = sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
+        everything = bytes_below(root)
         evidence = tuple(evidence_by_kind(_with_distances(sample) for sample in samples))
         return Pilots(scenes, failed, stored, everything - len(scenes) * sum(stored.values()), evidence)
 

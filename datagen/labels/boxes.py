@@ -96,3 +96,13 @@ class ObjectBoxes:
 def classes_in(scene: Scene) -> tuple[str, ...]:
     """The classes of a scene's objects, sorted."""
     return tuple(sorted({scene.pose_of(name).label for name in scene.objects}))
+
+
+def objects_seen(part_id: NDArray[np.integer[Any]], object_part: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+    """(N, row, column) the row of the table of objects that each pixel shows, −1 for none.
+
+    part_id : (N, row, column) and object_part : (N, K), −1 in rows without an object, the labels of N scenes.
+    """
+    listed = object_part[:, None, None]
+    same = (part_id[..., None] == listed) & (listed >= 0)
+    return np.where(same.any(axis=-1), same.argmax(axis=-1), -1)

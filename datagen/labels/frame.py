@@ -8,12 +8,14 @@ image, `k` counts away from the wall.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records import Rectangle, Scene
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Bools, Floats
 
 
 @dataclass(frozen=True)
@@ -69,3 +71,12 @@ class ViewFrame:
         column = (in_view[..., 0] + self.half_width_m) * (columns / (2 * self.half_width_m))
         row = (self.half_height_m - in_view[..., 1]) * (rows / (2 * self.half_height_m))
         return np.stack([column, row, in_view[..., 2]], axis=-1)
+
+
+def image_points(depth: NDArray[Any], mask: Bools, half_width_m: float, half_height_m: float) -> Floats:
+    """(N, 3) points right, up, depth in the label frame of an image's pixels: their centres, at their depth."""
+    rows, columns = depth.shape
+    row, column = np.nonzero(mask)
+    right = (2 * (column + 0.5) / columns - 1) * half_width_m
+    up = (1 - 2 * (row + 0.5) / rows) * half_height_m
+    return np.stack([right, up, depth[row, column].astype(np.float64)], axis=-1)

@@ -15,6 +15,7 @@ from datagen.records.capture import TimeAxis
 from datagen.records.checks import check_flag, check_integer, check_kind, check_mapping, check_number, check_reals
 
 Scalar = float | int | str | bool
+_NUMBERS = (int, float, np.integer, np.floating)
 
 
 @dataclass(frozen=True)
@@ -47,9 +48,8 @@ class Spend:
     outcome: str
 
     def __post_init__(self) -> None:
-        numbers = (int, float, np.integer, np.floating)
         for name in ("lookins", "share", "fov_samples"):
-            check_mapping(f"Spend.{name}", getattr(self, name), *numbers, remedy="component → number")
+            check_mapping(f"Spend.{name}", getattr(self, name), *_NUMBERS, remedy="component → number")
         check_mapping("Spend.way", self.way, str, remedy="component → way")
         for name in ("share", "way", "fov_samples"):
             if set(getattr(self, name)) != set(self.lookins):
@@ -126,12 +126,11 @@ class Transient:
         check_reals("Transient.stderr", self.stderr, shape)
         check_reals("Transient.overflow", self.overflow, shape[:2])
         check_reals("Transient.laser_points", self.laser_points, (None, 3))
-        numbers = (int, float, np.integer, np.floating)
         for name, what in (("seconds", "stage"), ("rays", "kind"), ("part_errors", "part")):
-            check_mapping(f"Transient.{name}", getattr(self, name), *numbers, remedy=f"{what} → number")
+            check_mapping(f"Transient.{name}", getattr(self, name), *_NUMBERS, remedy=f"{what} → number")
         check_kind("Transient.spend", self.spend, Spend, type(None))
         if self.error_bound is not None:
-            check_kind("Transient.error_bound", self.error_bound, *numbers)
+            check_kind("Transient.error_bound", self.error_bound, *_NUMBERS)
         if self.met_target is not None:
             check_flag("Transient.met_target", self.met_target)
 
@@ -175,5 +174,4 @@ class Sample:
             if not isinstance(value, float | int | str | np.generic):
                 kind = type(value).__name__
                 raise InputError(f"parameter {name}: {kind} made, must be a number, a text, true or false")
-        numbers = (int, float, np.integer, np.floating)
-        check_mapping("Sample.seconds", self.seconds, *numbers, remedy="stage → seconds")
+        check_mapping("Sample.seconds", self.seconds, *_NUMBERS, remedy="stage → seconds")

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
@@ -68,12 +65,3 @@ def center_distances(found: Floats, true: Floats, missed_m: float) -> Floats:
     rows, columns = linear_sum_assignment(apart)
     distances[rows] = apart[rows, columns]
     return distances
-
-
-def image_points(depth: NDArray[Any], mask: Bools, half_width_m: float, half_height_m: float) -> Floats:
-    """(N, 3) points right, up, depth in the label frame of an image's pixels: their centres, at their depth."""
-    rows, columns = depth.shape
-    row, column = np.nonzero(mask)
-    right = (2 * (column + 0.5) / columns - 1) * half_width_m
-    up = (1 - 2 * (row + 0.5) / rows) * half_height_m
-    return np.stack([right, up, depth[row, column].astype(np.float64)], axis=-1)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Bools, Floats
 from datagen.scoring.truth import Truth
 
 QUANTITIES = ("depth", "mask", "points", "occupancy", "centers")
@@ -34,6 +34,13 @@ class Predictions:
     points: Floats | None = None
     occupancy: Floats | None = None
     centers: Floats | None = None
+
+    @property
+    def shows(self) -> Bools | None:
+        """(N, R, C) whether a pixel shows an object; None where no depth was predicted."""
+        if self.mask is not None:
+            return self.mask > 0.5
+        return None if self.depth is None else self.depth > 0
 
 
 def read_predictions(source: str | Path | Mapping[str, Any], truth: Truth) -> Predictions:

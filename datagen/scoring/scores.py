@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from datagen.labels.frame import image_points
 from datagen.records.arrays import Bools, Floats
 from datagen.records.checks import check_kind
 from datagen.scoring.metrics import (
     center_distances,
     chamfer_distance,
-    image_points,
     intersection_over_union,
     ssim,
 )
@@ -107,46 +106,55 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
     truth = read_truth(suite, split)
     found = read_predictions(predictions, truth)
     named = suite_of(truth.manifest)
+    each, centers = _by_scene(found, truth), _center_errors(found, truth)
     return Scores(
         str(truth.manifest.config["name"]),
         named is not None and dataset_digest(Path(suite)) == named.digest,
         split,
         len(truth.scenes),
         int(truth.all_evident.sum()),
-        _metrics(found, truth, False),
-        _metrics(found, truth, True),
+        _metrics(found, truth, each, centers, False),
+        _metrics(found, truth, each, centers, True),
     )
 
 
-def _metrics(found: Predictions, truth: Truth, evident: bool) -> Metrics:
+def _metrics(
+    found: Predictions, truth: Truth, each: dict[str, Floats], centers: list[Floats], evident: bool
+) -> Metrics:
     """Metric → value, over everything or over what has evidence: pixels and centres by object, the rest by scene."""
     values: Metrics = {}
-    chosen = np.flatnonzero(truth.all_evident if evident else np.ones(len(truth.scenes), np.bool_))
     if found.depth is not None:
         off = (found.depth - truth.depth)[truth.on_evident if evident else truth.on_object]
         values["depth_rmse_m"] = float(np.sqrt(np.mean(off**2))) if off.size else float("nan")
         values["depth_mae_m"] = float(np.mean(np.abs(off))) if off.size else float("nan")
-        mask = found.depth > 0 if found.mask is None else found.mask > 0.5
-        values["silhouette_iou"] = _mean(lambda k: intersection_over_union(mask[k], truth.on_object[k]), chosen)
-        values["ssim"] = _mean(lambda k: _ssim(found.depth, mask, truth, k), chosen)
-    if found.points is not None or found.depth is not None:
-        values["chamfer_m"] = _mean(lambda k: _chamfer(found, truth, k), chosen)
-    if found.occupancy is not None and truth.occupancy is not None:
-        full, known = found.occupancy > 0.5, truth.occupancy > 0
-        values["occupancy_iou"] = _mean(lambda k: intersection_over_union(full[k], known[k]), chosen)
-    if found.centers is not None:
-        values["center_m"] = _centers(found.centers, truth, evident)
+    for name, of in each.items():
+        chosen = of[truth.all_evident] if evident else of
+        values[name] = float(np.nanmean(chosen)) if np.isfinite(chosen).any() else float("nan")
+    if centers:
+        of_objects = [row[~np.isnan(row)] for row in truth.sigma]
+        chosen_ones = [of[sigma >= LEAST_SIGMA] for of, sigma in zip(centers, of_objects, strict=True)]
+        every = np.concatenate(chosen_ones if evident else centers)
+        values["center_m"] = float(every.mean()) if every.size else float("nan")
     return values
 
 
-def _mean(of: Callable[[int], float], scenes: NDArray[np.intp]) -> float:
-    each = np.array([of(int(k)) for k in scenes])
-    return float(np.nanmean(each)) if np.isfinite(each).any() else float("nan")
+def _by_scene(found: Predictions, truth: Truth) -> dict[str, Floats]:
+    """Metric that is told by scene → (N,)."""
+    of: dict[str, Callable[[int], float]] = {}
+    depth, shows = found.depth, found.shows
+    if depth is not None and shows is not None:
+        of["silhouette_iou"] = lambda k: intersection_over_union(shows[k], truth.on_object[k])
+        of["ssim"] = lambda k: _ssim(depth, shows, truth, k)
+    if found.points is not None or depth is not None:
+        of["chamfer_m"] = lambda k: _chamfer(found, truth, k)
+    if found.occupancy is not None and truth.occupancy is not None:
+        full, known = found.occupancy > 0.5, truth.occupancy > 0
+        of["occupancy_iou"] = lambda k: intersection_over_union(full[k], known[k])
+    return {name: np.array([metric(k) for k in range(len(truth.scenes))]) for name, metric in of.items()}
 
 
-def _ssim(depth: Floats | None, mask: Bools, truth: Truth, k: int) -> float:
+def _ssim(depth: Floats, mask: Bools, truth: Truth, k: int) -> float:
     """Of depth as a share of the hidden part's, 0 where no object is seen."""
-    assert depth is not None
     true = np.where(truth.on_object[k], truth.depth[k], 0.0)
     return ssim(np.where(mask[k], depth[k], 0.0) / truth.reach[k], true / truth.reach[k])
 
@@ -159,18 +167,16 @@ def _chamfer(found: Predictions, truth: Truth, k: int) -> float:
     if found.points is not None:
         points = found.points[k][~np.isnan(found.points[k, :, 0])]
     else:
-        assert found.depth is not None
-        mask = found.depth[k] > 0 if found.mask is None else found.mask[k] > 0.5
-        points = image_points(found.depth[k], mask, *truth.view[k])
+        assert found.depth is not None and found.shows is not None
+        points = image_points(found.depth[k], found.shows[k], *truth.view[k])
     return chamfer_distance(points, true) if len(points) else float(truth.span[k])
 
 
-def _centers(centers: Floats, truth: Truth, evident: bool) -> float:
-    off: list[Floats] = []
-    for k in range(len(truth.scenes)):
-        there = ~np.isnan(truth.sigma[k])
-        found = centers[k][~np.isnan(centers[k, :, 0])]
-        distances = center_distances(found, truth.centers[k][there], float(truth.span[k]))
-        off.append(distances[truth.evident[k][there]] if evident else distances)
-    every = np.concatenate(off)
-    return float(every.mean()) if every.size else float("nan")
+def _center_errors(found: Predictions, truth: Truth) -> list[Floats]:
+    """Of each scene, of each object in it; empty where no centres were predicted."""
+    if found.centers is None:
+        return []
+    return [
+        center_distances(centers[~np.isnan(centers[:, 0])], true[~np.isnan(sigma)], float(span))
+        for centers, true, sigma, span in zip(found.centers, truth.centers, truth.sigma, truth.span, strict=True)
+    ]

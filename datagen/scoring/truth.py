@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
+from datagen.labels.boxes import objects_seen
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.store import DatasetReader, Manifest, read_manifest
 from datagen.store.places import place
@@ -93,8 +94,7 @@ def read_truth(dataset: str | Path, split: str) -> Truth:
     got: dict[str, Any] = {name: reader.read(name, scenes) for name in (*NEEDED, *volume)}
     reader.close()
     there = got["object_part"] >= 0
-    same = (got["part_id"][..., None] == got["object_part"][:, None, None]) & there[:, None, None]
-    shows = np.where(same.any(axis=-1), same.argmax(axis=-1), -1)
+    shows = objects_seen(got["part_id"], got["object_part"])
     view = np.linalg.norm(got["hidden_view"][:, 1:], axis=-1)
     normal = np.cross(got["hidden_view"][:, 1] / view[:, :1], got["hidden_view"][:, 2] / view[:, 1:])
     sides = got["hidden_bounds"][:, 1] - got["hidden_bounds"][:, 0]

@@ -90,6 +90,11 @@ def locked(handle: int, otherwise: bool) -> bool:
     return True
 
 
+def bytes_below(folder: Path) -> int:
+    """The size of all files in a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
 def write_if_changed(path: Path, content: bytes) -> None:
     """`write_atomically`, unless the file holds just that already."""
     if not holds(path, content):

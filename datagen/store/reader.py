@@ -14,7 +14,6 @@ from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import google_crc32c
 import numpy as np
@@ -76,19 +75,18 @@ class DatasetReader:
         self._plans: dict[tuple[str, Part, tuple[int, ...], int], Plan] = {}
 
     def read(
-        self, name: str, scenes: Sequence[int], dtype: np.dtype[Any] | None = None, part: Part | None = None,
-        out: NDArray[np.generic] | None = None,
-    ) -> NDArray[np.generic]:  # fmt: skip
-        """(len(scenes), *field.shape): the scenes' values in the field's dtype, or cast to `dtype` one by one, which
-        needs less memory traffic than casting the whole. With `part` (len(scenes), *part.shape). Into `out`, where
-        that is given, of this shape, in its dtype.
+        self, name: str, scenes: Sequence[int], part: Part | None = None, out: NDArray[np.generic] | None = None
+    ) -> NDArray[np.generic]:
+        """(len(scenes), *field.shape): the scenes' values in the field's dtype; with `part` (len(scenes),
+        *part.shape). Into `out`, where that is given, of this shape, cast to its dtype one by one, which needs less
+        memory traffic than casting the whole.
 
         Raises `CheckError` naming file, scene and remedy for what is missing, damaged or other than was written.
         """
         field = self._fields[name]
         stored = np.dtype(field.dtype).newbyteorder("<")
         if out is None:
-            out = np.empty((len(scenes), *(part or field).shape), dtype or stored)
+            out = np.empty((len(scenes), *(part or field).shape), stored)
         if not field.sharded or self._is_kept(field, part):
             for row, scene in enumerate(scenes):
                 out[row] = self._kept_value(field, scene, part)

@@ -12,6 +12,7 @@ from datagen.records.checks import check_kind
 from datagen.store import read_manifest
 from datagen.store.card import readable
 from datagen.store.digest import dataset_digest
+from datagen.store.files import bytes_below
 from datagen.store.table import read_table
 from datagen.suites.catalogue import SUITES, Suite, differing_versions, find_suite
 
@@ -88,7 +89,7 @@ def examined(suite: Suite, path: Path) -> SuiteResult:
     """What was built of a suite."""
     splits = read_table(path, ["split"], read_manifest(path).schema.scenes)["split"].to_pylist()
     counted = Counter(str(split) for split in splits)
-    size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    size = bytes_below(path)
     ordered = {split: counted[split] for split in sorted(counted, key=["train", "val", "test"].index)}
     return SuiteResult(suite.name, path, dataset_digest(path), suite.digest, ordered, size)
 

@@ -17,8 +17,7 @@ import pytest
 import scipy.io
 import trimesh
 import yaml
-from datasets import write_dataset
-from point_target import LIGHT, SCANS, config_of, hidden_point, point_sample
+from point_target import LIGHT, SCANS, config_of, hidden_point
 
 from datagen.errors import InputError
 from datagen.export import export
@@ -27,19 +26,6 @@ from datagen.loader import TransientDataset
 from datagen.scene import generate_scene
 from datagen.store import verify
 from datagen.store.scenes import Scenes
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    folder, there = tmp_path_factory.mktemp("datasets"), dict[tuple[str, str], Path]()
-
-    def of(scan: str, origin: str = "wall") -> Path:
-        key = scan, origin
-        if key not in there:
-            there[key] = write_dataset(config_of(scan, origin), folder / f"{scan}-{origin}.zarr", point_sample)
-        return there[key]
-
-    return of
 
 
 def in_wall_frame(dataset: Path, index: int, points: np.ndarray) -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,7 @@ import numpy as np
 import pytest
 import scipy.io
 import torch
-from datasets import write_dataset
-from point_target import LIGHT, SCANS, config_of, point_sample
+from point_target import LIGHT, SCANS
 
 import datagen as dg
 from datagen.cli import run
@@ -30,19 +28,6 @@ from datagen.store.info import info
 from datagen.store.scenes import SceneContent, Scenes
 
 h5py = pytest.importorskip("h5py", reason="h5py is not installed (extra `export`)")
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Path]:
-    folder, there = tmp_path_factory.mktemp("datasets"), dict[tuple[str, str], Path]()
-
-    def of(scan: str, origin: str = "wall") -> Path:
-        key = scan, origin
-        if key not in there:
-            there[key] = write_dataset(config_of(scan, origin), folder / f"{scan}-{origin}.zarr", point_sample)
-        return there[key]
-
-    return of
 
 
 def brought_back(dataset: Path, folder: Path, format: str, scenes: str = "1", **options: Any) -> Path:

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from datagen.scoring.metrics import center_distances, chamfer_distance, image_points, intersection_over_union, ssim
+from datagen.labels.frame import image_points
+from datagen.scoring.metrics import center_distances, chamfer_distance, intersection_over_union, ssim
 
 
 def test_overlap_of_sets() -> None:

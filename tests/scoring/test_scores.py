@@ -14,7 +14,8 @@ from made_suite import COLUMNS, ROWS, VOXELS, made_suite
 
 import datagen as dg
 from datagen.cli import run
-from datagen.scoring.metrics import chamfer_distance, image_points, ssim
+from datagen.labels.frame import image_points
+from datagen.scoring.metrics import chamfer_distance, ssim
 from datagen.scoring.truth import Truth, read_truth
 
 PERFECT = {"depth_rmse_m": 0, "depth_mae_m": 0, "silhouette_iou": 1, "ssim": 1, "chamfer_m": 0,

@@ -73,7 +73,8 @@ def test_reads_what_zarr_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
                 values = reader.read(field.name, order)
                 assert values.dtype == plain.dtype
                 assert np.array_equal(values, plain, equal_nan=plain.dtype.kind == "f")
-            assert np.array_equal(reader.read(field.name, order, np.dtype("f8")), plain.astype("f8"), equal_nan=True)
+            cast = reader.read(field.name, order, out=np.empty(plain.shape, "f8"))
+            assert np.array_equal(cast, plain.astype("f8"), equal_nan=True)
             if field.sharded:
                 assert (field.chunk != field.shape) == (chunk_bytes < field.bytes_per_scene)
         reader.close()
@@ -213,8 +214,11 @@ def test_threads_read_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
         monkeypatch.setattr(threading_of_reads, "WORTH_BYTES", 0 if threads else 2**60)
         monkeypatch.setattr(threading_of_reads, "cores", lambda: threads)
         reader = DatasetReader(tmp_path, manifest, ["histogram", "transient"])
+        shape = len(order), *manifest.schema.by_name["histogram"].shape
         return [
-            reader.read(name, order, dtype) for name in ("histogram", "transient") for dtype in (None, np.dtype("f8"))
+            reader.read(name, order, out=out)
+            for name in ("histogram", "transient")
+            for out in (None, np.empty(shape, "f8"))
         ]
 
     assert all(np.array_equal(a, b) for a, b in zip(read(0), read(3), strict=True))
