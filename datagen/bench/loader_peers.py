@@ -16,6 +16,8 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
+from datagen.store.arrays import BLOCK_BYTES
+
 Counts = NDArray[np.uint16]
 Shape = tuple[int, ...]
 A_TAR = 32
@@ -123,7 +125,7 @@ def _codec() -> Any:
     """That of our chunks."""
     from numcodecs import Blosc
 
-    return Blosc("zstd", 5, Blosc.BITSHUFFLE, typesize=2)
+    return Blosc("zstd", 1, Blosc.BITSHUFFLE, BLOCK_BYTES, typesize=2)
 
 
 def _write_tars(folder: Path, samples: Iterable[Counts], compressed: bool) -> None:

@@ -20,17 +20,27 @@ from datagen.config import DatasetConfig, load_config
 from datagen.config.scans import GridScan
 from datagen.errors import InputError
 from datagen.pipeline import simulate_sample
-from datagen.store import ShardRecord, committed, prepare, read_manifest, write_shard
+from datagen.store import ShardRecord, committed, prepare, read_manifest, schema_of, write_shard
 from datagen.store.info import STAGES, seconds_by_stage
 
-SCENES_PER_SHARD = 2
+LEAST_SHARDS = 4
+"""Of a build, so that rates have some that were made by warm workers."""
+SIMULATION = ("scene", "transport", "detector")
+"""Stages without which there is no sample; all others are what a build adds."""
 CORES = 16
 """Of the machine for which a million scenes are told."""
 
 
+def shard_size(config: DatasetConfig, scenes: int) -> int:
+    """Scenes of a shard: as many as a dataset of so many would have, but for `LEAST_SHARDS`."""
+    return min(
+        schema_of(config.with_scenes(scenes)).scenes_per_shard, 1 << ((scenes // LEAST_SHARDS).bit_length() - 1)
+    )
+
+
 def records_of_build(config: DatasetConfig, workers: int, scenes: int) -> list[ShardRecord]:
     """Build `scenes` scenes with `workers` workers; the records in the order in which they were finished."""
-    store = config.store.model_copy(update={"scenes_per_shard": SCENES_PER_SHARD})
+    store = config.store.model_copy(update={"scenes_per_shard": shard_size(config, scenes)})
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "set"
         build(config.with_scenes(scenes).model_copy(update={"store": store}), root, workers, progress=False)
@@ -92,7 +102,7 @@ def a_million(config: DatasetConfig, seconds: Sequence[float]) -> str:
 
 @click.command()
 @click.argument("config")
-@click.option("--scenes", default=16, show_default=True, type=click.IntRange(8), help="Scenes of each build.")
+@click.option("--scenes", default=64, show_default=True, type=click.IntRange(8), help="Scenes of each build.")
 @click.option("--workers", default="1,2", show_default=True, help="Numbers of workers, one row each.")
 @click.option("--scan", help="Rows, columns and bins instead of CONFIG's, such as 64x64x512.")
 @click.option("--million", is_flag=True, help="Say instead what a million scenes would take, by --scenes of them.")
@@ -103,10 +113,13 @@ def main(config: str, scenes: int, workers: str, scan: str | None, million: bool
         what = f"{scan}, " if scan else ""
         click.echo(f"{what}{a_million(loaded, processor_seconds_of_scenes(loaded, scenes))}; {machine()}")
         return
-    if not all(count.isdigit() and 0 < int(count) < scenes // SCENES_PER_SHARD for count in workers.split(",")):
-        raise InputError(f"--workers {workers}: must be numbers such as 1,2, less than half of --scenes {scenes}")
+    shards = scenes // shard_size(loaded, scenes)
+    if not all(count.isdigit() and 0 < int(count) < shards for count in workers.split(",")):
+        raise InputError(
+            f"--workers {workers}: must be numbers such as 1,2, less than the {shards} shards of --scenes"
+        )
     counts = [int(count) for count in workers.split(",")]
-    records_of_build(loaded, max(counts), SCENES_PER_SHARD * (max(counts) + 1))
+    records_of_build(loaded, max(counts), 8)
     rows = []
     for count in counts:
         records = records_of_build(loaded, count, scenes)
@@ -114,6 +127,10 @@ def main(config: str, scenes: int, workers: str, scan: str | None, million: bool
         stages = [stage for stage in STAGES if stage in medians]
         taken = [medians[stage] for stage in stages]
         rate = scenes_per_second(records, count)
-        rows.append([str(count), *(f"{cell:.4f}" for cell in [*taken, sum(taken)]), f"{rate:.2f}"])
-    click.echo(f"{loaded.name}, medians over {scenes} scenes; {machine()}\n")
-    click.echo(markdown(["workers", *(f"{stage} (s)" for stage in stages), "sum (s)", "scenes/s"], rows))
+        added = 1 - sum(medians.get(stage, 0.0) for stage in SIMULATION) / sum(taken)
+        rows.append([str(count), *(f"{cell:.4f}" for cell in [*taken, sum(taken)]), f"{added:.1%}", f"{rate:.2f}"])
+    size = shard_size(loaded, scenes)
+    click.echo(f"{loaded.name}, medians over {scenes} scenes in shards of {size}; {machine()}\n")
+    heading = ["workers", *(f"{stage} (s)" for stage in stages), "sum (s)", "overhead", "scenes/s"]
+    click.echo(markdown(heading, rows))
+    click.echo(f"\noverhead: the share of all stages but {', '.join(SIMULATION)}")

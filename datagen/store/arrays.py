@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import warnings
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import zarr
+from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 from zarr.storage import MemoryStore
 
@@ -16,6 +18,10 @@ from datagen.config.capture import TimeConfig
 from datagen.store.schema import Field, Schema
 
 GROUP = "data.zarr"
+BLOCK_BYTES = 2**18
+"""Decoded bytes of a block of Blosc, which fits into a core's cache, and is the least that is decoded."""
+CHUNKS_AT_ONCE = 16
+"""Chunks of a shard that are encoded before they are written."""
 
 
 def shard_file(field: Field, shard: int) -> str:
@@ -55,12 +61,22 @@ def _create_arrival_times(group: zarr.Group, time: TimeConfig) -> None:
     array[:] = middles
 
 
-def array_to_write(root: Path, name: str) -> zarr.Array[Any]:
-    """One array of a dataset. It keeps empty chunks: a chunk left out would read as zeros when it is lost, with
-    other readers than ours.
+def write_scenes(root: Path, name: str, scenes: range, values: NDArray[np.generic]) -> None:
+    """Write the values of a field for all scenes of one shard."""
+    path = root / GROUP / name
+    # Codecs called for one chunk after the other, as zarr has it, cost more than they compute in small chunks.
+    with zarr.config.set({"codec_pipeline.batch_size": CHUNKS_AT_ONCE}):
+        _opened(path, (path / "zarr.json").read_bytes())[scenes.start : scenes.stop] = values
+
+
+@lru_cache(maxsize=64)
+def _opened(path: Path, metadata: bytes) -> zarr.Array[Any]:
+    """Once for all shards that a process writes: opening takes as long as writing a small array.
+
+    metadata : of the array, so that another one made at its place is opened anew.
     """
-    array = zarr.open_array(root / GROUP / name, mode="r+")
-    return array.with_config({"write_empty_chunks": True})
+    # Empty chunks are kept: one left out would read as zeros when it is lost, with other readers than ours.
+    return zarr.open_array(path, mode="r+").with_config({"write_empty_chunks": True})
 
 
 def shard_shape(field: Field, scenes_per_shard: int) -> tuple[int, ...]:
@@ -70,9 +86,10 @@ def shard_shape(field: Field, scenes_per_shard: int) -> tuple[int, ...]:
 
 def _create(group: zarr.Group, field: Field, schema: Schema) -> None:
     k, dtype = schema.scenes_per_shard, np.dtype(field.dtype)
-    # Light does not compress: at level 5 a transient is 4 % smaller, for five times the time.
-    level = 1 if dtype.kind == "f" else 5
-    blosc = BloscCodec(cname="zstd", clevel=level, shuffle="bitshuffle", typesize=dtype.itemsize)
+    # Low counts leave most of their bits 0, which planes of bits gather; light leaves only its exponents alike.
+    shuffle: Literal["shuffle", "bitshuffle"] = "shuffle" if dtype.kind == "f" else "bitshuffle"
+    # Higher levels mostly gain by longer blocks: with these, level 5 spares 3 % for five times the time.
+    blosc = BloscCodec(cname="zstd", clevel=1, shuffle=shuffle, typesize=dtype.itemsize, blocksize=BLOCK_BYTES)
     group.create_array(
         field.name,
         shape=(schema.scenes, *field.shape),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError, printable
 from datagen.records import Sample, Scalar
-from datagen.store.arrays import array_to_write, shard_file
+from datagen.store.arrays import shard_file, write_scenes
 from datagen.store.environment import made_with
 from datagen.store.files import PARTIAL, own_path, sha256_of, sync_folder, write_atomically
 from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, record_path
@@ -93,15 +93,19 @@ def write_shard(
     started, scenes = time.time(), schema.scenes_of(shard)
     discard_shard(root, schema, shard)
     values = {field.name: _empty(field, len(scenes)) for field in schema.fields}
-    records = [_keep(schema, values, scenes.start, index, sample) for index, sample in samples]
-    begun_storing = time.perf_counter()
+    records, store_s = list[SceneRecord](), 0.0
+    for index, sample in samples:
+        begun = time.perf_counter()
+        records.append(_keep(schema, values, scenes.start, index, sample))
+        store_s += time.perf_counter() - begun
+    begun = time.perf_counter()
     names = [shard_file(field, shard) for field in schema.fields]
     for field in schema.fields:
-        array_to_write(root, field.name)[scenes.start : scenes.stop] = values[field.name]
+        write_scenes(root, field.name, scenes, values[field.name])
     _sync(root, names)
     files = {name: FileRecord(sha256_of(root / name), (root / name).stat().st_size) for name in names}
     now = time.time()
-    seconds = {"store": time.perf_counter() - begun_storing, "total": now - started}
+    seconds = {"store": store_s + time.perf_counter() - begun, "total": now - started}
     record = ShardRecord(
         shard, scenes.start, scenes.stop - 1, fingerprint, files, tuple(records), seconds, started, now,
         dict(made_by or made_with()),

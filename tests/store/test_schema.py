@@ -77,7 +77,10 @@ def test_metadata_follows_the_store_layout() -> None:
     assert inner["chunk_shape"] == [1, 4, 1, 16]
     assert [codec["name"] for codec in inner["codecs"]] == ["bytes", "blosc", "crc32c"]
     blosc = inner["codecs"][1]["configuration"]
-    assert (blosc["cname"], blosc["clevel"], blosc["shuffle"]) == ("zstd", 5, "bitshuffle")
+    assert (blosc["cname"], blosc["clevel"], blosc["shuffle"]) == ("zstd", 1, "bitshuffle")
+    assert blosc["blocksize"] == 2**18
+    light = json.loads(files["data.zarr/transient/zarr.json"])["codecs"][0]["configuration"]["codecs"][1]
+    assert light["configuration"]["shuffle"] == "shuffle"
     points = json.loads(files["data.zarr/laser_points/zarr.json"])
     assert [codec["name"] for codec in points["codecs"]] == ["bytes", "blosc", "crc32c"]
 
