@@ -15,12 +15,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from datagen.building.engines import started
+from datagen.building.engines import Engine
 from datagen.config import DatasetConfig
 from datagen.config.transport import TransportConfig
 from datagen.errors import InputError
 from datagen.records import Sample, Scalar
 from datagen.store import finish, prepare, schema_of, write_shard
+from datagen.store.environment import cores
 from datagen.store.evidence_told import KindEvidence, evidence_by_kind
 from datagen.store.files import bytes_below
 from datagen.store.table import table_bytes, table_of
@@ -98,11 +99,13 @@ def run_pilots(
     budget_s: float,
     simulate: SampleFunction | None = None,
     clock: Callable[[], float] = time.process_time,
+    compiled: Callable[[int], None] = lambda index: None,
 ) -> Pilots:
     """Simulate and write pilot scenes, spread over the dataset, until `budget_s` processor seconds are spent or there
     are `MOST`; one at least.
 
-    simulate : what makes a sample; left out, the whole simulation. clock : processor seconds.
+    simulate : what makes a sample; left out, the whole simulation. clock : processor seconds. compiled : is told the
+    first scene that could be made, as soon as its kernels are on disk.
 
     Raises
     ------
@@ -131,6 +134,8 @@ def run_pilots(
             # The first run of all loads (or compiles) the kernels.
             made = attempt(index, REDUCTION) and attempt(index, REDUCTION)
             expected_s = math.nan if made is None else made[0].at_full_effort().processor_s
+            if made is not None:
+                compiled(index)
         if expected_s <= FAR * budget_s:
             made = attempt(index)
             if made is not None and made[0].processor_s > SURPRISING * expected_s:
@@ -217,16 +222,24 @@ def with_less_effort(config: DatasetConfig, reduction: float) -> tuple[DatasetCo
     return config.model_copy(update={"transport": fewer}), lookins / transport.lookins
 
 
-def startup_seconds(config: DatasetConfig, index: int) -> float:
+def startup_seconds(engine: Engine, config: DatasetConfig, index: int) -> Callable[[], float]:
     """Seconds from asking for a worker process until its scenes go as quickly as ever: imports, kernels loaded.
 
-    One worker is started as a build does, and simulates scene `index` twice with little effort.
+    One worker is started as a build does, and simulates scene `index` twice with little effort. What is returned
+    waits for it; meanwhile this process may go on, where each has a core.
     """
     reduced, _ = with_less_effort(config, REDUCTION)
-    with started("local", 1, None) as engine:
-        asked = time.time()
-        warm_at, again_s = engine.submit(_simulate_twice, reduced, index, config.transport).result()
-    return max(0.0, float(warm_at - asked - again_s))
+
+    def ask() -> Callable[[], float]:
+        asked, answer = time.time(), engine.submit(_simulate_twice, reduced, index, config.transport)
+
+        def seconds() -> float:
+            warm_at, again_s = answer.result()
+            return max(0.0, float(warm_at - asked - again_s))
+
+        return seconds
+
+    return ask() if cores() > 1 else lambda: ask()()
 
 
 def _simulate_twice(config: DatasetConfig, index: int, planned: TransportConfig) -> tuple[float, float]:

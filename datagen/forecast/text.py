@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
-from datagen.building.engines import check_workers
+from datagen.building.engines import check_workers, started
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError
@@ -43,8 +44,12 @@ def make_forecast(config: DatasetConfig, workers: int = 1, budget_s: float = BUD
     if not 0 < budget_s < math.inf:
         raise InputError(f"--seconds {budget_s:g}: must be > 0, such as {BUDGET_S:g}")
     check_inputs(config)
-    pilots = run_pilots(config, budget_s)
-    startup_s = startup_seconds(config, pilots.scenes[0].index)
+    answers = list[Callable[[], float]]()
+    with started("local", 1, None) as engine:
+        # Not before the kernels are on disk, which both would compile.
+        told = partial(startup_seconds, engine, config)
+        pilots = run_pilots(config, budget_s, compiled=lambda index: answers.append(told(index)))
+        startup_s = answers[0]()
     return forecast(schema_of(config), pilots, startup_s, workers, cores())
 
 
