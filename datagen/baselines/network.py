@@ -1,4 +1,4 @@
-"""The small network of README: a hidden layer of 64 between all bins and all pixels."""
+"""A small network: a hidden layer of 64 between all bins and all pixels."""
 
 from __future__ import annotations
 

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from datagen.baselines.backprojection import reconstructed, scan_of
-from datagen.baselines.grid import HiddenGrid
 from datagen.baselines.scenes import SuiteScenes, suite_scenes
 from datagen.errors import InputError
 from datagen.labels.frame import image_points
+from datagen.reconstruction.backprojection import reconstructed, scan_of
+from datagen.reconstruction.grid import HiddenGrid
 from datagen.records.arrays import Bools, Floats
 from datagen.store.files import write_atomically
 from datagen.store.scenes import Scenes
@@ -60,7 +60,9 @@ def backprojection(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predict
     root, rows = Scenes(asked.root), []
     for number in asked.scene:
         content = root.read(int(number))
-        view, bounds, scan = content.arrays["hidden_view"], content.arrays["hidden_bounds"], scan_of(content)
+        arrays = content.arrays
+        scan = scan_of(arrays["histogram"], arrays, content.manifest.config["capture"], content.time)
+        view, bounds = arrays["hidden_view"], arrays["hidden_bounds"]
         behind = HiddenGrid.behind_images(view, bounds, (LAYERS, *asked.depth.shape[1:]))
         seen = reconstructed(scan, behind)
         brightest = seen.max(axis=0)
@@ -74,7 +76,7 @@ def backprojection(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predict
 
 
 def network(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predicted:
-    """README's network, trained on the suite's own training scenes."""
+    """A small network, trained on the suite's own training scenes."""
     from datagen.baselines.network import predicted
 
     found = predicted(train, suite_scenes(train.root, "val"), asked, seed)

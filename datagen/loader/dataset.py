@@ -22,6 +22,8 @@ from datagen.loader.crops import Crops
 from datagen.loader.draws import DrawCounter
 from datagen.loader.events import events_of
 from datagen.loader.redrawn_noise import TRANSIENT_OF, NoiseSource
+from datagen.loader.volumes import Volumes
+from datagen.reconstruction.backprojection import GEOMETRY
 from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.parts import Part
@@ -56,7 +58,12 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     representation : `"events"`: instead of `histogram` an item has `events`, (N, 3), the laser, pixel and bin of
         every bin that is not empty (int16, int32 where an axis is longer), and `counts`, (N,), what is in them: an
         input of networks for points, and less to move where most bins are empty. `collate` joins a batch, with the
-        sample's number as a first column, and `dense` makes histograms of it on any device.
+        sample's number as a first column, and `dense` makes histograms of it on any device. `"volume"`: instead of
+        it an item has `volume`, float32 (depth, row, column): the counts, less their mean over the scan and in units
+        of their noise, laid out over all places behind the label images that they may have come from (filtered
+        backprojection without its filter), over the root of the number of histograms. What is there stands out from
+        a noise of about 1, at the pixel where the label has it: an input of convolutions.
+    voxels : of a `volume`.
     split : the scenes of one split alone: `"train"`, `"val"`, `"test"`, or one that the configuration holds out by
         what scenes show (`splits.held_out`). A room, and every scene that shows it, is in one split; growing a
         dataset moves none.
@@ -105,6 +112,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         fields: Sequence[str] = ("histogram", "depth"),
         *,
         representation: str = "dense",
+        voxels: tuple[int, int, int] = (32, 32, 32),
         split: str | None = None,
         fractions: tuple[float, float, float] | None = None,
         counts: str = "float32",
@@ -137,8 +145,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if counts not in COUNT_TYPES:
             raise InputError(f"counts = {counts!r}: must be one of {', '.join(COUNT_TYPES)}")
         self._counts = None if counts == "stored" else np.dtype(counts)
-        if representation not in ("dense", "events"):
-            raise InputError(f"representation = {representation!r}: must be 'dense' or 'events'")
+        if representation not in ("dense", "events", "volume"):
+            raise InputError(f"representation = {representation!r}: must be 'dense', 'events' or 'volume'")
         self._as_events = representation == "events" and "histogram" in self.selected
         if self._as_events:
             # Compiled here, once, for all workers that are forked.
@@ -149,6 +157,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             )
         self._crops = Crops(manifest, lasers, pixels, bins)
         self._parts = {name: self._crops.part(field) for name, field in self._schema.by_name.items()}
+        self._volumes = None
+        if representation == "volume" and "histogram" in self.selected:
+            self._volumes = Volumes(manifest, self._crops, voxels)
         self._noise = NoiseSource(manifest) if redraw_noise else None
         self._draws = DrawCounter(self._schema.scenes) if redraw_noise else None
         self.scenes = self._scenes_there(manifest)
@@ -161,7 +172,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             self.scenes = self._scenes_with_evidence(evidence_at_least)
         self.seed = seed
         # Shared memory: no worker checks what another has.
-        stored = [self._light.get(name, name) for name in self.selected]
+        stored = [self._light.get(name, name) for name in self.selected] + list(GEOMETRY) * (
+            self._volumes is not None
+        )
         self._seen: dict[str, Any] = {
             name: torch.zeros(self._schema.scenes, dtype=torch.bool).share_memory_() for name in stored
         }
@@ -179,7 +192,11 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         part = f" of split {self.split!r}" if self.split else ""
         part += f"; of each {self._crops}" if self._crops.chosen else ""
         anew = ", drawn anew at every read"
-        fields = (f"{name}{anew if name in self._light else ''} {self.shape(name)}" for name in self.selected)
+        handed = {"histogram": "volume"} if self._volumes else {}
+        fields = (
+            f"{handed.get(name, name)}{anew if name in self._light else ''} {self.shape(handed.get(name, name))}"
+            for name in self.selected
+        )
         return f"TransientDataset({str(self.path)!r}: {len(self)} scenes{part}; {', '.join(fields)})"
 
     def __getitems__(self, items: Sequence[int]) -> list[dict[str, torch.Tensor]]:
@@ -189,13 +206,16 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         batch = {
             name: torch.from_numpy(drawn[name]) if name in drawn else self._tensor(name, scenes)
             for name in self.selected
-            if not (self._as_events and name == "histogram")
+            if name != "histogram" or not (self._as_events or self._volumes)
         } | {"scene": torch.tensor(scenes)}
-        if not self._as_events:
+        if not self._as_events and self._volumes is None:
             return Batch(batch)
         counts = drawn.get("histogram")
         if counts is None:
             counts = self._stored("histogram", scenes, part=self._parts["histogram"])
+        if self._volumes is not None:
+            geometry = {name: self._stored(name, scenes, part=self._parts[name]) for name in GEOMETRY}
+            return Batch(batch | {"volume": torch.from_numpy(self._volumes.of(counts, geometry))})
         events, of_events = events_of(counts)
         return Batch(batch, torch.from_numpy(events), torch.from_numpy(self._cast(of_events)))
 
@@ -215,6 +235,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     def shape(self, field: str) -> tuple[int, ...]:
         """The shape of one scene's value of a field, as it is handed over."""
+        if field == "volume" and self._volumes is not None:
+            return self._volumes.shape
         name = self._light.get(field, field)
         return (self._parts[name] or self._schema.by_name[name]).shape
 
@@ -356,5 +378,5 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
                 counts = self._noise.draw(light, transient, scene, self.seed, *draw)
                 every.append(counts if part is None else part.of(counts))
             drawn = np.stack(every)
-            found[name] = drawn if name == "histogram" and self._as_events else self._cast(drawn)
+            found[name] = drawn if name == "histogram" and (self._as_events or self._volumes) else self._cast(drawn)
         return found

@@ -11,14 +11,14 @@ import pytest
 from made_suite import made_suite
 
 import datagen as dg
-from datagen.baselines.backprojection import reconstructed, scan_of
-from datagen.baselines.grid import HiddenGrid
 from datagen.baselines.network import best_threshold, predicted
 from datagen.baselines.predict import centers_of, mean_of_training
 from datagen.baselines.scenes import SuiteScenes
 from datagen.cli import run
 from datagen.config import config_from_mapping
 from datagen.labels.volumes import VoxelGrid
+from datagen.reconstruction.backprojection import reconstructed, scan_of
+from datagen.reconstruction.grid import HiddenGrid
 from datagen.units import time_from_path
 
 POINT = np.array([0.3, -0.2, 0.9])
@@ -60,7 +60,9 @@ def scene(kind: str, origin: str) -> Any:
 def test_a_point_is_found(kind: str, origin: str) -> None:
     bounds = VIEW[0] + np.array([[0, -1, -1], [1.6, 1, 1]])
     grid = HiddenGrid.behind_images(VIEW, bounds, (32, 40, 40))
-    volume = reconstructed(scan_of(scene(kind, origin)), grid)
+    of = scene(kind, origin)
+    scan = scan_of(of.arrays["histogram"], of.arrays, of.manifest.config["capture"], of.time)
+    volume = reconstructed(scan, grid)
     found = grid.centers[np.unravel_index(volume.argmax(), volume.shape)]
     # Within two voxels; a bin is 3 cm of path.
     assert np.abs(found - POINT).max() < 0.1

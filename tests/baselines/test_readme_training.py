@@ -27,7 +27,7 @@ def test_the_example_learns_and_is_drawn(
     small = config_from_mapping(values)
     monkeypatch.setattr(datagen, "load_config", lambda path: small)
     monkeypatch.syspath_prepend(str(SCRIPT.parent))
-    arguments = ["--scenes", "20", "--epochs", "6", "--workers", "1", "--dataset", str(tmp_path / "set")]
+    arguments = ["--scenes", "20", "--epochs", "10", "--workers", "1", "--dataset", str(tmp_path / "set")]
     monkeypatch.setattr(sys, "argv", [str(SCRIPT), str(tmp_path / "picture.png"), *arguments])
     threads = torch.get_num_threads()
     try:
@@ -35,15 +35,17 @@ def test_the_example_learns_and_is_drawn(
         made["main"]()
     finally:
         torch.set_num_threads(threads)
-    *epochs, mean = capsys.readouterr().out.splitlines()
+    *epochs, by_heart, mean = capsys.readouterr().out.splitlines()
     errors = [float(line.split()[2]) for line in epochs]
-    assert len(errors) == 6 and errors[-1] < 0.7 * errors[0]
+    assert len(errors) == 10 and all(0.1 < error < 3 for error in errors)
     assert (tmp_path / "picture.png").stat().st_size > 10_000
     # What is compared with: the mean image of those trained on, on those kept back.
     train, test = (datagen.TransientDataset(tmp_path / "set", ("depth",), split=of) for of in ("train", "test"))
     depths = [np.stack([data[k]["depth"].numpy() for k in range(len(data))]) for data in (train, test)]
     blind = np.sqrt(np.mean((depths[0].mean(axis=0) - depths[1]) ** 2))
     assert mean == f"mean depth {blind:.3f} m"
+    # Few rooms can be learnt by heart, which shows that the lines train what they are to train.
+    assert float(by_heart.split()[-2]) < 0.95 * np.sqrt(np.mean((depths[0].mean(axis=0) - depths[0]) ** 2))
 
 
 def test_an_example_that_has_changed_is_noticed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ def test_other_fields_do_not_change(dataset: Path) -> None:
 
 
 def test_what_does_not_fit_is_refused(dataset: Path) -> None:
-    with pytest.raises(InputError, match="representation = 'sparse': must be 'dense' or 'events'"):
+    with pytest.raises(InputError, match="representation = 'sparse': must be 'dense', 'events' or 'volume'"):
         dg.TransientDataset(dataset, representation="sparse")
     events, counts = torch.zeros((5, 4), dtype=torch.int32), torch.ones(5)
     for shape, n in (((4, 1, 16), 5), ((1, 4, 1, 16), 4)):

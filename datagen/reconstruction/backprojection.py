@@ -11,18 +11,22 @@ Communications 3, 745 (2012)).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_laplace
-from scipy.spatial.distance import cdist
 
-from datagen.baselines.grid import HiddenGrid, label_frame
+from datagen.reconstruction.grid import HiddenGrid, label_frame
+from datagen.reconstruction.laid_out import lay_out
+from datagen.records import TimeAxis
 from datagen.records.arrays import Floats, Ints
-from datagen.store.scenes import SceneContent
 from datagen.units import time_from_path
 
+GEOMETRY = ("hidden_view", "hidden_bounds", "laser_points", "sensor_pixels", "laser_position", "sensor_position")
+"""Fields that say where a measurement was made, and where what it shows may be."""
 LASERS_OF_A_FLOOD = 16
 """Points that stand for all of a flood's, which are lit at once."""
 
@@ -49,30 +53,39 @@ class Scan:
     bin_m: float
 
 
-def scan_of(scene: SceneContent) -> Scan:
-    """A stored scene's scan: confocal, exhaustive or flooded."""
-    arrays, capture = scene.arrays, scene.manifest.config["capture"]
-    to_frame = label_frame(arrays["hidden_view"])
-    lasers, pixels = to_frame(arrays["laser_points"]), to_frame(arrays["sensor_pixels"].mean(axis=1))
-    laser_at, sensor_at = to_frame(arrays["laser_position"]), to_frame(arrays["sensor_position"])
-    counts = arrays["histogram"].astype(np.float64)
+def scan_of(
+    counts: NDArray[np.generic],
+    geometry: Mapping[str, Floats],
+    capture: Mapping[str, Any],
+    time: TimeAxis,
+) -> Scan:
+    """A stored scene's scan: confocal, exhaustive or flooded.
+
+    counts : (laser, pixel, bin). geometry : the fields `GEOMETRY` of the scene. capture : that section of the
+    configuration. time : of the bins of `counts`.
+    """
+    to_frame = label_frame(geometry["hidden_view"])
+    lasers, pixels = to_frame(geometry["laser_points"]), to_frame(geometry["sensor_pixels"].mean(axis=-2))
+    signal: Floats = counts.astype(np.float64)
     if capture["pairing"] == "confocal":
         laser = pixel = np.arange(len(lasers))
-        counts = counts[:, 0]
+        signal = signal[:, 0]
+        if np.allclose(lasers, pixels, rtol=0, atol=1e-9):
+            pixels = lasers
     elif capture.get("illumination") == "flood":
         some = np.unique(np.linspace(0, len(lasers) - 1, LASERS_OF_A_FLOOD).round().astype(int))
         laser, pixel = (grid.ravel() for grid in np.meshgrid(some, np.arange(len(pixels)), indexing="ij"))
-        counts = counts[0][pixel]
+        signal = signal[0][pixel]
     else:
         laser, pixel = (grid.ravel() for grid in np.indices((len(lasers), len(pixels))))
-        counts = counts.reshape(len(laser), -1)
+        signal = signal.reshape(len(laser), -1)
     outside = np.zeros(len(laser))
-    if scene.time.origin == "source":
-        ways = np.linalg.norm(lasers - laser_at, axis=1), np.linalg.norm(pixels - sensor_at, axis=1)
-        outside = ways[0][laser] + ways[1][pixel]
-    width_s = scene.time.width_s
-    first = scene.time.start_s / width_s - outside * time_from_path(1.0) / width_s
-    return Scan(whitened(counts), lasers, pixels, laser, pixel, first, width_s / time_from_path(1.0))
+    if time.origin == "source":
+        laser_at, sensor_at = to_frame(geometry["laser_position"]), to_frame(geometry["sensor_position"])
+        out, home = np.linalg.norm(lasers - laser_at, axis=1), np.linalg.norm(pixels - sensor_at, axis=1)
+        outside = out[laser] + home[pixel]
+    first = time.start_s / time.width_s - outside * time_from_path(1.0) / time.width_s
+    return Scan(whitened(signal), lasers, pixels, laser, pixel, first, time.width_s / time_from_path(1.0))
 
 
 def whitened(counts: Floats) -> Floats:
@@ -86,23 +99,26 @@ def whitened(counts: Floats) -> Floats:
 
 def backprojected(scan: Scan, places: Floats) -> Floats:
     """(V,) B at places (V, 3) of the label frame."""
-    to_laser = _bins_to(scan.laser_points, scan.laser, places, scan.bin_m)
-    to_pixel = _bins_to(scan.pixels, scan.pixel, places, scan.bin_m)
-    total = np.zeros(len(places))
-    # What comes before the first bin or after the last falls on a 0 at either end.
-    for values, first, laser, pixel in zip(
-        np.pad(scan.signal, ((0, 0), (1, 1))), scan.first.astype(np.float32), scan.laser, scan.pixel, strict=True
-    ):
-        bins = to_laser[int(laser)] + (to_pixel[int(pixel)] + (1 - first))
-        total += values.take(bins.astype(np.int32), mode="clip")
-    return total
+    total = np.zeros(len(places), np.float32)
+    lay_out(
+        np.pad(scan.signal, ((0, 0), (1, 1))).astype(np.float32), _in_bins(scan.laser_points, scan),
+        _in_bins(scan.pixels, scan), np.ascontiguousarray(scan.laser), np.ascontiguousarray(scan.pixel),
+        scan.first.astype(np.float32), _in_bins(places, scan), total,
+    )  # fmt: skip
+    return total.astype(np.float64)
 
 
-def _bins_to(points: Floats, used: Ints, places: Floats, bin_m: float) -> dict[int, NDArray[np.float32]]:
-    """Index of a point that is used → (V,) bins that light takes from there to every place."""
-    several = np.unique(used)
-    bins = (cdist(points[several], places) / bin_m).astype(np.float32)
-    return dict(zip(several.tolist(), bins, strict=True))
+def _in_bins(points: Floats, scan: Scan) -> NDArray[np.float32]:
+    """(3, N) of points (N, 3)."""
+    return np.ascontiguousarray((points / scan.bin_m).T, np.float32)
+
+
+def backprojected_volume(scan: Scan, grid: HiddenGrid) -> Floats:
+    """(depth, row, column) B on a grid over the root of the number of histograms: where there is nothing but noise,
+    it has a standard deviation of about 1.
+    """
+    total = backprojected(scan, grid.centers.reshape(-1, 3)).reshape(grid.shape)
+    return np.asarray(total / np.sqrt(len(scan.signal)))
 
 
 def filtered(volume: Floats, spread: float = 1.0) -> Floats:
@@ -112,4 +128,4 @@ def filtered(volume: Floats, spread: float = 1.0) -> Floats:
 
 def reconstructed(scan: Scan, grid: HiddenGrid) -> Floats:
     """(depth, row, column) filtered backprojection on a grid."""
-    return filtered(backprojected(scan, grid.centers.reshape(-1, 3)).reshape(grid.shape))
+    return filtered(backprojected_volume(scan, grid))

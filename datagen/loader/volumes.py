@@ -1,0 +1,56 @@
+"""Histograms as volumes: where in the hidden part their counts may have come from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.config.capture import TimeConfig
+from datagen.errors import InputError
+from datagen.loader.crops import Crops
+from datagen.reconstruction.backprojection import GEOMETRY, backprojected_volume, scan_of
+from datagen.reconstruction.grid import HiddenGrid
+from datagen.records.checks import shown
+from datagen.store import Manifest
+
+MOST_VOXELS = 2**26
+
+
+class Volumes:
+    """Backprojected volumes behind the label images of a dataset's scenes.
+
+    shape : voxels along (depth, row, column).
+
+    Raises `InputError` for another shape, and a dataset that does not say where its measurement was made.
+    """
+
+    def __init__(self, manifest: Manifest, crops: Crops, shape: tuple[int, int, int]) -> None:
+        whole = isinstance(shape, tuple | list) and all(isinstance(n, int) and n > 0 for n in shape)
+        if not whole or len(shape) != 3 or math.prod(shape) > MOST_VOXELS:
+            raise InputError(
+                f"voxels = {shown(shape)}: must be three whole numbers ≥ 1 along (depth, row, column), "
+                f"{MOST_VOXELS} voxels at most, such as (32, 32, 32)"
+            )
+        missing = [name for name in GEOMETRY if name not in manifest.schema.by_name]
+        if missing:
+            raise InputError(f"representation = 'volume': this dataset has no {', '.join(missing)}, which it needs")
+        self.shape = (shape[0], shape[1], shape[2])
+        self._capture = manifest.config["capture"]
+        self._time = TimeConfig.model_validate(self._capture["time"]).axis()
+        if "bin" in crops.chosen:
+            first, bins = float(crops.chosen["bin"][0]), len(crops.chosen["bin"])
+            self._time = replace(self._time, bins=bins, start_s=self._time.start_s + first * self._time.width_s)
+
+    def of(self, counts: NDArray[Any], geometry: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
+        """(N, depth, row, column) volumes of counts (N, laser, pixel, bin) and of the fields `GEOMETRY`, (N, …)."""
+        volumes = np.empty((len(counts), *self.shape), np.float32)
+        for row, of in enumerate(counts):
+            where = {name: values[row].astype(np.float64) for name, values in geometry.items()}
+            grid = HiddenGrid.behind_images(where["hidden_view"], where["hidden_bounds"], self.shape)
+            volumes[row] = backprojected_volume(scan_of(of, where, self._capture, self._time), grid)
+        return volumes
