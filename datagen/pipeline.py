@@ -88,14 +88,15 @@ def sample_of(
             empty = light.background().total
             drawn, _ = counted(empty, seed=derived_seed(seed, index, Purpose.BACKGROUND))
         measured |= {"background_histogram": drawn, "background_transient": empty}
+    faded = "evidence" in config.store.fields
+    with _timed(seconds, "labels"):
+        surface = hidden_surface(scene, config.labels.rows, config.labels.columns) if faded else None
     with _timed(seconds, "evidence"):
         # A transient that another simulator made is not split by object.
         parts = scene.objects if given is None else ()
-        faded = "evidence" in config.store.fields
         stations = stations_of(caster, scene, capture) if faded else None
         evidence, gain = evidence_and_gain(transient, used, conditions, parts, stations)
         evidence = evidence if given is None else dict.fromkeys(scene.objects, UNKNOWN)
-        surface = hidden_surface(scene, config.labels.rows, config.labels.columns) if faded else None
         image = {} if surface is None else {"evidence": evidence_image(caster, surface, capture, stations, gain)}
     presence = dict[str, Presence]()
     if "presence" in config.store.fields:

@@ -46,78 +46,91 @@ def refined(
     position, normal, part : (rows, columns, 3), (rows, columns, 3), (rows, columns) of what it sees.
     step : label pixels along a block before any is halved, a power of two; 1 asks every pixel.
     """
-    unknown = np.where(there, np.nan, 0.0)
-    value = np.repeat(unknown[:, :, None], stations, axis=2)
-    while step >= 1:
-        pixel, station = _unknown_corners(value, step)
+    rows, columns = there.shape
+    value = np.repeat(np.where(there, np.nan, 0.0)[:, :, None], stations, axis=2)
+    open_blocks = _all_blocks(rows, columns, stations, step)
+    while len(open_blocks):
+        pixel, station = _unknown_corners(value, open_blocks, step)
         if len(pixel):
             value.reshape(-1, stations)[pixel, station] = ask(pixel, station)
-        if step > 1:
-            _settle(value, position, normal, part, step)
+        if step == 1:
+            break
+        open_blocks = _halved(value, open_blocks, _planes(position, normal, part, step), step)
         step //= 2
     return value
 
 
 @njit(cache=True)
-def _unknown_corners(value: Floats, step: int) -> tuple[Ints, Ints]:
-    """Pixel and station of the corners not known yet of blocks that hold anything unknown."""
-    rows, columns, stations = value.shape
-    wanted = np.zeros(value.shape, np.bool_) if step > 1 else np.isnan(value)
-    count = wanted.sum()
-    for top in range(0, rows - 1 if step > 1 else 0, step):
-        bottom = min(top + step, rows - 1)
-        for left in range(0, columns - 1, step):
-            right = min(left + step, columns - 1)
-            for s in range(stations):
-                if not _unsettled(value, top, bottom, left, right, s):
-                    continue
-                for row in (top, bottom):
-                    for column in (left, right):
-                        if np.isnan(value[row, column, s]) and not wanted[row, column, s]:
-                            wanted[row, column, s] = True
-                            count += 1
-    pixel, station = np.empty(count, np.int64), np.empty(count, np.int64)
+def _all_blocks(rows: int, columns: int, stations: int, step: int) -> Ints:
+    """(n, 3) first row, first column and station of every block, at every station."""
+    down, across = max(-(-(rows - 1) // step), 1), max(-(-(columns - 1) // step), 1)
+    blocks = np.empty((down * across * stations, 3), np.int64)
     n = 0
-    for row in range(rows):
-        for column in range(columns):
+    for i in range(down):
+        for j in range(across):
             for s in range(stations):
-                if wanted[row, column, s]:
+                blocks[n] = i * step, j * step, s
+                n += 1
+    return blocks
+
+
+@njit(cache=True)
+def _unknown_corners(value: Floats, blocks: Ints, step: int) -> tuple[Ints, Ints]:
+    """Pixel and station of what is not known yet of the corners of blocks, each once."""
+    rows, columns, _ = value.shape
+    pixel, station = np.empty(4 * len(blocks), np.int64), np.empty(4 * len(blocks), np.int64)
+    n = 0
+    for top, left, s in blocks:
+        for row in (top, min(top + step, rows - 1)):
+            for column in (left, min(left + step, columns - 1)):
+                if np.isnan(value[row, column, s]):
+                    value[row, column, s] = 0.0
                     pixel[n], station[n] = row * columns + column, s
                     n += 1
-    return pixel, station
+    return pixel[:n], station[:n]
 
 
 @njit(cache=True)
-def _unsettled(value: Floats, top: int, bottom: int, left: int, right: int, s: int) -> bool:
-    for row in range(top, bottom + 1):
-        for column in range(left, right + 1):
-            if np.isnan(value[row, column, s]):
-                return True
-    return False
+def _halved(value: Floats, blocks: Ints, planes: Bools, step: int) -> Ints:
+    """Fill what is unknown of blocks whose corners agree; the quarters of all others, as `blocks`."""
+    rows, columns, _ = value.shape
+    quarters = np.empty((4 * len(blocks), 3), np.int64)
+    n = 0
+    for top, left, s in blocks:
+        bottom, right = min(top + step, rows - 1), min(left + step, columns - 1)
+        a, b = value[top, left, s], value[top, right, s]
+        c, d = value[bottom, left, s], value[bottom, right, s]
+        least, most = min(a, b, c, d), max(a, b, c, d)
+        alike = most == 0.0 or (least > 0.0 and most <= ALIKE * least)
+        if not (alike and planes[top // step, left // step]):
+            half = step // 2
+            for row in (top, top + half):
+                for column in (left, left + half):
+                    if (row == top or row < bottom) and (column == left or column < right):
+                        quarters[n] = row, column, s
+                        n += 1
+            continue
+        for row in range(top, bottom + 1):
+            v = (row - top) / (bottom - top)
+            for column in range(left, right + 1):
+                if np.isnan(value[row, column, s]):
+                    u = (column - left) / (right - left)
+                    value[row, column, s] = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
+    return quarters[:n]
 
 
 @njit(cache=True)
-def _settle(value: Floats, position: Floats, normal: Floats, part: Ints, step: int) -> None:
-    """Fill what is unknown in blocks whose corners agree."""
-    rows, columns, stations = value.shape
-    for top in range(0, rows - 1, step):
-        bottom = min(top + step, rows - 1)
-        for left in range(0, columns - 1, step):
-            right = min(left + step, columns - 1)
-            if not _in_one_plane(position, normal, part, top, bottom, left, right):
-                continue
-            for s in range(stations):
-                a, b = value[top, left, s], value[top, right, s]
-                c, d = value[bottom, left, s], value[bottom, right, s]
-                least, most = min(a, b, c, d), max(a, b, c, d)
-                if not (most == 0.0 or most <= ALIKE * least):
-                    continue
-                for row in range(top, bottom + 1):
-                    v = (row - top) / (bottom - top)
-                    for column in range(left, right + 1):
-                        if np.isnan(value[row, column, s]):
-                            u = (column - left) / (right - left)
-                            value[row, column, s] = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
+def _planes(position: Floats, normal: Floats, part: Ints, step: int) -> Bools:
+    """(down, across) whether all pixels of a block see one plane of one part."""
+    rows, columns = part.shape
+    planes = np.zeros((max(-(-(rows - 1) // step), 1), max(-(-(columns - 1) // step), 1)), np.bool_)
+    for i in range(len(planes)):
+        for j in range(planes.shape[1]):
+            top, left = i * step, j * step
+            bottom, right = min(top + step, rows - 1), min(left + step, columns - 1)
+            if top < bottom and left < right:
+                planes[i, j] = _in_one_plane(position, normal, part, top, bottom, left, right)
+    return planes
 
 
 @njit(cache=True)

@@ -67,13 +67,17 @@ def _spread_out(points: Floats, most: int) -> tuple[Ints, Floats]:
     """
     groups = [np.arange(len(points))] if len(points) else []
     while groups and len(groups) < most:
-        largest = max(range(len(groups)), key=lambda k: len(groups[k]))
-        if len(groups[largest]) < 2:
+        sizes = [len(members) for members in groups]
+        largest = sizes.index(max(sizes))
+        if sizes[largest] < 2:
             break
         members = groups.pop(largest)
-        along = np.ptp(points[members], axis=0).argmax()
-        ordered = members[np.argsort(points[members, along], kind="stable")]
+        there = points[members]
+        along = int((there.max(axis=0) - there.min(axis=0)).argmax())
+        ordered = members[there[:, along].argsort(kind="stable")]
         groups[largest:largest] = [ordered[: len(ordered) // 2], ordered[len(ordered) // 2 :]]
-    middles = [np.linalg.norm(points[m] - points[m].mean(axis=0), axis=1).argmin() for m in groups]
-    chosen = np.array([m[k] for m, k in zip(groups, middles, strict=True)], np.int64)
-    return chosen, np.array([len(m) for m in groups], np.float64)
+    chosen = np.empty(len(groups), np.int64)
+    for k, members in enumerate(groups):
+        away = points[members] - points[members].mean(axis=0)
+        chosen[k] = members[np.einsum("nk,nk->n", away, away).argmin()]
+    return chosen, np.array([len(members) for members in groups], np.float64)
