@@ -127,7 +127,9 @@ class _Size:
         return calls / orders + 2 * self.walks * (RAY + copies * self.pixels)
 
 
-def run_trial(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, caster: Raycaster) -> Trial:
+def run_trial(
+    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, caster: Raycaster | None = None
+) -> Trial:
     """Simulate a few channels of the capture twice, all bounce orders."""
     budget = MOST_WALKS
     if accuracy.target is None:
