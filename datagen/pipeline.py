@@ -23,10 +23,13 @@ from datagen.evidence import evidence_image
 from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
 from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
+from datagen.evidence.stations import stations_of
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
-from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, Transient
+from datagen.labels.images import hidden_surface
+from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, TimeAxis, Transient
 from datagen.scene import check_scene_config
 from datagen.seeding import Purpose, derived_seed
+from datagen.transport.raycast import Raycaster
 
 BACKGROUND_FIELDS = ("background_histogram", "background_transient")
 
@@ -56,38 +59,45 @@ def sample_of(
     """
     seed, seconds = config.seed, dict[str, float]() if seconds is None else seconds
     with _timed(seconds, "effects"):
+        caster = Raycaster(scene)
         whole = config if planned is None else config.model_copy(update={"transport": planned})
-        effects = transport_effects(whole, scene, capture, index) if given is None else EffectDecisions((), 0.0)
+        effects = EffectDecisions((), 0.0)
+        if given is None:
+            effects = transport_effects(whole, scene, capture, index, caster)
     spad, exposure = detector_for(config.detector, seed, index, capture.time)
     with _timed(seconds, "transport"):
         if given is None:
-            light = light_of(config, index, scene, capture, effects, spad, exposure)
+            light = light_of(config, index, scene, capture, effects, spad, exposure, caster)
             transient = light.transient()
         else:
             unknown, nowhere = np.full(given.shape, np.nan), np.zeros(given.shape[:2])
             transient = Transient(capture.time, {"given": given}, {}, unknown, nowhere, capture.laser.targets)
+    total = transient.total
     with _timed(seconds, "effects"):
-        effects += detector_effects(config, transient, spad, exposure)
+        effects += detector_effects(config, total, transient.time, spad, exposure)
     with _timed(seconds, "detector"):
         used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
         counted = partial(
             detect_and_choice, time=capture.time, spad=used, exposure=conditions, tolerance=tolerance,
             approximate=config.detector.approximate,
         )  # fmt: skip
-        counts, sampler = counted(transient.total, seed=derived_seed(seed, index, Purpose.DETECTOR))
-    measured = {"histogram": counts, "transient": transient.total, "transient_stderr": transient.stderr}
+        counts, sampler = counted(total, seed=derived_seed(seed, index, Purpose.DETECTOR))
+    measured = {"histogram": counts, "transient": total, "transient_stderr": transient.stderr}
     if given is None and any(field in BACKGROUND_FIELDS for field in config.store.fields):
         with _timed(seconds, "background"):
             empty = light.background().total
             drawn, _ = counted(empty, seed=derived_seed(seed, index, Purpose.BACKGROUND))
         measured |= {"background_histogram": drawn, "background_transient": empty}
+    faded = "evidence" in config.store.fields
+    with _timed(seconds, "labels"):
+        surface = hidden_surface(scene, config.labels.rows, config.labels.columns) if faded else None
     with _timed(seconds, "evidence"):
         # A transient that another simulator made is not split by object.
         parts = scene.objects if given is None else ()
-        faded = "evidence" in config.store.fields
-        evidence, gain = evidence_and_gain(transient, used, conditions, parts, gain=faded)
+        stations = stations_of(caster, scene, capture) if faded else None
+        evidence, gain = evidence_and_gain(transient, used, conditions, parts, stations)
         evidence = evidence if given is None else dict.fromkeys(scene.objects, UNKNOWN)
-        image = {} if gain is None else {"evidence": evidence_image(scene, capture, config.labels, gain)}
+        image = {} if surface is None else {"evidence": evidence_image(caster, surface, capture, stations, gain)}
     presence = dict[str, Presence]()
     if "presence" in config.store.fields:
         with _timed(seconds, "presence"):
@@ -98,7 +108,7 @@ def sample_of(
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
         slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
-        labels = make_labels(config.labels, scene, wanted, slots)
+        labels = make_labels(config.labels, scene, wanted, slots, surface)
         if "objects" in wanted:
             labels |= evidence_tables(tuple(evidence.values()), slots.capacity)
         if "presence" in config.store.fields:
@@ -111,9 +121,11 @@ def sample_of(
     return Sample(index, arrays, parameters | presence_parameters(presence), seconds)
 
 
-def detector_effects(config: DatasetConfig, transient: Transient, spad: Spad, exposure: Exposure) -> EffectDecisions:
+def detector_effects(
+    config: DatasetConfig, total: NDArray[np.float64], time: TimeAxis, spad: Spad, exposure: Exposure
+) -> EffectDecisions:
     """What the detector is to simulate for a transient, and why."""
-    seen = (transient.total, transient.time, spad, exposure)
+    seen = (total, time, spad, exposure)
     return decide_detector_effects(*seen, config.effects, config.detector.tolerance)
 
 

@@ -10,6 +10,7 @@ from datagen.effects import EffectDecisions, decide_transport_effects
 from datagen.records import Accuracy, Capture, Scene, Transient
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import transient_of
+from datagen.transport.raycast import Raycaster
 
 
 @dataclass(frozen=True)
@@ -20,16 +21,18 @@ class Light:
     ----------
     scene, accuracy : as the decisions about effects leave them.
     seed : of the scene's own stream.
+    caster : of the scene's triangles, where one was made already.
     """
 
     scene: Scene
     capture: Capture
     accuracy: Accuracy
     seed: int
+    caster: Raycaster | None = None
 
     def transient(self) -> Transient:
         """The light of the scene."""
-        return transient_of(self.scene, self.capture, self.accuracy, seed=self.seed)
+        return transient_of(self.scene, self.capture, self.accuracy, seed=self.seed, caster=self.caster)
 
     def background(self) -> Transient:
         """That of the scene without its objects, from the same samples: what no object touches differs in nothing."""
@@ -37,20 +40,22 @@ class Light:
         return transient_of(empty, self.capture, self.accuracy, seed=self.seed)
 
 
-def transport_effects(config: DatasetConfig, scene: Scene, capture: Capture, index: int) -> EffectDecisions:
+def transport_effects(
+    config: DatasetConfig, scene: Scene, capture: Capture, index: int, caster: Raycaster | None = None
+) -> EffectDecisions:
     """What of scene `index` the transport is to simulate, and why."""
     seed = derived_seed(config.seed, index, Purpose.EFFECTS)
-    return decide_transport_effects(scene, capture, config.transport.accuracy(), config.effects, seed)
+    return decide_transport_effects(scene, capture, config.transport.accuracy(), config.effects, seed, caster)
 
 
 def light_of(
     config: DatasetConfig, index: int, scene: Scene, capture: Capture, effects: EffectDecisions, spad: Spad,
-    exposure: Exposure,
+    exposure: Exposure, caster: Raycaster | None = None,
 ) -> Light:  # fmt: skip
     """The light of scene `index`, after `transport_effects` were decided, for a detector."""
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
     accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
-    return Light(lit, capture, accuracy, derived_seed(config.seed, index, Purpose.TRANSPORT))
+    return Light(lit, capture, accuracy, derived_seed(config.seed, index, Purpose.TRANSPORT), caster)
 
 
 def _one_detection(spad: Spad, exposure: Exposure) -> float:

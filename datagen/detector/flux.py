@@ -10,17 +10,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TypeVar
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datagen.detector.irf import Kernel, response_kernel, spread
+from datagen.detector.irf import LONGEST_DIRECT, Kernel, add_response, padded, response_kernel, spread
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.records.checks import as_reals
 
 Array = NDArray[np.float64]
+N = TypeVar("N", bound=np.generic)
 
 _MAX_PERIOD_BINS = 8_000_000
 _RAMP_PIECES = 16
@@ -183,6 +186,56 @@ class Fold:
         return out
 
 
+def on_lattice(values: NDArray[N], back: int, front: int) -> NDArray[N]:
+    """(…, n) → (…, back + front): the last `back` bins of the period, then its first `front`."""
+    n = values.shape[-1]
+    if back == 0:
+        return values[..., :front]
+    return np.concatenate([values[..., n - back :], values[..., :front]], axis=-1)
+
+
+def spread_and_folded(values: Array, kernel: Kernel, fold: Fold, back: int, front: int) -> Array:
+    """`fold` of `spread` of `on_lattice`, row by row: arrays between would take longer than all else."""
+    if kernel.is_identity or len(kernel.weights) > LONGEST_DIRECT:
+        return fold(spread(on_lattice(values, back, front), kernel))
+    rows = np.ascontiguousarray(values.reshape(-1, values.shape[-1]))
+    aligned = np.array([fold.aligned.start, fold.aligned.stop])
+    out = _spread_and_folded(
+        rows, back, front, kernel.weights, fold.first, fold.bins, aligned, fold.rows, fold.columns, fold.shares
+    )
+    return np.asarray(out.reshape(*values.shape[:-1], fold.bins))
+
+
+@numba.njit(cache=True)
+def _spread_and_folded(  # type: ignore[no-untyped-def]
+    values, back, front, weights, first, bins, aligned, rows, columns, shares
+):
+    n, beside = values.shape[1], padded(weights)
+    out, ordered = np.zeros((len(values), bins)), np.empty(back + front)
+    wide = np.zeros(len(ordered) + len(weights) - 1)
+    low, high = aligned
+    for r in range(len(values)):
+        ordered[:back], ordered[back:] = values[r, n - back :], values[r, :front]
+        begin, end = 0, len(ordered)
+        while begin < end and ordered[begin] == 0.0:
+            begin += 1
+        if begin == end:
+            continue
+        while ordered[end - 1] == 0.0:
+            end -= 1
+        # Responses are added in fours from the first bin on, wherever the light begins.
+        begin -= begin % 4
+        until = end + len(weights) - 1
+        add_response(ordered[begin:end], beside, wide[begin:until])
+        start, stop = max(low, first + begin), min(high, first + until)
+        if start < stop:
+            out[r, start:stop] = wide[start - first : stop - first]
+        for e in range(len(rows)):
+            out[r, columns[e]] += wide[rows[e]] * shares[e]
+        wide[begin:until] = 0.0
+    return out
+
+
 def fold_of(first: int, count: int, width_s: float, edges_s: Array) -> Fold:
     """How lattice bins `first … first + count − 1` fall into the bins of the period, modulo its length."""
     period, bins = float(edges_s[-1]), len(edges_s) - 1
@@ -224,7 +277,7 @@ def flux_per_cycle(transient: Array, cycle: Cycle, spad: Spad, exposure: Exposur
 def arrivals(light: Array, cycle: Cycle) -> Array:
     """(laser, pixel, n) photons of some light that arrive in each bin of the period, after the pulse's length and all
     that the diode's response adds to it before the avalanche; in an array of its own."""
-    return cycle.light_fold(spread(light, cycle.before_avalanche))
+    return spread_and_folded(light, cycle.before_avalanche, cycle.light_fold, 0, light.shape[-1])
 
 
 def _light_per_cycle(light: Array, cycle: Cycle, spad: Spad, exposure: Exposure) -> Array:

@@ -19,7 +19,7 @@ FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
 """Full width at half maximum of a Gaussian of unit standard deviation."""
 LONGEST_KERNEL = 4_000_000
 """Taps beyond which a response is surely a mistake of units."""
-_LONGEST_DIRECT = 4096
+LONGEST_DIRECT = 4096
 """Taps up to which the sum is done directly: exact to the last digit for every bin, however faint."""
 
 
@@ -101,7 +101,7 @@ def spread(values: Array, kernel: Kernel) -> Array:
     if kernel.is_identity:
         return values
     length = values.shape[-1] + len(kernel.weights) - 1
-    if len(kernel.weights) <= _LONGEST_DIRECT:
+    if len(kernel.weights) <= LONGEST_DIRECT:
         rows = np.ascontiguousarray(values.reshape(-1, values.shape[-1]))
         return _convolved(rows, kernel.weights).reshape(*values.shape[:-1], length)
     size = scipy.fft.next_fast_len(length, real=True)
@@ -113,22 +113,34 @@ def spread(values: Array, kernel: Kernel) -> Array:
 
 @numba.njit(cache=True)
 def _convolved(values: Array, weights: Array) -> Array:
-    """(h, n) and (k,) → (h, n + k − 1), by adding responses to four bins at a time, unless all are empty."""
-    rows, n = values.shape
-    taps = len(weights)
-    out = np.zeros((rows, n + taps - 1))
-    w = np.zeros(taps + 6)
-    for k in range(taps):
-        w[k + 3] = weights[k]
-    for r in range(rows):
-        for i in range(0, n, 4):
-            a = values[r, i]
-            b = values[r, i + 1] if i + 1 < n else 0.0
-            c = values[r, i + 2] if i + 2 < n else 0.0
-            d = values[r, i + 3] if i + 3 < n else 0.0
-            if a == 0.0 and b == 0.0 and c == 0.0 and d == 0.0:
-                continue
-            here = out[r, i : i + taps + 3]
-            for k in range(len(here)):
-                here[k] += a * w[k + 3] + b * w[k + 2] + c * w[k + 1] + d * w[k]
+    """(h, n) and (k,) → (h, n + k − 1)."""
+    out = np.zeros((len(values), values.shape[1] + len(weights) - 1))
+    beside = padded(weights)
+    for r in range(len(values)):
+        add_response(values[r], beside, out[r])
     return out
+
+
+@numba.njit(cache=True)
+def padded(weights: Array) -> Array:
+    """Three empty taps on either side."""
+    w = np.zeros(len(weights) + 6)
+    w[3 : len(weights) + 3] = weights
+    return w
+
+
+@numba.njit(cache=True)
+def add_response(row: Array, beside: Array, out: Array) -> None:
+    """Add the responses to a row's n bins, of k taps (`padded`), to n + k − 1 bins; four at a time, unless all are
+    empty."""
+    n, taps = len(row), len(beside) - 6
+    for i in range(0, n, 4):
+        a = row[i]
+        b = row[i + 1] if i + 1 < n else 0.0
+        c = row[i + 2] if i + 2 < n else 0.0
+        d = row[i + 3] if i + 3 < n else 0.0
+        if a == 0.0 and b == 0.0 and c == 0.0 and d == 0.0:
+            continue
+        here = out[i : i + taps + 3]
+        for k in range(len(here)):
+            here[k] += a * beside[k + 3] + b * beside[k + 2] + c * beside[k + 1] + d * beside[k]

@@ -78,7 +78,7 @@ def own_light(
         if spad.counter_max is not None:
             own = [(everything < spad.counter_max) * of for of in own]
             everything = np.minimum(everything, spad.counter_max)
-        yield OwnLight(first, everything, tuple(own), armed)
+        yield OwnLight(first, everything, tuple(own), np.broadcast_to(armed, flux.shape))
 
 
 def squared_over(own: Array, everything: Array) -> Array:
@@ -87,10 +87,10 @@ def squared_over(own: Array, everything: Array) -> Array:
 
 
 def detections_per_photon(armed: Array, time: TimeAxis, spad: Spad, exposure: Exposure) -> Array:
-    """(laser, pixel, bin) expected detections over the exposure for a photon at the aperture per emitted photon that
-    arrives in a bin: N photons_per_pulse PDE gate D/λ. armed : of `OwnLight`."""
+    """(…, bin) expected detections over the exposure for a photon at the aperture per emitted photon that arrives in
+    a bin: N photons_per_pulse PDE gate D/λ. armed : (…, n) as of `OwnLight`."""
     cycle = cycle_of(time, spad, exposure)
-    out = np.zeros((*armed.shape[:2], time.bins))
+    out = np.zeros((*armed.shape[:-1], time.bins))
     out[..., : cycle.window] = (armed * cycle.gate)[..., : cycle.window]
     out *= exposure.cycles * exposure.photons_per_pulse * spad.pde
     return out
@@ -104,11 +104,12 @@ def _blocks(values: Array, cycle: Cycle) -> Iterator[tuple[int, Array]]:
 
 
 def _detections(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array, Array]:
-    """Expected detections per cycle of flux (laser, pixel, n), and the chance that an event finds the diode armed."""
+    """Expected detections per cycle of flux (laser, pixel, n), and the chance that an event finds the diode armed;
+    (1,) where that is 1 everywhere."""
     coupled = spad.crosstalk_probability > 0 and flux.shape[1] > 1
     busy = poisson_bias(flux, cycle, spad) > FREE
     if not busy.any():
-        return flux, np.broadcast_to(1.0, flux.shape)
+        return flux, np.ones(1)
     detections, armed = flux.copy(), np.ones_like(flux)
     for laser in np.flatnonzero(busy.any(axis=1)):
         rows = np.arange(flux.shape[1]) if coupled else np.flatnonzero(busy[laser])

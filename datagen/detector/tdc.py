@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.detector.binomials import binomial
-from datagen.detector.flux import Cycle, fold_of
-from datagen.detector.irf import spread
+from datagen.detector.flux import Cycle, Fold, N, fold_of, on_lattice, spread_and_folded
 from datagen.detector.streams import Stream, uniform
 
-N = TypeVar("N", bound=np.generic)
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
@@ -47,6 +43,8 @@ class Tdc:
         self._offsets = np.argsort(-jitter.weights, kind="stable")
         self._likeliest = jitter.weights[self._offsets]
         if self._merged:
+            nothing = np.empty(0, np.int64)
+            self._fold = Fold(self._first, cycle.bins, range(cycle.bins), nothing, nothing, np.empty(0))
             return
         self._fold = fold_of(self._first, self._length, cycle.width_s, cycle.edges_s)
         self._fold_rows, starts = np.unique(self._fold.rows, return_index=True)
@@ -55,18 +53,17 @@ class Tdc:
     def mean(self, detections: Array) -> Array:
         """(…, n) expected detections per bin of the period → (…, bins) expected records."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
-        out = np.zeros((*detections.shape[:-1], cycle.bins))
         if jitter.is_identity:
-            out[..., : cycle.window] = detections[..., : cycle.window]
-            return out
-        scattered = spread(self._on_lattice(detections), jitter)
-        if self._merged:
-            out[...] = scattered[..., -self._first : -self._first + cycle.bins]
-            return out
-        folded = self._fold(scattered)
-        if self._from_short is not None:
-            for column, weight in zip(self._from_short, jitter.weights, strict=True):
-                folded[..., column] += weight * detections[..., -1]
+            folded = detections
+        else:
+            displaced = self._without_short(detections)
+            folded = spread_and_folded(displaced, jitter, self._fold, cycle.back, cycle.front)
+            if self._from_short is not None:
+                for column, weight in zip(self._from_short, jitter.weights, strict=True):
+                    folded[..., column] += weight * detections[..., -1]
+            if folded.shape[-1] == cycle.bins == cycle.window:
+                return folded
+        out = np.zeros((*detections.shape[:-1], cycle.bins))
         out[..., : cycle.window] = folded[..., : cycle.window]
         return out
 
@@ -77,7 +74,8 @@ class Tdc:
         if jitter.is_identity:
             out[..., : cycle.window] = detections[..., : cycle.window]
             return out
-        rows = np.ascontiguousarray(self._on_lattice(detections).reshape(-1, cycle.back + cycle.front))
+        ordered = on_lattice(self._without_short(detections), cycle.back, cycle.front)
+        rows = np.ascontiguousarray(ordered.reshape(-1, cycle.back + cycle.front))
         row_streams = streams.reshape(-1, 4)
         scattered = _scatter(rows, self._likeliest, self._offsets, row_streams)
         if self._merged:
@@ -96,16 +94,13 @@ class Tdc:
         out[..., : cycle.window] = folded[:, : cycle.window].reshape(*out.shape[:-1], cycle.window)
         return out
 
-    def _on_lattice(self, detections: NDArray[N]) -> NDArray[N]:
-        cycle = self._cycle
-        n = detections.shape[-1]
-        if self._from_short is not None:
-            full = detections.copy()
-            full[..., -1] = 0
-            return full
-        if cycle.back == 0:
-            return detections[..., : cycle.front]
-        return np.concatenate([detections[..., n - cycle.back :], detections[..., : cycle.front]], axis=-1)
+    def _without_short(self, detections: NDArray[N]) -> NDArray[N]:
+        """Those of whole bins."""
+        if self._from_short is None:
+            return detections
+        full = detections.copy()
+        full[..., -1] = 0
+        return full
 
 
 @numba.njit(cache=True)

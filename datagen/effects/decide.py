@@ -21,6 +21,7 @@ from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scalar, Scene, TimeAxis, Transient
 from datagen.records.checks import check_kind, check_number, check_seed
 from datagen.transport import transient_of
+from datagen.transport.raycast import Raycaster
 
 EFFECTS: tuple[Effect[Any], ...] = (*TRANSPORT_EFFECTS, *DETECTOR_EFFECTS)
 """Every effect there is, one row each, in the order in which light meets them."""
@@ -81,10 +82,12 @@ class EffectDecisions:
 
 
 def decide_transport_effects(
-    scene: Scene, capture: Capture, accuracy: Accuracy, settings: EffectsConfig | None = None, seed: int = 0
-) -> EffectDecisions:
-    """Decide for the effects of the transport; parameters as of `plan_effects`."""
-    return _decided(TRANSPORT_EFFECTS, SceneFigures(scene, capture, accuracy, seed), settings)
+    scene: Scene, capture: Capture, accuracy: Accuracy, settings: EffectsConfig | None = None, seed: int = 0,
+    caster: Raycaster | None = None,
+) -> EffectDecisions:  # fmt: skip
+    """Decide for the effects of the transport; parameters as of `plan_effects`, and a caster of the scene, where one
+    was made already."""
+    return _decided(TRANSPORT_EFFECTS, SceneFigures(scene, capture, accuracy, seed, caster), settings)
 
 
 def decide_detector_effects(

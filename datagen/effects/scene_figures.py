@@ -23,12 +23,16 @@ PAIRS_CHECKED = 1 << 22
 
 @dataclass(frozen=True)
 class SceneFigures:
-    """A transport to be simulated, and figures of it; all follow from these four (`seed`: of the trial run)."""
+    """A transport to be simulated, and figures of it; all follow from these four (`seed`: of the trial run).
+
+    caster : of the scene's triangles, where one was made already.
+    """
 
     scene: Scene
     capture: Capture
     accuracy: Accuracy
     seed: int = 0
+    caster: Raycaster | None = None
 
     def with_accuracy(self, **changes: object) -> SceneFigures:
         """The same with other values of some fields of `Accuracy`."""
@@ -48,7 +52,7 @@ class SceneFigures:
         """The trial run; None where the transport is so small that it would not pay."""
         if not affordable(self.capture, self.accuracy):
             return None
-        return run_trial(self.scene, self.capture, self.accuracy, self.seed)
+        return run_trial(self.scene, self.capture, self.accuracy, self.seed, self._caster)
 
     @property
     def all_lambertian(self) -> SceneFigures:
@@ -123,7 +127,7 @@ class SceneFigures:
 
     @cached_property
     def _caster(self) -> Raycaster:
-        return Raycaster(self.scene)
+        return Raycaster(self.scene) if self.caster is None else self.caster
 
     @cached_property
     def _view(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from datagen.records import Accuracy, Capture, Scene
 from datagen.transport import transient_of
 from datagen.transport.cost import BIN, CALL, RAY
+from datagen.transport.raycast import Raycaster
 
 SHARE = 0.02
 """Share of the transport's cost that a trial run may take."""
@@ -126,7 +127,9 @@ class _Size:
         return calls / orders + 2 * self.walks * (RAY + copies * self.pixels)
 
 
-def run_trial(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> Trial:
+def run_trial(
+    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, caster: Raycaster | None = None
+) -> Trial:
     """Simulate a few channels of the capture twice, all bounce orders."""
     budget = MOST_WALKS
     if accuracy.target is None:
@@ -136,11 +139,12 @@ def run_trial(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> 
     lasers, pixels = _spread(len(capture.laser.targets), size.lasers), _spread(capture.shape[1], size.pixels)
     copies = 2 if size.at_once else 1
     twice = capture.excerpt(np.tile(lasers, copies), np.tile(pixels, copies))
-    made = [transient_of(scene, twice, few, seed=seed, split_parts=False)]
+    made = [transient_of(scene, twice, few, seed=seed, split_parts=False, caster=caster)]
     # The factorised form shares its points between laser points, whose noise is then no longer their own.
     if not size.at_once or (made[0].spend is not None and "factorised" in "".join(made[0].spend.way.values())):
         once = capture.excerpt(lasers, pixels)
-        made.append(transient_of(scene, once, few, seed=(seed + 1) % 2**64, split_parts=False))
+        again = (seed + 1) % 2**64
+        made.append(transient_of(scene, once, few, seed=again, split_parts=False, caster=caster))
     shape = capture.excerpt(lasers, pixels).shape[:2]
     return Trial(_paired([run.components for run in made], shape))
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from datagen.detector import Exposure, Spad
 from datagen.detector.own_light import detections_per_photon, own_light, squared_over
 from datagen.errors import InputError
+from datagen.evidence.stations import Stations
 from datagen.records import Scalar, Transient
 from datagen.records.arrays import Floats
 
@@ -74,28 +75,33 @@ def own_evidence(
 
 
 def evidence_and_gain(
-    transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None, *, gain: bool = False
-) -> tuple[dict[str, Evidence], Floats | None]:
-    """What `own_evidence` gives and, if asked for, the (laser, pixel, bin) `detections_per_photon`: the law of the
+    transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None,
+    stations: Stations | None = None,
+) -> tuple[dict[str, Evidence], Floats]:  # fmt: skip
+    """What `own_evidence` gives and, of the histograms of stations, (S, bin) `detections_per_photon`: the law of the
     detector's dead time is solved once for both."""
     names = tuple(transient.parts) if parts is None else tuple(parts)
     for name in names:
         if name not in transient.parts:
             known = ", ".join(transient.parts) or "no part; simulate it with split_parts=True"
             raise InputError(f"own_evidence: part {name!r}: this transient is split by {known}")
+    laser, pixel = np.empty((2, 0), np.int64) if stations is None else stations.histogram.T
     sums, squares, most = np.zeros((3, len(names)))
-    gains = list[Floats]()
+    gain = np.empty((len(laser), transient.time.bins))
+    if not names and not len(laser):
+        return {}, gain
     for found in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):
-        if gain:
-            gains.append(detections_per_photon(found.armed, transient.time, spad, exposure))
+        here = (found.first <= laser) & (laser < found.first + len(found.armed))
+        if here.any():
+            armed = found.armed[laser[here] - found.first, pixel[here]]
+            gain[here] = detections_per_photon(armed, transient.time, spad, exposure)
         for k, own in enumerate(found.own):
             total, square, highest = _summed(own.reshape(-1), found.everything.reshape(-1))
             sums[k] += total
             squares[k] += square
             most[k] = max(most[k], highest)
     each = zip(sums.tolist(), most.tolist(), np.sqrt(squares).tolist(), strict=True)
-    evidence = {name: Evidence(*values) for name, values in zip(names, each, strict=True)}
-    return evidence, np.concatenate(gains) if gain else None
+    return {name: Evidence(*values) for name, values in zip(names, each, strict=True)}, gain
 
 
 @njit(cache=True, error_model="numpy")

@@ -153,7 +153,7 @@ def _decisions(config: DatasetConfig) -> list[str]:
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
     transient = simulate(lit, capture, few_samples(accuracy, FORESEEN_LOOKINS), seed=0, split_parts=False)
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
-    effects += detector_effects(config, transient, spad, exposure)
+    effects += detector_effects(config, transient.total, transient.time, spad, exposure)
     used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
     seen = (transient.total, capture.time, used, conditions)
     decided = choose_sampler(*seen, tolerance=tolerance, approximate=config.detector.approximate)

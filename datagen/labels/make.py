@@ -47,8 +47,9 @@ class ObjectSlots:
 
 
 def make_labels(
-    config: LabelsConfig, scene: Scene, fields: Sequence[str], slots: ObjectSlots | None = None
-) -> dict[str, Array]:
+    config: LabelsConfig, scene: Scene, fields: Sequence[str], slots: ObjectSlots | None = None,
+    surface: HiddenSurface | None = None,
+) -> dict[str, Array]:  # fmt: skip
     """Ground truth of one scene, aligned with the relay wall.
 
     ============  =======================  =======  ==================================================================
@@ -66,7 +67,8 @@ def make_labels(
     Images show `scene.hidden_view` orthographically along its normal, row 0 at the top, column 0 at −right, with the
     relay wall taken as a window. Volumes fill the box along the same axes that holds `scene.hidden_bounds`. `objects`
     gives the tables of `ObjectBoxes`, for the classes and the number of rows of `slots` (left out: this scene's own),
-    whose boxes lie in the frame that images and volumes share.
+    whose boxes lie in the frame that images and volumes share. `surface` is what the images show, where it was found
+    already.
 
     Raises
     ------
@@ -78,7 +80,7 @@ def make_labels(
             raise InputError(f"labels: {field!r} is no label; known are {', '.join(LABEL_FIELDS)}")
     labels: dict[str, Array] = {}
     if any(field in _IMAGES for field in fields):
-        surface = hidden_surface(scene, config.rows, config.columns)
+        surface = hidden_surface(scene, config.rows, config.columns) if surface is None else surface
         labels |= {field: make(surface) for field, make in _IMAGES.items() if field in fields}
     if any(field in _VOLUMES for field in fields):
         grid, found = VoxelGrid.of(scene, config.voxels), object_surfaces(scene)

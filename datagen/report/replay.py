@@ -130,7 +130,7 @@ def replay(stored: StoredScene) -> Replay:
     effects = transport_effects(config, scene, capture, index)
     given = detector_for(config.detector, config.seed, index, capture.time)
     transient = light_of(config, index, scene, capture, effects, *given).transient()
-    effects += detector_effects(config, transient, *given)
+    effects += detector_effects(config, transient.total, transient.time, *given)
     spad, exposure, tolerance = effects.apply_detector(*given, config.detector.tolerance)
     approximate = config.detector.approximate
     expected, mean_is_exact = _mean(transient.total, capture.time, spad, exposure)

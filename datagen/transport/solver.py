@@ -92,14 +92,18 @@ def simulate(
 
 
 def transient_of(
-    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool = True
-) -> Transient:
-    """`simulate` of what was checked already, such as the scenes of a dataset; it warns of nothing."""
+    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool = True,
+    caster: Raycaster | None = None,
+) -> Transient:  # fmt: skip
+    """`simulate` of what was checked already, such as the scenes of a dataset; it warns of nothing.
+
+    caster : of the scene's triangles, where one was made already.
+    """
     if capture.illumination == "flood":
         one_by_one = replace(capture, illumination="scan")
-        return flooded(transient_of(scene, one_by_one, accuracy, seed, split_parts=split_parts))
+        return flooded(transient_of(scene, one_by_one, accuracy, seed, split_parts=split_parts, caster=caster))
     began = clock_time.perf_counter()
-    task = prepared(scene, capture, accuracy, seed, split_parts=split_parts)
+    task = prepared(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
     ready = clock_time.perf_counter()
     if accuracy.target is not None:
         estimate, traced = meet_target(task), clock_time.perf_counter()
@@ -114,9 +118,12 @@ def transient_of(
     )
 
 
-def prepared(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool) -> WalkTask:
+def prepared(
+    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool,
+    caster: Raycaster | None = None,
+) -> WalkTask:  # fmt: skip
     """What `simulate` works with: the scene as the kernels want it, and what is asked of it."""
-    caster = Raycaster(scene)
+    caster = Raycaster(scene) if caster is None else caster
     materials = MaterialTable.of(scene.materials)
     cones = PixelCones.of(capture.sensor)
     points = LaserPoints.of(caster, scene, capture.laser)

@@ -95,19 +95,20 @@ class Separation:
     it, both in standard deviations with it.
 
     error : standard error of `measured`.
-    second_order : what σ leaves out, where the object's own light keeps the diode dead: twice the share of all
-        detections that the dead time takes, times the object's share in them, times σ.
+    follows : what it is by the detector's law. Without the object the filter's mean is −Σ w_i s⁰_i, with w = s/b and
+        s⁰_i = N A⁰_i λᵒ_i what would be detected of its light by a diode as often armed as without it. So it is
+        Σ w_i s⁰_i / σ, which is σ where the object's own light adds nothing to the dead time.
     """
 
     stated: float
     measured: float
     error: float
-    second_order: float
+    follows: float
 
     @property
     def beyond(self) -> float:
-        """Standard errors by which the two differ beyond `second_order`."""
-        return max(abs(self.measured - self.stated) - self.second_order, 0.0) / self.error
+        """Standard errors by which what is measured differs from what follows."""
+        return abs(self.measured - self.follows) / self.error
 
 
 def separation(scene: int, mode: str) -> Separation:
@@ -135,9 +136,9 @@ def separation(scene: int, mode: str) -> Separation:
     error = np.hypot(
         np.sqrt(1 + without.var() / spread**2) / np.sqrt(DRAWS), measured * np.sqrt((fourth - 1) / (4 * DRAWS))
     )
-    free = dg.expected_histogram(light.total, light.time, replace(spad, mode="ideal", dead_time_s=0.0), exposure)
-    missed, share = 1 - everything.sum() / free.sum(), (weight * everything).sum() / everything.sum()
-    return Separation(stated, float(measured), float(error), float(2 * max(missed, 0.0) * share * stated))
+    without_own = own_light(np.maximum(light.total - own, 0.0), [own], light.time, spad, exposure)
+    follows = (weight * np.concatenate([block.own[0] for block in without_own])).sum() / stated
+    return Separation(stated, float(measured), float(error), float(follows))
 
 
 def farthest_of(scenes: int) -> float:
@@ -153,11 +154,11 @@ if __name__ == "__main__":
         of = separation(number, kind)
         all_of_them.append(of)
         room, ratio = ready()[number % len(ready())].name, of.measured / of.stated
-        line = f"{of.stated:8.3f} {of.measured:8.3f} ± {of.error:.3f} + {of.second_order:.3f}  {ratio:.3f}"
+        line = f"{of.stated:8.3f} {of.follows:8.3f} {of.measured:8.3f} ± {of.error:.3f}  {ratio:.3f}"
         print(f"{number:4d} {room:26s} {kind:20s} {line}", flush=True)
     ratios, beyond = [of.measured / of.stated for of in all_of_them], [of.beyond for of in all_of_them]
     told = [ratio for ratio, of in zip(ratios, all_of_them, strict=True) if of.stated > 1]
     print(
         f"median {np.median(ratios):.4f}, of the {len(told)} with σ > 1 {np.median(told):.4f}; farthest "
-        f"{max(beyond):.2f} standard errors beyond the second order, at most {farthest_of(scenes):.2f} expected"
+        f"{max(beyond):.2f} standard errors from what follows, at most {farthest_of(scenes):.2f} expected"
     )

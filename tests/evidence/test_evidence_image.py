@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
 
 import datagen as dg
 from datagen.config import LabelsConfig
-from datagen.evidence import evidence_image, seen
+from datagen.evidence import evidence_image
 from datagen.evidence.own import evidence_and_gain
+from datagen.evidence.stations import STATIONS, stations_of
 from datagen.labels import make_labels
+from datagen.labels.images import hidden_surface
 from datagen.records import Rectangle
+from datagen.transport.raycast import Raycaster
 
-LABELS = LabelsConfig(rows=48, columns=48)
+CONFIGS = Path(__file__).parents[2] / "configs"
+LABELS = LabelsConfig(rows=64, columns=64)
 TIME = dg.TimeAxis(bins=300, width_s=1e-10, origin="wall")
 EXPOSURE = dg.Exposure(repetition_rate_hz=2e7, cycles=10_000, photons_per_pulse=1e8)
 WALL = Rectangle.of((0, 0, 0), (0, 1, 0), (0, 0, 1))
@@ -55,9 +61,10 @@ def exhaustive() -> dg.Capture:
 def image_and_truth(scene: dg.Scene, capture: dg.Capture, spad: dg.Spad) -> dict[str, tuple[float, float]]:
     """Of each object the image's sum over its pixels, and its own detections."""
     t = dg.simulate(scene, capture, dg.Accuracy(target=0.002), seed=0)
-    own, gain = evidence_and_gain(t, spad, EXPOSURE, gain=True)
-    assert gain is not None
-    image = evidence_image(scene, capture, LABELS, gain)
+    caster, surface = Raycaster(scene), hidden_surface(scene, LABELS.rows, LABELS.columns)
+    stations = stations_of(caster, scene, capture)
+    own, gain = evidence_and_gain(t, spad, EXPOSURE, stations=stations)
+    image = evidence_image(caster, surface, capture, stations, gain)
     part = make_labels(LABELS, scene, ["part_id"])["part_id"]
     assert image.dtype == np.float32 and np.array_equal(image > 0, (part >= 0) & (image > 0))
     return {
@@ -77,14 +84,14 @@ SPADS = {
 @pytest.mark.parametrize("name", SPADS)
 @pytest.mark.parametrize("capture", [confocal(3), exhaustive()], ids=["confocal", "exhaustive"])
 def test_pixels_of_an_object_in_view_add_up_to_its_own_detections(name: str, capture: dg.Capture) -> None:
-    """Plates of 12 × 12 pixels whose edges are those of pixels: the midpoint rule."""
+    """Plates of 16 × 16 pixels whose edges are those of pixels: the midpoint rule."""
     for found, truth in image_and_truth(room(), capture, SPADS[name]).values():
         assert found == pytest.approx(truth, rel=0.02)
 
 
 def test_stations_stand_for_a_scan() -> None:
     scene, capture = room(), confocal(9)
-    assert len(capture.laser.targets) > 4 * seen.STATIONS
+    assert len(capture.laser.targets) > 4 * STATIONS
     for found, truth in image_and_truth(scene, capture, SPADS["ideal"]).values():
         assert found == pytest.approx(truth, rel=0.05)
 
@@ -100,19 +107,38 @@ def test_a_curtain_takes_the_evidence_of_what_stands_behind_it() -> None:
         assert hung["low"][0] == pytest.approx(hung["low"][1], rel=0.1, abs=0.02 * open_["low"][1])
 
 
+def unsimulated(scene: dg.Scene, capture: dg.Capture, step: int | None = None, gain: float = 1.0) -> np.ndarray:
+    """The image of a detector to which every photon in the time axis counts alike."""
+    caster = Raycaster(scene)
+    stations = stations_of(caster, scene, capture)
+    per_photon = np.full((0 if stations is None else len(stations.times), capture.time.bins), gain)
+    surface = hidden_surface(scene, LABELS.rows, LABELS.columns)
+    return evidence_image(caster, surface, capture, stations, per_photon, step)
+
+
 def test_evidence_is_that_of_the_exposure() -> None:
-    scene, capture = room(), confocal(2)
-    t = dg.simulate(scene, capture, dg.Accuracy(target=0.05), seed=0)
-    _, each = evidence_and_gain(t, SPADS["ideal"], EXPOSURE, gain=True)
-    assert each is not None
-    once, twice = (evidence_image(scene, capture, LABELS, factor * each) for factor in (1.0, 2.0))
+    once, twice = (unsimulated(room(), confocal(2), gain=gain) for gain in (1.0, 2.0))
     assert once.max() > 0 and np.allclose(twice, 2 * once, rtol=1e-6)
 
 
 def test_where_no_laser_ray_meets_anything_there_is_none() -> None:
-    scene = room()
     away = dg.Capture(
         dg.Laser((3.0, 2.9, -1.5), [(9.0, 9.0, 0.0)]),
         dg.Sensor.grid((3, 2.9, -1.5), (0, 0, 0), (0, 1, 0), (0, 0, 1), 1, 1), TIME,
     )  # fmt: skip
-    assert not evidence_image(scene, away, LABELS, np.ones((1, 1, TIME.bins))).any()
+    assert not unsimulated(room(), away).any()
+
+
+@pytest.mark.parametrize("name", ["quickstart", "people_behind_doors", "t_junction_hazards", "furnished_rooms"])
+def test_few_pixels_asked_give_the_image_of_all(name: str) -> None:
+    """Of all detections 2 % at most are elsewhere, and of an object's light 5 %: of 40 scenes of eight ready
+    configurations it was 1.1 % and 3 %."""
+    config = dg.load_config(CONFIGS / f"{name}.yaml")
+    for index in range(3):
+        scene = dg.generate_scene(config.scene, config.seed, index)
+        capture = dg.capture_for(config, scene, config.seed, index)
+        each, few = (unsimulated(scene, capture, step).astype(np.float64) for step in (1, 4))
+        assert np.abs(few - each).sum() < 0.02 * each.sum()
+        part = make_labels(LABELS, scene, ["part_id"])["part_id"]
+        for k in (scene.part_names.index(of) for of in scene.objects):
+            assert few[part == k].sum() == pytest.approx(each[part == k].sum(), rel=0.05, abs=1e-3 * each.sum())

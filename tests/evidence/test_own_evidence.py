@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matched_filter import DRAWS, MODES, farthest_of, separation
+from matched_filter import DRAWS, MODES, farthest_of, ready, separation
 
 import datagen as dg
 from datagen.detector.expected import one_per_cycle_mean
@@ -159,6 +159,14 @@ def test_a_matched_filter_sees_what_is_stated(mode: str) -> None:
     found = separation(MODES.index(mode), mode)
     assert found.stated > 0.5 and DRAWS == 1000
     assert found.beyond < 4.4
+
+
+def test_an_object_that_keeps_the_diode_dead_is_seen_by_that_too() -> None:
+    """A letter is nearly all the light: σ alone is beyond the error, what follows from the detector's law is not."""
+    letter = next(number for number, of in enumerate(ready()) if of.name == "letters_on_a_bench")
+    found = separation(letter, "free running")
+    assert found.follows > 1.1 * found.stated
+    assert found.beyond < 4.4 < (found.measured - found.stated) / found.error
 
 
 @pytest.mark.nightly

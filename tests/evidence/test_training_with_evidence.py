@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import runpy
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +31,29 @@ def scenes(count: int, seed: int) -> Any:
 
 
 def test_labels_without_light_cost_a_network_that_believes_them() -> None:
-    train, kept = scenes(96, 1), scenes(400, 2)
+    train, val, kept = scenes(96, 1), scenes(100, 3), scenes(400, 2)
     seen = kept.sigma.numpy() > 3
     errors = {}
     for recipe in (PLAIN, WEIGHTED, OVER):
-        found = [made["predicted"](recipe, train, kept.histograms[0], seed, 40) for seed in range(3)]
+        networks = [made["trained"](recipe, train, val, seed, 40) for seed in range(3)]
+        found = [made["found_in"](network, kept) for network in networks]
         errors[recipe] = np.mean([made["square_error"](of, kept)[seen].mean() for of in found])
     blind = made["square_error"](torch.full_like(kept.depth, made["mean_depth"](train)), kept)
     assert errors[WEIGHTED] < 0.2 * blind[seen].mean()
     assert errors[WEIGHTED] < 0.9 * errors[PLAIN] and errors[OVER] < 0.9 * errors[PLAIN]
     # Nobody can know these; to be told of it is what evidence is for.
     assert blind[~seen].mean() == pytest.approx(1.2**2 / 12, rel=0.2)
+
+
+def test_the_epoch_is_chosen_on_val() -> None:
+    """Where val has another truth than train, to have learnt less is better; test has no say."""
+    train, val = scenes(96, 1), scenes(100, 3)
+    false = replace(val, depth=2 * made["mean_depth"](train) * val.box - val.depth)
+    errors = [
+        made["square_error"](made["found_in"](made["trained"](PLAIN, train, of, 0, 12), val), val)[val.sigma > 3]
+        for of in (val, false)
+    ]
+    assert errors[0].mean() < 0.5 * errors[1].mean()
 
 
 def test_weights_are_those_stated() -> None:
