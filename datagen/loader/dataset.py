@@ -215,7 +215,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             counts = self._stored("histogram", scenes, part=self._parts["histogram"])
         if self._volumes is not None:
             geometry = {name: self._stored(name, scenes, part=self._parts[name]) for name in GEOMETRY}
-            return Batch(batch | {"volume": torch.from_numpy(self._volumes.of(counts, geometry))})
+            return Batch(batch | {"volume": torch.from_numpy(self._volumes.of(scenes, counts, geometry))})
         events, of_events = events_of(counts)
         return Batch(batch, torch.from_numpy(events), torch.from_numpy(self._cast(of_events)))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -46,11 +46,22 @@ class Volumes:
             first, bins = float(crops.chosen["bin"][0]), len(crops.chosen["bin"])
             self._time = replace(self._time, bins=bins, start_s=self._time.start_s + first * self._time.width_s)
 
-    def of(self, counts: NDArray[Any], geometry: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
-        """(N, depth, row, column) volumes of counts (N, laser, pixel, bin) and of the fields `GEOMETRY`, (N, …)."""
+    def of(
+        self, scenes: Sequence[int], counts: NDArray[Any], geometry: Mapping[str, NDArray[Any]]
+    ) -> NDArray[np.float32]:
+        """(N, depth, row, column) volumes of N scenes, from counts (N, laser, pixel, bin) and the fields `GEOMETRY`.
+
+        Raises `InputError` for a scene of which is not known where its hidden part is.
+        """
         volumes = np.empty((len(counts), *self.shape), np.float32)
         for row, of in enumerate(counts):
             where = {name: values[row].astype(np.float64) for name, values in geometry.items()}
-            grid = HiddenGrid.behind_images(where["hidden_view"], where["hidden_bounds"], self.shape)
+            view, bounds = where["hidden_view"], where["hidden_bounds"]
+            if not (np.isfinite(view).all() and np.isfinite(bounds).all()):
+                raise InputError(
+                    f"representation = 'volume': scene {scenes[row]} has no hidden_view and hidden_bounds; give them "
+                    "to Scene.from_parts, or take another representation"
+                )
+            grid = HiddenGrid.behind_images(view, bounds, self.shape)
             volumes[row] = backprojected_volume(scan_of(of, where, self._capture, self._time), grid)
         return volumes

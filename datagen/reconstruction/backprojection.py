@@ -22,7 +22,7 @@ from scipy.ndimage import gaussian_laplace
 from datagen.reconstruction.grid import HiddenGrid, label_frame
 from datagen.reconstruction.laid_out import lay_out
 from datagen.records import TimeAxis
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.units import time_from_path
 
 GEOMETRY = ("hidden_view", "hidden_bounds", "laser_points", "sensor_pixels", "laser_position", "sensor_position")
@@ -62,7 +62,7 @@ def scan_of(
     """A stored scene's scan: confocal, exhaustive or flooded.
 
     counts : (laser, pixel, bin). geometry : the fields `GEOMETRY` of the scene. capture : that section of the
-    configuration. time : of the bins of `counts`.
+    configuration. time : of the bins of `counts`. Laser points and pixels that lie nowhere (NaN) are left out.
     """
     to_frame = label_frame(geometry["hidden_view"])
     lasers, pixels = to_frame(geometry["laser_points"]), to_frame(geometry["sensor_pixels"].mean(axis=-2))
@@ -85,6 +85,9 @@ def scan_of(
         out, home = np.linalg.norm(lasers - laser_at, axis=1), np.linalg.norm(pixels - sensor_at, axis=1)
         outside = out[laser] + home[pixel]
     first = time.start_s / time.width_s - outside * time_from_path(1.0) / time.width_s
+    there: list[Bools] = [np.isfinite(of).all(axis=1) for of in (lasers, pixels)]
+    known = there[0][laser] & there[1][pixel] & np.isfinite(first)
+    signal, laser, pixel, first = signal[known], laser[known], pixel[known], first[known]
     return Scan(whitened(signal), lasers, pixels, laser, pixel, first, time.width_s / time_from_path(1.0))
 
 
@@ -92,6 +95,8 @@ def whitened(counts: Floats) -> Floats:
     """(pair, bin) counts less the mean over the scan in each bin, over its root: light that is alike all over the
     wall, such as that of walls around, is taken away, and noise is the same everywhere.
     """
+    if not len(counts):
+        return counts
     mean = counts.mean(axis=0)
     flat: Floats = (counts - mean) / np.sqrt(mean + 1 / len(counts))
     return flat
@@ -118,7 +123,7 @@ def backprojected_volume(scan: Scan, grid: HiddenGrid) -> Floats:
     it has a standard deviation of about 1.
     """
     total = backprojected(scan, grid.centers.reshape(-1, 3)).reshape(grid.shape)
-    return np.asarray(total / np.sqrt(len(scan.signal)))
+    return np.asarray(total / np.sqrt(max(len(scan.signal), 1)))
 
 
 def filtered(volume: Floats, spread: float = 1.0) -> Floats:

@@ -20,10 +20,10 @@ def lay_out(
 ) -> None:  # fmt: skip
     """Add to total (V,) Σ_r signal[r, ⌊|x − x_l| + |x − x_p| − first[r]⌋ + 1] for every place x (3, V).
 
-    As in `Scan`, lengths in bins, points (3, L) and (3, P). The first and the last column of signal are what lies
-    before and after all bins.
+    As in `Scan`, lengths in bins, points (3, L) and (3, P). The first and the last column of signal are zeros,
+    for what lies before and after all bins.
     """
-    last, same = signal.shape[1] - 1, np.array_equal(laser_points, pixels)
+    last, same = np.float32(signal.shape[1] - 1), np.array_equal(laser_points, pixels)
     to_laser = np.empty((laser_points.shape[1], BLOCK), np.float32)
     to_pixel = to_laser if same else np.empty((pixels.shape[1], BLOCK), np.float32)
     for begin in range(0, len(total), BLOCK):
@@ -36,8 +36,9 @@ def lay_out(
             there, back, row = to_laser[laser[r]], to_pixel[pixel[r]], signal[r]
             offset = np.float32(1) - first[r]
             for k in range(len(out)):
-                at = np.int32(max(there[k] + back[k] + offset, np.float32(0)))
-                out[k] += row[min(at, last)]
+                at = there[k] + back[k] + offset
+                # Whatever else it is, huge or no number at all, is outside.
+                out[k] += row[np.int32(at)] if at > 0 and at < last else row[0]
 
 
 @njit(cache=True, nogil=True)

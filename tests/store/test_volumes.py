@@ -89,6 +89,31 @@ def test_noise_alone_has_a_standard_deviation_of_one() -> None:
     assert np.abs(spread - 1).max() < 5.4 * np.sqrt(2 / draws) + 0.01
 
 
+def test_what_lies_nowhere_adds_nothing(dataset: Path) -> None:
+    """A laser point that met no surface; places that are endlessly far, or nowhere."""
+    stored = Scenes(dataset).read(2)
+    capture = config_from_mapping({"capture": {"scan": {"rows": 3, "columns": 4}}}).model_dump()["capture"]
+    arrays = {name: stored.arrays[name].astype(float) for name in GEOMETRY}
+    whole = scan_of(stored.arrays["histogram"][1:], {**arrays, "laser_points": arrays["laser_points"][1:],
+                    "sensor_pixels": arrays["sensor_pixels"][1:]}, capture, stored.time)  # fmt: skip
+    arrays["laser_points"][0] = arrays["sensor_pixels"][0] = np.nan
+    scan = scan_of(stored.arrays["histogram"], arrays, capture, stored.time)
+    at = np.array([[0.2, 0.1, 1.0], [1e200, 0, 0], [np.nan, 0, 1], [0, np.inf, 0], [1e12, 0, 0]])
+    with np.errstate(over="ignore"):
+        found = backprojected(scan, at)
+        assert np.array_equal(found, backprojected(whole, at)) and found[0] != 0 and not found[1:].any()
+    arrays["laser_points"][:] = np.nan
+    assert not backprojected(scan_of(stored.arrays["histogram"], arrays, capture, stored.time), at[:1]).any()
+
+
+def test_a_scene_without_a_view_is_told(dataset: Path) -> None:
+    data = dg.TransientDataset(dataset, representation="volume")
+    geometry = {name: Scenes(dataset).read(7).arrays[name][None] for name in GEOMETRY}
+    geometry["hidden_bounds"] = np.full((1, 2, 3), np.nan)
+    with pytest.raises(InputError, match="scene 7 has no hidden_view and hidden_bounds"):
+        data._volumes.of([7], np.zeros((1, 12, 1, 96)), geometry)  # type: ignore[union-attr]
+
+
 def volume_of(counts: Any, arrays: Any, capture: Any, time: dg.TimeAxis) -> Any:
     where = {name: arrays[name].astype(float) for name in GEOMETRY}
     grid = HiddenGrid.behind_images(where["hidden_view"], where["hidden_bounds"], VOXELS)
