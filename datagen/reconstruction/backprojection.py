@@ -85,8 +85,7 @@ def scan_of(
         out, home = np.linalg.norm(lasers - laser_at, axis=1), np.linalg.norm(pixels - sensor_at, axis=1)
         outside = out[laser] + home[pixel]
     first = time.start_s / time.width_s - outside * time_from_path(1.0) / time.width_s
-    there: list[Bools] = [np.isfinite(of).all(axis=1) for of in (lasers, pixels)]
-    known = there[0][laser] & there[1][pixel] & np.isfinite(first)
+    known: Bools = np.isfinite(lasers[laser] + pixels[pixel]).all(axis=1) & np.isfinite(first)
     signal, laser, pixel, first = signal[known], laser[known], pixel[known], first[known]
     return Scan(whitened(signal), lasers, pixels, laser, pixel, first, time.width_s / time_from_path(1.0))
 
