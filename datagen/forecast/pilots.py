@@ -15,13 +15,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from datagen.building.engines import Engine
 from datagen.config import DatasetConfig
-from datagen.config.transport import TransportConfig
 from datagen.errors import InputError
 from datagen.records import Sample, Scalar
 from datagen.store import finish, prepare, schema_of, write_shard
-from datagen.store.environment import cores
 from datagen.store.evidence_told import KindEvidence, evidence_by_kind
 from datagen.store.files import bytes_below
 from datagen.store.table import table_bytes, table_of
@@ -222,29 +219,16 @@ def with_less_effort(config: DatasetConfig, reduction: float) -> tuple[DatasetCo
     return config.model_copy(update={"transport": fewer}), lookins / transport.lookins
 
 
-def startup_seconds(engine: Engine, config: DatasetConfig, index: int) -> Callable[[], float]:
-    """Seconds from asking for a worker process until its scenes go as quickly as ever: imports, kernels loaded.
+def startup_seconds(config: DatasetConfig, index: int, asked: float) -> float:
+    """Seconds from asking for a worker process until its scenes go as quickly as ever: imports, kernels loaded. Run
+    by that worker, which simulates scene `index` twice with little effort.
 
-    One worker is started as a build does, and simulates scene `index` twice with little effort. What is returned
-    waits for it; meanwhile this process may go on, where each has a core.
+    asked : Unix time when it was asked for.
     """
-    reduced, _ = with_less_effort(config, REDUCTION)
-
-    def ask() -> Callable[[], float]:
-        asked, answer = time.time(), engine.submit(_simulate_twice, reduced, index, config.transport)
-
-        def seconds() -> float:
-            warm_at, again_s = answer.result()
-            return max(0.0, float(warm_at - asked - again_s))
-
-        return seconds
-
-    return ask() if cores() > 1 else lambda: ask()()
-
-
-def _simulate_twice(config: DatasetConfig, index: int, planned: TransportConfig) -> tuple[float, float]:
-    """Unix time when the first run was through, and the seconds of the second."""
     from datagen.pipeline import simulate_sample
 
-    simulate_sample(config, index, planned)
-    return time.time(), sum(simulate_sample(config, index, planned).seconds.values())
+    reduced, _ = with_less_effort(config, REDUCTION)
+    simulate_sample(reduced, index, config.transport)
+    warm_at = time.time()
+    again_s = sum(simulate_sample(reduced, index, config.transport).seconds.values())
+    return max(0.0, warm_at - asked - again_s)

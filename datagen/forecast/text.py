@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, wait
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 
 from datagen.building.engines import check_workers, started
@@ -44,12 +45,17 @@ def make_forecast(config: DatasetConfig, workers: int = 1, budget_s: float = BUD
     if not 0 < budget_s < math.inf:
         raise InputError(f"--seconds {budget_s:g}: must be > 0, such as {BUDGET_S:g}")
     check_inputs(config)
-    answers = list[Callable[[], float]]()
+    starting = list[Future[float]]()
     with started("local", 1, None) as engine:
+
+        def start_worker(index: int) -> None:
+            starting.append(engine.submit(startup_seconds, config, index, time.time()))
+            if cores() == 1:
+                wait(starting)
+
         # Not before the kernels are on disk, which both would compile.
-        told = partial(startup_seconds, engine, config)
-        pilots = run_pilots(config, budget_s, compiled=lambda index: answers.append(told(index)))
-        startup_s = answers[0]()
+        pilots = run_pilots(config, budget_s, compiled=start_worker)
+        startup_s = starting[0].result()
     return forecast(schema_of(config), pilots, startup_s, workers, cores())
 
 

@@ -147,8 +147,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         self._counts = None if counts == "stored" else np.dtype(counts)
         if representation not in ("dense", "events", "volume"):
             raise InputError(f"representation = {representation!r}: must be 'dense', 'events' or 'volume'")
-        self._as_events = representation == "events" and "histogram" in self.selected
-        if self._as_events:
+        # What an item has instead of a histogram, if anything.
+        self._instead = representation if representation != "dense" and "histogram" in self.selected else None
+        if self._instead == "events":
             # Compiled here, once, for all workers that are forked.
             events_of(np.zeros((1, 1, 1, 64), self._schema.by_name["histogram"].dtype))
         if redraw_noise and "transient" not in self.fields:
@@ -157,9 +158,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             )
         self._crops = Crops(manifest, lasers, pixels, bins)
         self._parts = {name: self._crops.part(field) for name, field in self._schema.by_name.items()}
-        self._volumes = None
-        if representation == "volume" and "histogram" in self.selected:
-            self._volumes = Volumes(manifest, self._crops, voxels)
+        self._volumes = Volumes(manifest, self._crops, voxels) if self._instead == "volume" else None
         self._noise = NoiseSource(manifest) if redraw_noise else None
         self._draws = DrawCounter(self._schema.scenes) if redraw_noise else None
         self.scenes = self._scenes_there(manifest)
@@ -172,9 +171,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             self.scenes = self._scenes_with_evidence(evidence_at_least)
         self.seed = seed
         # Shared memory: no worker checks what another has.
-        stored = [self._light.get(name, name) for name in self.selected] + list(GEOMETRY) * (
-            self._volumes is not None
-        )
+        stored = [self._light.get(name, name) for name in self.selected]
+        stored += GEOMETRY if self._volumes else ()
         self._seen: dict[str, Any] = {
             name: torch.zeros(self._schema.scenes, dtype=torch.bool).share_memory_() for name in stored
         }
@@ -206,9 +204,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         batch = {
             name: torch.from_numpy(drawn[name]) if name in drawn else self._tensor(name, scenes)
             for name in self.selected
-            if name != "histogram" or not (self._as_events or self._volumes)
+            if name != "histogram" or self._instead is None
         } | {"scene": torch.tensor(scenes)}
-        if not self._as_events and self._volumes is None:
+        if self._instead is None:
             return Batch(batch)
         counts = drawn.get("histogram")
         if counts is None:
@@ -378,5 +376,5 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
                 counts = self._noise.draw(light, transient, scene, self.seed, *draw)
                 every.append(counts if part is None else part.of(counts))
             drawn = np.stack(every)
-            found[name] = drawn if name == "histogram" and (self._as_events or self._volumes) else self._cast(drawn)
+            found[name] = drawn if name == "histogram" and self._instead else self._cast(drawn)
         return found

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.config.capture import TimeConfig
 from datagen.errors import InputError
 from datagen.loader.crops import Crops
 from datagen.reconstruction.backprojection import GEOMETRY, backprojected_volume, scan_of
@@ -41,7 +40,7 @@ class Volumes:
             raise InputError(f"representation = 'volume': this dataset has no {', '.join(missing)}, which it needs")
         self.shape = (shape[0], shape[1], shape[2])
         self._capture = manifest.config["capture"]
-        self._time = TimeConfig.model_validate(self._capture["time"]).axis()
+        self._time = manifest.time
         if "bin" in crops.chosen:
             first, bins = float(crops.chosen["bin"][0]), len(crops.chosen["bin"])
             self._time = replace(self._time, bins=bins, start_s=self._time.start_s + first * self._time.width_s)

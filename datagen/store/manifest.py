@@ -17,6 +17,7 @@ from datagen.config.imported import ImportedFile
 from datagen.config.scene_contents import Mesh
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
+from datagen.records import TimeAxis
 from datagen.store.arrays import COORDINATES, GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_whole, sealed
@@ -81,6 +82,11 @@ class Manifest:
     def seed(self) -> int:
         """The dataset seed."""
         return int(self.config["seed"])
+
+    @property
+    def time(self) -> TimeAxis:
+        """The bins of histogram and transient."""
+        return TimeConfig.model_validate(self.config["capture"]["time"]).axis()
 
     @property
     def imported(self) -> tuple[ImportedFile, ...]:

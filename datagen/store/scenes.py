@@ -9,7 +9,6 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from datagen.config.capture import TimeConfig
 from datagen.errors import InputError
 from datagen.records import Scalar, TimeAxis
 from datagen.store.manifest import Manifest, read_manifest
@@ -34,7 +33,7 @@ class SceneContent:
     @property
     def time(self) -> TimeAxis:
         """The bins of histogram and transient."""
-        return TimeConfig.model_validate(self.manifest.config["capture"]["time"]).axis()
+        return self.manifest.time
 
 
 class Scenes:

@@ -6,8 +6,10 @@ import json
 import re
 import subprocess
 import sys
+from concurrent.futures import Future
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -137,7 +139,10 @@ def test_plan_says_what_will_be_built(
     built: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # Of a worker process, which tests/forecast/test_plan.py starts.
-    monkeypatch.setattr("datagen.forecast.text.startup_seconds", lambda *_: lambda: 1.0)
+    answer = Future[float]()
+    answer.set_result(1.0)
+    engine = SimpleNamespace(submit=lambda *_: answer)
+    monkeypatch.setattr("datagen.forecast.text.started", lambda *_: nullcontext(engine))
     assert run(["plan", str(built / "tiny.yaml"), "--scenes", "10"]) == 0
     text = capsys.readouterr().out
     assert "4 laser points × 1 pixel × 64 bins of 800 ps" in text and "shards     5 of 2 scenes" in text
