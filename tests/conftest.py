@@ -1,5 +1,5 @@
-"""How the tests run: one thread each, the long files first, every kernel compiled once, and builds of one worker in
-the test's own process."""
+"""How the tests run: one thread each, the long files first, every kernel compiled once, builds of one worker in the
+test's own process, and without waiting for the disk."""
 
 from __future__ import annotations
 
@@ -100,6 +100,15 @@ def a_kernel_is_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Itera
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Dispatcher, "compile", compiled)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_disk_is_waited_for() -> Iterator[None]:
+    """What this process wrote stays when it is killed; only power that fails could tell, which no test cuts. That
+    files are synced in time is a test of its own (tests/store/test_build.py)."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda handle: None)
         yield
 
 

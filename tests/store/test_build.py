@@ -325,6 +325,28 @@ def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest
     assert (root / "build/shard-000000.json").read_bytes() == made, "a shard made meanwhile is not made again"
 
 
+def test_what_a_record_commits_is_on_the_disk_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Power may fail at any moment. Before a shard's record has its name, the record, the shard's files and the folders
+    that name them were synced."""
+    synced: set[int] = set()
+    committed = []
+    whole = os.replace
+
+    def replaced(source: Path, target: Path) -> None:
+        if found := re.fullmatch(r"shard-0*(\d+)\.json", Path(target).name):
+            files = list((tmp_path / "set/data.zarr").glob(f"*/c/{found[1]}/**/*"))
+            assert {path.name for path in files} >= {"0"}
+            missing = [path for path in (Path(source), *files) if path.stat().st_ino not in synced]
+            assert missing == []
+            committed.append(found[1])
+        whole(source, target)
+
+    monkeypatch.setattr(os, "fsync", lambda handle: synced.add(os.fstat(handle).st_ino))
+    monkeypatch.setattr(os, "replace", replaced)
+    quiet_build(small_config(), tmp_path / "set")
+    assert committed == ["0", "1", "2"]
+
+
 @contextmanager
 def files_no_longer_than(size: int) -> Iterator[None]:
     """As on a full disk."""
