@@ -326,8 +326,8 @@ def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest
 
 
 def test_what_a_record_commits_is_on_the_disk_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Power may fail at any moment. Before a shard's record has its name, the record, the shard's files and the folders
-    that name them were synced."""
+    """Power may fail at any moment: before a shard's record has its name, the record, the shard's files and the
+    folders that name them are synced."""
     synced: set[int] = set()
     committed = []
     whole = os.replace
