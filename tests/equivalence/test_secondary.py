@@ -173,7 +173,7 @@ def in_a_ball(albedo: float) -> tuple[Scene, Capture, float]:
     return scene, capture, albedo**4 / np.pi * np.pi * 0.02**2 * omega / (4 * np.pi)
 
 
-@pytest.mark.parametrize("albedo", [0.3, 1.0])
+@pytest.mark.parametrize("albedo", [0.3, pytest.param(1.0, marks=pytest.mark.nightly)])
 def test_inside_of_a_sphere_energy(albedo: float) -> None:
     """L = ρ⁴/π · A Ω / (4π r²)."""
     scene, capture, expected = in_a_ball(albedo)

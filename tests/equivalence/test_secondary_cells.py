@@ -97,7 +97,7 @@ def in_the_ball(albedo: float) -> tuple[Scene, Capture, float]:
     return scene, capture, albedo**3 / np.pi / (4 * np.pi) * np.pi * 0.02**2 * solid_angle
 
 
-@pytest.mark.parametrize("albedo", [0.3, 1.0])
+@pytest.mark.parametrize("albedo", [0.3, pytest.param(1.0, marks=pytest.mark.nightly)])
 def test_in_a_sphere_each_bounce_multiplies_by_the_albedo(albedo: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """ρ times the primary's ρ³/π · A Ω/(4π r²); each bounce falls anywhere on the sphere alike."""
     monkeypatch.setattr(secondary_cells, "MOST_PAIRS", 1 << 21)

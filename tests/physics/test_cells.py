@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import trimesh
-from numba import njit
+from lit_plate import plate_by_quadrature
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from sphere_chords import BINS, QUAD, SPOT, WIDTH_M, stored
 
@@ -155,34 +155,18 @@ def test_a_small_patch_amplitude_and_arrival(origin: str) -> None:
     assert np.count_nonzero(found.total) <= 2
 
 
-@njit(cache=True)
-def plate_by_quadrature(points, center, right, up, normal, n, bins, start, width):  # type: ignore[no-untyped-def]
-    """(P, bins) Σ cos²θ cos²θ′ / r⁴ over n × n points of a plate, by path length, for confocal points on x = 0."""
-    out = np.zeros((len(points), bins))
-    for p in range(len(points)):
-        for i in range(n):
-            for j in range(n):
-                u, v = (i + 0.5) / n * 2 - 1, (j + 0.5) / n * 2 - 1
-                d = center + u * right + v * up - points[p]
-                square = np.dot(d, d)
-                out[p, int((2 * np.sqrt(square) - start) / width)] += (d[0] * np.dot(d, normal)) ** 2 / square**4
-    return out
-
-
 def test_a_bare_rectangle_against_quadrature_per_3_mm_bin() -> None:
     """Each bin holds what arrives between its edges: 1 % of the light at most is elsewhere (relative L1)."""
     center, right, up = np.array([1, 0.1, 0.05]), np.array([0.05, 0.13, 0]), np.array([0, 0, 0.13])
     points = np.array([[0, y, z] for y in (-0.35, 0.1, 0.35) for z in (-0.3, 0.2)])
-    h, device, n = 1e-4, np.array([0.5, 0, 0]), 800
+    h, device = 1e-4, np.array([0.5, 0, 0])
     capture = Capture(
         Laser(device, points), Sensor(device, square_pixels(points, h)), bins_of_path(300, 0.003, 1.75), "confocal"
     )
     found = cells(wall_and_box(rectangle(center, right, up)), capture, Accuracy(target=0.005))
-    normal = np.cross(right, up)
-    area, normal = 4 * np.linalg.norm(normal) / n**2, normal / np.linalg.norm(normal)
-    truth = plate_by_quadrature(points, center, right, up, normal, n, 300, 1.75, 0.003)
+    truth = plate_by_quadrature(points, center, right, up, 800, 300, 1.75, 0.003)
     omega = (2 * h) ** 2 * device[0] / np.linalg.norm(device - points, axis=1) ** 3
-    truth *= 0.8**2 * 0.6 / np.pi**3 * area * np.pi * 0.02**2 * omega[:, None]
+    truth *= 0.8**2 * 0.6 / np.pi**3 * np.pi * 0.02**2 * omega[:, None]
     assert np.abs(found.total[:, 0] - truth).sum() < 0.01 * truth.sum()
     assert np.linalg.norm(found.total[:, 0] - truth) < 0.008 * np.linalg.norm(truth)
     assert found.total.sum() == pytest.approx(truth.sum(), rel=1e-4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from numba import njit
+from lit_plate import plate_by_quadrature
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
 from sphere_chords import BINS, QUAD, SPOT, WIDTH_M, stored
@@ -48,22 +48,6 @@ def test_small_patch_amplitude_and_arrival_time(origin: str) -> None:
     assert mean_time == pytest.approx(path / C, abs=1e-5 / C)
 
 
-@njit(cache=True)
-def plate_by_quadrature(points, center, right, up, normal, n, bins, start, width):  # type: ignore[no-untyped-def]
-    """(P, bins) Σ cos²θ cos²θ′ / r⁴ over n × n cells of a plate, by path length, for confocal points on x = 0."""
-    out = np.zeros((len(points), bins))
-    for p in range(len(points)):
-        for i in range(n):
-            for j in range(n):
-                u, v = (i + 0.5) / n * 2 - 1, (j + 0.5) / n * 2 - 1
-                d = center + u * right + v * up - points[p]
-                square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
-                position = (2 * np.sqrt(square) - start) / width
-                facing = d[0] * normal[0] + d[1] * normal[1] + d[2] * normal[2]
-                out[p, int(np.floor(position))] += (d[0] * facing) ** 2 / square**4
-    return out
-
-
 @pytest.mark.parametrize("side", [5, pytest.param(16, marks=pytest.mark.nightly)])
 def test_rectangle_against_quadrature_per_3_mm_bin(side: int) -> None:
     """An unoccluded plate, confocal points, 300 bins of 3 mm: relative L1 under 1 % (docs/physics.md)."""
@@ -75,11 +59,9 @@ def test_rectangle_against_quadrature_per_3_mm_bin(side: int) -> None:
     capture = Capture(
         Laser(device, points), Sensor(device, square_pixels(points, h)), bins_of_path(300, 0.003, 1.75), "confocal"
     )
-    n, normal = 600, np.cross(right, up)
-    area, normal = 4 * np.linalg.norm(normal) / n**2, normal / np.linalg.norm(normal)
-    truth = plate_by_quadrature(points, center, right, up, normal, n, 300, 1.75, 0.003)
+    truth = plate_by_quadrature(points, center, right, up, 600, 300, 1.75, 0.003)
     omega = (2 * h) ** 2 * device[0] / np.linalg.norm(device - points, axis=1) ** 3
-    truth *= 0.8**2 * 0.6 / np.pi**3 * area * APERTURE_M2 * omega[:, None]
+    truth *= 0.8**2 * 0.6 / np.pi**3 * APERTURE_M2 * omega[:, None]
     result = simulate(scene, capture, Accuracy(1 << 17, 1, 3, 1), seed=5, split_parts=False)
     assert np.abs(result.total[:, 0] - truth).sum() / truth.sum() < 0.01
     assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4)

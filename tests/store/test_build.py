@@ -123,6 +123,7 @@ def start_slow_build(root: Path, script: Path) -> subprocess.Popen[bytes]:
     return child
 
 
+@pytest.mark.nightly
 def test_a_build_killed_in_the_middle_resumes_to_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
     root = tmp_path / "set"
     child = start_slow_build(root, tmp_path / "child.py")

@@ -6,6 +6,7 @@ import copy
 import itertools
 import pickle
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,7 @@ def epoch_of(loader: Iterable[dict[str, torch.Tensor]]) -> Noise:
     return {int(s): h for batch in loader for s, h in zip(batch["scene"], batch["histogram"], strict=True)}
 
 
+@cache
 def draws_of(path: Path, number: int, seed: int = 0) -> Noise:
     """Draw `number` of every scene."""
     data = TransientDataset(path, ("histogram",), redraw_noise=True, seed=seed)
@@ -78,6 +80,10 @@ class Augmented(Dataset[dict[str, torch.Tensor]]):
         return self.data[item]
 
 
+def pickled(data: TransientDataset) -> TransientDataset:
+    return pickle.loads(pickle.dumps(data))  # type: ignore[no-any-return]
+
+
 def loaders(data: TransientDataset) -> Iterator[tuple[str, Any]]:
     """Who reads a dataset: name, and a loader of it (or of some of its scenes) for each epoch."""
 
@@ -104,12 +110,13 @@ def loaders(data: TransientDataset) -> Iterator[tuple[str, Any]]:
     yield "DistributedSampler", alive(DataLoader(data, 5, sampler=DistributedSampler(data, 1, 0)))
     # What Lightning does: a loader of the same dataset with a sampler of its own, at every fit.
     yield "an injected sampler", made_anew(sampler=DistributedSampler(data, 1, 0, shuffle=False), **fork)
-    # A process that is started after the first epoch is handed where the dataset stands.
+    # Whoever is handed the dataset after the first epoch, such as a process, is handed where it stands.
+    yield "a copy by pickle", (DataLoader(one(data), 5) for one in (lambda of: of, pickled))
     spawned = DataLoader(data, 6, num_workers=1, multiprocessing_context="spawn")
     yield "a spawned worker", iter([DataLoader(data, 5), spawned])
 
 
-@pytest.mark.parametrize("number", range(12))
+@pytest.mark.parametrize("number", [*range(12), pytest.param(12, marks=pytest.mark.nightly)])
 def test_every_epoch_has_new_noise_without_a_call(data: TransientDataset, dataset: Path, number: int) -> None:
     name, each_epoch = list(loaders(data))[number]
     epochs = [epoch_of(loader) for loader in each_epoch]
@@ -121,7 +128,7 @@ def test_every_epoch_has_new_noise_without_a_call(data: TransientDataset, datase
 
 def test_draws_are_functions_of_seed_number_and_scene(dataset: Path) -> None:
     first = draws_of(dataset, 0)
-    assert alike(first, draws_of(dataset, 0)) and len(first) == 12
+    assert alike(first, draws_of.__wrapped__(dataset, 0)) and len(first) == 12
     assert all_new([first, draws_of(dataset, 1), draws_of(dataset, 0, seed=1)])
     assert not torch.equal(first[0], first[1])
 

@@ -26,7 +26,7 @@ from datagen.loader import TransientDataset, collate
 from datagen.store import verify
 from datagen.store.digest import dataset_digest
 from datagen.store.info import info
-from datagen.store.places import Bucket, place
+from datagen.store.places import Bucket, _store_of, place
 
 obstore = pytest.importorskip("obstore", reason="the extra s3 is not installed")
 pytest.importorskip("moto", reason="moto is not installed")
@@ -66,8 +66,8 @@ def bucket(server: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Buck
     urllib.request.urlopen(urllib.request.Request(f"{server}/rooms", method="PUT"), timeout=30)
     found = place(ADDRESS)
     assert isinstance(found, Bucket)
-    for old in everything(found):
-        old.unlink()
+    if old := [str(one.key) for one in everything(found)]:
+        obstore.delete(_store_of(found.bucket), old)
     return found
 
 
@@ -75,14 +75,19 @@ def everything(bucket: Bucket) -> list[Bucket]:
     return [Bucket(bucket.bucket, key) for key in bucket._below()]
 
 
+def two_shards(seed: int = 3) -> DatasetConfig:
+    """The server takes milliseconds for each of its answers, of which a shard needs hundreds."""
+    return small_config(scenes=8, seed=seed)
+
+
 def built(config: DatasetConfig | None = None, **options: object) -> BuildResult:
-    return build(config or small_config(), ADDRESS, progress=False, sample_function=fake_sample, **options)  # type: ignore[arg-type]
+    return build(config or two_shards(), ADDRESS, progress=False, sample_function=fake_sample, **options)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
 def local(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("local") / "set"
-    build(small_config(), root, progress=False, sample_function=fake_sample)
+    build(two_shards(), root, progress=False, sample_function=fake_sample)
     return root
 
 
@@ -106,12 +111,12 @@ def test_what_is_built_there_is_what_is_built_here(bucket: Bucket, local: Path, 
     # The folder it was made in is not needed any more.
     shutil.rmtree(tmp_path / "staging")
     again = built()
-    assert (again.built, again.kept) == (0, 3)
-    grown = built(scenes=16)
-    assert (grown.built, grown.kept, grown.complete) == (1, 3, True) and verify(ADDRESS).problems == ()
+    assert (again.built, again.kept) == (0, 2)
+    grown = built(scenes=12)
+    assert (grown.built, grown.kept, grown.complete) == (1, 2, True) and verify(ADDRESS).problems == ()
 
 
-@pytest.mark.parametrize("puts", [1, 6, 11, 17])
+@pytest.mark.parametrize("puts", [6, 17, *(pytest.param(n, marks=pytest.mark.nightly) for n in (1, 11))])
 def test_an_interrupted_upload_is_taken_up(
     bucket: Bucket, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, puts: int
 ) -> None:
@@ -141,7 +146,7 @@ def test_an_interrupted_upload_is_taken_up(
 
 def test_damage_there_is_told_and_mended(bucket: Bucket) -> None:
     built()
-    shard, record = bucket / "data.zarr/histogram/c/1/0/0/0", bucket / "build/shard-000002.json"
+    shard, record = bucket / "data.zarr/histogram/c/1/0/0/0", bucket / "build/shard-000000.json"
     sound = shard.read_bytes()
     for harmed in (sound[:-1], sound[:40] + b"\0" + sound[41:]):
         shard.write_bytes(harmed)
@@ -152,7 +157,7 @@ def test_damage_there_is_told_and_mended(bucket: Bucket) -> None:
     with pytest.raises(CheckError, match="cannot be opened"):
         items(ADDRESS)
     record.unlink()
-    with pytest.raises(InputError, match="2 of 3 shards are not committed, the first is 1"):
+    with pytest.raises(InputError, match="2 of 2 shards are not committed, the first is 0"):
         TransientDataset(ADDRESS)
     built()
     assert verify(ADDRESS, deep=True).problems == ()
@@ -161,9 +166,9 @@ def test_damage_there_is_told_and_mended(bucket: Bucket) -> None:
 def test_workers_read_there(bucket: Bucket) -> None:
     built()
     data = TransientDataset(ADDRESS, ("histogram",))
-    assert len(pickle.loads(pickle.dumps(data))) == 12
+    assert len(pickle.loads(pickle.dumps(data))) == 8
     loader = torch.utils.data.DataLoader(data, 4, num_workers=1, multiprocessing_context="spawn", collate_fn=collate)
-    assert [batch["scene"].tolist() for batch in loader] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10, 11]]
+    assert [batch["scene"].tolist() for batch in loader] == [[0, 1, 2, 3], [4, 5, 6, 7]]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         forked = torch.utils.data.DataLoader(data, 4, num_workers=1, multiprocessing_context="fork")
@@ -196,8 +201,8 @@ def test_others_are_left_alone(bucket: Bucket, tmp_path: Path) -> None:
     (bucket / "thesis.tex").unlink()
     built()
     with pytest.raises(InputError, match=r"seed = 3, this configuration has 4"):
-        built(small_config(seed=4))
+        built(two_shards(seed=4))
     shutil.rmtree(tmp_path / "staging")
     with pytest.raises(InputError, match=r"seed = 3, this configuration has 4"):
-        built(small_config(seed=4))
+        built(two_shards(seed=4))
     assert verify(ADDRESS).problems == ()
