@@ -1,8 +1,7 @@
 """What stands between two points, or between a point and all of a triangle, in double precision.
 
-A tree of boxes over the triangles that can hide anything, built by the surface area heuristic in bins (Wald, "On
-fast construction of SAH-based bounding volume hierarchies", IEEE Symposium on Interactive Ray Tracing 2007). It
-answers the same on every processor, and in compiled loops, one line at a time.
+It is asked of a tree of boxes over the triangles that can hide anything, answers the same on every processor, and in
+compiled loops, one line at a time.
 """
 
 from __future__ import annotations
@@ -17,13 +16,13 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot
 from datagen.transport.cells.geometry import above, ball, corner, cross, distance, less, unit
 from datagen.transport.cells.hierarchy import ON_PLANE, Hierarchy
+from datagen.transport.cells.surface_area import boxes_over
 
 TINY = 1e-300
 TOUCHING = 1e-9
 """Share of a line at each end within which a triangle only touches it."""
 FEW_VERTICES = 256
 """Vertices of a part up to which each is asked whether it lies behind a wall; of larger parts their box is."""
-LEAF, BINS = 3, 12
 MOST, RING = 16, 63
 """Candidates up to which boxes are opened, and the mask of a ring that holds those still to be looked at."""
 MANY_WALLS = 1024
@@ -54,7 +53,7 @@ class Occluders(NamedTuple):
         """Those of a scene, in time nearly linear in its triangles."""
         number = np.flatnonzero(_hides(scene, tree))
         corners = tree.corners[number]
-        order, box, link = _boxes(corners.min(axis=1), corners.max(axis=1))
+        order, box, link = boxes_over(corners.min(axis=1), corners.max(axis=1))
         number = number[order]
         facet = np.concatenate([tree.corners[number], tree.normal[number, None]], axis=1)
         return cls(facet, number, box, link, ON_PLANE * tree.extent)
@@ -106,87 +105,6 @@ def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-u
             if not apart:
                 found[i] = True
                 break
-
-
-@njit(cache=True, error_model="numpy")
-def _boxes(low, high):  # type: ignore[no-untyped-def]
-    """Order of the triangles, and the boxes: (order, box, link)."""
-    count = len(low)
-    most = max(2 * count, 1)
-    order, spare = np.arange(count), np.empty(count, np.int64)
-    box, link = np.empty((most, 6)), np.zeros((most, 3), np.int64)
-    link[0, 2], n, k = count, 1, 0
-    members, bounds, cost = np.empty(BINS, np.int64), np.empty((BINS, 6)), np.empty(BINS)
-    while k < n:
-        link[k, 0], first, last = -1, link[k, 1], link[k, 2]
-        axis, smallest, largest = 0, 0.0, -1.0
-        for j in range(3):
-            box[k, j], box[k, 3 + j], least, greatest = np.inf, -np.inf, np.inf, -np.inf
-            for f in order[first:last]:
-                box[k, j], box[k, 3 + j] = min(box[k, j], low[f, j]), max(box[k, 3 + j], high[f, j])
-                least, greatest = min(least, low[f, j] + high[f, j]), max(greatest, low[f, j] + high[f, j])
-            if greatest - least > largest:
-                axis, smallest, largest = j, least, greatest - least
-        if last - first > LEAF:
-            members[:] = 0
-            for m in range(BINS):
-                for j in range(3):
-                    bounds[m, j], bounds[m, 3 + j] = np.inf, -np.inf
-            for f in order[first:last]:
-                m = _bin(low, high, f, axis, smallest, largest)
-                members[m] += 1
-                for j in range(3):
-                    bounds[m, j] = min(bounds[m, j], low[f, j])
-                    bounds[m, 3 + j] = max(bounds[m, 3 + j], high[f, j])
-            cost[:] = 0.0
-            for step in (1, -1):
-                _swept(members, bounds, cost, step)
-            best = 1
-            for m in range(2, BINS):
-                if cost[m] < cost[best]:
-                    best = m
-            middle, rest = first, 0
-            for f in order[first:last]:
-                if _bin(low, high, f, axis, smallest, largest) < best:
-                    order[middle] = f
-                    middle += 1
-                else:
-                    spare[rest] = f
-                    rest += 1
-            for m in range(rest):
-                order[middle + m] = spare[m]
-            if middle in (first, last):
-                middle = (first + last) // 2
-            link[k, 0] = n
-            link[n, 1], link[n, 2], link[n + 1, 1], link[n + 1, 2] = first, middle, middle, last
-            n += 2
-        k += 1
-    return order, box[:n], link[:n]
-
-
-@njit(cache=True, error_model="numpy")
-def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
-    if largest <= 0.0:
-        return 0
-    return min(int((low[f, axis] + high[f, axis] - smallest) / largest * BINS), BINS - 1)
-
-
-@njit(cache=True)
-def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
-    """Add to each cut between bins what the bins on one side of it cost: how many triangles, in how large a box."""
-    total = 0
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for turn in range(BINS):
-        m = turn if step > 0 else BINS - 1 - turn
-        cut = m if step > 0 else m + 1
-        side = high - low
-        if 0 < cut < BINS and total > 0:
-            cost[cut] += total * (side[0] * side[1] + side[1] * side[2] + side[2] * side[0])
-        elif 0 < cut < BINS:
-            cost[cut] += np.inf
-        total += members[m]
-        for j in range(3):
-            low[j], high[j] = min(low[j], bounds[m, j]), max(high[j], bounds[m, 3 + j])
 
 
 @njit(cache=True, error_model="numpy")
