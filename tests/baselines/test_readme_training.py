@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs" / "readme_training.py"
 
 
+@pytest.mark.nightly
 def test_the_example_learns_and_is_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], few_pixels: None
 ) -> None:

@@ -43,8 +43,10 @@ def with_cycles(config: dg.DatasetConfig, cycles: float) -> dg.DatasetConfig:
     return config.model_copy(update={"detector": config.detector.model_copy(update={"cycles": cycles})})
 
 
-@pytest.mark.parametrize("kind", DETECTORS)
-@pytest.mark.parametrize(("evidence", "quantile"), [(10, 0.5), (3, 0.2)])
+@pytest.mark.parametrize(
+    ("kind", "evidence", "quantile"),
+    [*((kind, 10, 0.5) for kind in DETECTORS), ("background", 3, 0.2), ("dead time", 3, 0.2)],
+)
 def test_it_gives_what_is_asked_and_no_less_does(
     kind: str, evidence: float, quantile: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -58,9 +59,26 @@ def exhaustive() -> dg.Capture:
     return dg.Capture(dg.Laser(place, grid(2)), sensor, TIME)
 
 
-def image_and_truth(scene: dg.Scene, capture: dg.Capture, spad: dg.Spad) -> dict[str, tuple[float, float]]:
+CAPTURES = {"confocal": confocal(3), "exhaustive": exhaustive(), "many points": confocal(9)}
+
+
+def curtain() -> dg.Part:
+    """It hangs edge on, seen by no label pixel, between the wall's lit middle and one of the plates."""
+    half = [(0.05, -0.3, -3), (1.19, -0.3, -3), (1.19, -0.3, 3), (0.05, -0.3, 3)]
+    return dg.Part("curtain", trimesh.Trimesh(half, [(0, 1, 2), (0, 2, 3)]), dg.Lambertian(0.0), "structure")
+
+
+@cache
+def lit(scan: str, hung: bool) -> tuple[dg.Scene, dg.Transient]:
+    """The room, with the curtain or without, and its light, whatever counts it."""
+    scene = room(curtain()) if hung else room()
+    return scene, dg.simulate(scene, CAPTURES[scan], dg.Accuracy(target=0.002), seed=0)
+
+
+def image_and_truth(scan: str, spad: dg.Spad, hung: bool = False) -> dict[str, tuple[float, float]]:
     """Of each object the image's sum over its pixels, and its own detections."""
-    t = dg.simulate(scene, capture, dg.Accuracy(target=0.002), seed=0)
+    capture = CAPTURES[scan]
+    scene, t = lit(scan, hung)
     caster, surface = Raycaster(scene), hidden_surface(scene, LABELS.rows, LABELS.columns)
     stations = stations_of(caster, scene, capture)
     own, gain = evidence_and_gain(t, spad, EXPOSURE, stations=stations)
@@ -82,27 +100,22 @@ SPADS = {
 
 
 @pytest.mark.parametrize("name", SPADS)
-@pytest.mark.parametrize("capture", [confocal(3), exhaustive()], ids=["confocal", "exhaustive"])
-def test_pixels_of_an_object_in_view_add_up_to_its_own_detections(name: str, capture: dg.Capture) -> None:
+@pytest.mark.parametrize("scan", ["confocal", "exhaustive"])
+def test_pixels_of_an_object_in_view_add_up_to_its_own_detections(name: str, scan: str) -> None:
     """Plates of 16 × 16 pixels whose edges are those of pixels: the midpoint rule."""
-    for found, truth in image_and_truth(room(), capture, SPADS[name]).values():
+    for found, truth in image_and_truth(scan, SPADS[name]).values():
         assert found == pytest.approx(truth, rel=0.02)
 
 
 def test_stations_stand_for_a_scan() -> None:
-    scene, capture = room(), confocal(9)
-    assert len(capture.laser.targets) > 4 * STATIONS
-    for found, truth in image_and_truth(scene, capture, SPADS["ideal"]).values():
+    assert len(CAPTURES["many points"].laser.targets) > 4 * STATIONS
+    for found, truth in image_and_truth("many points", SPADS["ideal"]).values():
         assert found == pytest.approx(truth, rel=0.05)
 
 
 def test_a_curtain_takes_the_evidence_of_what_stands_behind_it() -> None:
-    """It hangs edge on, seen by no label pixel, between the wall's lit middle and one of the plates."""
-    half = [(0.05, -0.3, -3), (1.19, -0.3, -3), (1.19, -0.3, 3), (0.05, -0.3, 3)]
-    curtain = dg.Part("curtain", trimesh.Trimesh(half, [(0, 1, 2), (0, 2, 3)]), dg.Lambertian(0.0), "structure")
-    capture = confocal(3)
     for spad in SPADS.values():
-        open_, hung = (image_and_truth(room(*more), capture, spad) for more in ((), (curtain,)))
+        open_, hung = (image_and_truth("confocal", spad, hung) for hung in (False, True))
         assert hung["low"][0] < 0.7 * open_["low"][0]
         assert hung["low"][0] == pytest.approx(hung["low"][1], rel=0.1, abs=0.02 * open_["low"][1])
 

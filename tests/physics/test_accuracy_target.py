@@ -234,7 +234,7 @@ def held_at_the_foot(half_side_m: float) -> list[Transient]:
     return [simulate(furnished_box(), capture, accuracy, seed=s) for s in range(RUNS)]
 
 
-@pytest.mark.parametrize("half_side_m", [0.001, 0.025])
+@pytest.mark.parametrize("half_side_m", [pytest.param(0.001, marks=pytest.mark.nightly), 0.025])
 def test_a_pixel_at_the_foot_of_a_wall_gets_the_light_from_beside_it(half_side_m: float) -> None:
     """Half of what such a pixel sees is the other wall's nearest centimetres, where walks seldom are: their scatter
     says nothing of the light they miss. The secondary of runs to 5 % is within that as often as promised; that of

@@ -33,4 +33,4 @@ def test_a_kill_between_any_two_steps_loses_nothing(tmp_path: Path, steps: range
 
 @pytest.mark.parametrize("kind", harm.CORRUPTED)
 def test_no_corruption_is_silent_or_lasts(tmp_path: Path, kind: str) -> None:
-    check(harm.corruptions(kind, 3, tmp_path, random.Random(kind)), 3)
+    check(harm.corruptions(kind, 2, tmp_path, random.Random(kind)), 2)
