@@ -31,6 +31,7 @@ FIRST = (
     "physics/test_all_bounces.py",
     "report/test_show_pictures.py",
     "store/test_build.py",
+    "store/test_object_stores.py",
     "scene/test_rooms.py",
     "capture/test_configs_built.py",
     "report/test_datasets_shown.py",
