@@ -47,7 +47,7 @@ def detections_and_events(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array,
     if spad.mode == "ideal":
         return flux, flux
     if not (has_traps or has_crosstalk):
-        return np.stack([_mean_of_photons(f, cycle, spad) for f in flux]), flux
+        return _mean_of_photons(flux, cycle, spad), flux
     scales = (spad.dead_time_s, *(spad.afterpulse_times_s if has_traps else ()))
     finer, parts = _cut(cycle, min((scale for scale in scales if scale > 0), default=np.inf) / _PIECES)
     flux = np.repeat(flux / parts, parts, axis=1)
@@ -76,7 +76,7 @@ def _self_consistent(
     detections, total = np.zeros_like(flux), flux
     for _ in range(_ROUNDS):
         total = flux + shared + released
-        previous, detections = detections, np.stack([_mean_of_photons(f, cycle, spad) for f in total])
+        previous, detections = detections, _mean_of_photons(total, cycle, spad)
         if np.abs(detections - previous).sum() <= _SETTLED * detections.sum():
             break
         if has_traps:
@@ -110,17 +110,25 @@ def neighbour_sum(values: Array, columns: int) -> Array:
 
 
 def _mean_of_photons(flux: Array, cycle: Cycle, spad: Spad) -> Array:
-    """(n,) expected detections per cycle when events come independently."""
+    """(k, n) expected detections per cycle when events come independently, of flux (k, n)."""
     dead_time, synchronous = spad.dead_time_s, spad.mode == "synchronous"
-    if dead_time == 0 or not flux.any():
+    if dead_time == 0:
         return flux.copy()
-    if synchronous and dead_time >= active_span(flux, cycle):
-        return one_per_cycle_mean(flux)
-    if spad.paralyzable:
-        return _paralyzable_mean(flux, cycle.edges_s, dead_time, synchronous)
+    out = np.zeros_like(flux)
+    lit = flux.any(axis=1)
     if synchronous:
-        return synchronous_mean(flux, cycle.edges_s, cycle.width_s, dead_time)
-    return equilibrium(flux, cycle.edges_s, cycle.width_s, dead_time).mean
+        once = lit & (dead_time >= active_span(flux, cycle))
+        out[once] = one_per_cycle_mean(flux[once])
+        lit &= ~once
+    if spad.paralyzable:
+        for row in np.flatnonzero(lit):
+            out[row] = _paralyzable_mean(flux[row], cycle.edges_s, dead_time, synchronous)
+    elif synchronous:
+        out[lit] = synchronous_mean(flux[lit], cycle.edges_s, cycle.width_s, dead_time)
+    else:
+        for row in np.flatnonzero(lit):
+            out[row] = equilibrium(flux[row], cycle.edges_s, cycle.width_s, dead_time).mean
+    return out
 
 
 def active_span(flux: Array, cycle: Cycle) -> Array:

@@ -12,7 +12,7 @@ depend on what went before. So the detections of several lights add up.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,11 +111,16 @@ def _detections(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array, Array]:
     if not busy.any():
         return flux, np.ones(1)
     detections, armed = flux.copy(), np.ones_like(flux)
-    for laser in np.flatnonzero(busy.any(axis=1)):
-        rows = np.arange(flux.shape[1]) if coupled else np.flatnonzero(busy[laser])
-        chosen = [rows] if coupled else rows[:, None]
-        for of in chosen:
-            found, events = detections_and_events(flux[laser, of], cycle, spad)
-            detections[laser, of] = found
-            armed[laser, of] = np.divide(found, events, out=np.ones_like(found), where=events > 0)
+    rows = np.arange(busy.size).reshape(busy.shape)
+    if coupled:
+        together = [*rows[busy.any(axis=1)]]
+    else:
+        # What traps release is settled for each by itself.
+        spad = replace(spad, crosstalk_probability=0.0)
+        together = [*rows[busy][:, None]] if spad.afterpulse_probability > 0 else [rows[busy]]
+    each, found, ready = (values.reshape(-1, flux.shape[-1]) for values in (flux, detections, armed))
+    for of in together:
+        counted, events = detections_and_events(each[of], cycle, spad)
+        found[of] = counted
+        ready[of] = np.divide(counted, events, out=np.ones_like(counted), where=events > 0)
     return detections, armed

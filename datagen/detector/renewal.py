@@ -107,17 +107,18 @@ def _cut(flux: Array, edges: Array, count: NDArray[np.int64]) -> tuple[Array, ND
 def synchronous_mean(
     flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, piece_flux: float = PIECE_FLUX
 ) -> Array:
-    """(n,) expected detections per cycle and bin when every cycle starts armed.
+    """(…, n) expected detections per cycle and bin when every cycle starts armed.
 
-    flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges from 0 to the period; piece_flux : most events
+    flux, edges_s : (…, n) events per cycle and bin, (n + 1,) bin edges from 0 to the period; piece_flux : most events
     in a piece. Raises `InputError` where that takes too many pieces.
     """
     dead_time_s = min(dead_time_s, float(edges_s[-1]))
-    pieces = pieces_of(flux, edges_s, width_s, dead_time_s, piece_flux=piece_flux)
-    returning = np.zeros(len(pieces.flux) + 1)
-    table = return_table(pieces.flux, pieces.edges, dead_time_s)
-    detections = run_cycle(table, 1.0, returning, np.zeros_like(returning))[0]
-    return pieces.per_bin(detections, len(flux))
+    rows = np.ascontiguousarray(flux).reshape(-1, flux.shape[-1])
+    out = np.zeros_like(rows)
+    done = _started_armed(rows, edges_s.copy(), width_s, dead_time_s, piece_flux, out)
+    if done < len(rows):
+        pieces_of(rows[done], edges_s, width_s, dead_time_s, piece_flux=piece_flux)
+    return out.reshape(flux.shape)
 
 
 @numba.njit(cache=True)
@@ -222,6 +223,21 @@ def run_cycle(table: Table, armed: float, returning: Array, following: Array) ->
                 following[where - m] += weights[start + k] * fired
     following[0] += returning[m]
     return detections, armed
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _started_armed(flux: Array, edges: Array, width: float, dead_time: float, piece_flux: float, out: Array) -> int:
+    """The detections of one cycle of each row, added to `out`; how many rows come before one of too many pieces."""
+    for row in range(len(flux)):
+        count = _parts(flux[row], edges, width, dead_time, False, piece_flux)
+        if not count.sum() <= _MOST_PIECES:
+            return row
+        pieces, bin_of, cut = _cut(flux[row], edges, count.astype(np.int64))
+        none = np.zeros(len(pieces) + 1)
+        detections, _ = run_cycle(return_table(pieces, cut, dead_time), 1.0, none, none.copy())
+        for piece in range(len(pieces)):
+            out[row, bin_of[piece]] += detections[piece]
+    return len(flux)
 
 
 @numba.njit(cache=True)

@@ -4,24 +4,17 @@ from __future__ import annotations
 
 import math
 import warnings
-from functools import lru_cache
-from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 import zarr
-from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 from zarr.storage import MemoryStore
 
 from datagen.config.capture import TimeConfig
+from datagen.store.blosc_frames import BLOCK_BYTES, CODEC, LEVEL, Shuffle
 from datagen.store.schema import Field, Schema
 
 GROUP = "data.zarr"
-BLOCK_BYTES = 2**18
-"""Decoded bytes of a block of Blosc, which fits into a core's cache, and is the least that is decoded."""
-CHUNKS_AT_ONCE = 16
-"""Chunks of a shard that are encoded before they are written."""
 
 
 def shard_file(field: Field, shard: int) -> str:
@@ -61,35 +54,31 @@ def _create_arrival_times(group: zarr.Group, time: TimeConfig) -> None:
     array[:] = middles
 
 
-def write_scenes(root: Path, name: str, scenes: range, values: NDArray[np.generic]) -> None:
-    """Write the values of a field for all scenes of one shard."""
-    path = root / GROUP / name
-    # Codecs called for one chunk after the other, as zarr has it, cost more than they compute in small chunks.
-    with zarr.config.set({"codec_pipeline.batch_size": CHUNKS_AT_ONCE}):
-        _opened(path, (path / "zarr.json").read_bytes())[scenes.start : scenes.stop] = values
+def chunk_grid(field: Field) -> tuple[int, ...]:
+    """How many chunks a scene of a sharded field has along each axis."""
+    return tuple(math.ceil(s / c) for c, s in zip(field.chunk, field.shape, strict=True))
 
 
-@lru_cache(maxsize=64)
-def _opened(path: Path, metadata: bytes) -> zarr.Array[Any]:
-    """Once for all shards that a process writes: opening takes as long as writing a small array.
+def fill_of(field: Field) -> float | int:
+    """What a scene that could not be made leaves behind: NaN, or 0 for whole numbers."""
+    return float("nan") if np.dtype(field.dtype).kind == "f" else 0
 
-    metadata : of the array, so that another one made at its place is opened anew.
-    """
-    # Empty chunks are kept: one left out would read as zeros when it is lost, with other readers than ours.
-    return zarr.open_array(path, mode="r+").with_config({"write_empty_chunks": True})
+
+def shuffle_of(field: Field) -> Shuffle:
+    """Low counts leave most of their bits 0, which planes of bits gather; light leaves only its exponents alike."""
+    return "shuffle" if np.dtype(field.dtype).kind == "f" else "bitshuffle"
 
 
 def shard_shape(field: Field, scenes_per_shard: int) -> tuple[int, ...]:
     """The shard of a sharded field: K scenes, every other axis whole (rounded up to whole chunks)."""
-    return scenes_per_shard, *(c * math.ceil(s / c) for c, s in zip(field.chunk, field.shape, strict=True))
+    return scenes_per_shard, *(c * n for c, n in zip(field.chunk, chunk_grid(field), strict=True))
 
 
 def _create(group: zarr.Group, field: Field, schema: Schema) -> None:
     k, dtype = schema.scenes_per_shard, np.dtype(field.dtype)
-    # Low counts leave most of their bits 0, which planes of bits gather; light leaves only its exponents alike.
-    shuffle: Literal["shuffle", "bitshuffle"] = "shuffle" if dtype.kind == "f" else "bitshuffle"
-    # Higher levels mostly gain by longer blocks: with these, level 5 spares 3 % for five times the time.
-    blosc = BloscCodec(cname="zstd", clevel=1, shuffle=shuffle, typesize=dtype.itemsize, blocksize=BLOCK_BYTES)
+    blosc = BloscCodec(
+        cname=CODEC, clevel=LEVEL, shuffle=shuffle_of(field), typesize=dtype.itemsize, blocksize=BLOCK_BYTES
+    )
     group.create_array(
         field.name,
         shape=(schema.scenes, *field.shape),
@@ -98,7 +87,7 @@ def _create(group: zarr.Group, field: Field, schema: Schema) -> None:
         shards=shard_shape(field, k) if field.sharded else None,
         # crc32c comes last, over the compressed bytes: without it most flipped bits go unnoticed.
         compressors=[blosc, Crc32cCodec()],
-        fill_value=float("nan") if dtype.kind == "f" else 0,
+        fill_value=fill_of(field),
         dimension_names=field.dims,
         attributes={"units": field.unit, "long_name": field.meaning}
         | ({"classes": list(field.classes)} if field.classes else {}),

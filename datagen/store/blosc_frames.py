@@ -1,4 +1,4 @@
-"""Blosc's frames, as far as reading a part of one needs: a header, where each block begins, the blocks.
+"""Blosc's frames: a header, where each block begins, the blocks. Of these a part of a frame needs only some.
 
 Format: c-blosc 1, README_CHUNK_FORMAT. Blocks are compressed, and their bits shuffled, each by itself; they need not
 lie in order. So any of them make a shorter frame, which blosc decodes.
@@ -8,10 +8,18 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numcodecs import blosc
 from numpy.typing import NDArray
+
+BLOCK_BYTES = 2**18
+"""Decoded bytes of a block, which fits into a core's cache, and is the least that is decoded."""
+CODEC: Literal["zstd"] = "zstd"
+LEVEL = 1
+"""Higher levels mostly gain by longer blocks: with these, level 5 spares 3 % for five times the time."""
+Shuffle = Literal["shuffle", "bitshuffle"]
 
 HEADER_BYTES = 16
 _SHUFFLED, _PLAIN, _BITS_SHUFFLED, _UNSPLIT = 1, 2, 4, 16
@@ -49,6 +57,18 @@ def only_blocks(frame: bytes, chosen: Sequence[int]) -> bytes:
     size = block * (len(pieces) - 1) + min(block, decoded - block * chosen[-1])
     header = frame[:4] + struct.pack("<III", size, min(block, size), int(places[-1]))
     return b"".join([header, places[:-1].astype("<i4").tobytes(), *pieces])
+
+
+def encode(values: NDArray[np.generic], shuffle: Shuffle) -> bytes:
+    """A frame of a contiguous array."""
+    how = blosc.SHUFFLE if shuffle == "shuffle" else blosc.BITSHUFFLE
+    before = blosc.use_threads
+    # Several threads write blocks in the order in which they get ready.
+    blosc.use_threads = False
+    try:
+        return bytes(blosc.compress(values, CODEC.encode(), LEVEL, how, BLOCK_BYTES, values.dtype.itemsize))
+    finally:
+        blosc.use_threads = before
 
 
 def decode(frame: bytes, out: NDArray[np.generic]) -> None:

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from datagen.errors import CheckError
 from datagen.store import blosc_frames
-from datagen.store.arrays import shard_file, shard_shape
+from datagen.store.arrays import chunk_grid, shard_file
+from datagen.store.field_file import MISSING
 from datagen.store.manifest import Manifest
 from datagen.store.open_files import OpenFile, OpenFiles, OpenObject
 from datagen.store.parts import Part, Plan, Rows, plan, rows_in, take
@@ -34,7 +35,6 @@ from datagen.store.threads import in_turn
 MEMORY_BYTES = 256 * 2**20
 """Decoded values that a reader keeps: of small fields, and of those that decode to a quarter of this in all."""
 _CRC_BYTES = 4
-_MISSING = 2**64 - 1
 _HASHED_AT_ONCE = 2**24
 
 
@@ -151,7 +151,7 @@ class DatasetReader:
         """One scene of a sharded field, chunk by chunk into `out`, checked."""
         shard, within = divmod(scene, self._schema.scenes_per_shard)
         file = self._opened(field, shard)
-        for place in product(*(range(n) for n in _grid(field))):
+        for place in product(*(range(n) for n in chunk_grid(field))):
             offset, size = self._whereabouts(field, scene, file, (within, *place))
             corner = tuple(slice(p * c, (p + 1) * c) for p, c in zip(place, field.chunk, strict=True))
             target = out[corner]
@@ -186,7 +186,7 @@ class DatasetReader:
         """The chunks that hold a part, and what it wants of each."""
         key = field.name, part
         if key not in self._rows:
-            chunks = [(at, rows_in(part, field.chunk, at)) for at in product(*(range(n) for n in _grid(field)))]
+            chunks = [(at, rows_in(part, field.chunk, at)) for at in product(*(range(n) for n in chunk_grid(field)))]
             self._rows[key] = [(at, rows) for at, rows in chunks if len(rows.source)]
         return self._rows[key]
 
@@ -195,7 +195,7 @@ class DatasetReader:
     ) -> tuple[int, int]:
         """Offset and size of a chunk in its shard."""
         offset, size = (int(n) for n in file.index[place])
-        if offset == _MISSING:
+        if offset == MISSING:
             shard = scene // self._schema.scenes_per_shard
             raise self._fault(field, shard, scene, "the chunk is missing from its shard")
         return offset, size
@@ -268,7 +268,7 @@ class DatasetReader:
 
     def _index(self, field: Field, shard: int, file: OpenFile | OpenObject) -> NDArray[np.uint64]:
         """(scene, *chunks, 2): offset and size of every chunk, from the end of the file."""
-        shape = (self._schema.scenes_per_shard, *_grid(field), 2)
+        shape = (self._schema.scenes_per_shard, *chunk_grid(field), 2)
         size = int(np.prod(shape)) * 8
         stored = file.read(size + _CRC_BYTES, max(file.size - size - _CRC_BYTES, 0))
         if len(stored) != size + _CRC_BYTES or google_crc32c.value(stored[:-_CRC_BYTES]) != int.from_bytes(
@@ -298,9 +298,3 @@ class DatasetReader:
         where = f"scenes {scenes.start}-{scenes.stop - 1}" if scene is None else f"scene {scene}"
         path = self._root / shard_file(field, shard)
         return CheckError(f"{path}, {where}: {what}; run the same `datagen build` again to make shard {shard} anew")
-
-
-def _grid(field: Field) -> tuple[int, ...]:
-    """How many chunks a scene has along each axis."""
-    whole = shard_shape(field, 1)
-    return tuple(s // c for s, c in zip(whole[1:], field.chunk, strict=True))

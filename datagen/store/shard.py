@@ -1,12 +1,12 @@
-"""One shard, written by one writer: stale files unlinked, values written whole, synced, and the record last."""
+"""One shard, written by one writer: stale files unlinked, fields written whole and synced, and the record last."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-import os
 import time
 from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -14,21 +14,24 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError, printable
 from datagen.records import Sample, Scalar
-from datagen.store.arrays import shard_file, write_scenes
+from datagen.store.arrays import shard_file
 from datagen.store.environment import made_with
-from datagen.store.files import PARTIAL, own_path, sha256_of, sync_folder, write_atomically
-from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, record_path
+from datagen.store.field_file import FieldFile, write_new
+from datagen.store.files import PARTIAL, own_path, write_atomically
+from datagen.store.record import BUILD, SceneRecord, ShardRecord, record_path
 from datagen.store.schema import Field, Schema
 from datagen.store.stats import COUNTS, WITH_STATS, stats_of
 
 FINITE = ("transient", "background_transient", "depth", "normal", "albedo", "shaded", "sdf", "evidence")
 """Fields that have no use for NaN and infinity."""
+MOST_FILES = 8
+"""Written side by side."""
 
 
 def discard_shard(root: Path, schema: Schema, shard: int) -> None:
     """Unlink the record and every file of a shard, finished or partial. The record goes first.
 
-    Zarr cannot rewrite a truncated shard in place, and a stale file must never stand beside a new record.
+    A stale file must never stand beside a new record.
     Raises `InputError` where a symbolic link stands in the way; nothing is unlinked then.
     """
     record = own_path(root, record_path(root, shard).relative_to(root).as_posix())
@@ -92,18 +95,18 @@ def write_shard(
     """
     started, scenes = time.time(), schema.scenes_of(shard)
     discard_shard(root, schema, shard)
-    values = {field.name: _empty(field, len(scenes)) for field in schema.fields}
+    made = {field: FieldFile(field, len(scenes), schema.scenes_per_shard) for field in schema.fields}
     records, store_s = list[SceneRecord](), 0.0
     for index, sample in samples:
         begun = time.perf_counter()
-        records.append(_keep(schema, values, scenes.start, index, sample))
+        records.append(_keep(made, scenes.start, index, sample))
         store_s += time.perf_counter() - begun
     begun = time.perf_counter()
-    names = [shard_file(field, shard) for field in schema.fields]
-    for field in schema.fields:
-        write_scenes(root, field.name, scenes, values[field.name])
-    _sync(root, names)
-    files = {name: FileRecord(sha256_of(root / name), (root / name).stat().st_size) for name in names}
+    names, pieces = [shard_file(field, shard) for field in made], [file.pieces() for file in made.values()]
+    # A disk that is told of several files at once commits them together. Folders are not synced: a shard whose names
+    # were lost is found missing, and made again.
+    with ThreadPoolExecutor(MOST_FILES, "datagen-write") as pool:
+        files = dict(zip(names, pool.map(write_new, [root / name for name in names], pieces), strict=True))
     now = time.time()
     seconds = {"store": store_s + time.perf_counter() - begun, "total": now - started}
     record = ShardRecord(
@@ -115,33 +118,25 @@ def write_shard(
     return record
 
 
-def _empty(field: Field, scenes: int) -> NDArray[np.generic]:
-    """What a scene that could not be made leaves behind: NaN, or 0 for whole numbers."""
-    dtype = np.dtype(field.dtype)
-    return np.full((scenes, *field.shape), np.nan if dtype.kind == "f" else 0, dtype)
-
-
-def _keep(
-    schema: Schema, values: Mapping[str, NDArray[np.generic]], first: int, index: int, sample: Sample | str
-) -> SceneRecord:
+def _keep(made: Mapping[Field, FieldFile], first: int, index: int, sample: Sample | str) -> SceneRecord:
     if isinstance(sample, str):
         return SceneRecord(index, failure=printable(sample))
     try:
-        rows = {field.name: _row(field, sample) for field in schema.fields}
+        values = {field: _value(field, sample) for field in made}
         parameters = {name: _plain(name, value) for name, value in sample.parameters.items()}
         seconds = {name: _finite(name, value) for name, value in sample.seconds.items()}
     except Exception as error:
         # Whatever a sample function gave that is no sample costs its scene, not the build.
         reason = str(error) if isinstance(error, InputError) else f"not a sample: {type(error).__name__}: {error}"
         return SceneRecord(index, failure=printable(" ".join(reason.split())))
-    for name, row in rows.items():
-        values[name][index - first] = row
-    digests = {field.name: digest(field, rows[field.name]) for field in schema.fields}
-    stats = {name: stats_of(name, rows[name]) for name in WITH_STATS if name in rows}
+    for field, value in values.items():
+        made[field].add(index - first, value)
+    digests = {field.name: digest(field, value) for field, value in values.items()}
+    stats = {field.name: stats_of(field.name, value) for field, value in values.items() if field.name in WITH_STATS}
     return SceneRecord(index, None, digests, parameters, seconds, stats)
 
 
-def _row(field: Field, sample: Sample) -> NDArray[np.generic]:
+def _value(field: Field, sample: Sample) -> NDArray[np.generic]:
     if field.name not in sample.arrays:
         raise InputError(f"field {field.name!r}: missing, the sample has {', '.join(sample.arrays) or 'no arrays'}")
     return encoded(field, sample.arrays[field.name])
@@ -161,15 +156,3 @@ def _finite(name: str, value: float) -> float:
     if not math.isfinite(value):
         raise InputError(f"seconds of {name}: {value} made")
     return float(value)
-
-
-def _sync(root: Path, names: Iterable[str]) -> None:
-    """Have the disk hold the files and the folders above them, each once."""
-    folders: dict[Path, None] = {}
-    for name in names:
-        path = root / name
-        with path.open("rb") as file:
-            os.fsync(file.fileno())
-        folders |= dict.fromkeys(folder for folder in path.parents if folder.is_relative_to(root))
-    for folder in folders:
-        sync_folder(folder)

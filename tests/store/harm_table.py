@@ -21,7 +21,7 @@ import harm
 from kills import KILLED
 
 HEAD = "| what | harmed | found before mending | lost | silent | tracebacks |\n|---|---|---|---|---|---|"
-BUILD_STEPS, MENDING_STEPS = 310, 220
+BUILD_STEPS, MENDING_STEPS = 215, 115
 """A little more than there are."""
 
 

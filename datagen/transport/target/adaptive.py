@@ -62,7 +62,11 @@ def meet_target(task: WalkTask) -> Estimate:
     found = {"primary": _of_primary(primary)}
     if "secondary" in splits.components and accuracy.strongest is None:
         used = 1 - LEFT_OVER - share if len(splits.others) == 1 else SECONDARY_SHARE
-        limit = used * accuracy.target * float(np.linalg.norm(found["primary"].light))
+        asked = accuracy.target * float(np.linalg.norm(found["primary"].light))
+        limit = used * asked
+        if len(splits.others) == 1 and task.capture.pairing == "exhaustive":
+            # What the primary left of its share; in a confocal scan late light would pay for that.
+            limit += share * asked - found["primary"].error
         own = min(SECONDARY_OWN * accuracy.each_part, 1.0)
         secondary = secondary_by_cells(gathering, limit, own, accuracy.faint_part)
         if secondary is not None:
