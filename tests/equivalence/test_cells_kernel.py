@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import trimesh
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle
 
-from datagen import Accuracy, Capture, Lambertian, Part, Scene
+from datagen import Accuracy, Capture, Lambertian, OrenNayar, Part, Scene
+from datagen.records.materials import Material
 from datagen.transport.cells.arrival import spread
 from datagen.transport.cells.gathering import Gathering
 from datagen.transport.cells.hierarchy import Hierarchy
@@ -165,3 +168,30 @@ def test_a_part_whose_error_is_boundless_is_left_out() -> None:
     found = gathering.gathered(pairs, gathering.seen(pairs, 0), error, np.arange(parts))
     assert not found.histogram[:, 0].any()
     assert found.histogram[:, 1:].any()
+
+
+@pytest.mark.parametrize(("half_side_m", "origin"), [(1e-3, "wall"), (0.05, "source"), (0.4, "wall")])
+def test_cells_taken_together_are_those_taken_one_by_one(half_side_m: float, origin: str) -> None:
+    """Surfaces by Lambert's law against the same as the smoothest of another model, whose cells never wait with the
+    clear ones: as many cells and rays, and but for rounding the same light in each bin, from a point to a wide pixel,
+    in haze, beside a corner, behind a screen and over the ends of the window."""
+    places = {
+        "wall": ((0, 0, 0), (0, 1, 0), (0, 0, 1)), "behind": ((2, 0, 0), (0, -1, 0), (0, 0, 1)),
+        "beside": ((1, -1, 0), (1, 0, 0), (0, 0, 1)), "screen": ((1.2, 0.3, 0.1), (0, -0.3, 0.1), (0, 0, 0.4)),
+    }  # fmt: skip
+    capture = one_point_capture(
+        (0, -0.3, 0.5), (0, 0.4, 0.6), half_side_m, bins_of_path(170, 0.03, 0.9, origin), (0.4, 0.1, 0.9)
+    )
+
+    def room(diffuse: Callable[[float], Material]) -> Scene:
+        parts = [
+            Part(name, rectangle(*place), diffuse(0.6), "relay_wall" if name == "wall" else "structure")
+            for name, place in places.items()
+        ]
+        return Scene.from_parts(parts, attenuation_per_m=0.1)
+
+    together, cells, rays = histograms(room(Lambertian), capture, "auto", 1e-4)
+    alone, same_cells, same_rays = histograms(room(lambda albedo: OrenNayar(albedo, 0.0)), capture, "auto", 1e-4)
+    assert (cells, rays) == (same_cells, same_rays)
+    assert (together.sum(axis=(0, 2))[1:] > 0).all()
+    np.testing.assert_allclose(together, alone, rtol=1e-9, atol=1e-12 * alone.max())

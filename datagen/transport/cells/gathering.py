@@ -176,12 +176,14 @@ class Gathering:
         )  # fmt: skip
         for some in seen:
             gather(
-                some.pairs, some.which * rows, self.tree, self.occluders, self.lasers, some.patches,
-                task.materials.kind, task.materials.values, cutting, self.clock, row_of_part, histogram, overflow,
-                work,
+                some.pairs, some.which, self.tree, self.occluders, self.lasers, some.patches, task.materials.kind,
+                task.materials.values, cutting, self.clock, row_of_part * len(pairs), histogram, overflow, work,
             )  # fmt: skip
-        of_pairs = histogram.reshape(len(pairs), rows, task.capture.time.bins)
-        return Gathered(of_pairs, overflow.reshape(len(pairs), rows).sum(axis=1), work[:, 0], work[:, 1])
+        # Row by row, so that each is one piece of memory.
+        of_rows = histogram.reshape(rows, len(pairs), task.capture.time.bins)
+        return Gathered(
+            np.moveaxis(of_rows, 0, 1), overflow.reshape(rows, len(pairs)).sum(axis=0), work[:, 0], work[:, 1]
+        )
 
 
 def patches_of(task: WalkTask, pixels: Ints, levels: int) -> Patches:

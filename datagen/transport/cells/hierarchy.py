@@ -17,6 +17,8 @@ from scipy.sparse.csgraph import connected_components
 
 from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
+from datagen.transport.brdf import dot
+from datagen.transport.cells.geometry import corner, less
 
 LEAF = 2
 """Most triangles of a box that is not halved."""
@@ -242,6 +244,18 @@ def _place(m):  # type: ignore[no-untyped-def]
 def _wait(waiting, top, first, last, parent):  # type: ignore[no-untyped-def]
     waiting[top, 0], waiting[top, 1], waiting[top, 2] = first, last, parent
     return top + 1
+
+
+@njit(cache=True)
+def inner_side(x, n, corners, f, solid, solid_box):  # type: ignore[no-untyped-def]
+    """Whether triangle f turns the inner side of a convex solid to x, which lies outside it and so cannot see it."""
+    s = solid[f]
+    if s < 0 or dot(less(x, corner(corners, f, 0)), n) >= 0.0:
+        return False
+    outside = False
+    for j in range(3):
+        outside |= x[j] <= solid_box[s, j] or x[j] >= solid_box[s, 3 + j]
+    return outside
 
 
 @njit(cache=True)

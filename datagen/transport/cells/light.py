@@ -14,14 +14,16 @@ from numba import njit
 
 from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import spread, widened
+from datagen.transport.cells.clear import put_clear, room_for_clear, spread_clear
 from datagen.transport.cells.clusters import anywhere, as_one, is_small, sides_turned
-from datagen.transport.cells.geometry import above, ball, corner, get, half, less
-from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST
+from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less
+from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, inner_side
 from datagen.transport.cells.occlusion import RING, hidden, narrowed, narrowed_to_box, shaded
 from datagen.transport.cells.waiting import (
     BOX,
     CELL,
     FRESH,
+    KEPT,
     copy_cell,
     highest_above,
     middle_of,
@@ -56,31 +58,20 @@ def _digit(turn, share):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _inner_side(x, n, corners, f, solid, solid_box):  # type: ignore[no-untyped-def]
-    """Whether triangle f turns the inner side of a convex solid to x, which lies outside it and so cannot see it."""
-    s = solid[f]
-    if s < 0 or dot(less(x, corner(corners, f, 0)), n) >= 0.0:
-        return False
-    outside = False
-    for j in range(3):
-        outside |= x[j] <= solid_box[s, j] or x[j] >= solid_box[s, 3 + j]
-    return outside
-
-
-@njit(cache=True)
 def _seen(y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """Whether the laser point x lights y on triangle f and the patch at z sees it."""
-    if hidden(x, y, f, candidates, first, middle, facet, number, box, link, waiting) >= 0:
+    # Each call hands over sixty words; where nothing is to be asked it is spared.
+    if first < middle and hidden(x, y, f, candidates, first, middle, facet, number, box, link, waiting) >= 0:
         return False
-    return hidden(z, y, f, candidates, middle, last, facet, number, box, link, waiting) < 0
+    return middle == last or hidden(z, y, f, candidates, middle, last, facet, number, box, link, waiting) < 0
 
 
 @njit(cache=True)
 def _none_seen(x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """Whether it is proven that nothing of the cell a, b, c is lit by the laser point and seen by the patch."""
-    if shaded(x, a, b, c, f, candidates, first, middle, facet, number, box, link, waiting):
+    if first < middle and shaded(x, a, b, c, f, candidates, first, middle, facet, number, box, link, waiting):
         return True
-    return shaded(z, a, b, c, f, candidates, middle, last, facet, number, box, link, waiting)
+    return middle < last and shaded(z, a, b, c, f, candidates, middle, last, facet, number, box, link, waiting)
 
 
 @njit(cache=True)
@@ -99,9 +90,10 @@ def gather(  # type: ignore[no-untyped-def]
     # found anything.
     tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 18))
     candidates, waiting = np.empty(1 << 14, np.int64), np.full(512, -1)
+    clear, batch, cuts = room_for_clear()
     _gather(
         pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-        work, tag, cell, candidates, waiting,
+        work, tag, cell, candidates, waiting, clear, batch, cuts,
     )  # fmt: skip
 
 
@@ -109,7 +101,7 @@ def gather(  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
 def _gather(  # type: ignore[no-untyped-def]
     pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-    work, tag, cell, candidates, waiting,
+    work, tag, cell, candidates, waiting, clear, batch, cuts,
 ):  # fmt: skip
     """The loop. What may stand between a cell and laser point or patch is among what may stand before all of the box
     or cell that it is cut from: each hands down its candidates, first … middle for the one and middle … last for the
@@ -144,7 +136,7 @@ def _gather(  # type: ignore[no-untyped-def]
         x, k1 = get(position1, i, 0), part1[i]
         n1, lit, z = get(normal1, i, 0), power1[i], corner(position3, p, 0)
         lit_from = (x, n1, get(to_laser1, i, 0), kind[k1], values[k1])
-        apart = last_leg and not (x[0] == z[0] and x[1] == z[1] and x[2] == z[2])
+        apart = last_leg and distance(x, z) > flat
         for k in range(len(roots)):
             if allowed[k] == np.inf:
                 continue
@@ -153,7 +145,15 @@ def _gather(  # type: ignore[no-untyped-def]
             most, turn, cells, rays = np.inf, np.int64(word >> np.uint64(8)), 0, 0
             cell[0, 16], cell[0, 17] = 1.0, UNFOUND
             top = push(tag, 0, BOX, roots[k], 0, 0, some, 2 * some if apart else some)
-            while top > 0:
+            alight = 0
+            while top > 0 or alight > 0:
+                if top == 0:
+                    alight, more, outside, top = spread_clear(
+                        clear, alight, batch, cuts, normal, x, n1, lit, leg1[i], p, patches, coarsest[k], allowed[k],
+                        clock, AT_ONCE, SMALLEST * extent, histogram, into, tag, cell, 2 * some,
+                    )  # fmt: skip
+                    cells, overflow[into] = cells + more, overflow[into] + outside
+                    continue
                 top -= 1
                 what, at, q = tag[top, 0], tag[top, 1], tag[top, 2]
                 first, middle, last = tag[top, 3], tag[top, 4], tag[top, 5]
@@ -223,7 +223,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             if not w > 0.0:
                                 continue
                             cells += 1
-                            if proofs and _inner_side(x, n, corners, f, solid, solid_box):
+                            if proofs and inner_side(x, n, corners, f, solid, solid_box):
                                 continue
                             rays += 1
                             if _seen(y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting):
@@ -249,12 +249,17 @@ def _gather(  # type: ignore[no-untyped-def]
                         if abs(height1) < flat:
                             continue
                         if what == FRESH:
-                            if proofs and _inner_side(x, n, corners, f, solid, solid_box):
+                            if proofs and inner_side(x, n, corners, f, solid, solid_box):
                                 continue
                             for j in range(3):
                                 y = vertex_of(cell, top, j)
                                 w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint)
                                 put_vertex(cell, top, j, y, w, r1 + r3)
+                        if first == last and what != KEPT and height1 * height3 > 0.0 and abs(height3) > flat:
+                            others = alight
+                            alight = put_clear(clear, alight, cell, top, f, q, lit_from, kind2, values2, seen_from)
+                            if alight > others:
+                                continue
                         m, side, h = middle_of(cell, top)
                     wm, r1, r3 = weight(m, n, kind2, values2, lit_from, seen_from, footprint)
                     if alone:

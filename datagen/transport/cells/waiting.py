@@ -12,8 +12,8 @@ from numba import njit
 from datagen.transport.brdf import dot
 from datagen.transport.cells.geometry import get, less, longest, put
 
-BOX, FRESH, CELL = 0, 1, 2
-"""What waits to be looked at: a box, a cell, a cell whose vertices' light is known."""
+BOX, FRESH, CELL, KEPT = 0, 1, 2, 3
+"""What waits to be looked at: a box, a cell, a cell whose vertices' light is known, one that needs another look."""
 
 
 @njit(cache=True)

@@ -50,37 +50,58 @@ def weight(y, n, kind2, values2, lit_from, seen_from, footprint):  # type: ignor
 
 @njit(cache=True, error_model="numpy")
 def judged(cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre):  # type: ignore[no-untyped-def]
-    """What becomes of waiting cell k, h long, with wm, R₁ and R₂ at its middle, seen from a patch of some size.
+    """`verdict` of waiting cell k, with wm at its middle."""
+    w = max(wm, cell[k, 3], cell[k, 8], cell[k, 13])
+    return verdict(
+        cell[k, 4], cell[k, 9], cell[k, 14], cell[k, 15], w, h, r1, r3, gain, footprint, size, limit, allowed,
+        quarters, per_metre,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def verdict(  # type: ignore[no-untyped-def]
+    at_a, at_b, at_c, area, w, h, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre
+):  # fmt: skip
+    """What becomes of a cell, h long, with paths at_a, at_b and at_c by way of its vertices, R₁ and R₂ by way of its
+    middle and at most w at these, seen from a patch of some size.
 
     Returns whether it is cut; whether the patch is quartered first; the L2 error if its light should be missing
     (infinite where that was not asked); and how far its arrival times are bent.
     """
-    # What the patch itself cannot tell apart needs no cutting.
+    # What the patch itself cannot tell apart needs no cutting. All is worked out before it is asked, so that loops
+    # over many cells need no branches.
     ratio1, ratio3, ratio_z = h / r1, h / math.sqrt(r3 * r3 + footprint / math.pi), size / r3
-    if ratio_z > limit and quarters and size > 0.5 * h:
-        return False, True, np.inf, 0.0
-    if max(ratio1, ratio3) > limit:
-        return True, False, np.inf, 0.0
-    at_a, at_b, at_c = cell[k, 4], cell[k, 9], cell[k, 14]
+    patch_first = (ratio_z > limit) & quarters & (size > 0.5 * h)
+    near = (not patch_first) & (max(ratio1, ratio3) > limit)
     bend = (at_a + at_b + at_c) / 3 - (r1 + r3)
     width = max(1.0, (max(at_a, at_b, at_c) - min(at_a, at_b, at_c)) * per_metre)
-    over = gain * cell[k, 15] * max(wm, cell[k, 3], cell[k, 8], cell[k, 13]) / math.sqrt(width)
+    over = gain * area * w / math.sqrt(width)
     curved = (COARSEST / limit) ** 2 * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / width
-    smeared = ratio_z * ratio_z + min((SMEARED * size * per_metre / width) ** 4, UNLIKE)
-    quarter = quarters and over * smeared > BLURRED * allowed
-    return not quarter and over * curved > allowed, quarter, over, bend
+    blurred = SMEARED * size * per_metre / width
+    smeared = ratio_z * ratio_z + min(blurred * blurred * (blurred * blurred), UNLIKE)
+    asked = not (patch_first | near)
+    quarter = patch_first | (asked & quarters & (over * smeared > BLURRED * allowed))
+    cut = near | (asked & (not quarter) & (over * curved > allowed))
+    return cut, quarter, over if asked else np.inf, bend
 
 
 @njit(cache=True, error_model="numpy")
 def smear(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
-    """Variance of the path by way of a patch, from one side of it to the other, m²."""
-    per, variance = 1.0 / math.sqrt(dot(d3, d3)), 0.0
-    for side in range(2):
-        longer = 0.0
-        for j in range(3):
-            longer += (d3[j] * per + (to_sensor[j] if device else 0.0)) * across[p, q, side, j]
-        variance += longer * longer / 12
-    return variance
+    """`smeared` by patch q of row p, whose direction to the sensor counts if `device`."""
+    towards = to_sensor if device else (0.0, 0.0, 0.0)
+    sides = (across[p, q, 0, 0], across[p, q, 0, 1], across[p, q, 0, 2])
+    others = (across[p, q, 1, 0], across[p, q, 1, 1], across[p, q, 1, 2])
+    return smeared(d3, math.sqrt(dot(d3, d3)), towards, sides, others)
+
+
+@njit(cache=True, error_model="numpy")
+def smeared(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
+    """Variance of the path by way of a patch, from one side of it to the other, m²; d3 from it to the cell, R₃ long,
+    and what the direction to the sensor adds."""
+    per = 1.0 / r3
+    g = (d3[0] * per + to_sensor[0], d3[1] * per + to_sensor[1], d3[2] * per + to_sensor[2])
+    one, two = dot(g, side), dot(g, other)
+    return one * one / 12 + two * two / 12
 
 
 @njit(cache=True, error_model="numpy")

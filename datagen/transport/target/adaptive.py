@@ -98,7 +98,9 @@ class _Found:
 
 
 def _of_primary(primary: Primary) -> _Found:
-    whole = sum(primary.rows[1:], start=primary.rows[0])
+    whole = primary.rows[0].copy()
+    for row in primary.rows[1:]:
+        whole += row
     cost = CELL * primary.cells + CELL_RAY * primary.rays
     return _Found(whole, primary.overflow, primary.error * float(np.linalg.norm(whole)), cost, primary.cells)
 
