@@ -22,7 +22,7 @@ def one_of(values, k, factor=2.0):  # type: ignore[no-untyped-def]
     return values[k] * factor
 
 
-@compiled()
+@njit
 def three_of(values, k):  # type: ignore[no-untyped-def]
     return one_of(values, 0) + one_of(values, 1) + one_of(values, k)
 
