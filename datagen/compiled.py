@@ -52,10 +52,12 @@ class Kernel(CPUDispatcher):
         return template(name, key=name, signatures=[twin.overloads[args].signature]), signature, args, {}
 
     def get_overload(self, sig: Any) -> Any:
+        """What numba asks next: the function that the other kernel is linked with."""
         return self.called_by_kernels.get_overload(sig)
 
     @cached_property
     def called_by_kernels(self) -> Any:
+        """The same function for kernels to call. Calling it from Python is an error that ends the process."""
         function = self.py_func
         twin = FunctionType(
             function.__code__, function.__globals__, function.__name__, function.__defaults__, function.__closure__
