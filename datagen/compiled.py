@@ -1,4 +1,5 @@
-"""Compiled kernels on disk, kept true to their sources.
+"""Compiled kernels: `compiled` makes a function ready for all that call it, and its cache on disk is kept true to its
+sources.
 
 numba recompiles a cached function when its own file changes, but not when a function it calls from another file does.
 So each package of kernels drops, when it is imported, caches older than the newest of its sources: the first call
@@ -7,8 +8,83 @@ of a kernel, which loads them, comes later.
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Callable
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
+from types import FunctionType
+from typing import Any, TypeVar, cast
+
+from numba import types
+from numba.core import config
+from numba.core.dispatcher import Dispatcher
+from numba.core.registry import CPUDispatcher
+from numba.core.typing.templates import make_concrete_template
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class Kernel(CPUDispatcher):
+    """A function that Python and other kernels call. For each of them it is compiled apart, and only where called:
+    Python needs a wrapper that takes its objects apart, of which kernels have no use. For kernels it is compiled once
+    for each list of types, not once more for each number that stands in a call: of `corner(a, f, 0)` and
+    `corner(a, f, 1)` the optimiser makes two where that pays.
+    """
+
+    def compile(self, sig: Any) -> Any:
+        """A compiler makes many objects and leaves few: looking for circles among them is a twelfth of its time."""
+        collecting = gc.isenabled()
+        gc.disable()
+        try:
+            return super().compile(sig)
+        finally:
+            if collecting:
+                gc.enable()
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """What numba asks where another kernel calls this one."""
+        signature, args = self.fold_argument_types(args, kws)
+        args = tuple(map(types.unliteral, args))
+        twin, name = self.called_by_kernels, self.py_func.__name__
+        twin.compile(args)
+        template: Any = make_concrete_template
+        return template(name, key=name, signatures=[twin.overloads[args].signature]), signature, args, {}
+
+    def get_overload(self, sig: Any) -> Any:
+        """What numba asks next: the function that the other kernel is linked with."""
+        return self.called_by_kernels.get_overload(sig)
+
+    @cached_property
+    def called_by_kernels(self) -> Any:
+        """The same function for kernels to call. Calling it from Python is an error that ends the process."""
+        function = self.py_func
+        twin = FunctionType(
+            function.__code__, function.__globals__, function.__name__, function.__defaults__, function.__closure__
+        )
+        # Its cache is a file of its own: numba names the file so.
+        twin.__qualname__ = f"{function.__qualname__}.called_by_kernels"
+        return _compiler(twin, CPUDispatcher, {**self.targetoptions, "no_cpython_wrapper": True})
+
+
+def compiled(**options: Any) -> Callable[[F], Dispatcher[F]]:
+    """Compile a function with `numba.njit`'s options, and cache it. Division by zero is numpy's, unless they say
+    otherwise: where nothing is said a kernel would take that over from whichever kernel called it first.
+    """
+
+    def decorated(function: F) -> Dispatcher[F]:
+        if config.DISABLE_JIT:  # type: ignore[attr-defined]
+            return cast("Dispatcher[F]", function)
+        own = {"nopython": True, "boundscheck": None, "error_model": "numpy"}
+        return cast("Dispatcher[F]", _compiler(function, Kernel, own | options))
+
+    return decorated
+
+
+def _compiler(function: Any, kind: type[CPUDispatcher], options: dict[str, Any]) -> CPUDispatcher:
+    compiler = kind(function, targetoptions={**options, "no_cfunc_wrapper": True})
+    compiler.enable_caching()
+    return compiler
 
 
 def drop_stale_kernels(package: Path, *called: Path) -> int:

@@ -20,9 +20,9 @@ import re
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records import Capture, Lambertian, Laser, Rectangle, Scene, Sensor, TimeAxis
 from datagen.transport.binning import put
@@ -233,7 +233,7 @@ def plate_quadrature(
     return out
 
 
-@njit(cache=True)
+@compiled()
 def _quadrature(
     points: Any, wall_normal: Any, center: Any, right: Any, up: Any, normal: Any, knots: int, scale: float,
     per_metre: float, start: float, out: Any,

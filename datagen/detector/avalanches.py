@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.detector.events import armed_again, fill_inverse, next_photon, release, run_alone
 from datagen.detector.flux import Cycle
 from datagen.detector.spad import Spad
@@ -42,7 +42,7 @@ def draw_avalanches(flux: Array, cycle: Cycle, spad: Spad, cycles: int, stream: 
     )  # fmt: skip
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def _run(
     flux: Array, edges: Array, width: float, lattice: int, gate: Array, dead_time: float, synchronous: bool,
     paralyzable: bool, loads: Array, times: Array, crosstalk: float, columns: int, burn_in: int, cycles: int,

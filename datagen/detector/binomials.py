@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from datagen.compiled import compiled
 from datagen.detector.streams import Stream, uniform
 
 REJECTION_FROM = 10.0
@@ -21,7 +21,7 @@ _STIRLING = np.array(
 )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def binomial(n: int, p: float, stream: Stream) -> int:
     """Binomial(n, p) for n up to 2⁵³; a p that rounding put above 1 is taken as 1."""
     if n == 0 or p <= 0.0:
@@ -40,7 +40,7 @@ def binomial(n: int, p: float, stream: Stream) -> int:
     return n - drawn if p > 0.5 else drawn
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def _inverse(n: int, p: float, u: float) -> int:
     """Walk up the distribution until a uniform number is used up: P(0) = (1 − p)^n, by log1p."""
     term = math.exp(n * math.log1p(-p))
@@ -57,7 +57,7 @@ def _inverse(n: int, p: float, u: float) -> int:
     return k
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def _rejection(n: int, p: float, stream: Stream) -> int:
     """Transformed rejection with squeeze, for n p ≥ 10 (W. Hörmann, J. Stat. Comput. Simul. 46, 101, 1993: BTRS).
 
@@ -94,7 +94,7 @@ def _rejection(n: int, p: float, stream: Stream) -> int:
             return int(k)
 
 
-@numba.njit(cache=True)
+@compiled()
 def stirling(k: float) -> float:
     """What Stirling's formula, (k + ½) log(k + 1) − (k + 1) + ½ log 2π, lacks of log k!."""
     if k < 10:

@@ -7,10 +7,10 @@ cost that does not depend on their number.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.detector.binomials import binomial
 from datagen.detector.equilibrium import Equilibrium
 from datagen.detector.renewal import Pieces, Table, early_share, return_table
@@ -20,7 +20,7 @@ Flux = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def draw_in_order(flux: Flux, edges: Flux, dead_time: float, cycles: int, streams: Stream) -> Counts:
     """(h, n) detections of synchronous detectors with flux (h, n), detection by detection.
 
@@ -79,7 +79,7 @@ def draw_in_order(flux: Flux, edges: Flux, dead_time: float, cycles: int, stream
     return counts
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def draw_hazard_chain(flux: Flux, cycles: int, stream: Stream) -> Counts:
     """At most one detection in a cycle: n_i ~ Binomial(R, q_i), R ← R − n_i, from R = `cycles`.
 
@@ -94,7 +94,7 @@ def draw_hazard_chain(flux: Flux, cycles: int, stream: Stream) -> Counts:
     return counts
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) -> Counts:
     """Several detections in a cycle: those that fired come back after the dead time and can fire again.
 
@@ -137,7 +137,7 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) ->
     return counts
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def _windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Flux, Counts, Counts]:
     """For each piece: the chance q to fire in it if armed, and then that to fire again right upon the return.
 
@@ -164,7 +164,7 @@ def _windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Flux, Cou
     return fires, soon, first, after
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def _hazards(start: float, stop: float, first: int, flux: Flux, fires: Flux, edges: Flux, out: Flux) -> int:
     """Chance to fire in pieces `first`, `first + 1`, … of who returns at a uniform moment of `start … stop`.
 
@@ -206,7 +206,7 @@ def draw_cycle_ensemble(state: Equilibrium, bins: int, cycles: int, stream: Stre
     return counts
 
 
-@numba.njit(cache=True)
+@compiled()
 def _pending(detections: Flux, table: Table, whole: int) -> Flux:
     """(whole + 2, m) probability, in equilibrium at phase 0, to be due back in a piece of a coming cycle."""
     q, first, offset, weights = table
@@ -224,7 +224,7 @@ def _pending(detections: Flux, table: Table, whole: int) -> Flux:
     return pending
 
 
-@numba.njit(cache=True)
+@compiled()
 def _ensemble(
     table: Table, bin_of: Counts, whole: int, pending: Flux, bins: int, runs: int, length: int,
     stream: Stream,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.detector.renewal import Array, Pieces, Table, pieces_of, return_table, run_cycle
 
 _SWEEPS = 24
@@ -122,7 +122,7 @@ def _solve(table: Table) -> Array:
     return gain * np.maximum(armed, 0.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def _equations(table: Table) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, Array]:
     """Entries (row, column, value) of the equations for A, the gains g, and each A's share due beyond piece 0."""
     q, first, offset, weights = table
@@ -170,7 +170,7 @@ def _places(times: Array, edges: Array) -> tuple[NDArray[np.int64], Array, Array
     return bins, np.clip((phase - edges[bins]) / np.diff(edges)[bins], 0.0, 1.0), late.astype(np.float64)
 
 
-@numba.njit(cache=True)
+@compiled()
 def _most(
     flux: Array, ahead: NDArray[np.int64], ahead_share: Array, ahead_late: Array, behind: NDArray[np.int64],
     behind_share: Array, behind_late: Array,
@@ -191,7 +191,7 @@ def _most(
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def _push_returns(detections: Array, table: Table, following: Array) -> None:
     """Returns due in the next cycle, were `detections` those of this one."""
     q, first, offset, weights = table

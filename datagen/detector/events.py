@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.detector.equilibrium import Equilibrium
 from datagen.detector.streams import Stream, exponential, uniform
 
@@ -60,7 +60,7 @@ def _first_armed(state: Equilibrium, stream: Stream) -> tuple[int, float]:
     return cycle, ahead - cycle * period
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def run_alone(
     flux: Array, edges: Array, width: float, lattice: int, gate: Array, dead_time: float, synchronous: bool,
     loads: Array, times: Array, cycle: int, phase: float, cycles: int, stream: Stream,
@@ -92,7 +92,7 @@ def run_alone(
         cycle, phase = armed_cycle, armed_phase
 
 
-@numba.njit(cache=True)
+@compiled()
 def fill_inverse(flux: Array, cumulative: Array, guide: Ints) -> None:
     """Fill in sums Λ of the flux (n,) before each bin, (n + 1,) from 0 on, and (n,) the bins into which the shares
     0, 1/n, … of the whole fall."""
@@ -106,7 +106,7 @@ def fill_inverse(flux: Array, cumulative: Array, guide: Ints) -> None:
         guide[k] = j
 
 
-@numba.njit(cache=True)
+@compiled()
 def bin_of_phase(edges: Array, phase: float) -> int:
     """The bin that a phase lies in, by bisection."""
     low, high = 0, len(edges) - 1
@@ -119,7 +119,7 @@ def bin_of_phase(edges: Array, phase: float) -> int:
     return low
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def next_photon(
     cumulative: Array, edges: Array, per_width: float, lattice: int, guide: Ints, cycle: int, phase: float,
     cycles: int, stream: Stream,
@@ -158,7 +158,7 @@ def next_photon(
     return cycle, at, j
 
 
-@numba.njit(cache=True)
+@compiled()
 def armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> tuple[int, float]:
     """(cycle, phase) at which a dead time that would end at `phase` of `cycle`, or later, is over."""
     if phase >= period:
@@ -169,7 +169,7 @@ def armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> t
     return cycle, phase
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def release(
     now: int, at: float, j: int, cycle: int, phase: float, e: float, left: float, time: float, edges: Array,
     gate: Array, stream: Stream,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import scipy.special
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.detector.equilibrium import equilibrium
 from datagen.detector.flux import Cycle
 from datagen.detector.renewal import synchronous_mean
@@ -186,7 +186,7 @@ def _releases(detections: Array, flux: Array, cycle: Cycle, spad: Spad) -> Array
     return out * cycle.gate
 
 
-@numba.njit(cache=True)
+@compiled()
 def _release_one_trap(arriving: Array, rates: Array, releasing: Array, first: float) -> Array:
     """(n,) releases per cycle of a trap to which each bin adds `arriving`, the first one `first` more, and which it
     leaves by e^{−rate}, a share `releasing / rate` of that by release."""

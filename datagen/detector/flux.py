@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from datagen.compiled import compiled
 from datagen.detector.irf import LONGEST_DIRECT, Kernel, add_response, padded, response_kernel, spread
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
@@ -206,7 +206,7 @@ def spread_and_folded(values: Array, kernel: Kernel, fold: Fold, back: int, fron
     return np.asarray(out.reshape(*values.shape[:-1], fold.bins))
 
 
-@numba.njit(cache=True)
+@compiled()
 def _spread_and_folded(  # type: ignore[no-untyped-def]
     values, back, front, weights, first, bins, aligned, rows, columns, shares
 ):
@@ -215,7 +215,10 @@ def _spread_and_folded(  # type: ignore[no-untyped-def]
     wide = np.zeros(len(ordered) + len(weights) - 1)
     low, high = aligned
     for r in range(len(values)):
-        ordered[:back], ordered[back:] = values[r, n - back :], values[r, :front]
+        for k in range(back):
+            ordered[k] = values[r, n - back + k]
+        for k in range(front):
+            ordered[back + k] = values[r, k]
         begin, end = 0, len(ordered)
         while begin < end and ordered[begin] == 0.0:
             begin += 1
@@ -228,8 +231,8 @@ def _spread_and_folded(  # type: ignore[no-untyped-def]
         until = end + len(weights) - 1
         add_response(ordered[begin:end], beside, wide[begin:until])
         start, stop = max(low, first + begin), min(high, first + until)
-        if start < stop:
-            out[r, start:stop] = wide[start - first : stop - first]
+        for k in range(start, stop):
+            out[r, k] = wide[k - first]
         for e in range(len(rows)):
             out[r, columns[e]] += wide[rows[e]] * shares[e]
         wide[begin:until] = 0.0

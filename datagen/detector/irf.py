@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numba
 import numpy as np
 import scipy.fft
 import scipy.special
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.errors import InputError
 
 Array = NDArray[np.float64]
@@ -111,7 +111,7 @@ def spread(values: Array, kernel: Kernel) -> Array:
     return np.asarray(full * np.divide(wanted, total, out=np.zeros_like(total), where=total > 0), np.float64)
 
 
-@numba.njit(cache=True)
+@compiled()
 def _convolved(values: Array, weights: Array) -> Array:
     """(h, n) and (k,) → (h, n + k − 1)."""
     out = np.zeros((len(values), values.shape[1] + len(weights) - 1))
@@ -121,15 +121,18 @@ def _convolved(values: Array, weights: Array) -> Array:
     return out
 
 
-@numba.njit(cache=True)
+@compiled()
 def padded(weights: Array) -> Array:
     """Three empty taps on either side."""
+    # Here and elsewhere arrays are copied in loops: what numba would say where shapes do not fit takes two seconds to
+    # compile.
     w = np.zeros(len(weights) + 6)
-    w[3 : len(weights) + 3] = weights
+    for k in range(len(weights)):
+        w[k + 3] = weights[k]
     return w
 
 
-@numba.njit(cache=True)
+@compiled()
 def add_response(row: Array, beside: Array, out: Array) -> None:
     """Add the responses to a row's n bins, of k taps (`padded`), to n + k − 1 bins; four at a time, unless all are
     empty."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.detector.binomials import REJECTION_FROM, stirling
 from datagen.detector.streams import Stream, exponential, uniform
 from datagen.errors import InputError
@@ -39,7 +39,7 @@ def check_countable(mean: Array, where: Callable[[int], str]) -> None:
         )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def _draw(mean: Array, streams: Stream) -> NDArray[np.int64]:
     """Events of rate 1 along the sum of the means: an exponential number an event, none for bins without; bins of
     large means, which that would take long, are drawn at once."""
@@ -60,7 +60,7 @@ def _draw(mean: Array, streams: Stream) -> NDArray[np.int64]:
     return counts
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def _rejection(mean: float, stream: Stream) -> int:
     """Transformed rejection with squeeze, for means ≥ 10 (W. Hörmann, Insur. Math. Econ. 12, 39, 1993: PTRS).
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.errors import InputError
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ def pieces_of(
     return Pieces(*_cut(flux, edges_s, count.astype(np.int64)), dead_time_s)
 
 
-@numba.njit(cache=True)
+@compiled()
 def _parts(flux: Array, edges: Array, width: float, dead_time: float, shorter: bool, piece_flux: float) -> Array:
     """(n,) number of pieces of each bin, as floats: they may be too many to count."""
     most = max(piece_flux, flux.sum() / _FLUX_PIECES)
@@ -85,7 +85,7 @@ def _parts(flux: Array, edges: Array, width: float, dead_time: float, shorter: b
     return parts
 
 
-@numba.njit(cache=True)
+@compiled()
 def _cut(flux: Array, edges: Array, count: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], Array]:
     """Flux, bin number and edges of the pieces."""
     total = count.sum()
@@ -121,7 +121,7 @@ def synchronous_mean(
     return out.reshape(flux.shape)
 
 
-@numba.njit(cache=True)
+@compiled()
 def early_share(x: float, low: float, high: float) -> float:
     """Chance to fire in the piece of flux x of one's return, of which a uniform share ρ of `low … high` is left.
 
@@ -137,7 +137,7 @@ def early_share(x: float, low: float, high: float) -> float:
     return float(1.0 - np.exp(-x * middle) * mean)
 
 
-@numba.njit(cache=True)
+@compiled()
 def _return_weights(start: float, stop: float, first: int, edges: Array, flux: Array, weights: Array) -> int:
     """Where returns, uniform in `start … stop`, count as armed: how many pieces from `first` on, and their weights.
 
@@ -169,7 +169,7 @@ def _return_weights(start: float, stop: float, first: int, edges: Array, flux: A
 Table = tuple[Array, NDArray[np.int64], NDArray[np.int64], Array]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def return_table(flux: Array, edges: Array, dead_time: float) -> Table:
     """What one cycle after the other needs of every piece: q, first piece of its returns, and their weights.
 
@@ -197,7 +197,7 @@ def return_table(flux: Array, edges: Array, dead_time: float) -> Table:
     return q, first, offset, weights[: offset[m]]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def run_cycle(table: Table, armed: float, returning: Array, following: Array) -> tuple[Array, float]:
     """One cycle: detections per piece and the share still armed; returns due later are added to `following`."""
     q, first, offset, weights = table
@@ -225,7 +225,7 @@ def run_cycle(table: Table, armed: float, returning: Array, following: Array) ->
     return detections, armed
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled()
 def _started_armed(flux: Array, edges: Array, width: float, dead_time: float, piece_flux: float, out: Array) -> int:
     """The detections of one cycle of each row, added to `out`; how many rows come before one of too many pieces."""
     for row in range(len(flux)):
@@ -240,7 +240,7 @@ def _started_armed(flux: Array, edges: Array, width: float, dead_time: float, pi
     return len(flux)
 
 
-@numba.njit(cache=True)
+@compiled()
 def _edge_at(edges: Array, index: int, m: int, period: float) -> float:
     """Edge number `index`, counted on past the end of the period."""
     return float(edges[index] if index <= m else edges[index - m] + period)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.seeding import Purpose
 
@@ -46,7 +46,7 @@ def _mixed(words: Stream) -> Stream:
     return words ^ (words >> np.uint64(31))
 
 
-@numba.njit(cache=True)
+@compiled()
 def uniform(stream: Stream) -> float:
     """The stream's next number, uniform in [0, 1), a multiple of 2⁻⁵³."""
     a, b, c, d = stream[0], stream[1], stream[2], stream[3]
@@ -60,7 +60,7 @@ def uniform(stream: Stream) -> float:
     return np.int64(word >> np.uint64(11)) * 2.0**-53
 
 
-@numba.njit(cache=True)
+@compiled()
 def exponential(stream: Stream) -> float:
     """Exponential of mean 1."""
     return -math.log(1.0 - uniform(stream))

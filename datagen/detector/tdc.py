@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.detector.binomials import binomial
 from datagen.detector.flux import Cycle, Fold, N, fold_of, on_lattice, spread_and_folded
 from datagen.detector.streams import Stream, uniform
@@ -103,7 +103,7 @@ class Tdc:
         return full
 
 
-@numba.njit(cache=True)
+@compiled()
 def _scatter(counts: Counts, weights: Array, offsets: Counts, streams: Stream) -> Counts:
     """(h, n) counts, each of which goes `offsets[k]` bins on with probability `weights[k]`, → (h, n + k − 1).
 
@@ -138,7 +138,7 @@ def _scatter(counts: Counts, weights: Array, offsets: Counts, streams: Stream) -
     return out
 
 
-@numba.njit(cache=True)
+@compiled()
 def _share_out(
     counts: Counts, places: Counts, starts: Counts, columns: Counts, shares: Array, out: Counts, streams: Stream
 ) -> None:

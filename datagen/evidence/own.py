@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.detector import Exposure, Spad
 from datagen.detector.own_light import detections_per_photon, own_light, squared_over
 from datagen.errors import InputError
@@ -104,7 +104,7 @@ def evidence_and_gain(
     return {name: Evidence(*values) for name, values in zip(names, each, strict=True)}, gain
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _summed(own: Floats, everything: Floats) -> tuple[float, float, float]:
     """Σ s, Σ s²/b and the largest s, in one pass: arrays between would take longer than all else."""
     total = square = highest = 0.0

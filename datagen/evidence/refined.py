@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 
 NODES = 16
@@ -60,7 +60,7 @@ def refined(
     return value
 
 
-@njit(cache=True)
+@compiled()
 def _all_blocks(rows: int, columns: int, stations: int, step: int) -> Ints:
     """(n, 3) first row, first column and station of every block, at every station."""
     down, across = max(-(-(rows - 1) // step), 1), max(-(-(columns - 1) // step), 1)
@@ -74,7 +74,7 @@ def _all_blocks(rows: int, columns: int, stations: int, step: int) -> Ints:
     return blocks
 
 
-@njit(cache=True)
+@compiled()
 def _unknown_corners(value: Floats, blocks: Ints, step: int) -> tuple[Ints, Ints]:
     """Pixel and station of what is not known yet of the corners of blocks, each once."""
     rows, columns, _ = value.shape
@@ -90,7 +90,7 @@ def _unknown_corners(value: Floats, blocks: Ints, step: int) -> tuple[Ints, Ints
     return pixel[:n], station[:n]
 
 
-@njit(cache=True)
+@compiled()
 def _halved(value: Floats, blocks: Ints, planes: Bools, step: int) -> Ints:
     """Fill what is unknown of blocks whose corners agree; the quarters of all others, as `blocks`."""
     rows, columns, _ = value.shape
@@ -119,7 +119,7 @@ def _halved(value: Floats, blocks: Ints, planes: Bools, step: int) -> Ints:
     return quarters[:n]
 
 
-@njit(cache=True)
+@compiled()
 def _planes(position: Floats, normal: Floats, part: Ints, step: int) -> Bools:
     """(down, across) whether all pixels of a block see one plane of one part."""
     rows, columns = part.shape
@@ -133,7 +133,7 @@ def _planes(position: Floats, normal: Floats, part: Ints, step: int) -> Bools:
     return planes
 
 
-@njit(cache=True)
+@compiled()
 def _in_one_plane(position: Floats, normal: Floats, part: Ints, top: int, bottom: int, left: int, right: int) -> bool:
     """Whether all pixels of a block see one plane of one part."""
     size = 0.0

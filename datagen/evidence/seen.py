@@ -18,9 +18,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.evidence.refined import first_step, refined
 from datagen.evidence.stations import Stations
 from datagen.labels.images import HiddenSurface
@@ -84,7 +84,7 @@ def _surface_of(found: HiddenSurface) -> _Surface:
     return _Surface(position, normal, area, np.append(scene.face_part, -1)[found.face].astype(np.int64))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _points(face, depth, center, axes, half_m, vertices, triangles):  # type: ignore[no-untyped-def]
     """`_Surface.position`, `.normal` and `.area`."""
     rows, columns = face.shape
@@ -139,7 +139,7 @@ def _asking(
     return ask
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _brought(  # type: ignore[no-untyped-def]
     of_pixel, at, y, normal, area, part, x, normal1, to_laser, part1, leg1, z, normal3, to_sensor, part3, leg3, share,
     footprint, kind, values, attenuation, device, gain, bin_m, first,
@@ -162,7 +162,7 @@ def _brought(  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
+@compiled()
 def _spans(of_pixel, at, y, normal, end, up, offset, to_unit):  # type: ignore[no-untyped-def]
     """Rays from stations to what pixels see, (n, 3) origins and spans in embree's unit frame."""
     origins, spans = np.empty((len(at), 3), np.float32), np.empty((len(at), 3), np.float32)

@@ -11,8 +11,8 @@ is ≥ 0 at all of them, no point of the block is nearer to T than to q.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 
 _FEW = 64
@@ -36,7 +36,7 @@ def grid_distances(start: Floats, step: Floats, shape: tuple[int, int, int], cor
     return np.sqrt(_squares_by_blocks(start, step, np.array(shape), triangles, asked).reshape(shape))
 
 
-@njit(cache=True)
+@compiled()
 def _squares_by_blocks(start: Floats, step: Floats, shape: Ints, triangles: Floats, asked: Ints) -> Floats:
     """Squared distances, flat.
 
@@ -92,7 +92,7 @@ def _squares_by_blocks(start: Floats, step: Floats, shape: Ints, triangles: Floa
     return squares
 
 
-@njit(cache=True)
+@compiled()
 def _keep_nearest(triangles: Floats, asked: Ints, first: int, last: int, points: Floats, table: Floats) -> int:
     """Copy those of the triangles asked[first:last] that may be nearest in a block to asked[last:]; return the end.
 
@@ -124,7 +124,7 @@ def _keep_nearest(triangles: Floats, asked: Ints, first: int, last: int, points:
     return kept
 
 
-@njit(cache=True)
+@compiled()
 def _lower(triangles: Floats, f: int, points: Floats, count: int, squares: Floats) -> None:
     """Lower the squared distances of the first `count` of `points` (3, n) to those to triangle f, where it is nearer.
 
@@ -151,7 +151,7 @@ def _lower(triangles: Floats, f: int, points: Floats, count: int, squares: Float
         squares[p] = min(squares[p], on_u, on_v, on_w, inside)
 
 
-@njit(cache=True)
+@compiled()
 def _closest_point(triangles: Floats, f: int, points: Floats) -> tuple[float, float]:
     """The point of triangle f that is nearest to points[:, 8], as shares of the edges u and v."""
     along_u, along_v, along = 0.0, 0.0, 0.0

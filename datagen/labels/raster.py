@@ -8,12 +8,12 @@ one of them.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 
 
-@njit(cache=True)
+@compiled()
 def _side(x0: float, y0: float, x1: float, y1: float, px: float, py: float) -> bool:
     """On which side of the edge (0 → 1) the point lies.
 
@@ -25,7 +25,7 @@ def _side(x0: float, y0: float, x1: float, y1: float, px: float, py: float) -> b
     return (x0 - x1) * (py - y1) - (y0 - y1) * (px - x1) < 0.0
 
 
-@njit(cache=True)
+@compiled()
 def _contains(t: Floats, px: float, py: float) -> bool:
     first = _side(t[0, 0], t[0, 1], t[1, 0], t[1, 1], px, py)
     return (
@@ -34,13 +34,13 @@ def _contains(t: Floats, px: float, py: float) -> bool:
     )
 
 
-@njit(cache=True)
+@compiled()
 def _covered(low: float, high: float, count: int) -> tuple[int, int]:
     """First and one past the last pixel whose centre lies in low … high."""
     return max(0, int(np.ceil(max(low, 0.0) - 0.5))), min(count, int(np.floor(min(high, count + 1.0) - 0.5)) + 1)
 
 
-@njit(cache=True)
+@compiled()
 def _rows_and_columns(t: Floats, rows: int, columns: int) -> tuple[int, int, int, int]:
     """The block of pixels that the triangle's bounding rectangle covers: top, bottom, left, right (ends excluded)."""
     top, bottom = _covered(min(t[0, 1], t[1, 1], t[2, 1]), max(t[0, 1], t[1, 1], t[2, 1]), rows)
@@ -48,7 +48,7 @@ def _rows_and_columns(t: Floats, rows: int, columns: int) -> tuple[int, int, int
     return top, bottom, left, right
 
 
-@njit(cache=True)
+@compiled()
 def _depth(triangle: Floats, px: float, py: float) -> float:
     """Depth of the triangle's plane over (px, py), kept within the triangle's own depths."""
     ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
@@ -63,7 +63,7 @@ def _depth(triangle: Floats, px: float, py: float) -> float:
     return min(max(depth, nearest), farthest)
 
 
-@njit(cache=True)
+@compiled()
 def first_hits(triangles: Floats, rows: int, columns: int, near: float) -> tuple[Ints, Floats]:
     """The nearest triangle at or beyond depth `near` for every pixel centre.
 
@@ -94,7 +94,7 @@ def first_hits(triangles: Floats, rows: int, columns: int, near: float) -> tuple
     return face, depth
 
 
-@njit(cache=True)
+@compiled()
 def hidden_pixels(triangles: Floats, depth: Floats) -> Ints:
     """(F,): the number of pixels at which each triangle lies in front of a finite `depth` (rows, columns)."""
     rows, columns = depth.shape
@@ -123,7 +123,7 @@ def inside_columns(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
     return np.logical_xor.accumulate(_odd_crossings(triangles, shape), axis=0)
 
 
-@njit(cache=True)
+@compiled()
 def _odd_crossings(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
     """(depth, row, column): whether an odd number of crossings lies between a voxel's centre and the one before."""
     layers, rows, columns = shape
@@ -143,7 +143,7 @@ def _odd_crossings(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
     return crossed
 
 
-@njit(cache=True)
+@compiled()
 def cut_voxels(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
     """(depth, row, column) voxels that a triangle touches: the separating-axis test for a box and a triangle.
 
@@ -167,7 +167,7 @@ def cut_voxels(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
     return cut
 
 
-@njit(cache=True)
+@compiled()
 def _touches(t: Floats, cx: float, cy: float, cz: float) -> bool:
     """Whether the triangle meets the unit cube around (cx, cy, cz); its bounding box already does."""
     v = np.empty((3, 3))

@@ -17,9 +17,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.labels.images import HiddenSurface, albedo_image, normal_image
 from datagen.records import Rectangle
@@ -80,7 +80,7 @@ def _lit(
     return np.asarray(whole * share)
 
 
-@njit(cache=True)
+@compiled()
 def _segments(
     points: Floats, normals: Floats, on_lamp: Floats, lamp_normal: Floats, lift_m: float
 ) -> tuple[Floats, Floats, Floats]:
@@ -112,7 +112,7 @@ def _segments(
     return weight, start[:held], end[:held]
 
 
-@njit(cache=True)
+@compiled()
 def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
     """(n,) form factor from small patches at `points` with unit `normals` (n, 3) to the whole convex polygon
     `corners` (m, 3), of which only what lies before the patch counts.

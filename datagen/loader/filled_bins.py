@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 
-@njit(cache=True)
+
+@compiled()
 def take_filled(
     rows: NDArray[np.unsignedinteger[Any]],
     words: NDArray[np.uint64],

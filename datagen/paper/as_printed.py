@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.paper.as_printed_paths import Lighting, PrintedRoom, arriving, leaving, lighting, observe, place_lookins
 from datagen.paper.as_printed_sampling import Grid, half_cube, ray_grid
@@ -207,7 +207,7 @@ def _present(paths: Paths) -> Paths:
     return Paths(first, paths.position[kept], paths.energy[kept])
 
 
-@njit(cache=True)
+@compiled()
 def _add_primary(
     amplitude: Array, position: Array, part: NDArray[np.int64], out: Paths, parts: Array, overflow: Array
 ) -> None:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records import Lambertian, Scene, SinLobe
 from datagen.transport.brdf import Vector
@@ -120,7 +120,7 @@ class PrintedMaterials:
         return _brdf(self.sine[part], self.axis[part], normal, direction)
 
 
-@njit(cache=True)
+@compiled()
 def _brdf(sine: NDArray[np.bool_], axis: Array, normal: Array, direction: Array) -> Array:
     out = np.zeros(len(direction))
     for i in range(len(direction)):

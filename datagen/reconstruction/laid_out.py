@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Ints
 
 Singles = NDArray[np.float32]
@@ -13,7 +13,7 @@ BLOCK = 1024
 """Places whose distances to all laser points and pixels are kept at a time."""
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def lay_out(
     signal: Singles, laser_points: Singles, pixels: Singles, laser: Ints, pixel: Ints, first: Singles,
     places: Singles, total: Singles,
@@ -41,7 +41,7 @@ def lay_out(
                 out[k] += row[np.int32(at)] if at > 0 and at < last else row[0]
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _distances(points: Singles, x: Singles, y: Singles, z: Singles, out: Singles) -> None:
     for i in range(points.shape[1]):
         u, v, w = points[0, i], points[1, i], points[2, i]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def put(histogram: Floats, position: float, energy: float) -> float:
     """Add `energy` to the bin that holds `position` (bin i spans i … i + 1); returns what fell outside the window.
 

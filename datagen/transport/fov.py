@@ -11,9 +11,9 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records import Scene, Sensor
 from datagen.records.arrays import Floats, Ints
@@ -184,7 +184,7 @@ def fov_points(
     return FovPool(position, normal, direction, part, weight, footprint, distance)
 
 
-@njit(cache=True)
+@compiled()
 def _lines_of_sight(uv: Floats, corner: Floats) -> tuple[Floats, Floats]:
     """Unit directions (P, Q, 3) through the points uv (P, Q, 2) of quadrilaterals (P, 4, 3) about the sensor, and the
     solid angle for each unit of uv (P, Q)."""
@@ -212,7 +212,7 @@ def _lines_of_sight(uv: Floats, corner: Floats) -> tuple[Floats, Floats]:
     return direction, jacobian
 
 
-@njit(cache=True)
+@compiled()
 def _seen_points(
     found: Floats, normal: Floats, part: Ints, direction: Floats, jacobian: Floats, sensor: Floats,
     solid_angle: Floats, aperture_area: float, aperture_square: float, points_per_vertex: int,

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.binning import put
 from datagen.transport.brdf import LAMBERTIAN, Vector, dot, evaluate, pdf, sample
@@ -22,12 +22,12 @@ Contributions = tuple[Ints, Ints, Floats, Floats]
 """Vertex or laser point, histogram row, fractional bin and energy of each."""
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _at(array: Floats, i: int) -> Vector:
     return (array[i, 0], array[i, 1], array[i, 2])
 
 
-@njit(cache=True)
+@compiled()
 def scatter(
     kind: Kinds, values: Floats, part: Ints, normal: Floats, w_in: Floats, uv: Floats,
 ) -> tuple[Floats, Floats]:  # fmt: skip
@@ -43,7 +43,7 @@ def scatter(
     return directions, throughput
 
 
-@njit(cache=True)
+@compiled()
 def random_numbers(streams: NDArray[np.uint64], step: int, count: int) -> Floats:
     """(n, count) independent uniform numbers in the open interval 0 … 1, a function of (stream, step)."""
     out = np.empty((len(streams), count))
@@ -54,7 +54,7 @@ def random_numbers(streams: NDArray[np.uint64], step: int, count: int) -> Floats
     return out
 
 
-@njit(cache=True)
+@compiled()
 def light_lookins(
     face: NDArray[np.int32], position: Floats, owner: Ints, position1: Floats, normal1: Floats, to_laser1: Floats,
     part1: Ints, kind: Kinds, values: Floats, face_normal: Floats, by_area_too: Bools, rays: float,
@@ -99,7 +99,7 @@ def light_lookins(
     return kept[:n], normal[:n], to_laser_point[:n], distance[:n], power[:n]
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _is_near(position: Vector, kind: int, center: Floats, reach: float) -> bool:
     """Whether a vertex could overfill a footprint of a pixel; a lobe narrower than Lambert's always could."""
     if kind != LAMBERTIAN or reach == np.inf:
@@ -108,7 +108,7 @@ def _is_near(position: Vector, kind: int, center: Floats, reach: float) -> bool:
     return dot(d, d) < reach * reach
 
 
-@njit(cache=True)
+@compiled()
 def near_a_pixel(
     laser: Ints, position: Floats, part: Ints, kind: Kinds, center: Floats, reach: Floats, first_laser: int,
     confocal: bool,
@@ -126,7 +126,7 @@ def near_a_pixel(
     return kept[:n]
 
 
-@njit(cache=True)
+@compiled()
 def gather(
     start: int, stop: int, laser: Ints, position2: Floats, normal2: Floats, to_previous: Floats, part2: Ints,
     power: Floats, path: Floats, block: Ints, position3: Floats, normal3: Floats, to_sensor: Floats, part3: Ints,
@@ -198,7 +198,7 @@ def gather(
     return found, added
 
 
-@njit(cache=True)
+@compiled()
 def deposit(
     rows: Ints, positions: Floats, energies: Floats, hidden: Bools, histogram: Floats, overflow: Floats,
 ) -> None:  # fmt: skip
@@ -208,7 +208,7 @@ def deposit(
             overflow[rows[k]] += put(histogram[rows[k]], positions[k], energies[k])
 
 
-@njit(cache=True)
+@compiled()
 def inside_pixels(
     position3: Floats, normal3: Floats, part3: Ints, direction: Floats, throughput: Floats, laser: Ints,
     position2: Floats, normal2: Floats, to_previous: Floats, part2: Ints, power: Floats, path: Floats, kind: Kinds,
@@ -262,7 +262,7 @@ def inside_pixels(
     return np.array(owners[1:]), np.array(rows[1:]), np.array(positions[1:]), np.array(energies[1:])
 
 
-@njit(cache=True)
+@compiled()
 def laser_points_in_pixels(
     laser: Ints, position1: Floats, normal1: Floats, to_laser: Floats, part1: Ints, leg: Floats, kind: Kinds,
     values: Floats, sensor: Floats, planes: Floats, aperture_area: float, aperture_square: float, attenuation: float,

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 
@@ -117,7 +117,7 @@ class Raycaster:
         return ((points - self.center) / self.half_extent_m).astype(np.float32)
 
 
-@njit(cache=True)
+@compiled()
 def lifted_and_scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
     """Point p, lifted along n, in embree's frame; scale : its centre and half extent."""
     return (
@@ -131,7 +131,7 @@ def _batches(rays: int) -> Iterator[slice]:
     return (slice(start, start + RAYS_PER_BATCH) for start in range(0, rays, RAYS_PER_BATCH))
 
 
-@njit(cache=True)
+@compiled()
 def _refine(
     face: NDArray[np.int32], origins: Floats, directions: Floats, corners: Floats, face_normal: Floats
 ) -> tuple[Floats, Floats]:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 
 BITS = 32
@@ -62,7 +62,7 @@ def direction_numbers() -> NDArray[np.uint64]:
 _WORD = np.uint64(0xFFFFFFFF)
 
 
-@njit(cache=True)
+@compiled()
 def mix(a: np.uint64, b: np.uint64) -> np.uint64:
     """Hash two words into one 32-bit word, so that nearby seeds give unrelated streams."""
     x = (a * np.uint64(0x9E3779B97F4A7C15)) ^ (b + np.uint64(0xD1B54A32D192ED03))
@@ -72,13 +72,13 @@ def mix(a: np.uint64, b: np.uint64) -> np.uint64:
     return (x ^ (x >> np.uint64(32))) & _WORD
 
 
-@njit(cache=True)
+@compiled()
 def word_of(seed: int, row: int, number: int) -> np.uint64:
     """The word of a number in a row of a stream."""
     return mix(mix(np.uint64(seed), np.uint64(row)), np.uint64(number))
 
 
-@njit(cache=True)
+@compiled()
 def _reverse_bits(x: np.uint64) -> np.uint64:
     x = ((x >> np.uint64(1)) & np.uint64(0x55555555)) | ((x & np.uint64(0x55555555)) << np.uint64(1))
     x = ((x >> np.uint64(2)) & np.uint64(0x33333333)) | ((x & np.uint64(0x33333333)) << np.uint64(2))
@@ -87,7 +87,7 @@ def _reverse_bits(x: np.uint64) -> np.uint64:
     return (x >> np.uint64(16)) | ((x & np.uint64(0xFFFF)) << np.uint64(16))
 
 
-@njit(cache=True)
+@compiled()
 def _owen(x: np.uint64, seed: np.uint64) -> np.uint64:
     """Nested uniform scrambling: each bit is flipped by a hash of all higher bits (and the seed)."""
     x = _reverse_bits(x)
@@ -99,7 +99,7 @@ def _owen(x: np.uint64, seed: np.uint64) -> np.uint64:
     return _reverse_bits(x)
 
 
-@njit(cache=True)
+@compiled()
 def _fill(numbers: NDArray[np.uint64], first: int, seeds: NDArray[np.uint64], out: Floats) -> None:
     streams, count, dimensions = out.shape
     for s in range(streams):
@@ -158,7 +158,7 @@ def stream_seeds(seed: int, *coordinates: NDArray[np.integer] | int) -> NDArray[
     return _hash_all(np.uint64(seed), np.stack([c.ravel() for c in broadcast], axis=1))
 
 
-@njit(cache=True)
+@compiled()
 def _hash_all(seed: np.uint64, coordinates: NDArray[np.uint64]) -> NDArray[np.uint64]:
     out = np.empty(len(coordinates), np.uint64)
     start = (mix(seed >> np.uint64(32), np.uint64(1)) << np.uint64(32)) | mix(seed & _WORD, np.uint64(2))

@@ -264,7 +264,7 @@ class _Scan:
         row, sharp = first + np.arange(len(pairs)), 1.0 / width**2
         at, cell, count = 0, -1, 0
         while at < len(pairs):
-            at, cell, found = join(
+            at, cell, found = join(  # type: ignore[call-arg]
                 at, cell, local, 2.0 * gain if same else gain, zero, row, lit, ones.first, ones.cell, ones.number,
                 ones.part, seen, twos.first, twos.cell, twos.number, twos.part, same, materials.kind,
                 materials.values, sharp, allowed, air, per_metre, caster.offset_m, scale, *waiting, figures, rows,

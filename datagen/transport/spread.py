@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.transport.sampling import mix
 
@@ -60,7 +60,7 @@ class Sketch:
         return float(np.clip(trace * trace / max(unbiased, trace * trace / SKETCH_SIZE), 1.0, SKETCH_SIZE))
 
 
-@njit(cache=True)
+@compiled()
 def _fold(values: Floats, first: int, out: Floats) -> None:
     for i in range(len(values)):
         if values[i] != 0.0:

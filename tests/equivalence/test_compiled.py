@@ -1,11 +1,79 @@
-"""A cached kernel never outlives the sources it was compiled from."""
+"""A kernel is compiled once for all that call it, gives them the same answer, and never outlives its sources."""
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
-from datagen.compiled import drop_stale_kernels
+import numpy as np
+import pytest
+from numba import njit
+
+from datagen.compiled import compiled, drop_stale_kernels
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@compiled()
+def one_of(values, k, factor=2.0):  # type: ignore[no-untyped-def]
+    return values[k] * factor
+
+
+@njit
+def three_of(values, k):  # type: ignore[no-untyped-def]
+    return one_of(values, 0) + one_of(values, 1) + one_of(values, k)
+
+
+@compiled()
+def ratio(a, b):  # type: ignore[no-untyped-def]
+    return a / b
+
+
+@njit(error_model="python")
+def ratio_for_another(a, b):  # type: ignore[no-untyped-def]
+    return ratio(a, b)
+
+
+def test_numbers_in_a_call_and_variables_are_one_function_and_python_has_its_own() -> None:
+    values = np.arange(5.0)
+    assert three_of(values, 4) == 10.0
+    twin = one_of.called_by_kernels  # type: ignore[attr-defined]
+    assert len(twin.signatures) == 1 and one_of.signatures == []
+    assert one_of(values, 3) == 6.0 and one_of(values, 3, 1.0) == 3.0
+
+    def wrapped(kernel):  # type: ignore[no-untyped-def]
+        (first, *_) = kernel.overloads.values()
+        return first.library.get_pointer_to_function(first.fndesc.llvm_cpython_wrapper_name) != 0
+
+    assert wrapped(one_of) and not wrapped(twin)
+
+
+def test_division_by_zero_does_not_hang_on_who_calls() -> None:
+    assert ratio_for_another(1.0, 0.0) == np.inf == ratio(1.0, 0.0)
+
+
+@pytest.mark.nightly
+def test_a_first_scene_compiles_each_kernel_once(tmp_path: Path) -> None:
+    """Compiling is most of the first build after an installation."""
+    code = """
+import gc, json
+from datagen import load_config
+from datagen.compiled import Kernel
+from datagen.pipeline import simulate_sample
+simulate_sample(load_config("configs/quickstart.yaml"), 0)
+kernels = [each for each in gc.get_objects() if isinstance(each, Kernel)]
+print(json.dumps({
+    f"{k.__module__}.{k.__qualname__}": len(k.signatures) + len(k.called_by_kernels.signatures) for k in kernels
+}))
+"""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    said = subprocess.check_output([sys.executable, "-c", code], env=environment, cwd=ROOT, text=True)
+    times = json.loads(said)
+    assert sum(times.values()) > 50
+    assert {name: n for name, n in times.items() if n > 1} == {}
 
 
 def test_caches_older_than_any_source_are_dropped(tmp_path: Path) -> None:

@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 
 Vector = tuple[float, float, float]
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def dot(a: Vector, b: Vector) -> float:
     """The scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@compiled()
 def sample_cosine(n: Vector, u: float, v: float) -> Vector:
     """Direction about `n` with density cosθ/π, by Malley's projection of Shirley's concentric disk map."""
     a, b = 2.0 * u - 1.0, 2.0 * v - 1.0
@@ -30,7 +30,7 @@ def sample_cosine(n: Vector, u: float, v: float) -> Vector:
     return in_frame_of(n, radius * math.cos(angle), radius * math.sin(angle), z)
 
 
-@njit(cache=True)
+@compiled()
 def in_frame_of(n: Vector, x: float, y: float, z: float) -> Vector:
     """The vector with components x, y, z in a right-handed frame whose third axis is the unit vector `n`."""
     # Without a branch on n's largest component: Duff et al., JCGT 6(1) (2017).
@@ -44,7 +44,7 @@ def in_frame_of(n: Vector, x: float, y: float, z: float) -> Vector:
     )
 
 
-@njit(cache=True)
+@compiled()
 def around(axis: Vector, one_minus_cos: float, revolutions: float) -> Vector:
     """The direction at the angle arccos(1 − `one_minus_cos`) from `axis`, at azimuth 2π · `revolutions` about it."""
     cosine, azimuth = 1.0 - one_minus_cos, 2.0 * math.pi * revolutions
@@ -52,7 +52,7 @@ def around(axis: Vector, one_minus_cos: float, revolutions: float) -> Vector:
     return in_frame_of(axis, sine * math.cos(azimuth), sine * math.sin(azimuth), cosine)
 
 
-@njit(cache=True)
+@compiled()
 def cosine_directions(normals: Floats, points: Floats) -> Floats:
     """(n, 3) directions about (n, 3) normals from (n, ≥ 2) points, of which the first two coordinates are used."""
     out = np.empty((len(points), 3))

@@ -17,8 +17,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, around, dot, in_frame_of
 
@@ -30,18 +30,18 @@ MARGIN = 1e-4
 """Added to the tabulated E, more than interpolation can miss, so that the two terms never exceed 1."""
 
 
-@njit(cache=True)
+@compiled()
 def _smith_root(alpha: float, cosine: float) -> float:
     return math.sqrt(alpha * alpha + (1.0 - alpha * alpha) * cosine * cosine)
 
 
-@njit(cache=True)
+@compiled()
 def _schlick(f0: float, cosine: float) -> float:
     away = 1.0 - min(max(cosine, 0.0), 1.0)
     return f0 + (1.0 - f0) * away * away * away * away * away
 
 
-@njit(cache=True)
+@compiled()
 def _visible_facet(alpha: float, w: Vector, u: float, v: float) -> Vector:
     """Facet normal drawn in proportion to its area seen from `w`; both in the surface's frame, w[2] ≥ 0."""
     stretched = (alpha * w[0], alpha * w[1], w[2])
@@ -61,7 +61,7 @@ def _visible_facet(alpha: float, w: Vector, u: float, v: float) -> Vector:
     return (x / length, y / length, z / length)
 
 
-@njit(cache=True)
+@compiled()
 def _facet_and_density(
     alpha: float, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
 ) -> tuple[float, float]:
@@ -77,19 +77,19 @@ def _facet_and_density(
     return to_facet, alpha * alpha / (math.pi * spread * spread)
 
 
-@njit(cache=True)
+@compiled()
 def place(alpha: float, cosine: float) -> float:
     """The table's coordinate 0 … `PANELS` of an incidence: it spreads the steep rise from grazing, cosθ ≲ α."""
     return math.sqrt(min(cosine * (1.0 + alpha) / (cosine + alpha), 1.0)) * PANELS
 
 
-@njit(cache=True)
+@compiled()
 def _cosine_at(alpha: float, place: float) -> float:
     square = (place / PANELS) * (place / PANELS)
     return min(alpha * square / (1.0 + alpha - square), 1.0)
 
 
-@njit(cache=True)
+@compiled()
 def tabulated(values: Floats, cosine: float) -> float:
     """E between the nodes: a parabola over each panel."""
     position = place(values[1], cosine)
@@ -101,7 +101,7 @@ def tabulated(values: Floats, cosine: float) -> float:
     )
 
 
-@njit(cache=True)
+@compiled()
 def _multiple_pdf(values: Floats, cos_out: float) -> float:
     """Density of the directions drawn for multiple scattering: even in the table's coordinate within each panel."""
     alpha = values[1]
@@ -113,7 +113,7 @@ def _multiple_pdf(values: Floats, cos_out: float) -> float:
     return float((values[FIRST_SHARE + panel] - below) * slope / (2.0 * math.pi))
 
 
-@njit(cache=True)
+@compiled()
 def _multiple_cosine(values: Floats, u: float) -> float:
     panel, below = 0, 0.0
     while panel < PANELS - 1 and u >= values[FIRST_SHARE + panel]:
@@ -123,14 +123,14 @@ def _multiple_cosine(values: Floats, u: float) -> float:
     return _cosine_at(values[1], panel + (min((u - below) / share, 1.0) if share > 0.0 else 0.5))
 
 
-@njit(cache=True)
+@compiled()
 def multiple_share(f0: float, mean: float) -> float:
     """Share of the light lost to single scattering that leaves in the end: geometric series of Fresnel's mean."""
     fresnel = (1.0 + 20.0 * f0) / 21.0
     return fresnel * fresnel * mean / (1.0 - fresnel * (1.0 - mean))
 
 
-@njit(cache=True)
+@compiled()
 def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     alpha, f0, mean = values[1], values[2], values[3]
@@ -141,7 +141,7 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
     return float(values[0] * (_schlick(f0, to_facet) * facets * masking + multiple))
 
 
-@njit(cache=True)
+@compiled()
 def _facet_share(values: Floats, cos_in: float) -> float:
     """How often `sample` draws a facet rather than a direction of multiple scattering."""
     f0, once = values[2], tabulated(values, cos_in)
@@ -149,7 +149,7 @@ def _facet_share(values: Floats, cos_in: float) -> float:
     return float(single / (single + multiple_share(f0, values[3]) * (1.0 - once)))
 
 
-@njit(cache=True)
+@compiled()
 def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     alpha, share = values[1], _facet_share(values, cos_in)
@@ -158,7 +158,7 @@ def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: flo
     return share * single + (1.0 - share) * _multiple_pdf(values, cos_out)
 
 
-@njit(cache=True)
+@compiled()
 def sample(values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     share = _facet_share(values, cos_in)
@@ -172,7 +172,7 @@ def sample(values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: 
     return in_frame_of(n, twice * h[0] - local[0], twice * h[1] - local[1], twice * h[2] - local[2])
 
 
-@njit(cache=True)
+@compiled()
 def single_albedo(alpha: float, f0: float, cos_in: float, gauss: Floats) -> float:
     """Directional albedo of single scattering, ∫ F D G₂ / (4 cosθ_in) dω_out, over facets rather than directions.
 

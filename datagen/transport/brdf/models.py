@@ -11,9 +11,10 @@ import math
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.transport.brdf import ggx, oren_nayar, phong, retroreflector, sin_lobe
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
@@ -23,7 +24,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def evaluate(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
     """BRDF in 1/sr for light that comes from `w_in` and leaves along `w_out`; 0 where either is below the surface."""
     cos_in, cos_out = dot(n, w_in), dot(n, w_out)
@@ -34,7 +35,7 @@ def evaluate(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) 
     return _other_brdf(kind, values, n, w_in, w_out, cos_in, cos_out)
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def pdf(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
     """Density per solid angle with which `sample` draws `w_out` given `w_in`, 1/sr; 0 below the surface.
 
@@ -48,7 +49,7 @@ def pdf(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> fl
     return _other_pdf(kind, values, n, w_in, w_out, dot(n, w_in), cos_out)
 
 
-@njit(cache=True)
+@compiled()
 def sample(kind: int, values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vector:
     """Draw `w_out` with density `pdf` from a point (u, v) of the unit square; it may lie below the surface, where
     `evaluate` is 0."""
@@ -57,7 +58,7 @@ def sample(kind: int, values: Floats, n: Vector, w_in: Vector, u: float, v: floa
     return _other_sample(kind, values, n, w_in, dot(n, w_in), u, v)
 
 
-@njit(cache=True)
+@compiled()
 def _evaluate_other(
     kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
 ) -> float:
@@ -72,7 +73,7 @@ def _evaluate_other(
     return retroreflector.evaluate(values, w_in, w_out, cos_in, cos_out)
 
 
-@njit(cache=True)
+@compiled()
 def _pdf_other(
     kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
 ) -> float:
@@ -90,7 +91,7 @@ def _pdf_other(
     return retroreflector.pdf(values, w_in, w_out, cos_out)
 
 
-@njit(cache=True)
+@compiled()
 def _sample_other(kind: int, values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     if cos_in <= 0.0:
         return sample_cosine(n, u, v)

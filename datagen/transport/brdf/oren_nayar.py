@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
 
@@ -28,7 +27,7 @@ def roughness(sigma_rad: float) -> float:
     return (0.45 * square / (square + 0.09)) / (1.0 - 0.5 * square / (square + 0.33))
 
 
-@njit(cache=True)
+@compiled()
 def single_albedo(r: float, cosine: float) -> float:
     """E: directional albedo of single scattering from white facets."""
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
@@ -38,7 +37,7 @@ def single_albedo(r: float, cosine: float) -> float:
     return min((1.0 + r * g / math.pi) / (1.0 + LOSS * r), 1.0)
 
 
-@njit(cache=True)
+@compiled()
 def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     r = values[1]
@@ -49,20 +48,20 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
     return float(values[0] / math.pi * (single + multiple))
 
 
-@njit(cache=True)
+@compiled()
 def _uniform_share(r: float, cos_in: float) -> float:
     """How often `sample` draws evenly from the hemisphere: at grazing incidence most light leaves at grazing."""
     return 0.5 * r * (1.0 - cos_in)
 
 
-@njit(cache=True)
+@compiled()
 def pdf(values: Floats, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     share = _uniform_share(values[1], cos_in)
     return share / (2.0 * math.pi) + (1.0 - share) * cos_out / math.pi
 
 
-@njit(cache=True)
+@compiled()
 def sample(values: Floats, n: Vector, cos_in: float, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     share = _uniform_share(values[1], cos_in)

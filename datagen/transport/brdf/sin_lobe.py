@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
 
@@ -15,7 +14,7 @@ ALONG_SQUARED = 1e-12
 """Squared length of a projection on the surface below which its direction is taken for rounding noise."""
 
 
-@njit(cache=True)
+@compiled()
 def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
     """|sin θ| of the azimuth of `w` about the normal, from the projection of `axis` on the surface."""
     along_axis, along_w = dot(axis, n), dot(w, n)
@@ -28,20 +27,20 @@ def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
     return min(abs(dot(cross, n)) / math.sqrt(tt * pp), 1.0)
 
 
-@njit(cache=True)
+@compiled()
 def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     axis = (values[1], values[2], values[3])
     return float(0.5 * values[0] * azimuth_sine(axis, n, w_in) * azimuth_sine(axis, n, w_out))
 
 
-@njit(cache=True)
+@compiled()
 def pdf(values: Floats, n: Vector, cos_out: float, w_out: Vector) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     return 0.5 * cos_out * azimuth_sine((values[1], values[2], values[3]), n, w_out)
 
 
-@njit(cache=True)
+@compiled()
 def sample(values: Floats, n: Vector, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     axis = (values[1], values[2], values[3])

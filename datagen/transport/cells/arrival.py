@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float, float]:
     """Arrival times at the vertices, such that those of the triangle have the same mean and a variance larger by so
     much: light that is spread once more, as by a patch of a pixel, whose own spread is short of the triangle's."""
@@ -29,7 +28,7 @@ def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def spread(
     histogram: Floats, row: int, a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
 ) -> float:
@@ -42,7 +41,7 @@ def spread(
     return pour(histogram, row, tent(a, b, c, at_a, at_b, at_c, energy), energy)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def tent(
     a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -65,7 +64,7 @@ def tent(
     return a, b, c, low, up, high, down
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def pour(
     histogram: Floats, row: int, shape: tuple[float, float, float, float, float, float, float], energy: float
 ) -> float:

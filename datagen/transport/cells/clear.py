@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import pour, tent, widened
 from datagen.transport.cells.geometry import half, less
@@ -39,13 +39,13 @@ ENERGY, TENT, NUMBERS = 54, 55, 62
 DROPPED, SPREAD, CUT, QUARTERED = 0.0, 1.0, 2.0, 3.0
 
 
-@njit(cache=True)
+@compiled()
 def room_for_clear():  # type: ignore[no-untyped-def]
     """The stack and two batches."""
     return np.empty((CLEAR_ROOM, STACKED)), np.empty(NUMBERS * WIDE), np.empty(NUMBERS * WIDE)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def put_clear(clear, waiting, cell, k, f, q, lit_from, kind2, values2, seen_from):  # type: ignore[no-untyped-def]
     """Waiting cell k, on triangle f and seen from patch q, as the last on the stack; returns how many wait there.
 
@@ -65,7 +65,7 @@ def put_clear(clear, waiting, cell, k, f, q, lit_from, kind2, values2, seen_from
     return waiting + 1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def light_at_points(batch, count, x, n1):  # type: ignore[no-untyped-def]
     """`weights.weight` at the points of a batch."""
     for j in range(min(count, WIDE)):
@@ -81,13 +81,13 @@ def light_at_points(batch, count, x, n1):  # type: ignore[no-untyped-def]
         batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j] = math.sqrt(square1), math.sqrt(square3)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _at(batch, row, j):  # type: ignore[no-untyped-def]
     """Three numbers of cell j, from a row on."""
     return (batch[row * WIDE + j], batch[(row + 1) * WIDE + j], batch[(row + 2) * WIDE + j])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _middles(batch, count):  # type: ignore[no-untyped-def]
     """The middles of the cells of a batch as its points, and their longest sides."""
     for j in range(min(count, WIDE)):
@@ -101,7 +101,7 @@ def _middles(batch, count):  # type: ignore[no-untyped-def]
         batch[(LONG + 1) * WIDE + j] = 0.0 if (ab >= bc) & (ab >= ca) else other
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _verdicts(batch, count, x, n1, limit, allowed, per_metre):  # type: ignore[no-untyped-def]
     """What becomes of the cells of a batch whose light in the middle is known."""
     for j in range(min(count, WIDE)):
@@ -123,7 +123,7 @@ def _verdicts(batch, count, x, n1, limit, allowed, per_metre):  # type: ignore[n
         batch[BEND * WIDE + j] = bend
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _tents(batch, count, per_metre, start, at_once):  # type: ignore[no-untyped-def]
     """How the light of the cells of a batch arrives, as if each were spread."""
     for j in range(min(count, WIDE)):
@@ -146,7 +146,7 @@ def _tents(batch, count, per_metre, start, at_once):  # type: ignore[no-untyped-
             batch[(TENT + i) * WIDE + j] = shape[i]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _taken(clear, first, count, batch, normal, p, lit, leg1, device, patches):  # type: ignore[no-untyped-def]
     """Take cells from the stack, `first` and those behind, into a batch."""
     position3, normal3, to_sensor3, across3 = patches.position, patches.normal, patches.to_sensor, patches.across
@@ -171,7 +171,7 @@ def _taken(clear, first, count, batch, normal, p, lit, leg1, device, patches):  
         batch[LEGS * WIDE + j] = leg1 + leg3[p, q] if device else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _air(batch, count, attenuation, leg, p):  # type: ignore[no-untyped-def]
     """What the air leaves of the light of the cells of a batch, by way of their middles."""
     for j in range(min(count, WIDE)):
@@ -181,7 +181,7 @@ def _air(batch, count, attenuation, leg, p):  # type: ignore[no-untyped-def]
             batch[AIR * WIDE + j] = math.exp(-attenuation * (path + leg[p, int(batch[PATCH * WIDE + j])]))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def spread_clear(  # type: ignore[no-untyped-def]
     clear, waiting, batch, cuts, normal, x, n1, lit, leg1, p, patches, limit, allowed, clock, at_once, smallest,
     histogram, into, tag, cell, free,

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.transport.brdf import dot
 from datagen.transport.cells.geometry import ball, distance, get, less, unit
 from datagen.transport.cells.hierarchy import one_of
@@ -23,7 +23,7 @@ UNLIKE = 0.05
 """Error of arrival times, relative to the light, if they are known by their mean and variance alone."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def is_small(around, at, x, z, most, allowed):  # type: ignore[no-untyped-def]
     """Whether a box is so small and faint that one point may stand for all of it, and how near it comes to z.
 
@@ -36,7 +36,7 @@ def is_small(around, at, x, z, most, allowed):  # type: ignore[no-untyped-def]
     return 0.5 * most / (near1 * near1 * near3 * near3) <= allowed, near3
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def sides_turned(moment, row, around, k, x, z):  # type: ignore[no-untyped-def]
     """Whether all of a box's surface turns the same side to x and to z (1), or to each another one (−1); 0 where that
     is not certain."""
@@ -57,7 +57,7 @@ def sides_turned(moment, row, around, k, x, z):  # type: ignore[no-untyped-def]
     return 1 if same > 0.0 else -1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def as_one(moment, k, x, z, sides, diffuse, limit, per_metre):  # type: ignore[no-untyped-def]
     """A cluster as one cell, all of it at the middle of its light.
 
@@ -114,7 +114,7 @@ def as_one(moment, k, x, z, sides, diffuse, limit, per_metre):  # type: ignore[n
     return place, n, tilt, unlike if diffuse else unlike + scale * lacking, h, longer, apart
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _quadratic(moment, k, j, u, v):  # type: ignore[no-untyped-def]
     """uᵀ A v, of the symmetric matrix that stands in row k from column j on."""
     return (
@@ -124,7 +124,7 @@ def _quadratic(moment, k, j, u, v):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@compiled()
 def anywhere(first, last, area_before, corners, word):  # type: ignore[no-untyped-def]
     """A point drawn uniformly on the triangles first … last, and which it lies on."""
     u = math.sqrt((np.float64(mix(word, np.uint64(1))) + 0.5) * 2.0**-32)
@@ -133,7 +133,7 @@ def anywhere(first, last, area_before, corners, word):  # type: ignore[no-untype
     return f, _on(corners, f, 1 - u, u * (1 - v), u * v)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
     """The point of triangle f with barycentric coordinates r, s, t."""
     return (

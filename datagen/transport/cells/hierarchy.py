@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import dot
@@ -133,7 +133,7 @@ def _morton(points: Floats) -> NDArray[np.uint64]:
     return code
 
 
-@njit(cache=True)
+@compiled()
 def _boxes(corners, ends, leaf):  # type: ignore[no-untyped-def]
     parts = len(ends) - 1
     most = 2 * len(corners) + 2
@@ -169,7 +169,7 @@ def _boxes(corners, ends, leaf):  # type: ignore[no-untyped-def]
     return box[:n], children[:n], span[:n], roots
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _moments(corners, normal, area, children, span):  # type: ignore[no-untyped-def]
     """`Hierarchy.cluster` and `Hierarchy.moment`; `area` (F,) in any unit. Those of two boxes give those of the one
     about them."""
@@ -212,7 +212,7 @@ def _moments(corners, normal, area, children, span):  # type: ignore[no-untyped-
     return cluster, moment
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _added(moment, size, k, other, more):  # type: ignore[no-untyped-def]
     """Add to the moments in row k, of an area of `size`, others of an area of `more`; returns the area of both."""
     both = size + more
@@ -234,19 +234,19 @@ def _added(moment, size, k, other, more):  # type: ignore[no-untyped-def]
     return both
 
 
-@njit(cache=True)
+@compiled()
 def _place(m):  # type: ignore[no-untyped-def]
     """Row and column of number m of xx, yy, zz, xy, xz, yz."""
     return (m, m) if m < 3 else (0, m - 2) if m < 5 else (1, 2)
 
 
-@njit(cache=True)
+@compiled()
 def _wait(waiting, top, first, last, parent):  # type: ignore[no-untyped-def]
     waiting[top, 0], waiting[top, 1], waiting[top, 2] = first, last, parent
     return top + 1
 
 
-@njit(cache=True)
+@compiled()
 def inner_side(x, n, corners, f, solid, solid_box):  # type: ignore[no-untyped-def]
     """Whether triangle f turns the inner side of a convex solid to x, which lies outside it and so cannot see it."""
     s = solid[f]
@@ -258,7 +258,7 @@ def inner_side(x, n, corners, f, solid, solid_box):  # type: ignore[no-untyped-d
     return outside
 
 
-@njit(cache=True)
+@compiled()
 def one_of(first, last, area_before, word):  # type: ignore[no-untyped-def]
     """One of the triangles first … last, drawn by area."""
     wanted = area_before[first] + (np.float64(word) + 0.5) * 2.0**-32 * (area_before[last] - area_before[first])

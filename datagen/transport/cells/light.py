@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import spread, widened
 from datagen.transport.cells.clear import put_clear, room_for_clear, spread_clear
@@ -48,7 +48,7 @@ TURNS, FEWEST = 16, 1 / 64
 what all of the part might bring."""
 
 
-@njit(cache=True)
+@compiled()
 def _digit(turn, share):  # type: ignore[no-untyped-def]
     """Of a number, to base 4, the digit after those that were used up to get to a share of 4^digits."""
     while share > 1.0:
@@ -57,7 +57,7 @@ def _digit(turn, share):  # type: ignore[no-untyped-def]
     return turn & 3
 
 
-@njit(cache=True)
+@compiled()
 def _seen(y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """Whether the laser point x lights y on triangle f and the patch at z sees it."""
     # Each call hands over sixty words; where nothing is to be asked it is spared.
@@ -66,7 +66,7 @@ def _seen(y, x, z, f, candidates, first, middle, last, facet, number, box, link,
     return middle == last or hidden(z, y, f, candidates, middle, last, facet, number, box, link, waiting) < 0
 
 
-@njit(cache=True)
+@compiled()
 def _none_seen(x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """Whether it is proven that nothing of the cell a, b, c is lit by the laser point and seen by the patch."""
     if first < middle and shaded(x, a, b, c, f, candidates, first, middle, facet, number, box, link, waiting):
@@ -74,7 +74,7 @@ def _none_seen(x, a, b, c, z, f, candidates, first, middle, last, facet, number,
     return middle < last and shaded(z, a, b, c, f, candidates, middle, last, facet, number, box, link, waiting)
 
 
-@njit(cache=True)
+@compiled()
 def gather(  # type: ignore[no-untyped-def]
     pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
     work,
@@ -98,7 +98,7 @@ def gather(  # type: ignore[no-untyped-def]
 
 
 # Without `_nrt=False` arrays are counted in and out of every function, a third of the time.
-@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+@compiled(_nrt=False)
 def _gather(  # type: ignore[no-untyped-def]
     pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
     work, tag, cell, candidates, waiting, clear, batch, cuts,

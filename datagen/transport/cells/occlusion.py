@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot
@@ -82,7 +82,7 @@ def _hides(scene: Scene, tree: Hierarchy) -> Bools:
     return hides
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-untyped-def]
     """Mark those of some triangles that overlap another one of them in its plane."""
     for i in some:
@@ -107,7 +107,7 @@ def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-u
                 break
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _crosses(x, d, facet, f, end):  # type: ignore[no-untyped-def]
     """Whether the line x … x + d · end passes through triangle f (Möller & Trumbore, J. Graphics Tools 2 (1997))."""
     a = corner(facet, f, 0)
@@ -127,7 +127,7 @@ def _crosses(x, d, facet, f, end):  # type: ignore[no-untyped-def]
     return TOUCHING < dot(along_c, q) * inverse < end
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def hidden(x, y, of, candidates, first, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """A triangle other than number `of`, on which y lies, that stands between the points x and y; −1 for none.
 
@@ -163,7 +163,7 @@ def hidden(x, y, of, candidates, first, last, facet, number, box, link, waiting)
     return -1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _stands_between(x, d, of, f, facet, number):  # type: ignore[no-untyped-def]
     """Whether occluder f hides x + d on triangle `of` from x."""
     if number[f] == of:
@@ -172,7 +172,7 @@ def _stands_between(x, d, of, f, facet, number):  # type: ignore[no-untyped-def]
     return _crosses(x, d, facet, f, 1.0 + TOUCHING if number[f] > of else 1.0 - TOUCHING)
 
 
-@njit(cache=True)
+@compiled()
 def _opened(entries, top, link, k):  # type: ignore[no-untyped-def]
     """Put what box k holds behind the first `top` entries; returns how many there are then."""
     if link[k, 0] >= 0:
@@ -184,7 +184,7 @@ def _opened(entries, top, link, k):  # type: ignore[no-untyped-def]
     return top
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def shaded(x, a, b, c, of, candidates, first, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
     """Whether it is proven that x sees nothing of the triangle a, b, c on triangle `of`.
 
@@ -197,7 +197,7 @@ def shaded(x, a, b, c, of, candidates, first, last, facet, number, box, link, wa
     return _crosses(x, less(b, x), facet, before, end) and _crosses(x, less(c, x), facet, before, end)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def narrowed_to_box(x, around, at, candidates, first, last, free, box, link, waiting):  # type: ignore[no-untyped-def]
     """Those of the candidates first … last that may stand between x and some point of the box `around[at]`; as
     `narrowed`, but only boxes are asked: by their shadows on the axes and by the cone over the ball round the box."""
@@ -227,7 +227,7 @@ def narrowed_to_box(x, around, at, candidates, first, last, free, box, link, wai
     return end
 
 
-@njit(cache=True)
+@compiled()
 def _listed(waiting, candidates, first, last):  # type: ignore[no-untyped-def]
     """Put candidates first … last into the ring of what is to be looked at; returns how many."""
     for i in range(last - first):
@@ -235,14 +235,14 @@ def _listed(waiting, candidates, first, last):  # type: ignore[no-untyped-def]
     return last - first
 
 
-@njit(cache=True)
+@compiled()
 def _pair_listed(waiting, tail, one):  # type: ignore[no-untyped-def]
     """Put two boxes side by side at the end of the ring; returns its new end."""
     waiting[tail & RING], waiting[(tail + 1) & RING] = one, one + 1
     return tail + 2
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, link, flat, waiting):  # type: ignore[no-untyped-def]
     """Those of the candidates first … last that may stand between x and some point of the triangle a, b, c on
     triangle `of`, boxes opened while they are few: written from `free` on; returns the end. None left is a proof.
@@ -302,26 +302,26 @@ def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, 
     return end
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _outside(n, x, box, k, near):  # type: ignore[no-untyped-def]
     """Whether a box lies wholly on the outer side of the plane through x whose normal n points inwards."""
     return above(box, k, x, n) <= near
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _beyond(n, x, p, q, r, near):  # type: ignore[no-untyped-def]
     """Whether three points lie on the outer side of the plane through x whose normal n points inwards, or on it."""
     return dot(n, less(p, x)) <= near and dot(n, less(q, x)) <= near and dot(n, less(r, x)) <= near
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _heights(n, p, x, a, b, c):  # type: ignore[no-untyped-def]
     """Least and greatest height of four points above the plane through p."""
     at_x, at_a, at_b, at_c = dot(n, less(x, p)), dot(n, less(a, p)), dot(n, less(b, p)), dot(n, less(c, p))
     return min(at_x, at_a, at_b, at_c), max(at_x, at_a, at_b, at_c)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _margin(n, flat):  # type: ignore[no-untyped-def]
     """What a height of `flat` is along n, no unit vector; no number, so that nothing is proven, if that is zero."""
     length = np.sqrt(dot(n, n))

@@ -17,8 +17,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.geometry import get, half, less, longest, put
 from datagen.transport.cells.reach import (
@@ -51,7 +51,7 @@ DEEPEST = 64
 AT, VARIANCE, PHOTONS, FIGURES = 0, 1, 2, 3
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-untyped-def]
     """Energy of a pair of cells if nothing hides them from each other, their distance, the path's mean and variance,
     the share of them that face each other, and the middles of what does.
@@ -95,7 +95,7 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     return energy, r, path, variance, share, y1, y2
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
     """Middles of what each of two cells has above the other's plane, and the share of the two that this is.
 
@@ -130,7 +130,7 @@ def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
     return y1, y2, share
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _error(one, i, two, j, energy, keen, r, variance, share):  # type: ignore[no-untyped-def]
     """L2 error that a pair of cells may make; variance in bins²."""
     h1, h2 = one[i, LONG], two[j, LONG]
@@ -142,7 +142,7 @@ def _error(one, i, two, j, energy, keen, r, variance, share):  # type: ignore[no
     return energy * wrong / math.sqrt(math.sqrt(1.0 + 24.0 * variance))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _halved(cell, number, k, p, ends, kind, values):  # type: ignore[no-untyped-def]
     """Cut cell k of end p on its longest side: its halves at k and k + 1."""
     side, _ = longest(get(cell, k, 0), get(cell, k, 3), get(cell, k, 6))
@@ -158,13 +158,13 @@ def _halved(cell, number, k, p, ends, kind, values):  # type: ignore[no-untyped-
         condense(cell, at, number, at, p, ends, kind, values)
 
 
-@njit(cache=True)
+@compiled()
 def _copy(array, k, to, at):  # type: ignore[no-untyped-def]
     for column in range(array.shape[1]):
         to[at, column] = array[k, column]
 
 
-@njit(cache=True)
+@compiled()
 def room_for(count):  # type: ignore[no-untyped-def]
     """What waits to be cut, and arrays for so many pairs."""
     near = (
@@ -175,7 +175,7 @@ def room_for(count):  # type: ignore[no-untyped-def]
     return near, found, (np.empty((count, 3), np.float32), np.empty((count, 3), np.float32))
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+@compiled(_nrt=False)
 def join(  # type: ignore[no-untyped-def]
     begin, begin_cell, pairs, gain, zero, row, ends1, first1, cell1, number1, part1, ends2, first2, cell2, number2,
     part2, same, kind, values, sharp, allowed, air, per_metre, offset, scale, near1, known1, near2, known2, figures,
@@ -247,7 +247,7 @@ def join(  # type: ignore[no-untyped-def]
     return len(pairs), -1, count
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _note(  # type: ignore[no-untyped-def]
     y1, n1, y2, n2, path, variance, energy, per_metre, zero, gain, air, row, count, offset, scale, figures, rows,
     origin, span,
@@ -261,7 +261,7 @@ def _note(  # type: ignore[no-untyped-def]
         origin[count, k], span[count, k] = a[k], b[k] - a[k]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def arrive(count, figures, rows, hidden, knots, photons):  # type: ignore[no-untyped-def]
     """Add the tents of those pairs that nothing hides from each other.
 
@@ -280,7 +280,7 @@ def arrive(count, figures, rows, hidden, knots, photons):  # type: ignore[no-unt
         _knot(knots, row, at + wide, weight)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _knot(knots, row, at, weight):  # type: ignore[no-untyped-def]
     """Add a knot: what has come by time x > at grows as weight (x − at)²/2."""
     last = knots.shape[1] - 3

@@ -16,8 +16,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot, evaluate
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less, longest, put
@@ -96,7 +96,7 @@ def reach_of(
         room *= 4
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+@compiled(_nrt=False)
 def lit(y, n, p, ends, kind, values):  # type: ignore[no-untyped-def]
     """w(y) but for what hides it, and the path, for a surface with its normal n towards end p."""
     position, normal, to_device, part, weight, longer, footprint = ends
@@ -118,7 +118,7 @@ def lit(y, n, p, ends, kind, values):  # type: ignore[no-untyped-def]
     return w, path / whole
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+@compiled(_nrt=False)
 def condense(cell, k, number, to, p, ends, kind, values):  # type: ignore[no-untyped-def]
     """What other cells know of cell k of end p, but for its normal, the direction to its end and the blur.
 
@@ -154,7 +154,7 @@ def condense(cell, k, number, to, p, ends, kind, values):  # type: ignore[no-unt
     _, number[to, LONG] = longest(a, b, c)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+@compiled(_nrt=False)
 def _mean(position, part, weight, p):  # type: ignore[no-untyped-def]
     """The middle of an end, and the number of a point of it, −1 if it has none."""
     x = y = z = 0.0
@@ -168,7 +168,7 @@ def _mean(position, part, weight, p):  # type: ignore[no-untyped-def]
     return (x, y, z), one
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+@compiled(_nrt=False)
 def _faces_any(box, at, p, position, normal, part):  # type: ignore[no-untyped-def]
     """Whether some of a box lies above the surface at any point of an end."""
     for q in range(part.shape[1]):
@@ -177,7 +177,7 @@ def _faces_any(box, at, p, position, normal, part):  # type: ignore[no-untyped-d
     return False
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+@compiled(_nrt=False)
 def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
     """Variance of the path to y over an end's points, m²."""
     variance = 0.0
@@ -189,7 +189,7 @@ def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
     return variance * ends.part.shape[1] / max(ends.part.shape[1] - 1, 1)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+@compiled(_nrt=False)
 def _cut(  # type: ignore[no-untyped-def]
     ends, tree, occluders, kind, values, coarsest, error, asked, seed, first, cell, known, part_of, boxes, waits,
     wait_area, candidates, waiting,

@@ -4,13 +4,14 @@ bounding volume hierarchies", IEEE Symposium on Interactive Ray Tracing 2007).""
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from datagen.compiled import compiled
 
 LEAF, BINS = 3, 12
 """Triangles up to which a box is not divided; places along its longest side where it may be."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def boxes_over(low, high):  # type: ignore[no-untyped-def]
     """Order of F triangles, whose own boxes are given, and the boxes over them.
 
@@ -71,14 +72,14 @@ def boxes_over(low, high):  # type: ignore[no-untyped-def]
     return order, box[:n], link[:n]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
     if largest <= 0.0:
         return 0
     return min(int((low[f, axis] + high[f, axis] - smallest) / largest * BINS), BINS - 1)
 
 
-@njit(cache=True)
+@compiled()
 def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
     """Add to each cut between bins what the bins on one side of it cost: how many triangles, in how large a box."""
     total = 0

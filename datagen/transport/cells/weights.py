@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.clusters import COARSEST, UNLIKE
 from datagen.transport.cells.geometry import distance, less
@@ -24,7 +24,7 @@ BLURRED = 0.25
 """Of the error that a cell may make, the share that may come of the patch that sees it, as it does for many alike."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def weight(y, n, kind2, values2, lit_from, seen_from, footprint):  # type: ignore[no-untyped-def]
     """w(y) but for power, sensor and air, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
     path: a point, its normal, the direction on to the device, and the BRDF's kind and values."""
@@ -48,7 +48,7 @@ def weight(y, n, kind2, values2, lit_from, seen_from, footprint):  # type: ignor
     return w, r1, r3
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def judged(cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre):  # type: ignore[no-untyped-def]
     """`verdict` of waiting cell k, with wm at its middle."""
     w = max(wm, cell[k, 3], cell[k, 8], cell[k, 13])
@@ -58,7 +58,7 @@ def judged(cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarte
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def verdict(  # type: ignore[no-untyped-def]
     at_a, at_b, at_c, area, w, h, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre
 ):  # fmt: skip
@@ -85,7 +85,7 @@ def verdict(  # type: ignore[no-untyped-def]
     return cut, quarter, over if asked else np.inf, bend
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def smear(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
     """`smeared` by patch q of row p, whose direction to the sensor counts if `device`."""
     towards = to_sensor if device else (0.0, 0.0, 0.0)
@@ -94,7 +94,7 @@ def smear(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
     return smeared(d3, math.sqrt(dot(d3, d3)), towards, sides, others)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def smeared(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
     """Variance of the path by way of a patch, from one side of it to the other, m²; d3 from it to the cell, R₃ long,
     and what the direction to the sensor adds."""
@@ -104,7 +104,7 @@ def smeared(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
     return one * one / 12 + two * two / 12
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def brightest(m, radius, area, rise, height, x, z, size):  # type: ignore[no-untyped-def]
     """What a box or cell about m may bring at most for every photon, BRDF and solid angle of one, if x lights it and
     something within `size` of z is seen by it; `rise` it has above the plane of x, `height` x above its own."""

@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
-from numba import njit
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.binning import put
 
@@ -80,7 +80,7 @@ class Sums(NamedTuple):
         return Sums(*(array[laser] for array in self))
 
 
-@njit(cache=True)
+@compiled()
 def histograms(paths: Paths, displacement: Floats, low: Ints, high: Ints) -> Histograms:
     """Put every path into sub-bin floor(position + displacement); only low … high of each row are kept."""
     rows = len(paths.first) - 1
@@ -109,7 +109,7 @@ def histograms(paths: Paths, displacement: Floats, low: Ints, high: Ints) -> His
     return Histograms(base, first, values, total, outside)
 
 
-@njit(cache=True)
+@compiled()
 def reachable(outs: Histograms, lookins: int, pixels: int, bins: int) -> tuple[Ints, Ints]:
     """(lookins,) first and last arriving sub-bin from which some pixel's leaving histogram reaches the window."""
     low, high = np.full(lookins, np.iinfo(np.int64).max), np.full(lookins, np.iinfo(np.int64).min)
@@ -150,7 +150,7 @@ def convolve(ins: list[Histograms], outs: Histograms, sums: Sums) -> None:
         convolve_spectrally(ins, outs, sums)
 
 
-@njit(cache=True)
+@compiled()
 def convolve_directly(ins: Histograms, outs: Histograms, sums: Sums) -> None:
     """One laser point: `sums` holds (P, T) and (P,) arrays."""
     pixels, bins = sums.transient.shape[0], sums.transient.shape[1] * SUB_BINS
@@ -243,7 +243,7 @@ def convolve_spectrally(ins: list[Histograms], outs: Histograms, sums: Sums) -> 
             sums.overflow[k] += one.outside @ total + (one.total - one.outside) @ outside
 
 
-@njit(cache=True)
+@compiled()
 def _dense(rows: Histograms, start: int, stop: int, base: int, size: int) -> Floats:
     """(size, rows) with every histogram from bin `base` on."""
     out = np.zeros((size, stop - start))
@@ -254,7 +254,7 @@ def _dense(rows: Histograms, start: int, stop: int, base: int, size: int) -> Flo
     return out
 
 
-@njit(cache=True)
+@compiled()
 def double_sum(ins: Paths, outs: Paths, sums: Sums) -> None:
     """Eq. 8 as it is written: every path into a lookin with every path out of it, each pair binned by itself.
 
@@ -281,7 +281,7 @@ def take_rows(rows: Histograms, kept: Bools) -> Histograms:
     return Histograms(rows.base[kept], first, values, rows.total[kept], rows.outside[kept])
 
 
-@njit(cache=True)
+@compiled()
 def keep_strongest(paths: Paths, count: int) -> None:
     """Leave each row its `count` strongest paths and set the energy of the others to zero."""
     for r in range(len(paths.first) - 1):
@@ -299,7 +299,7 @@ def keep_strongest(paths: Paths, count: int) -> None:
                 row[k] = 0.0
 
 
-@njit(cache=True)
+@compiled()
 def _ranked(values: Floats, rank: int) -> float:
     """The value that would stand at a rank if they were sorted, which puts them into another order (Hoare, "Algorithm
     65: Find", Communications of the ACM 4 (1961)); numpy's own takes ten times as long to compile."""

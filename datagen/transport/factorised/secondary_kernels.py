@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, Vector, dot, evaluate, in_frame_of
 from datagen.transport.factorised.convolution import Paths
@@ -134,12 +134,12 @@ class Rays(NamedTuple):
     path: Ints
 
 
-@njit(cache=True)
+@compiled()
 def _vector(a, i):  # type: ignore[no-untyped-def]
     return a[i, 0], a[i, 1], a[i, 2]
 
 
-@njit(cache=True)
+@compiled()
 def _send(rays, number, at, to, path):  # type: ignore[no-untyped-def]
     """Note the ray `number` from `at` to `to` for the given path."""
     origin, span, path_of = rays
@@ -149,7 +149,7 @@ def _send(rays, number, at, to, path):  # type: ignore[no-untyped-def]
     path_of[number] = path
 
 
-@njit(cache=True)
+@compiled()
 def leaving_paths(
     lookins: Lookins, clear: Bools, fov: FovPoints, points: int, surfaces: Surfaces, pace: Pace,
     frame: Frame,
@@ -209,7 +209,7 @@ def leaving_paths(
     return Paths(first, position[:found], energy[:found]), density[:found], rays
 
 
-@njit(cache=True)
+@compiled()
 def drop_hidden(rays: Rays, hidden: Bools, values: Floats) -> None:
     """Clear the values of paths whose ray is hidden."""
     for k in range(len(rays.path)):
@@ -217,7 +217,7 @@ def drop_hidden(rays: Rays, hidden: Bools, values: Floats) -> None:
             values[rays.path[k]] = 0.0
 
 
-@njit(cache=True)
+@compiled()
 def sum_rows(first: Ints, values: Floats, rows_together: int) -> Floats:
     """Sum of `values` over each run of `rows_together` rows."""
     out = np.zeros((len(first) - 1) // rows_together)
@@ -227,7 +227,7 @@ def sum_rows(first: Ints, values: Floats, rows_together: int) -> Floats:
     return out
 
 
-@njit(cache=True)
+@compiled()
 def observing_rays(lookins: Lookins, points: Floats, frame: Frame) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Origins and directions (n · Ñ, 3) of cosine rays from each lookin through its own shift of `points` (Ñ, 2).
 
@@ -255,7 +255,7 @@ def observing_rays(lookins: Lookins, points: Floats, frame: Frame) -> tuple[NDAr
     return origin, direction
 
 
-@njit(cache=True)
+@compiled()
 def _scattering(u, v, normal_1, to_laser, part_1, normal_o, part_o, kind, values):  # type: ignore[no-untyped-def]
     """f₁ · fₒ of light that travels u from the laser point to o and v on from there."""
     if kind[part_1] == LAMBERTIAN and kind[part_o] == LAMBERTIAN:
@@ -267,12 +267,12 @@ def _scattering(u, v, normal_1, to_laser, part_1, normal_o, part_o, kind, values
     return f1 * evaluate(kind[part_o], values[part_o], normal_o, back, (v[0] / rb, v[1] / rb, v[2] / rb))
 
 
-@njit(cache=True)
+@compiled()
 def _difference(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@njit(cache=True)
+@compiled()
 def _weight(u, v, normal_1, normal_o, normal_b, samples, near_square):  # type: ignore[no-untyped-def]
     """form₁ form_b / (expected samples per area of o and of b), for the legs u to o and v to b, by the balance
     heuristic; 0 where a surface faces away. samples : Ñ and the laser point's rays, times the density of lookins.
@@ -292,7 +292,7 @@ def _weight(u, v, normal_1, normal_o, normal_b, samples, near_square):  # type: 
     return pair_1 * pair_b * math.pi / expected if expected > 0.0 else 0.0
 
 
-@njit(cache=True)
+@compiled()
 def arriving_paths(
     lookins: Lookins, density: Floats, face: NDArray[np.int32], direction: NDArray[np.float32],
     vicinity: LaserVicinity, buffer: LightBuffer, surfaces: Surfaces, pace: Pace, frame: Frame,

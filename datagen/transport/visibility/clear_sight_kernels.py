@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import Vector
 
@@ -72,7 +72,7 @@ class Grid(NamedTuple):
     shape: NDArray[np.int64]
 
 
-@njit(cache=True)
+@compiled()
 def cells_of(position: Floats, grid: Grid) -> Ints:
     """(n,) the cell each point lies in; one outside counts to the nearest."""
     corner, side, shape = grid
@@ -86,14 +86,14 @@ def cells_of(position: Floats, grid: Grid) -> Ints:
     return out
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _height(point: Vector, normal: Floats, base: Floats) -> float:
     return float(
         (point[0] - base[0]) * normal[0] + (point[1] - base[1]) * normal[1] + (point[2] - base[2]) * normal[2]
     )
 
 
-@njit(cache=True)
+@compiled()
 def _extent(points: Floats, count: int, axis: Vector) -> tuple[float, float]:
     low, high = math.inf, -math.inf
     for i in range(count):
@@ -102,28 +102,28 @@ def _extent(points: Floats, count: int, axis: Vector) -> tuple[float, float]:
     return low, high
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _dot(p: Vector, q: Vector) -> float:
     return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _cross(p: Vector, q: Vector) -> Vector:
     return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
 
 
-@njit(cache=True)
+@compiled()
 def _row(array: Floats, i: int) -> Vector:
     return (array[i, 0], array[i, 1], array[i, 2])
 
 
-@njit(cache=True)
+@compiled()
 def _from_to(points: Floats, i: int, j: int) -> Vector:
     return (points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2])
 
 
 # One number at a time: numpy's cross product, and rows written at once, take the compiler four times as long.
-@njit(cache=True)
+@compiled()
 def _axes_of_hull(hull: Floats) -> Floats:
     """Unit normals of planes that may bound the hull of a tile (points 0 … 7) and a cell (8 … 15): those of the
     axes, of the tile's faces, and for each edge of the tile's front the one that touches the cell."""
@@ -156,7 +156,7 @@ def _axes_of_hull(hull: Floats) -> Floats:
     return axes[:found]
 
 
-@njit(cache=True)
+@compiled()
 def _in_view(hull: Floats, numbers: NDArray[np.int32], bodies: Bodies, gap: float) -> NDArray[np.int32]:
     """Which of the bodies `numbers` may meet a hull of a tile and a cell (16, 3)."""
     _, count, corners, normal, level, low, high = bodies
@@ -183,7 +183,7 @@ def _in_view(hull: Floats, numbers: NDArray[np.int32], bodies: Bodies, gap: floa
     return kept[:n]
 
 
-@njit(cache=True)
+@compiled()
 def _put_tile(hull: Floats, tile_corners: Floats, t: int) -> None:
     """Take tile t's corners for the hull's first eight points."""
     for b in range(8):
@@ -191,7 +191,7 @@ def _put_tile(hull: Floats, tile_corners: Floats, t: int) -> None:
             hull[b, k] = tile_corners[t, b, k]
 
 
-@njit(cache=True)
+@compiled()
 def bodies_in_view(
     cells: Ints, grid: Grid, lift: float, tile_corners: Floats, bodies: Bodies, gap: float,
 ) -> tuple[Ints, NDArray[np.int32], NDArray[np.uint64]]:  # fmt: skip
@@ -226,12 +226,12 @@ def bodies_in_view(
     return counts, np.array(members[1:], np.int32), clear
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _to_corner(apex: Vector, tile_corners: Floats, t: int, i: int) -> Vector:
     return tile_corners[t, i, 0] - apex[0], tile_corners[t, i, 1] - apex[1], tile_corners[t, i, 2] - apex[2]
 
 
-@njit(cache=True)
+@compiled()
 def _face_pyramid(apex: Vector, t: int, tile_corners: Floats, tile_axis: Floats, gap: float, planes: Floats) -> None:
     """The planes (6, 4) that bound the hull of an apex and tile t: a body is apart where normal · x < limit for all
     of its corners. Four sides over the tile's front, moved out as far as its back reaches; both ends."""
@@ -261,7 +261,7 @@ def _face_pyramid(apex: Vector, t: int, tile_corners: Floats, tile_axis: Floats,
     planes[4, 3], planes[5, 3] = least - gap, -most - gap
 
 
-@njit(cache=True)
+@compiled()
 def _prove_one(
     apex: Vector, t: int, numbers: NDArray[np.int32], begin: int, end: int, allowed: int, left: NDArray[np.int32],
     count: Ints, corners: Floats, normal: Floats, level: Floats, low: Floats, high: Floats, tile_corners: Floats,
@@ -307,7 +307,7 @@ def _prove_one(
     return remaining
 
 
-@njit(cache=True)
+@compiled()
 def prove(
     position: Floats, normal2: Floats, pixel: Ints, cells: Ints, first: Ints, listed: Ints,
     members: NDArray[np.int32], known: NDArray[np.uint64], bodies: Bodies, tiles: Tiles, lift: float, gap: float,
@@ -367,7 +367,7 @@ def prove(
     return out
 
 
-@njit(cache=True)
+@compiled()
 def tiles_of_points(
     position: Floats, normal: Floats, weight: Floats, pixel: Ints, tiles_of_pixel: Ints, frames: Floats,
     shell: Floats, lift: float, own_gap: float, slack: float,

@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.raycast import Raycaster
 
@@ -60,7 +60,7 @@ def no_light_buffer() -> LightBuffer:
     return LightBuffer(np.empty((0, 0, 0), np.int32), np.empty(0, np.int32))
 
 
-@njit(cache=True)
+@compiled()
 def _enter(corners: Floats, plane: NDArray[np.int32], cells: NDArray[np.int32]) -> None:
     n = cells.shape[1]
     # Cells are entered a little larger than they are, so that rounding in a look-up cannot leave its cell.
@@ -107,7 +107,7 @@ def _enter(corners: Floats, plane: NDArray[np.int32], cells: NDArray[np.int32]) 
                         cells[side, a, b] = plane[t] if cells[side, a, b] == EMPTY else UNKNOWN
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _meets(local: Floats, edge: Floats, u0: float, u1: float, v0: float, v1: float) -> bool:
     """Whether no side plane of the cell, and no plane through an edge of the triangle, separates the two."""
     left, right, below, over = True, True, True, True
@@ -125,7 +125,7 @@ def _meets(local: Floats, edge: Floats, u0: float, u1: float, v0: float, v1: flo
     return True
 
 
-@njit(cache=True)
+@compiled()
 def lit_for_certain(
     cells: NDArray[np.int32], face_plane: NDArray[np.int32], face: int, x: float, y: float, z: float
 ) -> bool:
@@ -164,13 +164,13 @@ def flat_patch(position: Floats, normal: Floats, tolerance: float) -> Floats | N
     return np.asarray(position[0] + corners @ frame, np.float64)
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def height(point, base, normal):  # type: ignore[no-untyped-def]
     """Of a point above the plane through `base`, in units of the normal's length."""
     return (point[0] - base[0]) * normal[0] + (point[1] - base[1]) * normal[1] + (point[2] - base[2]) * normal[2]
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _highest(triangle: Floats, base: Floats, normal: Floats) -> float:
     most = -np.inf
     for c in range(3):
@@ -178,7 +178,7 @@ def _highest(triangle: Floats, base: Floats, normal: Floats) -> float:
     return most
 
 
-@njit(cache=True)
+@compiled()
 def _normal_towards(sides: Floats, i: int, p: Floats, q: Floats, inner: Floats) -> None:
     """Side i: p × q, or its opposite, whichever points the way of `inner`."""
     x, y, z = p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
@@ -186,7 +186,7 @@ def _normal_towards(sides: Floats, i: int, p: Floats, q: Floats, inner: Floats) 
     sides[i, 0], sides[i, 1], sides[i, 2] = sign * x, sign * y, sign * z
 
 
-@njit(cache=True)
+@compiled()
 def pyramids_clear(apexes: Floats, patch: Floats, corners: Floats, face_normal: Floats, tolerance: float) -> Bools:
     """Whether the pyramid from each apex (n, 3) to a flat patch (4, 3) is free of triangles (F, 3, 3)."""
     clear = np.ones(len(apexes), np.bool_)
