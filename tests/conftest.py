@@ -56,18 +56,6 @@ def pytest_collection_finish() -> None:
 
 
 @contextmanager
-def _nothing_collected() -> Iterator[None]:
-    """A compiler makes many objects and leaves few: looking for circles among them is a twelfth of its time."""
-    before = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if before:
-            gc.enable()
-
-
-@contextmanager
 def _held(lock: Path) -> Iterator[None]:
     """Wait until no other process holds the lock; it goes with the process that holds it."""
     with lock.open("w") as file:
@@ -92,11 +80,10 @@ def a_kernel_is_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Itera
 
     def compiled(kernel: Any, signature: Any) -> Any:
         if isinstance(kernel._cache, NullCache):
-            with _nothing_collected():
-                return alone(kernel, signature)
+            return alone(kernel, signature)
         name = f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}".replace("<", "").replace(">", "")
         # The lock of this process's threads first: they wait for one another in the same order.
-        with global_compiler_lock, _held(locks / name), _nothing_collected():
+        with global_compiler_lock, _held(locks / name):
             return alone(kernel, signature)
 
     with pytest.MonkeyPatch.context() as patch:
