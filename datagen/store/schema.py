@@ -34,7 +34,7 @@ SCHEMA_VERSIONS = {
     "fields background_histogram, background_transient, presence; column evidence.placed_anew",
     8: "datagen 0.9: field evidence of 32 × 32 pixels and more is asked on a coarse grid, refined where neighbours "
     "disagree; floats are shuffled by bytes",
-    9: "datagen 0.10: with a target a seed yields other light of four bounces in exhaustive scans, and of three bounces "
+    9: "datagen 0.10: with a target a seed yields other light of four bounces in exhaustive scans, and of three "
     "where cells hardly face the wall",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
