@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -49,17 +48,14 @@ def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
             counts, times = np.flatnonzero(every), every[every > 0]
         else:
             counts, times = np.unique(found, return_counts=True)
-        logs = np.array([_log1p(count) for count in counts.tolist()])
+        # Numpy's own is another function on other processors.
+        logs = np.array([math.log1p(count) for count in counts.tolist()])
         weighed = times * logs
         mean, square = (math.fsum(of.tolist()) / size for of in (weighed, weighed * logs))
     else:
         exact = found.astype(np.float64)
         mean, square = (_sum(x) / size for x in (exact, exact * exact))
     return FieldStats(mean, math.sqrt(max(square - mean * mean, 0.0)), found.size / size)
-
-
-# Numpy's own is another function on other processors.
-_log1p = lru_cache(maxsize=1 << 16)(math.log1p)
 
 
 def _sum(values: NDArray[np.float64]) -> float:
