@@ -11,9 +11,11 @@ import sys
 import time
 import urllib.request
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -142,6 +144,41 @@ def test_an_interrupted_upload_is_taken_up(
         shutil.rmtree(tmp_path / "staging")
     built()
     assert verify(ADDRESS, deep=True).problems == () and dataset_digest(ADDRESS) == dataset_digest(local)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> Counter[tuple[str, str]]:
+    """(What, of which object) → how many requests there were."""
+    found, whole = Counter[tuple[str, str]](), Bucket._asked
+
+    def counting(self: Bucket, what: str, *arguments: Any, **options: Any) -> Any:
+        found[what, str(self)] += 1
+        return whole(self, what, *arguments, **options)
+
+    monkeypatch.setattr(Bucket, "_asked", counting)
+    return found
+
+
+def test_nothing_is_asked_for_twice(bucket: Bucket, asked: Counter[tuple[str, str]]) -> None:
+    """Each answer takes as long as the network does, however small it is: one for each file that is verified, one to
+    open it, and one for each value."""
+    built()
+    shards = [one for one in everything(bucket) if "/c/" in str(one) and "histogram" in str(one)]
+    asked.clear()
+    assert verify(ADDRESS).problems == ()
+    of_table = [f"{ADDRESS}/{name}" for name in ("samples.parquet", "croissant.json", "README.md")]
+    assert {number for (_, name), number in asked.items() if name not in of_table} == {1}
+    assert not any(what == "head" for what, name in asked if name not in of_table)
+    asked.clear()
+    assert info(ADDRESS)
+    assert set(asked.values()) == {1}
+    asked.clear()
+    data = TransientDataset(ADDRESS, ("histogram",))
+    for scene in range(len(data)):
+        data[scene]
+    assert [asked["head", str(shard)] for shard in shards] == [1, 1]
+    assert [asked["get_range", str(shard)] for shard in shards] == [5, 5]
+    assert sum(asked.values()) == 5 + 2 * (1 + 1 + 5)
 
 
 def test_damage_there_is_told_and_mended(bucket: Bucket) -> None:
