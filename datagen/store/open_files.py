@@ -10,7 +10,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import BinaryIO
+from io import BufferedReader
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ MOST_OPEN = 512
 
 
 @contextmanager
-def sized(path: Place) -> Iterator[tuple[int, BinaryIO]]:
+def sized(path: Place) -> Iterator[tuple[int, BufferedReader]]:
     """Size and bytes of a file or object, which is asked for them once. Raises `OSError` where none is there, or no
     plain one (errno EINVAL)."""
     if isinstance(path, Bucket):
