@@ -209,7 +209,8 @@ def test_what_is_sent_to_a_worker_reads_there(bucket: Bucket) -> None:
     assert all(torch.equal(sent[scene]["histogram"], data[scene]["histogram"]) for scene in range(8))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        forked = torch.utils.data.DataLoader(data, 4, num_workers=1, multiprocessing_context="fork")
+        unread = TransientDataset(ADDRESS, ("histogram",))
+        forked = torch.utils.data.DataLoader(unread, 4, num_workers=1, multiprocessing_context="fork")
         with pytest.raises(CheckError, match="do not survive a fork"):
             next(iter(forked))
 
