@@ -24,21 +24,27 @@ FIRST = (
     "detector/test_samplers.py",
     "detector/test_numerics.py",
     "detector/test_interface.py",
-    "physics/test_primary_truths.py",
-    "effects/test_switchboard.py",
     "physics/test_accuracy_target.py",
-    "equivalence/test_clear_sight.py",
-    "physics/test_all_bounces.py",
+    "store/test_object_stores.py",
     "report/test_show_pictures.py",
     "store/test_build.py",
-    "store/test_object_stores.py",
     "scene/test_rooms.py",
+    "export/test_imports.py",
+    "store/test_kills.py",
+    "equivalence/test_cells_and_walk.py",
+    "equivalence/test_secondary_cells.py",
+    "evidence/test_presence.py",
     "capture/test_configs_built.py",
+    "physics/test_primary_truths.py",
+    "effects/test_switchboard.py",
+    "equivalence/test_clear_sight.py",
+    "physics/test_all_bounces.py",
     "report/test_datasets_shown.py",
     "report/test_reproduce.py",
 )
-"""A file goes to one process as a whole. While the first one compiles the transport's kernels, the second compiles
-those of the detector and does not wait for the first; a long file begun last would leave the other process idle.
+"""A file goes to one process as a whole, in this order. While one process compiles the transport's kernels, the other
+has files that need none of them: it compiles those of the detector, then draws rooms and pictures and stores what is
+made up, and need not wait. A long file begun last would leave the other process idle.
 """
 
 

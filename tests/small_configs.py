@@ -42,6 +42,9 @@ def reduced(config: DatasetConfig) -> DatasetConfig:
                 # Pixels of the same size, so that as many photons meet one.
                 part[size] *= min(part[number], MOST[number]) / part[number]
         part |= {key: min(part[key], most) for key, most in MOST.items() if key in part}
+    uneven = values["scene"]["layout"].get("relay_wall", {})
+    if "max_triangles" in uneven:
+        uneven["max_triangles"] = min(uneven["max_triangles"], 1500)
     if values["detector"]["array_columns"] is not None:
         values["detector"]["array_columns"] = values["capture"]["field_of_view"]["columns"]
     coarse = {"lookins": 32, "fov_samples": 1, "replicates": 2}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import builtins
 import collections.abc
+import dataclasses
 import inspect
 import re
 import runpy
@@ -13,6 +14,7 @@ from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import datagen
@@ -79,3 +81,18 @@ def test_every_public_name_is_there() -> None:
     assert all(getattr(datagen, name) is not None for name in datagen.__all__)
     with pytest.raises(AttributeError, match="module 'datagen' has no attribute 'EpochSampler_'"):
         datagen.EpochSampler_  # noqa: B018
+
+
+def test_a_transient_is_printed_in_a_line() -> None:
+    """Its arrays have many thousand numbers."""
+    light = np.full((2, 3, 4), 1e-9)
+    time = datagen.TimeAxis(bins=4, width_s=1e-10, origin="wall")
+    plain = datagen.Transient(
+        time, {"primary": light}, {"ball": light}, 0.01 * light, light[..., 0], np.zeros((2, 3))
+    )
+    assert repr(plain) == (
+        "<Transient of 2 laser points × 3 pixels × 4 bins: components primary; parts ball; relative error 0.01>"
+    )
+    told = repr(dataclasses.replace(plain, parts={}, error_bound=0.25, met_target=False))
+    assert told.endswith("parts none; relative error 0.25, target not met>")
+    assert "no error known" in repr(dataclasses.replace(plain, stderr=np.nan * light))

@@ -63,7 +63,8 @@ class BuildResult:
 
     def summary(self) -> str:
         """One line for people."""
-        did = f"{self.built} shards built in {self.seconds:.1f} s" if self.built else "nothing left to build"
+        shards = "1 shard" if self.built == 1 else f"{self.built} shards"
+        did = f"{shards} built in {self.seconds:.1f} s" if self.built else "nothing left to build"
         found = f", {self.kept} were there" if self.kept else ""
         missing = "not complete yet: other shards are missing"
         state = f"complete with {self.scenes} scenes" if self.complete else missing

@@ -201,7 +201,7 @@ def _measured(expected: Forecast) -> str:
     if expected.effort == 1.0:
         return f"measured on {_count(expected.pilots, 'pilot scene')}"
     share = _percent(expected.effort)
-    return f"from one scene with {share} of the paths, scaled in proportion; more --seconds let it have all"
+    return f"from one scene with {share} of the paths and fewer, extrapolated; more --seconds let it have all"
 
 
 def _error(expected: Forecast) -> str:

@@ -70,7 +70,7 @@ class Spend:
         return flat | {"rounds": self.rounds, "cost": self.cost, "outcome": self.outcome}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Transient:
     """Expected photons at the aperture per emitted photon and time bin, as an impulse response.
 
@@ -133,6 +133,15 @@ class Transient:
             check_kind("Transient.error_bound", self.error_bound, *_NUMBERS)
         if self.met_target is not None:
             check_flag("Transient.met_target", self.met_target)
+
+    def __repr__(self) -> str:
+        lasers, pixels, bins = self.stderr.shape
+        error = "no error known" if np.isnan(self.relative_error) else f"relative error {self.relative_error:.2g}"
+        met = {True: ", target met", False: ", target not met", None: ""}[self.met_target]
+        return (
+            f"<Transient of {lasers} laser points × {pixels} pixels × {bins} bins: components "
+            f"{', '.join(self.components)}; parts {', '.join(self.parts) or 'none'}; {error}{met}>"
+        )
 
     @cached_property
     def total(self) -> Floats:

@@ -97,7 +97,8 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
     yield f"<h2>What was drawn</h2><p>Over {len(made)} scenes; parameters that do not vary are left out.</p>"
     if figure is not None:
         yield inside(figure, "histograms of the drawn parameters")
-    yield _table(("parameter", "least", "median", "most"), ranges(table_of(records, ())))
+    drawn = [row for row in ranges(table_of(records, ())) if not row[0].endswith("seed")]
+    yield _table(("parameter", "least", "median", "most"), drawn)
     yield f"<h2>The dataset</h2><pre>{escape(info(root))}</pre>"
     yield "<h2>Fields</h2>"
     shapes = (" × ".join(map(str, (manifest.schema.scenes, *f.shape))) for f in manifest.schema.fields)

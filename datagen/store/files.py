@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, TypeVar
 import pydantic
 
 from datagen.errors import InputError
-from datagen.store.open_files import too_many
+from datagen.store.open_files import size_of, sized, too_many
 from datagen.store.places import Place
 
 PARTIAL = ".partial"
@@ -26,6 +26,11 @@ TRIAL = ".datagen-"
 JSON_BYTES = 64 * 2**20
 """A JSON file of a dataset that is larger is not one of ours: records take 10 kB a scene at most, of 256 scenes."""
 _SEAL = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
+
+_NOTHING = errno.ENOENT, errno.ENOTDIR, errno.ELOOP
+"""Of a file that is not there, or below one that is no folder, or behind a link that leads nowhere."""
+_NOT_PLAIN = errno.EINVAL, errno.ENXIO
+"""Of a folder, a pipe, a socket."""
 
 T = TypeVar("T")
 
@@ -103,7 +108,13 @@ def write_if_changed(path: Path, content: bytes) -> None:
 
 def holds(path: Place, content: bytes) -> bool:
     """Whether a file is there and holds just that; one of another size is not read."""
-    return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
+    try:
+        with sized(path) as (size, file):
+            return size == len(content) and file.read() == content
+    except OSError as error:
+        if _is_missing(error):
+            return False
+        raise
 
 
 def json_bytes(value: Any) -> bytes:
@@ -139,16 +150,26 @@ def is_intact(content: bytes, must_be_sealed: bool) -> bool:
 
 def read_whole(path: Place) -> bytes:
     """The content of a JSON file of a dataset; raises `InputError` for none, an endless or a huge one."""
+    content = read_if_there(path)
+    if content is None:
+        raise InputError(f"{path}: missing, or not a plain file")
+    return content
+
+
+def read_if_there(path: Place) -> bytes | None:
+    """The same, and None where nothing is there; what is no plain file is refused."""
     try:
-        if not path.is_file():
-            raise InputError(f"{path}: missing, or not a plain file")
-        with path.open("rb") as file:
-            content = file.read(JSON_BYTES + 1)
+        with sized(path) as (size, file):
+            content = file.read(JSON_BYTES + 1) if size <= JSON_BYTES else None
     except OSError as error:
+        if error.errno in _NOTHING:
+            return None
+        if error.errno in _NOT_PLAIN:
+            raise InputError(f"{path}: missing, or not a plain file") from None
         if error.errno in (errno.EMFILE, errno.ENFILE):
             raise too_many(path) from None
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-    if len(content) > JSON_BYTES:
+    if content is None or len(content) > JSON_BYTES:
         raise InputError(f"{path}: larger than {JSON_BYTES // 2**20} MiB, which datagen never writes")
     return content
 
@@ -195,6 +216,38 @@ def sha256_of(path: Place) -> str:
     """Hex SHA-256 of a file's bytes."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def difference(path: Place, sha256: str, due_bytes: int | None = None) -> str | None:
+    """How a file differs from the one of that hash and of so many bytes, if they are known, or None. One of another
+    size is not read, nor one larger than a JSON file of which no size is known."""
+    try:
+        with sized(path) as (size, file):
+            if due_bytes is not None and size != due_bytes:
+                return f"{size} bytes, {due_bytes} were written"
+            is_read = due_bytes is not None or size <= JSON_BYTES
+            if is_read and hashlib.file_digest(file, "sha256").hexdigest() == sha256:
+                return None
+            return "its bytes have changed since they were written (SHA-256 differs)"
+    except OSError as error:
+        if _is_missing(error):
+            return "missing"
+        raise
+
+
+def other_size(path: Place, due_bytes: int) -> str | None:
+    """The same of its size alone."""
+    try:
+        size = size_of(path)
+    except OSError as error:
+        if _is_missing(error):
+            return "missing"
+        raise
+    return None if size == due_bytes else f"{size} bytes, {due_bytes} were written"
+
+
+def _is_missing(error: OSError) -> bool:
+    return error.errno in _NOTHING + _NOT_PLAIN
 
 
 def check_writable(path: Path) -> None:

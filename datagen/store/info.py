@@ -180,7 +180,7 @@ def _effects(records: Sequence[ShardRecord]) -> Iterator[str]:
         span = f"{min(estimates):9.2g} … {max(estimates):.2g}" if estimates else ""
         lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}  {span}".rstrip())
     if lines:
-        yield f"  {'effects (scenes)':25}{'simulated':>9}{'left out':>10}    leaving out changes the answer by ≤"
+        yield f"{'effects (scenes)':27}{'simulated':>9}{'left out':>10}    leaving out changes the answer by ≤"
         yield from lines
         yield ""
 

@@ -20,7 +20,7 @@ from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.store.arrays import COORDINATES, GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
-from datagen.store.files import is_intact, parsed, read_whole, sealed
+from datagen.store.files import is_intact, parsed, read_if_there, sealed
 from datagen.store.places import Place, place
 from datagen.store.record import Digest, recorded_shards
 from datagen.store.schema import (
@@ -177,13 +177,16 @@ def read_manifest(root: str | Place) -> Manifest:
     """
     root = place(root)
     path = root / MANIFEST
-    if not path.is_file() and recorded_shards(root):
+    try:
+        content = read_if_there(path)
+    except InputError as error:
+        raise DamagedManifest(f"{error}; {REMEDY}") from None
+    if content is None and recorded_shards(root):
         raise DamagedManifest(f"{path}: missing, and there are shards; {REMEDY}")
-    if not path.is_file():
+    if content is None:
         what = "is no dataset: it has no dataset.json" if root.is_dir() else "no such dataset"
         raise InputError(f"{root}: {what}; name a folder that `datagen build` made")
     try:
-        content = read_whole(path)
         if not is_intact(content, must_be_sealed=False):
             raise InputError(f"{path}: has changed since it was written (its checksum differs)")
         stated = parsed(path, content, _mapping_kind())

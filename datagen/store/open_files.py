@@ -8,6 +8,9 @@ import os
 import stat
 import threading
 from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BufferedReader
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +20,44 @@ from datagen.store.places import Bucket, Place
 
 MOST_OPEN = 512
 """Open files at most; a quarter of what the process is allowed, if that is less: it has other files to open."""
+
+
+@contextmanager
+def sized(path: Place) -> Iterator[tuple[int, BufferedReader]]:
+    """Size and bytes of a file or object, which is asked for them once. Raises `OSError` where none is there, or no
+    plain one (errno EINVAL)."""
+    if isinstance(path, Bucket):
+        size, stream = path.sized()
+        yield size, stream
+        return
+    handle, size = _opened(str(path))
+    with open(handle, "rb") as file:
+        yield size, file
+
+
+def size_of(path: Place) -> int:
+    """Bytes of a file or object, asked for once; raises `OSError` as `sized` does."""
+    if isinstance(path, Bucket):
+        return path.stat().st_size
+    found = path.stat()
+    if not stat.S_ISREG(found.st_mode):
+        raise _no_plain_file(path)
+    return found.st_size
+
+
+def _no_plain_file(path: object) -> OSError:
+    return OSError(errno.EINVAL, "no plain file", str(path))
+
+
+def _opened(path: str) -> tuple[int, int]:
+    """Handle and size of a plain file."""
+    # Whatever else stands there, such as a pipe, must not make us wait.
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    found = os.fstat(handle)
+    if not stat.S_ISREG(found.st_mode):
+        os.close(handle)
+        raise _no_plain_file(path)
+    return handle, found.st_size
 
 
 class OpenFile:
@@ -31,12 +72,7 @@ class OpenFile:
     index: NDArray[np.uint64]
 
     def __init__(self, path: str) -> None:
-        # Whatever else stands there, such as a pipe, must not make us wait.
-        self._handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
-        found = os.fstat(self._handle)
-        self.size = found.st_size
-        if not stat.S_ISREG(found.st_mode):
-            raise OSError(errno.EINVAL, "no plain file", path)
+        self._handle, self.size = _opened(path)
 
     def read(self, size: int, offset: int) -> bytes:
         """So many bytes from there, or fewer where the file ends."""

@@ -77,7 +77,12 @@ class Bucket:
 
     def read_bytes(self) -> bytes:
         """All of it; raises `FileNotFoundError`."""
-        return bytes(self._asked("get", str(self.key)).bytes())
+        return self.sized()[1].read()
+
+    def sized(self) -> tuple[int, io.BufferedReader]:
+        """Its size in bytes, and a stream of them, for one request; raises `FileNotFoundError`."""
+        answer = self._asked("get", str(self.key))
+        return int(answer.meta["size"]), io.BufferedReader(_Body(self, answer))
 
     def open(self, mode: str = "rb") -> io.BytesIO:
         """The same as a file."""
@@ -144,6 +149,28 @@ class Bucket:
             return error
         text = " ".join(str(error).strip().partition("\n")[0].split())[:300]
         return CheckError(f"{self}: {text}; look at the address, the network and AWS_* in the environment")
+
+
+class _Body(io.RawIOBase):
+    """What the store answers, as it comes in."""
+
+    def __init__(self, whose: Bucket, answer: Any) -> None:
+        self._whose, self._chunks, self._left = whose, iter(answer), memoryview(b"")
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, into: Any) -> int:
+        try:
+            while not self._left:
+                self._left = memoryview(bytes(next(self._chunks)))
+        except StopIteration:
+            return 0
+        except Exception as error:
+            raise self._whose._refused(error) from None
+        size = min(len(into), len(self._left))
+        into[:size], self._left = self._left[:size], self._left[size:]
+        return size
 
 
 Place = Path | Bucket

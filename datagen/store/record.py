@@ -16,7 +16,7 @@ import pydantic
 
 from datagen.errors import CheckError, InputError
 from datagen.store.arrays import shard_file
-from datagen.store.files import is_intact, parsed, read_whole, sealed, sha256_of
+from datagen.store.files import difference, is_intact, other_size, parsed, read_if_there, sealed
 from datagen.store.places import AnyPlace, Place
 from datagen.store.schema import Schema
 from datagen.store.stats import FieldStats
@@ -103,13 +103,9 @@ class ShardRecord:
         """What is wrong with the shard's files, or None. Without `hashes` only presence and size are looked at."""
         for name, known in self.files.items():
             path = root / name
-            if not path.is_file():
-                return f"{name}: missing"
-            size = path.stat().st_size
-            if size != known.bytes:
-                return f"{name}: {size} bytes, {known.bytes} were written"
-            if hashes and sha256_of(path) != known.sha256:
-                return f"{name}: its bytes have changed since they were written (SHA-256 differs)"
+            wrong = difference(path, known.sha256, known.bytes) if hashes else other_size(path, known.bytes)
+            if wrong is not None:
+                return f"{name}: {wrong}"
         return None
 
 
@@ -133,10 +129,10 @@ def read_record(root: Place, shard: int, must_be_sealed: bool) -> ShardRecord | 
     Raises `CheckError` for a damaged record. Those of datasets before `CHECKSUMS_SINCE` need not be sealed.
     """
     path = root / _record_name(shard)
-    if not path.exists():
-        return None
     try:
-        content = read_whole(path)
+        content = read_if_there(path)
+        if content is None:
+            return None
         if not is_intact(content, must_be_sealed):
             raise InputError(f"{path}: has changed since it was written (its checksum differs)")
         record = parsed(path, content, _kind())

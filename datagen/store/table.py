@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import re
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ import pyarrow.parquet as pq
 from datagen.config import SplitsConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Scalar
-from datagen.store.files import read_json, sha256_of
+from datagen.store.files import read_json
 from datagen.store.places import Place
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.splits import splits_of
@@ -114,11 +115,12 @@ def read_table(root: Place, columns: Sequence[str] | None, scenes: int) -> pa.Ta
     except (InputError, KeyError, TypeError):
         raise CheckError(f"{root / CROISSANT}: missing or damaged, and it vouches for {TABLE}; {remedy}") from None
     try:
-        if due != [sha256_of(path)]:
-            raise CheckError(
-                f"{path}: has changed since it was written (SHA-256 differs from {CROISSANT}'s); {remedy}"
-            )
-        with path.open("rb") as stored, pq.ParquetFile(stored) as file:
+        with path.open("rb") as stored:
+            if due != [hashlib.file_digest(stored, "sha256").hexdigest()]:
+                raise CheckError(
+                    f"{path}: has changed since it was written (SHA-256 differs from {CROISSANT}'s); {remedy}"
+                )
+            file = pq.ParquetFile(stored)
             if file.metadata.num_rows != scenes:
                 raise CheckError(f"{path}: {file.metadata.num_rows} rows for {scenes} scenes; {remedy}")
             known = file.schema_arrow.names

@@ -15,7 +15,7 @@ from datagen.errors import CheckError, printable
 from datagen.store.card import CARD, card, write_card
 from datagen.store.croissant import croissant, write_croissant
 from datagen.store.environment import environment
-from datagen.store.files import JSON_BYTES, holds, json_bytes, sha256_of, write_if_changed
+from datagen.store.files import difference, holds, json_bytes, write_if_changed
 from datagen.store.manifest import MANIFEST, Manifest, read_manifest
 from datagen.store.places import Place, place
 from datagen.store.reader import DatasetReader
@@ -123,11 +123,8 @@ def _metadata_problems(root: Place, manifest: Manifest) -> Iterator[str]:
 
 
 def _metadata_problem(root: Place, manifest: Manifest, name: str) -> str | None:
-    if not (root / name).is_file():
-        return f"{name}: missing"
-    if (root / name).stat().st_size > JSON_BYTES or sha256_of(root / name) != manifest.metadata[name]:
-        return f"{name}: its bytes have changed since they were written (SHA-256 differs)"
-    return None
+    wrong = difference(root / name, manifest.metadata[name])
+    return None if wrong is None else f"{name}: {wrong}"
 
 
 def _shard_problems(root: Place, manifest: Manifest, record: ShardRecord, deep: bool) -> Iterator[str]:
@@ -167,7 +164,7 @@ def _summary_problems(root: Place, manifest: Manifest, records: Sequence[ShardRe
         texts[CROISSANT] = json_bytes(croissant(root, manifest, records))
         texts[CARD] = card(manifest, records, table).encode()
     for name, text in texts.items():
-        if not ((root / name).is_file() and (holds(root / name, text) or not same_words)):
+        if not (holds(root / name, text) if same_words else (root / name).is_file()):
             yield f"{name}: missing, or differs from what the dataset holds"
 
 

@@ -63,7 +63,7 @@ def test_configuration_example_is_one(tmp_path: Path) -> None:
     trimesh.creation.icosphere(subdivisions=1).export(tmp_path / "spot.obj")
     (tmp_path / "spots.yaml").write_text(blocks("yaml")[0], encoding="utf-8")
     config = load_config(tmp_path / "spots.yaml")
-    assert config.transport.max_bounces == 4
+    assert (config.transport.target, config.transport.max_bounces) == (0.02, 4)
     assert datagen.generate_scene(config.scene, seed=3, index=0).roles.count("object") == 2
 
 

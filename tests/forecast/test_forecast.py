@@ -95,15 +95,27 @@ def test_pilots_keep_to_their_budget(budget_s: float, scenes: int) -> None:
     assert len(pilots_of(small_config(), budget_s, simulated).scenes) == scenes == len(simulated.full)
 
 
-def test_a_scene_far_beyond_the_budget_is_scaled_from_a_sixteenth() -> None:
-    """In proportion: an upper bound of the seconds, and the error of independent samples."""
+def test_a_scene_far_beyond_the_budget_lies_on_the_line_of_two_trials() -> None:
+    """Which has what each scene takes in any case, too; and the error of independent samples."""
     simulated = Simulated()
     expected = expected_of(small_config(), pilots_of(small_config(), 0.5, simulated))
     assert (expected.effort, expected.pilots, simulated.full) == (1 / 16, 1, [])
-    assert expected.seconds["transport"] == pytest.approx(16 * FIXED_S + LOOKIN_S * 4096)
+    assert expected.seconds["transport"] == pytest.approx(FIXED_S + LOOKIN_S * 4096)
     assert expected.error[1] == pytest.approx(NOISE / math.sqrt(4096 + NOISE**2))
     looser, effort = with_less_effort(small_config(transport={"target": 0.02}), 16)
     assert looser.transport.target == pytest.approx(0.08) and effort == pytest.approx(1 / 16)
+
+
+def test_what_grows_more_slowly_than_paths_is_not_scaled_in_proportion() -> None:
+    """Cells to a target take little longer for a smaller one: what is expected is between now and in proportion, and
+    the error is the one that was asked for, if the trial's was larger."""
+    less = Pilot(0, 1 / 256, {"transport": 3.0, "labels": 1.0}, 4.0, 0.2, 0.02)
+    for now_s, full_s in ((3.5, 3.5 + 0.5 * 16), (2.9, 2.9), (48.0, 48.0 + 45 * 16), (60.0, 960.0)):
+        trial = Pilot(0, 1 / 16, {"transport": now_s, "labels": 1.0}, now_s + 1.0, 0.05, 0.02, less)
+        full = trial.at_full_effort()
+        assert full.seconds == {"transport": pytest.approx(full_s), "labels": 1.0} and full.error == 0.02
+        assert full.processor_s == pytest.approx(full_s + 1.0)
+    assert replace(trial, error=0.006).at_full_effort().error == 0.006
 
 
 def test_a_pilot_that_compiles_a_kernel_is_run_again() -> None:

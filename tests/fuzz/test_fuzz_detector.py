@@ -16,7 +16,7 @@ from datagen.errors import InputError
 
 FAMILY_LEVEL = 1e-3
 """Probability that `test_counts_have_the_expected_mean` fails by chance in one run, nightly or not."""
-MEAN_CASES = 200 if NIGHTLY else 20
+MEAN_CASES = 200 if NIGHTLY else 12
 REPEATS = 30
 
 

@@ -36,7 +36,7 @@ def simulated_or_refused(case: Case) -> Transient:
         raise
 
 
-@fuzzed(100, 900, cases())
+@fuzzed(60, 900, cases())
 def test_every_transient_obeys_the_laws(case: Case) -> None:
     result = simulated_or_refused(case)
     assert_lawful(case, result)
@@ -76,7 +76,7 @@ def test_no_energy_is_lost_or_made_by_the_window(case: Case, bins: int, start_m:
     np.testing.assert_allclose(windowed, whole, rtol=ROUNDING, atol=ROUNDING * whole.max(initial=0.0))
 
 
-@fuzzed(40, 200, cases(counts=True))
+@fuzzed(25, 200, cases(counts=True))
 def test_what_is_proven_clear_is_clear(case: Case) -> None:
     """With proofs in the place of shadow rays the transient is the same, but for the order of summation."""
     result = simulated_or_refused(replace(case, accuracy=replace(case.accuracy, occlusion="auto")))
