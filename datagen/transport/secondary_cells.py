@@ -271,7 +271,7 @@ class _Scan:
                 origin, span,
             )  # fmt: skip
             count += found
-            if asked and len(occluders.number):
+            if asked and occluders.any:
                 hidden = caster.occluded_scaled(origin[:found], span[:found])
                 rays += found
             else:

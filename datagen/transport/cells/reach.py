@@ -22,7 +22,7 @@ from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot, evaluate
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less, longest, put
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, Hierarchy, one_of
-from datagen.transport.cells.occlusion import Occluders, hidden, shaded
+from datagen.transport.cells.occlusion import LISTED, Occluders, hidden, lists, shaded
 from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 4.0, 0.4
@@ -88,8 +88,7 @@ def reach_of(
         first = np.zeros(len(ends.part) + 1, np.int64)
         rays = _cut(
             ends, tree, occluders, materials.kind, materials.values, coarsest, error, asked, seed, first, cell,
-            number, part, np.empty(128, np.int64), np.empty((128, 3, 3)), np.empty(128), np.zeros(1, np.int64),
-            np.full(512, -1),
+            number, part, np.empty(128, np.int64), np.empty((128, 3, 3)), np.empty(128), lists(0),
         )  # fmt: skip
         if rays >= 0:
             return Reach(first, cell[: first[-1]], number[: first[-1]], part[: first[-1]]), rays
@@ -192,14 +191,14 @@ def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
 @compiled(_nrt=False)
 def _cut(  # type: ignore[no-untyped-def]
     ends, tree, occluders, kind, values, coarsest, error, asked, seed, first, cell, known, part_of, boxes, waits,
-    wait_area, candidates, waiting,
+    wait_area, listed,
 ):  # fmt: skip
     """Fill `first`, `cell`, `known` and `part_of`; returns the rays asked, or −1 where there is no room."""
     corners, normal, area_before, around, children = tree.corners, tree.normal, tree.area, tree.box, tree.children
     span, roots, smallest, flat = tree.span, tree.roots, SMALLEST * tree.extent, occluders.flat
-    facet, number, box, link = occluders.facet, occluders.number, occluders.box, occluders.link
+    hides = occluders.row
     position, normals, part, weight = ends.position, ends.normal, ends.part, ends.weight
-    some = min(len(number), 1) if asked else 0
+    last = LISTED + (min(len(hides) - occluders.boxes, 1) if asked else 0)
     count, rays, points = 0, 0, part.shape[1]
     for p in range(len(part)):
         first[p] = count
@@ -260,7 +259,7 @@ def _cut(  # type: ignore[no-untyped-def]
                             continue
                         cut = cluster == 0.0 and (ratio > coarsest[k] or over * ratio * ratio > error)
                         visible = 1.0
-                        if some > 0 and not cut:
+                        if last > LISTED and not cut:
                             seen, u = 0, (0.0, 0.0, 0.0)
                             for j in range(3):
                                 y = half(m, get(waits[top], j, 0)) if cluster == 0.0 else m
@@ -268,7 +267,7 @@ def _cut(  # type: ignore[no-untyped-def]
                                 q = q if part[p, q] >= 0 else one
                                 rays += 1
                                 z = get(position[p], q, 0)
-                                if hidden(z, y, f, candidates, 0, some, facet, number, box, link, waiting) < 0:
+                                if hidden(z, y, f, LISTED, last, hides, listed) == 0:
                                     seen, u = seen + 1, (u[0] + y[0], u[1] + y[1], u[2] + y[2])
                             visible = seen / 3
                             cut = seen < 3 and cluster == 0.0 and (PARTLY if seen > 0 else UNFOUND) * over > error
@@ -276,8 +275,8 @@ def _cut(  # type: ignore[no-untyped-def]
                                 continue
                         if cut:
                             none = h <= smallest
-                            if some > 0 and points == 1 and not none:
-                                none = shaded(x, a, b, c, f, candidates, 0, some, facet, number, box, link, waiting)
+                            if last > LISTED and points == 1 and not none:
+                                none = shaded(x, a, b, c, f, LISTED, last, hides, listed)
                             if none or top > 120:
                                 continue
                             y = half(get(waits[top], side, 0), get(waits[top], (side + 1) % 3, 0))
