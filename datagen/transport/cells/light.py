@@ -283,16 +283,8 @@ def _gather(  # type: ignore[no-untyped-def]
                         continue
                     # Seen or not, it can make no larger error than it may.
                     visible, faint = 1.0, (PARTLY if alone else 1.0) * over <= allowed[k]
-                    if not (alone or quarter) and proofs and first < last < enough and (cut or not faint):
-                        half_way = narrowed(x, a, b, c, f, first, middle, last, flat, hides, listed)
-                        behind = narrowed(z, a, b, c, f, middle, last, half_way, flat, hides, listed)
-                        first, middle, last = last, half_way, behind
                     if not quarter and first < last:
-                        if (
-                            cut
-                            and not alone
-                            and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed)
-                        ):
+                        if cut and not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed):
                             continue
                         if faint and not cut:
                             rays += 1
@@ -326,6 +318,12 @@ def _gather(  # type: ignore[no-untyped-def]
                             ):  # fmt: skip
                                 continue
                             cell[top, 17] = STILL_UNFOUND * cell[top, 17] if seen == 0 else UNFOUND
+                    # Rays find their way through what may hide the cell it is cut from; it pays to narrow that down
+                    # for what is cut.
+                    if cut and not (alone or quarter) and proofs and first < last < enough:
+                        half_way = narrowed(x, a, b, c, f, first, middle, last, flat, hides, listed)
+                        behind = narrowed(z, a, b, c, f, middle, last, half_way, flat, hides, listed)
+                        first, middle, last = last, half_way, behind
                 if quarter:
                     cell[top, 17] = UNFOUND
                     # Another point of the wall, before which other things may stand.

@@ -12,7 +12,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records import Scene
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import dot
 from datagen.transport.cells.geometry import above, ball, corner, cross, distance, get, less, unit
 from datagen.transport.cells.hierarchy import ON_PLANE, Hierarchy
@@ -23,7 +23,7 @@ TOUCHING = 1e-9
 """Share of a line at each end within which a triangle only touches it."""
 FEW_VERTICES = 256
 """Vertices of a part up to which each is asked whether it lies behind a wall; of larger parts their box is."""
-MOST, RING = 16, 63
+MOST, RING = 12, 63
 """Candidates up to which boxes are opened, and the mask of a ring that holds those still to be looked at."""
 MANY_WALLS = 1024
 """Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""
@@ -41,10 +41,10 @@ class Occluders(NamedTuple):
 
     Attributes
     ----------
-    row : (N + F, 13) boxes, the first of which holds all, and triangles. Of a box its lowest and highest corner, metres
-        (0–5), the first of the two boxes in it, −1 in one that holds its triangles itself (`LINK`), and the first of
-        its triangles and behind the last (`SPAN`); of a triangle three corners, metres (0–8), its unit normal
-        (`NORMAL`) and its number in the `Hierarchy` (`NUMBER`).
+    row : (N + F, 13) boxes, the first of which holds all, and triangles. Of a box its lowest and highest corner,
+        metres (0–5), the first of the two boxes in it, −1 in one that holds its triangles itself (`LINK`), and the
+        first of its triangles and behind the last (`SPAN`); of a triangle three corners, metres (0–8), its unit
+        normal (`NORMAL`) and its number in the `Hierarchy` (`NUMBER`).
     boxes : N.
     flat : distance from a plane within which a point lies on it, metres.
     """
