@@ -36,25 +36,32 @@ two vectors whose squared products with a slope of the path add up to the varian
 the path to the end, its longest side, the direction to the end, and the variance over its points of the path."""
 
 
+UPWARD, TO_DEVICE, SHARE, LONGER, FOOTPRINT = 3, 6, 9, 10, 11
+"""Columns of an end's point, whose first three are its position."""
+
+
 class Ends(NamedTuple):
-    """N ends, each of Q points.
+    """N ends, each of Q points; numbers of all kinds in one array, for each array handed over counts.
 
     Attributes
     ----------
-    position, normal, to_device : (N, Q, 3) metres; unit vectors.
+    point : (N, Q, 12) position, metres (0–2), normal (`UPWARD`) and direction to the device (`TO_DEVICE`), unit
+        vectors; its weight (`SHARE`), of which those of an end add up to one or are zero; what its path is longer by
+        than that of the end, metres (`LONGER`); and the wall area that it stands for, m² (`FOOTPRINT`).
     part : (N, Q) −1 for a point that is none.
-    weight : (N, Q) of each point; they add up to one, or are zero.
-    longer : (N, Q) what its path is longer by than that of the end, metres.
-    footprint : (N, Q) wall area that it stands for, m².
     """
 
-    position: Floats
-    normal: Floats
-    to_device: Floats
+    point: Floats
     part: Ints
-    weight: Floats
-    longer: Floats
-    footprint: Floats
+
+    @classmethod
+    def of(
+        cls, position: Floats, normal: Floats, to_device: Floats, part: Ints, share: Floats, longer: Floats,
+        footprint: Floats,
+    ) -> Ends:  # fmt: skip
+        """Of (N, Q, 3) and (N, Q)."""
+        numbers = np.stack([share, longer, footprint], axis=-1)
+        return cls(np.concatenate([position, normal, to_device, numbers], axis=-1), np.ascontiguousarray(part))
 
 
 class Reach(NamedTuple):
@@ -98,22 +105,22 @@ def reach_of(
 @compiled(_nrt=False)
 def lit(y, n, p, ends, kind, values):  # type: ignore[no-untyped-def]
     """w(y) but for what hides it, and the path, for a surface with its normal n towards end p."""
-    position, normal, to_device, part, weight, longer, footprint = ends
+    point, part = ends.point[p], ends.part
     w = path = whole = 0.0
     for q in range(part.shape[1]):
         k = part[p, q]
         if k < 0:
             continue
-        d, n1 = less(y, get(position[p], q, 0)), get(normal[p], q, 0)
+        d, n1 = less(y, get(point, q, 0)), get(point, q, UPWARD)
         square = dot(d, d)
         r, up, down = math.sqrt(square), dot(d, n1), -dot(d, n)
-        share = weight[p, q]
-        path += share * (r + longer[p, q])
+        share = point[q, SHARE]
+        path += share * (r + point[q, LONGER])
         whole += share
         if up > 0.0 and down > 0.0:
             per = 1.0 / r
-            f = evaluate(kind[k], values[k], n1, get(to_device[p], q, 0), (d[0] * per, d[1] * per, d[2] * per))
-            w += share * f * up * down / (square * (square + footprint[p, q] / math.pi))
+            f = evaluate(kind[k], values[k], n1, get(point, q, TO_DEVICE), (d[0] * per, d[1] * per, d[2] * per))
+            w += share * f * up * down / (square * (square + point[q, FOOTPRINT] / math.pi))
     return w, path / whole
 
 
@@ -154,24 +161,26 @@ def condense(cell, k, number, to, p, ends, kind, values):  # type: ignore[no-unt
 
 
 @compiled(_nrt=False)
-def _mean(position, part, weight, p):  # type: ignore[no-untyped-def]
+def _mean(ends, p):  # type: ignore[no-untyped-def]
     """The middle of an end, and the number of a point of it, −1 if it has none."""
+    point, part = ends.point[p], ends.part
     x = y = z = 0.0
     one = -1
     for q in range(part.shape[1]):
-        if part[p, q] >= 0 and weight[p, q] > 0.0:
+        share = point[q, SHARE]
+        if part[p, q] >= 0 and share > 0.0:
             one = q
-            x += weight[p, q] * position[p, q, 0]
-            y += weight[p, q] * position[p, q, 1]
-            z += weight[p, q] * position[p, q, 2]
+            x += share * point[q, 0]
+            y += share * point[q, 1]
+            z += share * point[q, 2]
     return (x, y, z), one
 
 
 @compiled(_nrt=False)
-def _faces_any(box, at, p, position, normal, part):  # type: ignore[no-untyped-def]
+def _faces_any(box, at, ends, p):  # type: ignore[no-untyped-def]
     """Whether some of a box lies above the surface at any point of an end."""
-    for q in range(part.shape[1]):
-        if part[p, q] >= 0 and above(box, at, get(position[p], q, 0), get(normal[p], q, 0)) > 0.0:
+    for q in range(ends.part.shape[1]):
+        if ends.part[p, q] >= 0 and above(box, at, get(ends.point[p], q, 0), get(ends.point[p], q, UPWARD)) > 0.0:
             return True
     return False
 
@@ -179,13 +188,13 @@ def _faces_any(box, at, p, position, normal, part):  # type: ignore[no-untyped-d
 @compiled(_nrt=False)
 def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
     """Variance of the path to y over an end's points, m²."""
-    variance = 0.0
-    for q in range(ends.part.shape[1]):
+    variance, points = 0.0, ends.part.shape[1]
+    for q in range(points):
         if ends.part[p, q] >= 0:
-            apart = distance(y, get(ends.position[p], q, 0)) + ends.longer[p, q] - mean
-            variance += ends.weight[p, q] * apart * apart
+            apart = distance(y, get(ends.point[p], q, 0)) + ends.point[p, q, LONGER] - mean
+            variance += ends.point[p, q, SHARE] * apart * apart
     # Each of Q points stands for a patch whose own variance is a Q-th of the whole's, nearly.
-    return variance * ends.part.shape[1] / max(ends.part.shape[1] - 1, 1)
+    return variance * points / max(points - 1, 1)
 
 
 @compiled(_nrt=False)
@@ -197,12 +206,12 @@ def _cut(  # type: ignore[no-untyped-def]
     corners, normal, area_before, around, children = tree.corners, tree.normal, tree.area, tree.box, tree.children
     span, roots, smallest, flat = tree.span, tree.roots, SMALLEST * tree.extent, occluders.flat
     hides = occluders.row
-    position, normals, part, weight = ends.position, ends.normal, ends.part, ends.weight
+    part = ends.part
     last = LISTED + (min(len(hides) - occluders.boxes, 1) if asked else 0)
     count, rays, points = 0, 0, part.shape[1]
     for p in range(len(part)):
         first[p] = count
-        x, one = _mean(position, part, weight, p)
+        x, one = _mean(ends, p)
         if one < 0:
             continue
         for k in range(len(roots)):
@@ -210,7 +219,7 @@ def _cut(  # type: ignore[no-untyped-def]
             while closed > 0:
                 closed -= 1
                 at = boxes[closed]
-                if not _faces_any(around, at, p, position, normals, part):
+                if not _faces_any(around, at, ends, p):
                     continue
                 start, end, cluster = span[at, 0], span[at, 1], 0.0
                 if end - start > CLUSTER:
@@ -266,7 +275,7 @@ def _cut(  # type: ignore[no-untyped-def]
                                 q = (3 * count + j) % points
                                 q = q if part[p, q] >= 0 else one
                                 rays += 1
-                                z = get(position[p], q, 0)
+                                z = get(ends.point[p], q, 0)
                                 if hidden(z, y, f, LISTED, last, hides, listed) == 0:
                                     seen, u = seen + 1, (u[0] + y[0], u[1] + y[1], u[2] + y[2])
                             visible = seen / 3
