@@ -34,8 +34,8 @@ from datagen.records.arrays import Floats, Ints
 from datagen.transport.cells.trial import by_light
 
 TARGETS = (0.02, 0.05)
-POINTS, HELD, FINER = 64, 24, 5
-WALKED, WALKED_FOV = 1 << 14, 4
+POINTS, HELD, FINER = 64, 16, 3
+WALKED, WALKED_FOV = 1 << 13, 4
 """Lookins of each of two walks, and their FoV points."""
 WHOLE = "whole"
 

@@ -39,9 +39,9 @@ HELPS = 0.1
 TOO_DEAR = 1 << 16
 """Cells and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
 hidden may take any number of rays for light that is a millionth of the whole."""
-WITHIN, WITHIN_PARTS = 0.6, 0.65
+WITHIN, WITHIN_PARTS, SPARE = 0.75, 0.65, 0.05
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
-others may be worse."""
+others may be worse; and how much of the first is kept for cutting objects no finer than they need."""
 MOST_PATCHES = 1 << 22
 """Patches of all pixels at most."""
 PATCHES_SHARE = 0.2
@@ -204,7 +204,8 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         if enough and (level < finest).all():
             chosen = np.stack([runs[n][:, k] for k, n in enumerate(level)], axis=1)
             tried, left = np.array(cuttings), still[level, every]
-            spare = (WITHIN * asked.target * whole - error) / max(int(held.sum()), 1)
+            most = WITHIN * asked.target * whole
+            spare = max(most - error, SPARE * most) / max(int(held.sum()), 1)
             coarser, enough_of_part = _between(tried, still, level, np.minimum(WITHIN_PARTS * limit, left + spare))
             error += float((enough_of_part - left).sum())
             return Choice(coarser, tried[level, every], error, whole, enough_of_part, own, held, limit, chosen)
