@@ -89,7 +89,7 @@ def histograms(scene: Scene, capture: Capture, occlusion: str, error: float) -> 
     accuracy = Accuracy(target=0.02, occlusion=occlusion)  # type: ignore[arg-type]
     gathering = Gathering.of(prepared(scene, capture, accuracy, 0, split_parts=True))
     pairs, parts = pairs_of(gathering.task), len(scene.part_names)
-    seen = gathering.seen(pairs, 1)
+    seen = list(gathering.seen(pairs, 1))
     coarse = gathering.gathered(pairs, seen, np.full(parts, 1e300), np.arange(parts)).histogram
     allowed = error * np.maximum(np.linalg.norm(coarse, axis=(0, 2)), 1e-3 * np.linalg.norm(coarse))
     found = gathering.gathered(pairs, seen, allowed, np.arange(parts))
