@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,6 +69,11 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
     quartering = None if choice is None else quarter(trial, choice, asked, len(pairs))
     if choice is None or quartering is None:
         return None
+    left = (target * choice.whole) ** 2 - quartering.error**2
+    if choice.error**2 > left > 0.0:
+        # Pixels at edges take more of the error than cells leave them.
+        finer = replace(asked, target=target * math.sqrt(left) / choice.error)
+        choice = choose(trial, finer) or choice
     rows = np.arange(len(choice.cutting)) if task.splits.parts else np.zeros(len(choice.cutting), np.int64)
     seen = gathering.seen(pairs, quartering.levels)
     found = gathering.gathered(pairs, seen, choice.cutting, rows)
