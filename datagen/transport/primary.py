@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -69,13 +69,8 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
     quartering = None if choice is None else quarter(trial, choice, asked, len(pairs))
     if choice is None or quartering is None:
         return None
-    left = (target * choice.whole) ** 2 - quartering.error**2
-    if choice.error**2 > left > 0.0:
-        # Pixels at edges take more of the error than cells leave them.
-        finer = replace(asked, target=target * math.sqrt(left) / choice.error)
-        choice = choose(trial, finer) or choice
     rows = np.arange(len(choice.cutting)) if task.splits.parts else np.zeros(len(choice.cutting), np.int64)
-    seen = gathering.seen(pairs, quartering.levels)
+    seen = gathering.seen(pairs, quartering.levels, quartering.edge_levels)
     found = gathering.gathered(pairs, seen, choice.cutting, rows)
     shape, names = task.capture.shape, task.scene.part_names
     # Those of cells and of patches have nothing to do with each other.

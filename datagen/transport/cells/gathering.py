@@ -147,13 +147,13 @@ class Gathering:
         return int(np.clip(math.ceil(math.log2(size * self.clock.per_metre)) + 1, *LEVELS))
 
     def edge_levels(self) -> int:
-        """How often pixels at edges are quartered."""
+        """How often pixels at edges are quartered, to begin with."""
         return max((k for k in EDGE_LEVELS if self.at_edge.sum() * 4**k <= MOST_AT_EDGES), default=1)
 
-    def seen(self, pairs: Ints, levels: int, fewer: int = 0) -> Iterator[Seen]:
-        """What the pixels of some pairs see: the even ones quartered `levels` times, those at edges as often as
-        there is room for, or a few times less; not too many at once."""
-        at_edge, edge_levels = self.at_edge[pairs[:, 1]], self.edge_levels() - fewer
+    def seen(self, pairs: Ints, levels: int, edge_levels: int | None = None) -> Iterator[Seen]:
+        """What the pixels of some pairs see: the even ones quartered `levels` times, those at edges `edge_levels`
+        times, or as often as any scene allows; not too many at once."""
+        at_edge, edge_levels = self.at_edge[pairs[:, 1]], self.edge_levels() if edge_levels is None else edge_levels
         for quartered, some in ((levels, np.flatnonzero(~at_edge)), (edge_levels, np.flatnonzero(at_edge))):
             some = some[np.argsort(pairs[some, 1], kind="stable")]
             first = np.flatnonzero(np.diff(pairs[some, 1], prepend=-1))

@@ -23,7 +23,7 @@ TOUCHING = 1e-9
 """Share of a line at each end within which a triangle only touches it."""
 FEW_VERTICES = 256
 """Vertices of a part up to which each is asked whether it lies behind a wall; of larger parts their box is."""
-MOST, RING = 12, 63
+MOST, RING = 16, 63
 """Candidates up to which boxes are opened, and the mask of a ring that holds those still to be looked at."""
 MANY_WALLS = 1024
 """Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""

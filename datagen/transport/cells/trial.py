@@ -42,16 +42,16 @@ hidden may take any number of rays for light that is a millionth of the whole.""
 WITHIN, WITHIN_PARTS, SPARE = 0.75, 0.65, 0.05
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
 others may be worse; and how much of the first is kept for cutting objects no finer than they need."""
-MOST_PATCHES = 1 << 22
-"""Patches of all pixels at most."""
+MOST_PATCHES, MOST_PATCHES_TRIED = 1 << 22, 1 << 18
+"""Patches of all pixels at most, and points of those of the trial that are at edges."""
 PATCHES_SHARE = 0.2
 """Share of the error to be met that may come of the size of patches."""
 MOST_LEVELS, FROM_LARGER, FINEST_SHARE = 6, 1 / 3, 0.5
 """How often pixels of the trial are quartered at most; error of patches, relative to the difference from those twice
 as large, for it is of second order; and how much of `PATCHES_SHARE` the finest ones may have."""
-FROM_FEWER = 0.5
+FROM_FEWER, SLOWEST = 0.5, 0.4
 """Error of a net of points, relative to its difference from one of a quarter of them: of order 3/4 in their number
-beside an edge."""
+beside an edge; and that difference, relative to the one before it, at least: it may be small by chance."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Trial:
     scale: Floats
     levels: int
     work: Work
-    seen: dict[tuple[int, int], list[Seen]] = field(default_factory=dict)
+    seen: dict[tuple[int, int | None], list[Seen]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, gathering: Gathering, lit: Ints, asked: Asked) -> Trial:
@@ -120,12 +120,12 @@ class Trial:
         """Only some of the pairs."""
         return replace(self, pairs=self.pairs[which], weight=self.weight[which], seen={})
 
-    def gathered(self, cutting: Floats, levels: int, *, fewer: int = 0) -> Gathered:
+    def gathered(self, cutting: Floats, levels: int, edge_levels: int | None = None) -> Gathered:
         """Their histograms with each part apart, such that squares add up to those of all pairs."""
-        if (levels, fewer) not in self.seen:
-            self.seen[levels, fewer] = list(self.gathering.seen(self.pairs, levels, fewer))
-        rows = np.arange(len(cutting))
-        found = self.gathering.gathered(self.pairs, self.seen[levels, fewer], cutting, rows)
+        asked = levels, edge_levels
+        if asked not in self.seen:
+            self.seen[asked] = list(self.gathering.seen(self.pairs, levels, edge_levels))
+        found = self.gathering.gathered(self.pairs, self.seen[asked], cutting, np.arange(len(cutting)))
         self.work.cells += int(found.cells.sum())
         self.work.rays += int(found.rays.sum())
         return replace(found, histogram=found.histogram * np.sqrt(self.weight)[:, None, None] * self.scale[:, None])
@@ -221,10 +221,11 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
 
 @dataclass(frozen=True)
 class Quartering:
-    """How often even pixels are quartered, and the L2 error of their patches and those of pixels at edges, in the
-    whole and (K,) in each part."""
+    """How often even pixels are quartered, and those at edges; and the L2 error of the patches of the ones and the
+    points of the others, in the whole and (K,) in each part."""
 
     levels: int
+    edge_levels: int
     error: float
     of_parts: Floats
 
@@ -233,8 +234,6 @@ def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quarteri
     """As seldom as will do; None where that leaves no room for the patches of all `pixels`."""
     at_edge = trial.gathering.at_edge[trial.pairs[:, 1]]
     edges, even = trial.some(at_edge), trial.some(~at_edge)
-    fewer = edges.gathered(choice.tried, 0, fewer=1).histogram
-    beside = FROM_FEWER * (choice.histogram[at_edge] - fewer)
     most, limits = PATCHES_SHARE * asked.target * choice.whole, PATCHES_SHARE * choice.limit
     runs = {trial.levels: choice.histogram[~at_edge]}
 
@@ -257,8 +256,30 @@ def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quarteri
         change = at(finest) - at(levels)
         error, errors = _norm(change) + still, _norms(change) + of_parts
         if error <= most and (errors <= limits).all():
-            return Quartering(levels, math.hypot(error, _norm(beside)), np.hypot(errors, _norms(beside)))
+            edge_levels, beside, of_each = _at_edges(edges, choice, asked, choice.histogram[at_edge])
+            return Quartering(levels, edge_levels, math.hypot(error, beside), np.hypot(errors, of_each))
     return None
+
+
+def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tuple[int, float, Floats]:
+    """How often pixels at edges are quartered: until the error of their points fits beside that of cells, or there is
+    no room for more; and that error. Their histograms at the fewest levels are `finer`."""
+    level, at_edge = edges.gathering.edge_levels(), int(edges.gathering.at_edge.sum())
+    if len(edges.pairs) == 0:
+        return level, 0.0, np.zeros(len(choice.own))
+    left = (asked.target * choice.whole) ** 2 - choice.error**2
+    left_of_part = np.where(choice.held, choice.limit**2 - choice.still**2, np.inf)
+    coarsest, coarser = (edges.gathered(choice.tried, 0, max(level - k, 0)).histogram for k in (2, 1))
+    error, of_parts = FROM_FEWER * _norm(coarser - coarsest), FROM_FEWER * _norms(coarser - coarsest)
+    while True:
+        change = FROM_FEWER * (finer - coarser)
+        error, of_parts = max(_norm(change), SLOWEST * error), np.maximum(_norms(change), SLOWEST * of_parts)
+        enough = error**2 <= left and (of_parts**2 <= left_of_part).all()
+        points = 4 ** (level + 1)
+        if enough or at_edge * points > MOST_PATCHES or len(edges.pairs) * points > MOST_PATCHES_TRIED:
+            return level, error, of_parts
+        level += 1
+        coarser, finer = finer, edges.gathered(choice.tried, 0, level).histogram
 
 
 def _between(cuttings: Floats, still: Floats, level: Ints, wanted: Floats) -> tuple[Floats, Floats]:
