@@ -82,3 +82,30 @@ def test_all_light_is_in_the_trial(order: int) -> None:
     every = gathering.gathered(pairs, gathering.seen(pairs, trial.levels), cutting, rows).histogram
     rough, own = (np.linalg.norm(found, axis=(0, 2)) for found in (trial.gathered(cutting, 0).histogram, every))
     assert (np.abs(np.log2(rough[own > 0] / own[own > 0])) < 1).all()
+
+
+def test_pixels_at_edges_get_as_many_points_as_they_need() -> None:
+    """Pixels with the foot of a board across them, lit near to it: what the points of the chosen net leave is what is
+    said, and less than what is asked; those of any scene leave more."""
+    y = np.linspace(-0.6, 0.6, 12)
+    board = rectangle((0.15, 0.0, 1.2), (0, 0.8, 0), (0.15, 0, 0.0))
+    laser = np.column_stack([np.zeros(12), y, np.full(12, 1.203)])
+    pixels = laser + [0.0, 0.004, 0.0]
+    capture = Capture(
+        Laser(DEVICE, laser), Sensor(DEVICE, square_pixels(pixels, HALF_M)), bins_of_path(40, 0.04, 0.0), "confocal"
+    )
+    scene = wall_and(Part("board", board, Lambertian(ALBEDO)))
+    gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.02), 3, split_parts=True))
+    assert gathering.at_edge.all()
+    pairs, asked = pairs_of(gathering.task), Asked(0.02, 0.02, 0.0, np.array([False, True]))
+    trial = Trial.of(gathering, pairs, asked)
+    choice = choose(trial, asked)
+    assert choice is not None
+    quartering = quarter(trial, choice, asked, len(pairs))
+    assert quartering is not None
+    of_any, chosen, truth = (
+        gathering.gathered(pairs, gathering.seen(pairs, 0, levels), choice.tried, np.zeros(2, np.int64)).histogram
+        for levels in (gathering.edge_levels(), quartering.edge_levels, 8)
+    )
+    of_any, chosen = (np.linalg.norm(found - truth) for found in (of_any, chosen))
+    assert chosen <= quartering.error <= 0.02 * choice.whole < of_any
