@@ -90,7 +90,7 @@ def test_pixels_at_edges_get_as_many_points_as_they_need() -> None:
     y = np.linspace(-0.6, 0.6, 12)
     board = rectangle((0.15, 0.0, 1.2), (0, 0.8, 0), (0.15, 0, 0.0))
     laser = np.column_stack([np.zeros(12), y, np.full(12, 1.203)])
-    pixels = laser + [0.0, 0.004, 0.0]
+    pixels = laser + np.array([0.0, 0.004, 0.0])
     capture = Capture(
         Laser(DEVICE, laser), Sensor(DEVICE, square_pixels(pixels, HALF_M)), bins_of_path(40, 0.04, 0.0), "confocal"
     )
