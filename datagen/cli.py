@@ -272,6 +272,7 @@ class _Benches(click.Group):
         "scaling": "Cost and memory against every size.",
         "detector": "Milliseconds per histogram of every sampler, beside a photon-by-photon simulation.",
         "loaders": "Samples a second of our loader beside zarr, tensorstore, WebDataset and others.",
+        "promise": "Scenes simulated to their targets, held against the truth, object by object.",
         "evidence": "How far objects stand out of the noise, kind by kind, in the first scenes.",
         "plan": "Predicted beside actual: seconds, error and bytes of small builds.",
     }

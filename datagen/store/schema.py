@@ -36,6 +36,8 @@ SCHEMA_VERSIONS = {
     "disagree; floats are shuffled by bytes",
     9: "datagen 0.10: with a target a seed yields other light of four bounces in exhaustive scans, and of three "
     "where cells hardly face the wall",
+    10: "datagen 0.11: with a target a seed yields other light of three bounces (pixels' edges, patches and the "
+    "choice of cells)",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""

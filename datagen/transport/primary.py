@@ -13,6 +13,7 @@ Clusters of small triangles, whose light would be lost in the rest, are seen thr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -69,13 +70,14 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
     if choice is None or quartering is None:
         return None
     rows = np.arange(len(choice.cutting)) if task.splits.parts else np.zeros(len(choice.cutting), np.int64)
-    seen = gathering.seen(pairs, quartering.levels)
+    seen = gathering.seen(pairs, quartering.levels, quartering.edge_levels)
     found = gathering.gathered(pairs, seen, choice.cutting, rows)
     shape, names = task.capture.shape, task.scene.part_names
-    errors = (choice.still + quartering.of_parts) / np.where(choice.held, choice.own, 1.0)
+    # Those of cells and of patches have nothing to do with each other.
+    errors = np.hypot(choice.still, quartering.of_parts) / np.where(choice.held, choice.own, 1.0)
     return Primary(
         [np.ascontiguousarray(found.histogram[:, k]).reshape(shape) for k in range(rows.max() + 1)],
-        found.overflow.reshape(shape[:2]), (choice.error + quartering.error) / choice.whole,
+        found.overflow.reshape(shape[:2]), math.hypot(choice.error, quartering.error) / choice.whole,
         {names[k]: float(errors[k]) for k in np.flatnonzero(choice.held)},
         trial.work.cells + int(found.cells.sum()), trial.work.rays + int(found.rays.sum()),
     )  # fmt: skip

@@ -21,7 +21,7 @@ from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf.table import LAMBERTIAN
 from datagen.transport.cells.gathering import Gathering, patches_of
 from datagen.transport.cells.pairs import arrive, join, room_for
-from datagen.transport.cells.reach import Ends, reach_of
+from datagen.transport.cells.reach import FOOTPRINT, SHARE, TO_DEVICE, UPWARD, Ends, reach_of
 from datagen.transport.cells.trial import by_light, spread_evenly
 from datagen.transport.primary import pairs_of
 from datagen.transport.sampling import stream_seeds
@@ -271,7 +271,7 @@ class _Scan:
                 origin, span,
             )  # fmt: skip
             count += found
-            if asked and len(occluders.number):
+            if asked and occluders.any:
                 hidden = caster.occluded_scaled(origin[:found], span[:found])
                 rays += found
             else:
@@ -286,17 +286,22 @@ class _Scan:
         if (lit.part != seen.part).any() or (pairs[:, 0] != pairs[:, 1]).any():
             return False
         near = 1e-6 * self.gathering.tree.extent
-        alike = np.abs(lit.position - seen.position).max(axis=(1, 2)) < near
+        alike = np.abs(lit.point - seen.point)[..., :UPWARD].max(axis=(1, 2)) < near
         kinds = self.task.materials.kind[lit.part[:, 0]]
-        alike &= (kinds == LAMBERTIAN) | (np.abs(lit.to_device - seen.to_device).max(axis=(1, 2)) < 1e-6)
-        return bool((alike | (lit.part[:, 0] < 0)).all()) and not seen.footprint.max(initial=0.0) > near * near * 1e6
+        alike &= (kinds == LAMBERTIAN) | (
+            np.abs(lit.point - seen.point)[..., TO_DEVICE:SHARE].max(axis=(1, 2)) < 1e-6
+        )
+        return (
+            bool((alike | (lit.part[:, 0] < 0)).all())
+            and not seen.point[..., FOOTPRINT].max(initial=0.0) > near * near * 1e6
+        )
 
     def _lasers(self, lasers: Ints) -> tuple[Ends, Floats]:
         points = self.task.points
         one = np.ones((len(lasers), 1))
-        ends = Ends(
-            np.nan_to_num(points.position[lasers])[:, None], points.normal[lasers][:, None].copy(),
-            points.to_laser[lasers][:, None].copy(), points.part[lasers][:, None].copy(), one, 0 * one, 0 * one,
+        ends = Ends.of(
+            np.nan_to_num(points.position[lasers])[:, None], points.normal[lasers][:, None],
+            points.to_laser[lasers][:, None], points.part[lasers][:, None], one, 0 * one, 0 * one,
         )  # fmt: skip
         return ends, np.nan_to_num(points.leg[lasers])
 
@@ -311,9 +316,8 @@ class _Scan:
         mean = (share * np.where(part >= 0, leg, 0.0)).sum(axis=1)
         longer = np.where(part >= 0, leg - mean[:, None], 0.0) if device else np.zeros_like(leg)
         part = np.where(weight > 0, part, -1)
-        position, normal, to_sensor, footprint = (
-            np.ascontiguousarray(values[:, finest])
-            for values in (patches.position, patches.normal, patches.to_sensor, patches.footprint)
-        )
-        ends = Ends(position, normal, to_sensor, np.ascontiguousarray(part), share, longer, footprint)
+        ends = Ends.of(
+            patches.position[:, finest], patches.normal[:, finest], patches.to_sensor[:, finest], part, share, longer,
+            patches.footprint[:, finest],
+        )  # fmt: skip
         return ends, whole, mean

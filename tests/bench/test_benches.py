@@ -70,6 +70,15 @@ def test_accuracy(config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert (tmp_path / "out/accuracy.png").read_bytes()[:4] == b"\x89PNG"
 
 
+def test_promise(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
+    held = tmp_path / "held.yaml"
+    held.write_text(CONFIG.replace("{lookins: 256, fov_samples: 1}", "{target: 0.1}"))
+    arguments = ["promise", str(tmp_path), str(held), config, "--scenes", "1", "--points", "4", "--target", "0.1"]
+    rows = rows_of(printed_by(arguments, capsys), "target")
+    assert rows[0][1:3] == ["whole", "1"], "a configuration of fixed counts promises nothing"
+    assert rows == rows_of(printed_by(arguments, capsys), "target"), "kept, not measured again"
+
+
 def test_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["target", str(tmp_path), "--first", "4", "--scenes", "1", "--cost", "1e5"]
     rows = rows_of(printed_by(arguments, capsys), "target")

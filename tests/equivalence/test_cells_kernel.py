@@ -14,7 +14,7 @@ from datagen.records.materials import Material
 from datagen.transport.cells.arrival import spread
 from datagen.transport.cells.gathering import Gathering
 from datagen.transport.cells.hierarchy import Hierarchy
-from datagen.transport.cells.occlusion import Occluders, hidden, narrowed, narrowed_to_box
+from datagen.transport.cells.occlusion import LISTED, SUSPECT, Occluders, hidden, lists, narrowed, narrowed_to_box
 from datagen.transport.primary import pairs_of
 from datagen.transport.solver import prepared
 
@@ -61,10 +61,8 @@ def test_candidates_hide_what_all_triangles_do() -> None:
     scene = cluttered()
     tree = Hierarchy.of(scene)
     hides = Occluders.of(scene, tree)
-    fields = (hides.facet, hides.number, hides.box, hides.link)
     x, own, cell = drawn(tree, 600, 1)
-    candidates, waiting = np.zeros(4096, np.int64), np.full(512, -1)
-    found, clear = [], 0
+    listed, found, clear = lists(4096), [], 0
     shares = np.random.default_rng(2).dirichlet((1, 1, 1), (600, 8))
     points = np.einsum("npv,nvi->npi", shares, cell)
     leaves = np.flatnonzero(tree.children[:, 0] < 0)
@@ -73,14 +71,14 @@ def test_candidates_hide_what_all_triangles_do() -> None:
         holder[tree.span[k, 0] : tree.span[k, 1]] = k
     for i in range(600):
         eye, of = tuple(x[i]), int(own[i])
-        end = narrowed_to_box(eye, tree.box, holder[of], candidates, 0, 1, 1, hides.box, hides.link, waiting)
+        end = narrowed_to_box(eye, tree.box, holder[of], LISTED, LISTED + 1, LISTED + 1, hides.row, listed)
         corners = (tuple(cell[i, v]) for v in range(3))
-        last = narrowed(eye, *corners, of, candidates, 1, end, end, *fields, hides.flat, waiting)
+        last = narrowed(eye, *corners, of, LISTED + 1, end, end, hides.flat, hides.row, listed)
         clear += last == end
-        for first, behind in ((0, 1), (1, end), (end, last)):
-            waiting[-1] = -1
-            found.append([hidden(eye, tuple(y), of, candidates, first, behind, *fields, waiting) for y in points[i]])
-    answers = np.array(found).reshape(600, 3, 8) >= 0
+        for first, behind in ((LISTED, LISTED + 1), (LISTED + 1, end), (end, last)):
+            listed[SUSPECT] = 0
+            found.append([hidden(eye, tuple(y), of, first, behind, hides.row, listed) for y in points[i]])
+    answers = np.array(found).reshape(600, 3, 8) > 0
     truth = crossed(np.repeat(x, 8, axis=0), points.reshape(-1, 3), tree.corners, np.repeat(own, 8)).reshape(600, 8)
     assert (answers == truth[:, None]).all()
     assert 60 < clear < 500
@@ -91,7 +89,7 @@ def histograms(scene: Scene, capture: Capture, occlusion: str, error: float) -> 
     accuracy = Accuracy(target=0.02, occlusion=occlusion)  # type: ignore[arg-type]
     gathering = Gathering.of(prepared(scene, capture, accuracy, 0, split_parts=True))
     pairs, parts = pairs_of(gathering.task), len(scene.part_names)
-    seen = gathering.seen(pairs, 1)
+    seen = list(gathering.seen(pairs, 1))
     coarse = gathering.gathered(pairs, seen, np.full(parts, 1e300), np.arange(parts)).histogram
     allowed = error * np.maximum(np.linalg.norm(coarse, axis=(0, 2)), 1e-3 * np.linalg.norm(coarse))
     found = gathering.gathered(pairs, seen, allowed, np.arange(parts))

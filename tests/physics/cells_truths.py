@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from datagen import Accuracy, Capture, Laser, Scene, capture_for, generate_scene, load_config, simulate
+from datagen import Accuracy, Capture, Scene, capture_for, generate_scene, load_config, simulate
+from datagen.bench.promise import some_points
 from datagen.errors import InputError
 from datagen.transport.brdf import MaterialTable
 
@@ -36,17 +36,12 @@ def scenes(names: list[str], count: int) -> Iterator[tuple[Scene, Capture]]:
             whole = capture_for(config, scene, config.seed, 5000 + case)
         except InputError:
             continue
-        yield scene, _some_points(whole, np.random.default_rng(case).permutation(whole.shape[0])[:LASERS])
+        yield scene, some_points(whole, np.random.default_rng(case).permutation(whole.shape[0])[:LASERS])
 
 
 def held_points(capture: Capture) -> np.ndarray:
     """The laser points whose truth is known."""
     return np.arange(0, capture.shape[0], max(capture.shape[0] // HELD, 1))
-
-
-def _some_points(capture: Capture, points: np.ndarray) -> Capture:
-    laser = Laser(capture.laser.position, capture.laser.targets[points])
-    return replace(capture, laser=laser, sensor=replace(capture.sensor, pixels=capture.sensor.pixels[points]))
 
 
 def truth(scene: Scene, capture: Capture, target: float, seed: int) -> Light:
@@ -59,7 +54,7 @@ def truth(scene: Scene, capture: Capture, target: float, seed: int) -> Light:
 
 
 def _computed(scene: Scene, capture: Capture, target: float, seed: int) -> Light:
-    found = simulate(scene, _some_points(capture, held_points(capture)), Accuracy(target=target / FINER), seed + 1)
+    found = simulate(scene, some_points(capture, held_points(capture)), Accuracy(target=target / FINER), seed + 1)
     objects = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object"]
     return {"total": found.total} | {name: found.parts[name] for name in objects}
 

@@ -8,17 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cells_truths import DAILY, DAILY_COUNT, DAILY_TARGET, held_points, scenes, truth
+from cells_truths import CONFIGS, DAILY, DAILY_COUNT, DAILY_TARGET, held_points, scenes, truth
 from scipy import stats
 
-from datagen import Accuracy, Capture, Scene, simulate
+from datagen import Accuracy, Capture, Scene, load_config, simulate
+from datagen.bench.promise import TARGETS, WHOLE, held
 from datagen.records import Transient
 
-CONFOCAL = [
-    "confocal_scan", "crooked_corridors", "furnished_rooms", "labelled_rooms", "letters_on_a_bench", "own_mesh",
-    "people_behind_doors", "quickstart", "rough_relay_walls", "shapes_behind_a_partition", "sparse_tracking",
-    "t_junction_hazards",
-]  # fmt: skip
 LEVEL = 1e-3
 
 
@@ -33,23 +29,32 @@ def misses(scene: Scene, capture: Capture, target: float, seed: int) -> list[boo
         return float(np.linalg.norm(ours[few] - theirs) / norm) if norm > 0 else 0.0
 
     found = [error(run.total, true["total"]) > target]
-    return found + [error(run.parts[name], true[name]) > 2.5 * target for name in held(run)]
+    return found + [error(run.parts[name], true[name]) > 2.5 * target for name in promised(run)]
 
 
-def held(run: Transient) -> list[str]:
+def promised(run: Transient) -> list[str]:
     return [name for name, claimed in run.part_errors.items() if claimed > 0]
 
 
-@pytest.mark.parametrize(
-    ("names", "count", "target"),
-    [(DAILY, DAILY_COUNT, DAILY_TARGET), pytest.param(CONFOCAL, 200, 0.05, marks=pytest.mark.nightly),
-     pytest.param(CONFOCAL, 200, 0.02, marks=pytest.mark.nightly)],
-    ids=["daily", "5 %", "2 %"],
-)  # fmt: skip
-def test_errors_are_within_what_was_asked(names: list[str], count: int, target: float) -> None:
+def test_errors_are_within_what_was_asked() -> None:
     """Misses of the whole and of objects, each against a binomial of 5 %, at 10⁻³."""
-    found = [misses(scene, capture, target, 10 * k) for k, (scene, capture) in enumerate(scenes(names, count))]
+    found = [
+        misses(scene, capture, DAILY_TARGET, 10 * k) for k, (scene, capture) in enumerate(scenes(DAILY, DAILY_COUNT))
+    ]
     whole, objects = [one[0] for one in found], [miss for one in found for miss in one[1:]]
-    assert objects and len(whole) > 0.8 * count
+    assert objects and len(whole) > 0.8 * DAILY_COUNT
     for some in (whole, objects):
         assert sum(some) <= stats.binom.isf(LEVEL, len(some), 0.05), (sum(some), len(some))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("target", TARGETS)
+def test_all_ready_configurations_keep_their_promise(target: float) -> None:
+    """As `datagen bench promise`, on scenes that no figure in docs is of; misses as by day."""
+    configs = [load_config(path) for path in sorted(CONFIGS.glob("*.yaml"))]
+    ready = [config for config in configs if config.transport.target is not None]
+    found = [one for config in ready for index in range(100, 108) for one in held(config, index, target)]
+    for some in ([one for one in found if (one.what == WHOLE) == whole and one.promised] for whole in (True, False)):
+        misses = sum(not one.within for one in some)
+        assert len(some) >= 8 * len(ready)
+        assert misses <= stats.binom.isf(LEVEL, len(some), 0.05), (misses, len(some))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from datagen.transport.cells.clusters import COARSEST
 from datagen.transport.cells.hierarchy import Hierarchy
 from datagen.transport.cells.light import AT_ONCE, gather
 from datagen.transport.cells.occlusion import Occluders
-from datagen.transport.cells.patches import Patches
+from datagen.transport.cells.patches import Patches, at_edges
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.walk import WalkTask
 from datagen.units import path_from_time
@@ -23,6 +24,7 @@ CLUSTER_STREAM = 64
 LEVELS, SIZED, TINY = (1, 5), 64, 1e-4
 """How often even pixels are quartered, if at all; how many of them are measured for that; and their size, relative to
 the scene, up to which they are points."""
+PATCHES_AT_ONCE = 1 << 17
 EDGE_LEVELS, MOST_AT_EDGES = range(2, 7), 1 << 14
 """How often pixels that see more than one surface are quartered: as often as leaves no more than so many patches of
 all of them, for what one has too much others lack."""
@@ -130,7 +132,7 @@ class Gathering:
         peak = task.materials.values[:, 0] / (math.pi * width**2)
         tree = Hierarchy.of(task.scene)
         past = np.isinf(task.patches.radius)
-        at_edge = past | patches_of(task, np.arange(len(past)), 1).uneven[:, 0]
+        at_edge = past | at_edges(task.caster, task.scene, task.capture.sensor, task.cones)
         return cls(
             task, tree, Occluders.of(task.scene, tree), lasers, clock, width, COARSEST * np.minimum(width, seen),
             peak, at_edge,
@@ -145,23 +147,23 @@ class Gathering:
         return int(np.clip(math.ceil(math.log2(size * self.clock.per_metre)) + 1, *LEVELS))
 
     def edge_levels(self) -> int:
-        """How often pixels at edges are quartered."""
+        """How often pixels at edges are quartered, to begin with."""
         return max((k for k in EDGE_LEVELS if self.at_edge.sum() * 4**k <= MOST_AT_EDGES), default=1)
 
-    def seen(self, pairs: Ints, levels: int, fewer: int = 0) -> list[Seen]:
-        """What the pixels of some pairs see: the even ones quartered `levels` times, those at edges as often as
-        there is room for, or a few times less."""
-        at_edge, found = self.at_edge[pairs[:, 1]], []
-        for which in (np.flatnonzero(~at_edge), np.flatnonzero(at_edge)):
-            if len(which) == 0:
-                continue
-            pixels, own = np.unique(pairs[which, 1], return_inverse=True)
-            local = np.stack([pairs[which, 0], own.reshape(-1)], axis=1)
-            quartered = self.edge_levels() - fewer if at_edge[which[0]] else levels
-            found.append(Seen(which, local, patches_of(self.task, pixels, quartered)))
-        return found
+    def seen(self, pairs: Ints, levels: int, edge_levels: int | None = None) -> Iterator[Seen]:
+        """What the pixels of some pairs see: the even ones quartered `levels` times, those at edges `edge_levels`
+        times, or as often as any scene allows; not too many at once."""
+        at_edge, edge_levels = self.at_edge[pairs[:, 1]], self.edge_levels() if edge_levels is None else edge_levels
+        for quartered, some in ((levels, np.flatnonzero(~at_edge)), (edge_levels, np.flatnonzero(at_edge))):
+            some = some[np.argsort(pairs[some, 1], kind="stable")]
+            first = np.flatnonzero(np.diff(pairs[some, 1], prepend=-1))
+            for which in np.split(some, first[:: max(PATCHES_AT_ONCE >> 2 * quartered, 1)][1:]):
+                if len(which):
+                    pixels, own = np.unique(pairs[which, 1], return_inverse=True)
+                    local = np.stack([pairs[which, 0], own.reshape(-1)], axis=1)
+                    yield Seen(which, local, patches_of(self.task, pixels, quartered))
 
-    def gathered(self, pairs: Ints, seen: list[Seen], error: Floats, row_of_part: Ints) -> Gathered:
+    def gathered(self, pairs: Ints, seen: Iterable[Seen], error: Floats, row_of_part: Ints) -> Gathered:
         """The light of some pairs of laser point and pixel, with each part in its row.
 
         error : (K,) L2 error that a cell of each part may make, photons; infinite for parts to be left out.

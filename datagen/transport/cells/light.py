@@ -18,7 +18,7 @@ from datagen.transport.cells.clear import put_clear, room_for_clear, spread_clea
 from datagen.transport.cells.clusters import anywhere, as_one, is_small, sides_turned
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, inner_side
-from datagen.transport.cells.occlusion import RING, hidden, narrowed, narrowed_to_box, shaded
+from datagen.transport.cells.occlusion import LISTED, RING, hidden, lists, narrowed, narrowed_to_box, shaded
 from datagen.transport.cells.waiting import (
     BOX,
     CELL,
@@ -58,20 +58,19 @@ def _digit(turn, share):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _seen(y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
+def _seen(y, x, z, f, first, middle, last, hides, listed):  # type: ignore[no-untyped-def]
     """Whether the laser point x lights y on triangle f and the patch at z sees it."""
-    # Each call hands over sixty words; where nothing is to be asked it is spared.
-    if first < middle and hidden(x, y, f, candidates, first, middle, facet, number, box, link, waiting) >= 0:
+    if first < middle and hidden(x, y, f, first, middle, hides, listed) > 0:
         return False
-    return middle == last or hidden(z, y, f, candidates, middle, last, facet, number, box, link, waiting) < 0
+    return middle == last or hidden(z, y, f, middle, last, hides, listed) == 0
 
 
 @compiled()
-def _none_seen(x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
+def _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed):  # type: ignore[no-untyped-def]
     """Whether it is proven that nothing of the cell a, b, c is lit by the laser point and seen by the patch."""
-    if first < middle and shaded(x, a, b, c, f, candidates, first, middle, facet, number, box, link, waiting):
+    if first < middle and shaded(x, a, b, c, f, first, middle, hides, listed):
         return True
-    return middle < last and shaded(z, a, b, c, f, candidates, middle, last, facet, number, box, link, waiting)
+    return middle < last and shaded(z, a, b, c, f, middle, last, hides, listed)
 
 
 @compiled()
@@ -89,11 +88,11 @@ def gather(  # type: ignore[no-untyped-def]
     # how many times as large as itself a patch is that it stands for; and how much of it may be seen though no ray
     # found anything.
     tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 18))
-    candidates, waiting = np.empty(1 << 14, np.int64), np.full(512, -1)
+    listed = lists(1 << 14)
     clear, batch, cuts = room_for_clear()
     _gather(
         pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-        work, tag, cell, candidates, waiting, clear, batch, cuts,
+        work, tag, cell, listed, clear, batch, cuts,
     )  # fmt: skip
 
 
@@ -101,7 +100,7 @@ def gather(  # type: ignore[no-untyped-def]
 @compiled(_nrt=False)
 def _gather(  # type: ignore[no-untyped-def]
     pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-    work, tag, cell, candidates, waiting, clear, batch, cuts,
+    work, tag, cell, listed, clear, batch, cuts,
 ):  # fmt: skip
     """The loop. What may stand between a cell and laser point or patch is among what may stand before all of the box
     or cell that it is cut from: each hands down its candidates, first … middle for the one and middle … last for the
@@ -112,7 +111,7 @@ def _gather(  # type: ignore[no-untyped-def]
     around, children, span, roots = tree.box, tree.children, tree.span, tree.roots
     cluster, moment = tree.cluster, tree.moment
     solid, solid_box = tree.solid, tree.solid_box
-    facet, number, box, link, flat = occluders.facet, occluders.number, occluders.box, occluders.link, occluders.flat
+    hides, flat = occluders.row, occluders.flat
     position1, normal1, to_laser1, part1, power1, leg1 = (
         lasers.position, lasers.normal, lasers.to_laser, lasers.part, lasers.power, lasers.leg
     )  # fmt: skip
@@ -124,11 +123,12 @@ def _gather(  # type: ignore[no-untyped-def]
     allowed, coarsest, peak = cutting.error, cutting.coarsest, cutting.peak
     last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
     per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
-    enough = len(candidates) - 4 * RING
-    some, strongest = min(len(number), 1), 0.0
+    enough = len(listed) - 4 * RING
+    some, strongest = min(len(hides) - occluders.boxes, 1), 0.0
+    to_z = LISTED + some
+    free = to_z + some
     for k in range(len(peak)):
         strongest = max(strongest, peak[k])
-    candidates[0] = candidates[1] = 0
     for pair in range(len(pairs)):
         i, p = pairs[pair, 0], pairs[pair, 1]
         if part1[i] < 0 or (part3[p, 0] < 0 and not uneven3[p, 0]):
@@ -144,13 +144,13 @@ def _gather(  # type: ignore[no-untyped-def]
             word = word_of(cutting.seed, pair, k)
             most, turn, cells, rays = np.inf, np.int64(word >> np.uint64(8)), 0, 0
             cell[0, 16], cell[0, 17] = 1.0, UNFOUND
-            top = push(tag, 0, BOX, roots[k], 0, 0, some, 2 * some if apart else some)
+            top = push(tag, 0, BOX, roots[k], 0, LISTED, to_z, free if apart else to_z)
             alight = 0
             while top > 0 or alight > 0:
                 if top == 0:
                     alight, more, outside, top = spread_clear(
                         clear, alight, batch, cuts, normal, x, n1, lit, leg1[i], p, patches, coarsest[k], allowed[k],
-                        clock, AT_ONCE, SMALLEST * extent, histogram, into, tag, cell, 2 * some,
+                        clock, AT_ONCE, SMALLEST * extent, histogram, into, tag, cell, free,
                     )  # fmt: skip
                     cells, overflow[into] = cells + more, overflow[into] + outside
                     continue
@@ -226,7 +226,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             if proofs and inner_side(x, n, corners, f, solid, solid_box):
                                 continue
                             rays += 1
-                            if _seen(y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting):
+                            if _seen(y, x, z, f, first, middle, last, hides, listed):
                                 path = r1 + r3
                                 air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
                                 t, energy = (path + device) * per_metre - start_bin, w * air * gain * area
@@ -283,22 +283,8 @@ def _gather(  # type: ignore[no-untyped-def]
                         continue
                     # Seen or not, it can make no larger error than it may.
                     visible, faint = 1.0, (PARTLY if alone else 1.0) * over <= allowed[k]
-                    if not (alone or quarter) and proofs and first < last < enough and (cut or not faint):
-                        half_way = narrowed(
-                            x, a, b, c, f, candidates, first, middle, last, facet, number, box, link, flat, waiting
-                        )
-                        behind = narrowed(
-                            z, a, b, c, f, candidates, middle, last, half_way, facet, number, box, link, flat, waiting
-                        )
-                        first, middle, last = last, half_way, behind
                     if not quarter and first < last:
-                        if (
-                            cut
-                            and not alone
-                            and _none_seen(
-                                x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link, waiting
-                            )
-                        ):
+                        if cut and not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed):
                             continue
                         if faint and not cut:
                             rays += 1
@@ -306,9 +292,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             if alone:
                                 word = word_of(cutting.seed, pair, 8 * at)
                                 f, y = anywhere(start, end, area_before, corners, word)
-                            if not _seen(
-                                y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
-                            ):
+                            if not _seen(y, x, z, f, first, middle, last, hides, listed):
                                 continue
                         elif not cut:
                             seen, visible, of_all = 0, 0.0, 0.0
@@ -322,9 +306,7 @@ def _gather(  # type: ignore[no-untyped-def]
                                     facing = dot(less(y, x), get(normal, f, 0)) * dot(less(y, z), get(normal, f, 0))
                                     part = (area_before[high] - area_before[low]) * max(facing, 0.0)
                                 of_all += part
-                                if _seen(
-                                    y, x, z, f, candidates, first, middle, last, facet, number, box, link, waiting
-                                ):
+                                if _seen(y, x, z, f, first, middle, last, hides, listed):
                                     seen += 1
                                     visible += part
                             visible = visible / of_all if of_all > 0.0 else seen / 3
@@ -332,17 +314,20 @@ def _gather(  # type: ignore[no-untyped-def]
                             cut = seen < 3 and (PARTLY if seen > 0 else cell[top, 17]) * over > allowed[k]
                             if seen == 0 and (
                                 not cut
-                                or (not alone and _none_seen(
-                                    x, a, b, c, z, f, candidates, first, middle, last, facet, number, box, link,
-                                    waiting,
-                                ))
+                                or (not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed))
                             ):  # fmt: skip
                                 continue
                             cell[top, 17] = STILL_UNFOUND * cell[top, 17] if seen == 0 else UNFOUND
+                    # Rays find their way through what may hide the cell it is cut from; it pays to narrow that down
+                    # for what is cut.
+                    if cut and not (alone or quarter) and proofs and first < last < enough:
+                        half_way = narrowed(x, a, b, c, f, first, middle, last, flat, hides, listed)
+                        behind = narrowed(z, a, b, c, f, middle, last, half_way, flat, hides, listed)
+                        first, middle, last = last, half_way, behind
                 if quarter:
                     cell[top, 17] = UNFOUND
                     # Another point of the wall, before which other things may stand.
-                    candidates[last] = candidates[last + 1] = 0
+                    listed[last] = listed[last + 1] = 0
                     first, middle, last = last, last + some, last + (2 * some if last_leg else some)
                     here, kept = top, BOX if what == BOX else FRESH
                     if few:
@@ -356,10 +341,8 @@ def _gather(  # type: ignore[no-untyped-def]
                     continue
                 if what == BOX and (cut or not alone):
                     if proofs and first < last < enough:
-                        half_way = narrowed_to_box(x, around, at, candidates, first, middle, last, box, link, waiting)
-                        behind = narrowed_to_box(
-                            z, around, at, candidates, middle, last, half_way, box, link, waiting
-                        )
+                        half_way = narrowed_to_box(x, around, at, first, middle, last, hides, listed)
+                        behind = narrowed_to_box(z, around, at, middle, last, half_way, hides, listed)
                         first, middle, last = last, half_way, behind
                     if many:
                         top = push_boxes(tag, cell, top, children[at], q, first, middle, last)

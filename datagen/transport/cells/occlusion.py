@@ -12,9 +12,9 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records import Scene
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import dot
-from datagen.transport.cells.geometry import above, ball, corner, cross, distance, less, unit
+from datagen.transport.cells.geometry import above, ball, corner, cross, distance, get, less, unit
 from datagen.transport.cells.hierarchy import ON_PLANE, Hierarchy
 from datagen.transport.cells.surface_area import boxes_over
 
@@ -27,25 +27,30 @@ MOST, RING = 16, 63
 """Candidates up to which boxes are opened, and the mask of a ring that holds those still to be looked at."""
 MANY_WALLS = 1024
 """Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""
+LINK, SPAN, COLUMNS_OF_BOX, NORMAL, NUMBER, COLUMNS = 6, 7, 9, 9, 12, 13
+"""Columns of `Occluders.row`."""
+SUSPECT, LISTED = 255, 256
+"""In the lists that are handed down: what is to be looked at, which is scratch, comes first; then the triangle that
+hid something the last time, or 0; and from `LISTED` on candidates: rows, of triangles less than 0, their −k."""
 
 
 class Occluders(NamedTuple):
     """F triangles that can hide anything, in N boxes; the walls round a convex room are not among them.
 
+    All are rows of one array, as columns say, for in loops that ask for one line each array handed over counts.
+
     Attributes
     ----------
-    facet : (F, 4, 3) three corners, metres, and the unit normal.
-    number : (F,) which triangle of the `Hierarchy` each is.
-    box : (N, 6) lowest and highest corner, metres; the first holds all.
-    link : (N, 3) the first of two boxes side by side, −1 in a box that holds its triangles itself; these, first and
-        behind the last.
+    row : (N + F, 13) boxes, the first of which holds all, and triangles. Of a box its lowest and highest corner,
+        metres (0–5), the first of the two boxes in it, −1 in one that holds its triangles itself (`LINK`), and the
+        first of its triangles and behind the last (`SPAN`); of a triangle three corners, metres (0–8), its unit
+        normal (`NORMAL`) and its number in the `Hierarchy` (`NUMBER`).
+    boxes : N.
     flat : distance from a plane within which a point lies on it, metres.
     """
 
-    facet: Floats
-    number: Ints
-    box: Floats
-    link: Ints
+    row: Floats
+    boxes: int
     flat: float
 
     @classmethod
@@ -54,9 +59,17 @@ class Occluders(NamedTuple):
         number = np.flatnonzero(_hides(scene, tree))
         corners = tree.corners[number]
         order, box, link = boxes_over(corners.min(axis=1), corners.max(axis=1))
-        number = number[order]
-        facet = np.concatenate([tree.corners[number], tree.normal[number, None]], axis=1)
-        return cls(facet, number, box, link, ON_PLANE * tree.extent)
+        number, boxes = number[order], len(box)
+        row = np.zeros((boxes + len(number), COLUMNS))
+        row[:boxes, :LINK], row[:boxes, LINK], row[:boxes, SPAN:COLUMNS_OF_BOX] = box, link[:, 0], boxes + link[:, 1:]
+        row[boxes:, :NORMAL], row[boxes:, NORMAL:NUMBER] = tree.corners[number].reshape(-1, 9), tree.normal[number]
+        row[boxes:, NUMBER] = number
+        return cls(row, boxes, ON_PLANE * tree.extent)
+
+    @property
+    def any(self) -> bool:
+        """Whether anything can be hidden."""
+        return len(self.row) > self.boxes
 
 
 def _hides(scene: Scene, tree: Hierarchy) -> Bools:
@@ -108,10 +121,18 @@ def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-u
 
 
 @compiled()
-def _crosses(x, d, facet, f, end):  # type: ignore[no-untyped-def]
+def lists(room):  # type: ignore[no-untyped-def]
+    """The lists, with room for so many candidates, of which the first two are boxes that hold all."""
+    found = np.empty(LISTED + max(room, 2), np.int64)
+    found[SUSPECT] = found[LISTED] = found[LISTED + 1] = 0
+    return found
+
+
+@compiled(forceinline=True)
+def _crosses(x, d, row, f, end):  # type: ignore[no-untyped-def]
     """Whether the line x … x + d · end passes through triangle f (Möller & Trumbore, J. Graphics Tools 2 (1997))."""
-    a = corner(facet, f, 0)
-    along_b, along_c = less(corner(facet, f, 1), a), less(corner(facet, f, 2), a)
+    a = get(row, f, 0)
+    along_b, along_c = less(get(row, f, 3), a), less(get(row, f, 6), a)
     p = cross(d, along_c)
     volume = dot(along_b, p)
     if volume == 0.0:
@@ -128,128 +149,123 @@ def _crosses(x, d, facet, f, end):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def hidden(x, y, of, candidates, first, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
-    """A triangle other than number `of`, on which y lies, that stands between the points x and y; −1 for none.
+def hidden(x, y, of, first, last, row, listed):  # type: ignore[no-untyped-def]
+    """The row of a triangle other than number `of`, on which y lies, that stands between the points x and y; 0 for
+    none.
 
-    candidates : boxes k and triangles −1 − f, of which first … last are asked.
-    waiting : (≥ 256,) int64 scratch; the last of it is the triangle that hid something the last time, asked first,
-        or −1.
-
-    The other arguments are the fields of `Occluders`, one by one: taken out of it in the loop they cost four times as
-    much.
+    row : that of `Occluders`. listed : `lists`, of whose candidates first … last are asked.
     """
-    d = less(y, x)
-    suspect = waiting[-1]
-    if first < last and suspect >= 0 and _stands_between(x, d, of, suspect, facet, number):
+    if first >= last:
+        return 0
+    d, suspect = less(y, x), listed[SUSPECT]
+    if suspect > 0 and _stands_between(x, d, of, suspect, row):
         return suspect
     slope = (1.0 / (d[0] or TINY), 1.0 / (d[1] or TINY), 1.0 / (d[2] or TINY))
     for i in range(first, last):
-        waiting[0], top = candidates[i], 1
+        listed[0], top = listed[i], 1
         while top > 0:
             top -= 1
-            k = waiting[top]
+            k = listed[top]
             if k < 0:
-                f = -1 - k
-                if _stands_between(x, d, of, f, facet, number):
-                    waiting[-1] = f
-                    return f
+                if _stands_between(x, d, of, -k, row):
+                    listed[SUSPECT] = -k
+                    return -k
                 continue
             enter, leave = 0.0, 1.0 + TOUCHING
             for j in range(3):
-                one, other = (box[k, j] - x[j]) * slope[j], (box[k, 3 + j] - x[j]) * slope[j]
+                one, other = (row[k, j] - x[j]) * slope[j], (row[k, 3 + j] - x[j]) * slope[j]
                 enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
             if enter <= leave * (1.0 + 1e-12):
-                top = _opened(waiting, top, link, k)
-    return -1
+                top = _opened(listed, top, row, k)
+    return 0
 
 
-@compiled()
-def _stands_between(x, d, of, f, facet, number):  # type: ignore[no-untyped-def]
+@compiled(forceinline=True)
+def _stands_between(x, d, of, f, row):  # type: ignore[no-untyped-def]
     """Whether occluder f hides x + d on triangle `of` from x."""
-    if number[f] == of:
+    number = row[f, NUMBER]
+    if number == of:
         return False
     # Of triangles that lie on each other the last one is seen, so that their light counts once.
-    return _crosses(x, d, facet, f, 1.0 + TOUCHING if number[f] > of else 1.0 - TOUCHING)
+    return _crosses(x, d, row, f, 1.0 + TOUCHING if number > of else 1.0 - TOUCHING)
 
 
 @compiled()
-def _opened(entries, top, link, k):  # type: ignore[no-untyped-def]
+def _opened(listed, top, row, k):  # type: ignore[no-untyped-def]
     """Put what box k holds behind the first `top` entries; returns how many there are then."""
-    if link[k, 0] >= 0:
-        entries[top], entries[top + 1] = link[k, 0], link[k, 0] + 1
+    one = int(row[k, LINK])
+    if one >= 0:
+        listed[top], listed[top + 1] = one, one + 1
         return top + 2
-    for f in range(link[k, 1], link[k, 2]):
-        entries[top] = -1 - f
+    for f in range(int(row[k, SPAN]), int(row[k, SPAN + 1])):
+        listed[top] = -f
         top += 1
     return top
 
 
 @compiled()
-def shaded(x, a, b, c, of, candidates, first, last, facet, number, box, link, waiting):  # type: ignore[no-untyped-def]
+def shaded(x, a, b, c, of, first, last, row, listed):  # type: ignore[no-untyped-def]
     """Whether it is proven that x sees nothing of the triangle a, b, c on triangle `of`.
 
     A triangle that stands before all three corners stands before all between them. False is no proof of the opposite.
     """
-    before = hidden(x, a, of, candidates, first, last, facet, number, box, link, waiting)
-    if before < 0:
+    before = hidden(x, a, of, first, last, row, listed)
+    if before == 0:
         return False
     end = 1.0 - TOUCHING
-    return _crosses(x, less(b, x), facet, before, end) and _crosses(x, less(c, x), facet, before, end)
+    return _crosses(x, less(b, x), row, before, end) and _crosses(x, less(c, x), row, before, end)
 
 
 @compiled()
-def narrowed_to_box(x, around, at, candidates, first, last, free, box, link, waiting):  # type: ignore[no-untyped-def]
+def narrowed_to_box(x, around, at, first, last, free, row, listed):  # type: ignore[no-untyped-def]
     """Those of the candidates first … last that may stand between x and some point of the box `around[at]`; as
     `narrowed`, but only boxes are asked: by their shadows on the axes and by the cone over the ball round the box."""
     middle, radius = ball(around, at)
     axis, far = less(middle, x), distance(middle, x)
     sine = min(radius / far, 1.0)
     cosine = np.sqrt(1.0 - sine * sine)
-    head, tail, end = 0, _listed(waiting, candidates, first, last), free
+    head, tail, end = 0, _waiting(listed, first, last), free
     while head < tail:
-        k = waiting[head & RING]
+        k = listed[head & RING]
         head += 1
         if k >= 0:
             apart = False
             for j in range(3):
-                apart |= box[k, j] > max(x[j], around[at, 3 + j]) or box[k, 3 + j] < min(x[j], around[at, j])
-            centre, size = ball(box, k)
+                apart |= row[k, j] > max(x[j], around[at, 3 + j]) or row[k, 3 + j] < min(x[j], around[at, j])
+            centre, size = ball(row, k)
             d = less(centre, x)
             along = dot(d, axis) / far
             across = np.sqrt(max(dot(d, d) - along * along, 0.0))
             if apart or (sine < 1.0 and across * cosine - along * sine > size * (1.0 + 1e-6)):
                 continue
-            if link[k, 0] >= 0 and end - free + tail - head < MOST:
-                tail = _pair_listed(waiting, tail, link[k, 0])
+            if row[k, LINK] >= 0.0 and end - free + tail - head < MOST:
+                one = int(row[k, LINK])
+                listed[tail & RING], listed[(tail + 1) & RING] = one, one + 1
+                tail += 2
                 continue
-        candidates[end] = k
+        listed[end] = k
         end += 1
     return end
 
 
 @compiled()
-def _listed(waiting, candidates, first, last):  # type: ignore[no-untyped-def]
+def _waiting(listed, first, last):  # type: ignore[no-untyped-def]
     """Put candidates first … last into the ring of what is to be looked at; returns how many."""
     for i in range(last - first):
-        waiting[i] = candidates[first + i]
+        listed[i] = listed[first + i]
     return last - first
 
 
 @compiled()
-def _pair_listed(waiting, tail, one):  # type: ignore[no-untyped-def]
-    """Put two boxes side by side at the end of the ring; returns its new end."""
-    waiting[tail & RING], waiting[(tail + 1) & RING] = one, one + 1
-    return tail + 2
-
-
-@compiled()
-def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, link, flat, waiting):  # type: ignore[no-untyped-def]
+def narrowed(x, a, b, c, of, first, last, free, flat, row, listed):  # type: ignore[no-untyped-def]
     """Those of the candidates first … last that may stand between x and some point of the triangle a, b, c on
     triangle `of`, boxes opened while they are few: written from `free` on; returns the end. None left is a proof.
 
     The pyramid over the triangle with its tip in x is free of every triangle that lies beyond one of its sides, or
     has all of the pyramid on one side of itself.
     """
+    if first >= last:
+        return free
     base = cross(less(b, a), less(c, a))
     if dot(base, less(x, a)) < 0.0:
         base = (-base[0], -base[1], -base[2])
@@ -257,15 +273,16 @@ def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, 
     if dot(one, less(c, x)) < 0.0:
         one, two, three = (-one[0], -one[1], -one[2]), (-two[0], -two[1], -two[2]), (-three[0], -three[1], -three[2])
     near1, near2, near3, near0 = _margin(one, flat), _margin(two, flat), _margin(three, flat), _margin(base, flat)
-    head, tail, end = 0, _listed(waiting, candidates, first, last), free
+    head, tail, end = 0, _waiting(listed, first, last), free
     while head < tail:
-        k = waiting[head & RING]
+        k = listed[head & RING]
         head += 1
         if k < 0:
-            f = -1 - k
-            if number[f] == of:
+            f = -k
+            number = row[f, NUMBER]
+            if number == of:
                 continue
-            p, q, r = corner(facet, f, 0), corner(facet, f, 1), corner(facet, f, 2)
+            p, q, r = get(row, f, 0), get(row, f, 3), get(row, f, 6)
             if (
                 _beyond(one, x, p, q, r, near1)
                 or _beyond(two, x, p, q, r, near2)
@@ -275,37 +292,32 @@ def narrowed(x, a, b, c, of, candidates, first, last, free, facet, number, box, 
             if _beyond(base, a, p, q, r, near0):
                 # One that lies on the triangle itself, and is seen in its place, hides it.
                 upward = (-base[0], -base[1], -base[2])
-                if not (number[f] > of and _beyond(upward, a, p, q, r, near0)):
+                if not (number > of and _beyond(upward, a, p, q, r, near0)):
                     continue
             else:
-                n = corner(facet, f, 3)
-                low, high = _heights(n, p, x, a, b, c)
+                low, high = _heights(get(row, f, NORMAL), p, x, a, b, c)
                 if high <= flat or low >= -flat:
                     continue
         elif (
-            _outside(one, x, box, k, near1)
-            or _outside(two, x, box, k, near2)
-            or _outside(three, x, box, k, near3)
-            or _outside(base, a, box, k, -near0)
+            above(row, k, x, one) <= near1
+            or above(row, k, x, two) <= near2
+            or above(row, k, x, three) <= near3
+            or above(row, k, a, base) <= -near0
         ):
             continue
         elif end - free + tail - head < MOST:
-            if link[k, 0] >= 0:
-                tail = _pair_listed(waiting, tail, link[k, 0])
+            one_of = int(row[k, LINK])
+            if one_of >= 0:
+                listed[tail & RING], listed[(tail + 1) & RING] = one_of, one_of + 1
+                tail += 2
             else:
-                for f in range(link[k, 1], link[k, 2]):
-                    waiting[tail & RING] = -1 - f
+                for f in range(int(row[k, SPAN]), int(row[k, SPAN + 1])):
+                    listed[tail & RING] = -f
                     tail += 1
             continue
-        candidates[end] = k
+        listed[end] = k
         end += 1
     return end
-
-
-@compiled()
-def _outside(n, x, box, k, near):  # type: ignore[no-untyped-def]
-    """Whether a box lies wholly on the outer side of the plane through x whose normal n points inwards."""
-    return above(box, k, x, n) <= near
 
 
 @compiled()

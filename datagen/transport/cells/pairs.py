@@ -95,7 +95,7 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     return energy, r, path, variance, share, y1, y2
 
 
-@compiled()
+@compiled(forceinline=True)
 def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
     """Middles of what each of two cells has above the other's plane, and the share of the two that this is.
 

@@ -21,6 +21,9 @@ from datagen.transport.sampling import scrambled_sobol, stream_seeds
 BENT = 0.02
 """1 − cosine between the normals of a patch and its quarters from which its middle does not stand for it."""
 LEAST_SIZE = 1e-9
+LOOKS, MOST_LOOKS = range(1, 4), 1 << 16
+"""How often pixels are quartered to see whether they hold an edge: as often as leaves no more than so many lines of
+sight of all of them, for what is small in one of many pixels is little light."""
 PATCH_STREAM = 65
 
 
@@ -107,6 +110,19 @@ class Patches(NamedTuple):
         for level in reversed(by_level):
             uneven[:, level] |= uneven[:, quarters[level]].any(axis=2)
         return cls(position, normal, to_sensor, part, weight, most, footprint, leg, size, across, uneven, quarters)
+
+
+def at_edges(caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones) -> Bools:
+    """(P,) pixels that see more than one surface, or past one, along the middles of their quarters' quarters."""
+    pixels = np.arange(len(sensor.pixels))
+    level = max((k for k in LOOKS if len(pixels) * 4**k <= MOST_LOOKS), default=LOOKS[0])
+    places = _middles(level, len(pixels))
+    pool, side = fov_points(caster, scene, sensor, cones, pixels, places, places.shape[1]), 1 << level
+    part, normal = pool.part.reshape(-1, side, side), pool.normal.reshape(-1, side, side, 3)
+    found = (part != part[:, :1, :1]).any(axis=(1, 2)) | (part[:, 0, 0] < 0)
+    for one, other in ((normal[:, 1:], normal[:, :-1]), (normal[:, :, 1:], normal[:, :, :-1])):
+        found |= (np.einsum("prck,prck->prc", one, other) < 1 - BENT).any(axis=(1, 2))
+    return np.asarray(found)
 
 
 def _middles(level: int, pixels: int) -> Floats:

@@ -22,7 +22,7 @@ from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot, evaluate
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less, longest, put
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, Hierarchy, one_of
-from datagen.transport.cells.occlusion import Occluders, hidden, shaded
+from datagen.transport.cells.occlusion import LISTED, Occluders, hidden, lists, shaded
 from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 4.0, 0.4
@@ -36,25 +36,32 @@ two vectors whose squared products with a slope of the path add up to the varian
 the path to the end, its longest side, the direction to the end, and the variance over its points of the path."""
 
 
+UPWARD, TO_DEVICE, SHARE, LONGER, FOOTPRINT = 3, 6, 9, 10, 11
+"""Columns of an end's point, whose first three are its position."""
+
+
 class Ends(NamedTuple):
-    """N ends, each of Q points.
+    """N ends, each of Q points; numbers of all kinds in one array, for each array handed over counts.
 
     Attributes
     ----------
-    position, normal, to_device : (N, Q, 3) metres; unit vectors.
+    point : (N, Q, 12) position, metres (0–2), normal (`UPWARD`) and direction to the device (`TO_DEVICE`), unit
+        vectors; its weight (`SHARE`), of which those of an end add up to one or are zero; what its path is longer by
+        than that of the end, metres (`LONGER`); and the wall area that it stands for, m² (`FOOTPRINT`).
     part : (N, Q) −1 for a point that is none.
-    weight : (N, Q) of each point; they add up to one, or are zero.
-    longer : (N, Q) what its path is longer by than that of the end, metres.
-    footprint : (N, Q) wall area that it stands for, m².
     """
 
-    position: Floats
-    normal: Floats
-    to_device: Floats
+    point: Floats
     part: Ints
-    weight: Floats
-    longer: Floats
-    footprint: Floats
+
+    @classmethod
+    def of(
+        cls, position: Floats, normal: Floats, to_device: Floats, part: Ints, share: Floats, longer: Floats,
+        footprint: Floats,
+    ) -> Ends:  # fmt: skip
+        """Of (N, Q, 3) and (N, Q)."""
+        numbers = np.stack([share, longer, footprint], axis=-1)
+        return cls(np.concatenate([position, normal, to_device, numbers], axis=-1), np.ascontiguousarray(part))
 
 
 class Reach(NamedTuple):
@@ -88,8 +95,7 @@ def reach_of(
         first = np.zeros(len(ends.part) + 1, np.int64)
         rays = _cut(
             ends, tree, occluders, materials.kind, materials.values, coarsest, error, asked, seed, first, cell,
-            number, part, np.empty(128, np.int64), np.empty((128, 3, 3)), np.empty(128), np.zeros(1, np.int64),
-            np.full(512, -1),
+            number, part, np.empty(128, np.int64), np.empty((128, 3, 3)), np.empty(128), lists(0),
         )  # fmt: skip
         if rays >= 0:
             return Reach(first, cell[: first[-1]], number[: first[-1]], part[: first[-1]]), rays
@@ -99,22 +105,22 @@ def reach_of(
 @compiled(_nrt=False)
 def lit(y, n, p, ends, kind, values):  # type: ignore[no-untyped-def]
     """w(y) but for what hides it, and the path, for a surface with its normal n towards end p."""
-    position, normal, to_device, part, weight, longer, footprint = ends
+    point, part = ends.point[p], ends.part
     w = path = whole = 0.0
     for q in range(part.shape[1]):
         k = part[p, q]
         if k < 0:
             continue
-        d, n1 = less(y, get(position[p], q, 0)), get(normal[p], q, 0)
+        d, n1 = less(y, get(point, q, 0)), get(point, q, UPWARD)
         square = dot(d, d)
         r, up, down = math.sqrt(square), dot(d, n1), -dot(d, n)
-        share = weight[p, q]
-        path += share * (r + longer[p, q])
+        share = point[q, SHARE]
+        path += share * (r + point[q, LONGER])
         whole += share
         if up > 0.0 and down > 0.0:
             per = 1.0 / r
-            f = evaluate(kind[k], values[k], n1, get(to_device[p], q, 0), (d[0] * per, d[1] * per, d[2] * per))
-            w += share * f * up * down / (square * (square + footprint[p, q] / math.pi))
+            f = evaluate(kind[k], values[k], n1, get(point, q, TO_DEVICE), (d[0] * per, d[1] * per, d[2] * per))
+            w += share * f * up * down / (square * (square + point[q, FOOTPRINT] / math.pi))
     return w, path / whole
 
 
@@ -155,24 +161,26 @@ def condense(cell, k, number, to, p, ends, kind, values):  # type: ignore[no-unt
 
 
 @compiled(_nrt=False)
-def _mean(position, part, weight, p):  # type: ignore[no-untyped-def]
+def _mean(ends, p):  # type: ignore[no-untyped-def]
     """The middle of an end, and the number of a point of it, −1 if it has none."""
+    point, part = ends.point[p], ends.part
     x = y = z = 0.0
     one = -1
     for q in range(part.shape[1]):
-        if part[p, q] >= 0 and weight[p, q] > 0.0:
+        share = point[q, SHARE]
+        if part[p, q] >= 0 and share > 0.0:
             one = q
-            x += weight[p, q] * position[p, q, 0]
-            y += weight[p, q] * position[p, q, 1]
-            z += weight[p, q] * position[p, q, 2]
+            x += share * point[q, 0]
+            y += share * point[q, 1]
+            z += share * point[q, 2]
     return (x, y, z), one
 
 
 @compiled(_nrt=False)
-def _faces_any(box, at, p, position, normal, part):  # type: ignore[no-untyped-def]
+def _faces_any(box, at, ends, p):  # type: ignore[no-untyped-def]
     """Whether some of a box lies above the surface at any point of an end."""
-    for q in range(part.shape[1]):
-        if part[p, q] >= 0 and above(box, at, get(position[p], q, 0), get(normal[p], q, 0)) > 0.0:
+    for q in range(ends.part.shape[1]):
+        if ends.part[p, q] >= 0 and above(box, at, get(ends.point[p], q, 0), get(ends.point[p], q, UPWARD)) > 0.0:
             return True
     return False
 
@@ -180,30 +188,30 @@ def _faces_any(box, at, p, position, normal, part):  # type: ignore[no-untyped-d
 @compiled(_nrt=False)
 def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
     """Variance of the path to y over an end's points, m²."""
-    variance = 0.0
-    for q in range(ends.part.shape[1]):
+    variance, points = 0.0, ends.part.shape[1]
+    for q in range(points):
         if ends.part[p, q] >= 0:
-            apart = distance(y, get(ends.position[p], q, 0)) + ends.longer[p, q] - mean
-            variance += ends.weight[p, q] * apart * apart
+            apart = distance(y, get(ends.point[p], q, 0)) + ends.point[p, q, LONGER] - mean
+            variance += ends.point[p, q, SHARE] * apart * apart
     # Each of Q points stands for a patch whose own variance is a Q-th of the whole's, nearly.
-    return variance * ends.part.shape[1] / max(ends.part.shape[1] - 1, 1)
+    return variance * points / max(points - 1, 1)
 
 
 @compiled(_nrt=False)
 def _cut(  # type: ignore[no-untyped-def]
     ends, tree, occluders, kind, values, coarsest, error, asked, seed, first, cell, known, part_of, boxes, waits,
-    wait_area, candidates, waiting,
+    wait_area, listed,
 ):  # fmt: skip
     """Fill `first`, `cell`, `known` and `part_of`; returns the rays asked, or −1 where there is no room."""
     corners, normal, area_before, around, children = tree.corners, tree.normal, tree.area, tree.box, tree.children
     span, roots, smallest, flat = tree.span, tree.roots, SMALLEST * tree.extent, occluders.flat
-    facet, number, box, link = occluders.facet, occluders.number, occluders.box, occluders.link
-    position, normals, part, weight = ends.position, ends.normal, ends.part, ends.weight
-    some = min(len(number), 1) if asked else 0
+    hides = occluders.row
+    part = ends.part
+    last = LISTED + (min(len(hides) - occluders.boxes, 1) if asked else 0)
     count, rays, points = 0, 0, part.shape[1]
     for p in range(len(part)):
         first[p] = count
-        x, one = _mean(position, part, weight, p)
+        x, one = _mean(ends, p)
         if one < 0:
             continue
         for k in range(len(roots)):
@@ -211,7 +219,7 @@ def _cut(  # type: ignore[no-untyped-def]
             while closed > 0:
                 closed -= 1
                 at = boxes[closed]
-                if not _faces_any(around, at, p, position, normals, part):
+                if not _faces_any(around, at, ends, p):
                     continue
                 start, end, cluster = span[at, 0], span[at, 1], 0.0
                 if end - start > CLUSTER:
@@ -260,15 +268,15 @@ def _cut(  # type: ignore[no-untyped-def]
                             continue
                         cut = cluster == 0.0 and (ratio > coarsest[k] or over * ratio * ratio > error)
                         visible = 1.0
-                        if some > 0 and not cut:
+                        if last > LISTED and not cut:
                             seen, u = 0, (0.0, 0.0, 0.0)
                             for j in range(3):
                                 y = half(m, get(waits[top], j, 0)) if cluster == 0.0 else m
                                 q = (3 * count + j) % points
                                 q = q if part[p, q] >= 0 else one
                                 rays += 1
-                                z = get(position[p], q, 0)
-                                if hidden(z, y, f, candidates, 0, some, facet, number, box, link, waiting) < 0:
+                                z = get(ends.point[p], q, 0)
+                                if hidden(z, y, f, LISTED, last, hides, listed) == 0:
                                     seen, u = seen + 1, (u[0] + y[0], u[1] + y[1], u[2] + y[2])
                             visible = seen / 3
                             cut = seen < 3 and cluster == 0.0 and (PARTLY if seen > 0 else UNFOUND) * over > error
@@ -276,8 +284,8 @@ def _cut(  # type: ignore[no-untyped-def]
                                 continue
                         if cut:
                             none = h <= smallest
-                            if some > 0 and points == 1 and not none:
-                                none = shaded(x, a, b, c, f, candidates, 0, some, facet, number, box, link, waiting)
+                            if last > LISTED and points == 1 and not none:
+                                none = shaded(x, a, b, c, f, LISTED, last, hides, listed)
                             if none or top > 120:
                                 continue
                             y = half(get(waits[top], side, 0), get(waits[top], (side + 1) % 3, 0))

@@ -39,16 +39,19 @@ HELPS = 0.1
 TOO_DEAR = 1 << 16
 """Cells and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
 hidden may take any number of rays for light that is a millionth of the whole."""
-WITHIN, WITHIN_PARTS = 0.6, 0.65
+WITHIN, WITHIN_PARTS, SPARE = 0.75, 0.65, 0.05
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
-others may be worse."""
-MOST_PATCHES = 1 << 19
-"""Patches of all pixels at most."""
-PATCHES_SHARE = 0.15
-"""Share of the error to be met that may come of quartering pixels more seldom than in the trial."""
-FROM_FEWER = 0.5
+others may be worse; and how much of the first is kept for cutting objects no finer than they need."""
+MOST_PATCHES, MOST_PATCHES_TRIED = 1 << 22, 1 << 18
+"""Patches of all pixels at most, and points of those of the trial that are at edges."""
+PATCHES_SHARE = 0.2
+"""Share of the error to be met that may come of the size of patches."""
+MOST_LEVELS, FROM_LARGER, FINEST_SHARE = 6, 1 / 3, 0.5
+"""How often pixels of the trial are quartered at most; error of patches, relative to the difference from those twice
+as large, for it is of second order; and how much of `PATCHES_SHARE` the finest ones may have."""
+FROM_FEWER, SLOWEST = 0.5, 0.4
 """Error of a net of points, relative to its difference from one of a quarter of them: of order 3/4 in their number
-beside an edge."""
+beside an edge; and that difference, relative to the one before it, at least: it may be small by chance."""
 
 
 @dataclass(frozen=True)
@@ -80,49 +83,56 @@ class Trial:
     ----------
     pairs : (n, 2).
     weight : (n,) how many of all pairs each stands for.
-    levels : how often their pixels are quartered at most.
+    scale : (K,) by how much each part is brighter in all pairs than these stand for, as far as a rough look tells.
+    levels : how often their pixels are quartered at most, to begin with.
     """
 
     gathering: Gathering
     pairs: Ints
     weight: Floats
+    scale: Floats
     levels: int
     work: Work
-    seen: dict[tuple[int, int], list[Seen]] = field(default_factory=dict)
+    seen: dict[tuple[int, int | None], list[Seen]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, gathering: Gathering, lit: Ints, asked: Asked) -> Trial:
-        """Drawn by what a rough look finds of the whole, which counts for half, and of each object."""
+        """Drawn by what a rough look finds of the whole, which counts for half, and of each part that is held to an
+        error or could make one of the whole: few points may have all the light of a floor, and all its error."""
         task, parts = gathering.task, len(asked.objects)
         wanted = _trials(len(lit), parts * task.capture.time.bins)
         looked = lit[spread_evenly(len(lit), LOOKED_AT * wanted)]
         rough = cls(
-            gathering, looked, np.full(len(looked), len(lit) / max(len(looked), 1)), gathering.levels(), Work()
-        )
+            gathering, looked, np.full(len(looked), len(lit) / max(len(looked), 1)), np.ones(parts),
+            gathering.levels(), Work(),
+        )  # fmt: skip
         if len(looked) <= wanted:
             return rough
         seen = rough.gathered(np.full(parts, COARSE), 0).histogram
-        whole, objects = (seen.sum(axis=1) ** 2).sum(axis=1), (seen**2).sum(axis=2)[:, asked.objects]
-        places, stands_for = by_light(np.column_stack([whole, objects]), wanted)
-        return cls(gathering, looked[places], stands_for * len(lit) / len(looked), rough.levels, rough.work)
+        whole, own = (seen.sum(axis=1) ** 2).sum(axis=1), (seen**2).sum(axis=2)
+        matters = asked.objects | (own.sum(axis=0) > asked.target**2 * whole.sum())
+        places, stands_for = by_light(np.column_stack([whole, own[:, matters]]), wanted)
+        of_all, of_these = own.sum(axis=0), stands_for @ own[places]
+        scale = np.sqrt(np.divide(of_all, of_these, where=of_these > 0, out=np.ones(parts)))
+        return cls(gathering, looked[places], stands_for * len(lit) / len(looked), scale, rough.levels, rough.work)
 
     def some(self, which: Bools) -> Trial:
         """Only some of the pairs."""
-        return Trial(self.gathering, self.pairs[which], self.weight[which], self.levels, self.work)
+        return replace(self, pairs=self.pairs[which], weight=self.weight[which], seen={})
 
-    def gathered(self, cutting: Floats, levels: int, *, fewer: int = 0) -> Gathered:
+    def gathered(self, cutting: Floats, levels: int, edge_levels: int | None = None) -> Gathered:
         """Their histograms with each part apart, such that squares add up to those of all pairs."""
-        if (levels, fewer) not in self.seen:
-            self.seen[levels, fewer] = self.gathering.seen(self.pairs, levels, fewer)
-        rows = np.arange(len(cutting))
-        found = self.gathering.gathered(self.pairs, self.seen[levels, fewer], cutting, rows)
+        asked = levels, edge_levels
+        if asked not in self.seen:
+            self.seen[asked] = list(self.gathering.seen(self.pairs, levels, edge_levels))
+        found = self.gathering.gathered(self.pairs, self.seen[asked], cutting, np.arange(len(cutting)))
         self.work.cells += int(found.cells.sum())
         self.work.rays += int(found.rays.sum())
-        return replace(found, histogram=found.histogram * np.sqrt(self.weight)[:, None, None])
+        return replace(found, histogram=found.histogram * np.sqrt(self.weight)[:, None, None] * self.scale[:, None])
 
     def energy(self, histogram: Floats) -> Floats:
         """(K,) photons of each part in all pairs."""
-        return np.asarray(np.einsum("nkt,n->k", histogram, np.sqrt(self.weight)))
+        return np.asarray(np.einsum("nkt,n->k", histogram, np.sqrt(self.weight)) / self.scale)
 
 
 @dataclass(frozen=True)
@@ -194,7 +204,8 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         if enough and (level < finest).all():
             chosen = np.stack([runs[n][:, k] for k, n in enumerate(level)], axis=1)
             tried, left = np.array(cuttings), still[level, every]
-            spare = (WITHIN * asked.target * whole - error) / max(int(held.sum()), 1)
+            most = WITHIN * asked.target * whole
+            spare = max(most - error, SPARE * most) / max(int(held.sum()), 1)
             coarser, enough_of_part = _between(tried, still, level, np.minimum(WITHIN_PARTS * limit, left + spare))
             error += float((enough_of_part - left).sum())
             return Choice(coarser, tried[level, every], error, whole, enough_of_part, own, held, limit, chosen)
@@ -210,30 +221,65 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
 
 @dataclass(frozen=True)
 class Quartering:
-    """How often even pixels are quartered, and the L2 error of their patches and those of pixels at edges, in the
-    whole and (K,) in each part."""
+    """How often even pixels are quartered, and those at edges; and the L2 error of the patches of the ones and the
+    points of the others, in the whole and (K,) in each part."""
 
     levels: int
+    edge_levels: int
     error: float
     of_parts: Floats
 
 
 def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quartering | None:
-    """As seldom as gives what the trial's own patches do; None where there is no room for so many of all `pixels`."""
+    """As seldom as will do; None where that leaves no room for the patches of all `pixels`."""
     at_edge = trial.gathering.at_edge[trial.pairs[:, 1]]
-    edges, even, finest = trial.some(at_edge), trial.some(~at_edge), choice.histogram[~at_edge]
-    fewer = edges.gathered(choice.tried, 0, fewer=1).histogram
-    beside = FROM_FEWER * (choice.histogram[at_edge] - fewer)
-    for levels in range(trial.levels + 1):
+    edges, even = trial.some(at_edge), trial.some(~at_edge)
+    most, limits = PATCHES_SHARE * asked.target * choice.whole, PATCHES_SHARE * choice.limit
+    runs = {trial.levels: choice.histogram[~at_edge]}
+
+    def at(levels: int) -> Floats:
+        if levels not in runs:
+            runs[levels] = even.gathered(choice.tried, levels).histogram
+        return runs[levels]
+
+    # Of a surface that is close before a pixel the finest patches may be too large, too.
+    finest, still, of_parts = trial.levels, 0.0, np.zeros(len(limits))
+    while finest > 0:
+        change = FROM_LARGER * (at(finest) - at(finest - 1))
+        still, of_parts = _norm(change), _norms(change)
+        if finest == MOST_LEVELS or (still <= FINEST_SHARE * most and (of_parts <= FINEST_SHARE * limits).all()):
+            break
+        finest += 1
+    for levels in range(finest + 1):
         if levels > 0 and pixels * 4 ** (levels + 1) > MOST_PATCHES:
             break
-        found = even.gathered(choice.tried, levels).histogram if levels < trial.levels else finest
-        change = finest - found
-        do = _norm(change) <= PATCHES_SHARE * asked.target * choice.whole
-        if do and (_norms(change) <= PATCHES_SHARE * choice.limit).all():
-            error = math.hypot(_norm(change), _norm(beside))
-            return Quartering(levels, error, np.hypot(_norms(change), _norms(beside)))
+        change = at(finest) - at(levels)
+        error, errors = _norm(change) + still, _norms(change) + of_parts
+        if error <= most and (errors <= limits).all():
+            edge_levels, beside, of_each = _at_edges(edges, choice, asked, choice.histogram[at_edge])
+            return Quartering(levels, edge_levels, math.hypot(error, beside), np.hypot(errors, of_each))
     return None
+
+
+def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tuple[int, float, Floats]:
+    """How often pixels at edges are quartered: until the error of their points fits beside that of cells, or there is
+    no room for more; and that error. Their histograms at the fewest levels are `finer`."""
+    level, at_edge = edges.gathering.edge_levels(), int(edges.gathering.at_edge.sum())
+    if len(edges.pairs) == 0:
+        return level, 0.0, np.zeros(len(choice.own))
+    left = (asked.target * choice.whole) ** 2 - choice.error**2
+    left_of_part = np.where(choice.held, choice.limit**2 - choice.still**2, np.inf)
+    coarsest, coarser = (edges.gathered(choice.tried, 0, max(level - k, 0)).histogram for k in (2, 1))
+    error, of_parts = FROM_FEWER * _norm(coarser - coarsest), FROM_FEWER * _norms(coarser - coarsest)
+    while True:
+        change = FROM_FEWER * (finer - coarser)
+        error, of_parts = max(_norm(change), SLOWEST * error), np.maximum(_norms(change), SLOWEST * of_parts)
+        enough = error**2 <= left and (of_parts**2 <= left_of_part).all()
+        points = 4 ** (level + 1)
+        if enough or at_edge * points > MOST_PATCHES or len(edges.pairs) * points > MOST_PATCHES_TRIED:
+            return level, error, of_parts
+        level += 1
+        coarser, finer = finer, edges.gathered(choice.tried, 0, level).histogram
 
 
 def _between(cuttings: Floats, still: Floats, level: Ints, wanted: Floats) -> tuple[Floats, Floats]:

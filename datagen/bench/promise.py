@@ -1,0 +1,230 @@
+"""`datagen bench promise`: scenes of configurations, simulated to their targets and held against the truth.
+
+For each scene some laser points of its scan (pixels, where one laser point has many) are taken at random and
+simulated to a target, as a build would. The error of the whole and of every object's own light is then measured at
+some of them, drawn by their light and weighted with how many each stands for, so that it is an estimate of the error
+over all.
+
+*Truth*: the same light to `FINER` times the target with another seed, which draws cells, patches and trials anew.
+*Independent truth*: the walk, which knows of no cells. From two runs of it, A and B, with errors of their own,
+Σ (truth − A)(truth − B) has the mean ‖truth − true‖², whatever their noise: noisy walks tell of small errors.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import click
+import numpy as np
+from scipy import stats
+
+from datagen.bench.measuring import machine, markdown, processor_seconds
+from datagen.capture import capture_for
+from datagen.config import DatasetConfig, load_config
+from datagen.design.light import Light, light_of, transport_effects
+from datagen.design.scene_for import scene_for
+from datagen.detector import detector_for
+from datagen.errors import InputError
+from datagen.records import Accuracy, Capture, Laser, Transient
+from datagen.records.arrays import Floats, Ints
+from datagen.transport.cells.trial import by_light
+
+TARGETS = (0.02, 0.05)
+POINTS, HELD, FINER = 64, 16, 3
+WALKED, WALKED_FOV = 1 << 13, 4
+"""Lookins of each of two walks, and their FoV points."""
+WHOLE = "whole"
+
+
+@dataclass(frozen=True)
+class Held:
+    """The whole of a scene, or one of its objects.
+
+    Attributes
+    ----------
+    error, claimed, asked : true relative L2 error, what was claimed, and what was asked.
+    truth_claimed : what the truth says of itself.
+    truth_off, known : its squared relative error as found by walks, and one standard deviation of that.
+    seconds : processor seconds of the run.
+    """
+
+    config: str
+    scene: int
+    target: float
+    what: str
+    error: float
+    claimed: float
+    asked: float
+    truth_claimed: float
+    truth_off: float
+    known: float
+    seconds: float
+
+    @property
+    def promised(self) -> bool:
+        """Whether the run said that its target is met."""
+        return self.claimed <= self.asked
+
+    @property
+    def disputed(self) -> bool:
+        """Whether walks find the truth to be off by more than a third of what was asked, at four σ."""
+        return self.truth_off - 4 * self.known > (self.asked / 3) ** 2
+
+    @property
+    def within(self) -> bool:
+        """Whether the true error is at most what was asked."""
+        return self.error <= self.asked
+
+
+def held(config: DatasetConfig, index: int, target: float, points: int = POINTS) -> list[Held]:
+    """Scene `index` of a configuration."""
+    light = _light(config, index, points)
+    run, seconds = processor_seconds(replace(light, accuracy=replace(light.accuracy, target=target)).transient)
+    claimed = {WHOLE: run.error_bound or 0.0} | {name: error for name, error in run.part_errors.items() if error > 0}
+    ours = _parts(run, claimed)
+    squares = np.stack([(ours[name] ** 2).sum(axis=1) for name in claimed], axis=1)
+    places, weight = by_light(squares, HELD)
+    some = replace(light, capture=some_points(light.capture, places), seed=light.seed + 1)
+    finer = replace(light.accuracy, target=target / FINER, faint_part=0.0)
+    truth = replace(some, accuracy=finer).transient()
+    true = _parts(truth, claimed)
+    counts = Accuracy(
+        lookins=WALKED, fov_samples=WALKED_FOV, max_bounces=light.accuracy.max_bounces, direct=light.accuracy.direct,
+        occlusion=light.accuracy.occlusion,
+    )  # fmt: skip
+    walks = [replace(some, accuracy=counts, seed=light.seed + 2 + k).transient() for k in range(2)]
+    one, other = (_parts(walk, claimed) for walk in walks)
+    found = []
+    for name, error in claimed.items():
+        square = float(weight @ (true[name] ** 2).sum(axis=1)) or 1.0
+        off = weight @ ((ours[name][places] - true[name]) ** 2).sum(axis=1) / square
+        cross = (true[name] - one[name]) * (true[name] - other[name])
+        each = weight * cross.sum(axis=1) / square
+        noise = (true[name] - one[name]) ** 2 * (true[name] - other[name]) ** 2
+        known = math.sqrt(float((weight**2 * noise.sum(axis=1)).sum())) / square
+        asked = target if name == WHOLE else replace(light.accuracy, target=target).each_part
+        itself = (truth.error_bound if name == WHOLE else truth.part_errors.get(name)) or 0.0
+        found.append(
+            Held(
+                config.name,
+                index,
+                target,
+                name,
+                math.sqrt(off),
+                error,
+                asked,
+                itself,
+                float(each.sum()),
+                known,
+                seconds,
+            )
+        )
+    return found
+
+
+def _light(config: DatasetConfig, index: int, points: int) -> Light:
+    """What a build would simulate, at some laser points or pixels."""
+    scene = scene_for(config, index)
+    whole = capture_for(config, scene, config.seed, index)
+    effects = transport_effects(config, scene, whole, index)
+    light = light_of(
+        config, index, scene, whole, effects, *detector_for(config.detector, config.seed, index, whole.time)
+    )
+    count = len(whole.sensor.pixels)
+    rng = np.random.default_rng([config.seed, index])
+    return replace(light, capture=some_points(whole, np.sort(rng.permutation(count)[:points])))
+
+
+def some_points(capture: Capture, points: Ints) -> Capture:
+    """A capture with some of its pixels, and in confocal scans with their laser points."""
+    laser = capture.laser
+    if capture.pairing == "confocal":
+        laser = Laser(laser.position, laser.targets[points])
+    return replace(capture, laser=laser, sensor=replace(capture.sensor, pixels=capture.sensor.pixels[points]))
+
+
+def _parts(run: Transient, names: Mapping[str, float]) -> dict[str, Floats]:
+    """(n, T) histograms of the whole and of objects."""
+    found = {name: run.total if name == WHOLE else run.parts[name] for name in names}
+    return {name: values.reshape(-1, values.shape[-1]) for name, values in found.items()}
+
+
+def table(found: Sequence[Held]) -> str:
+    """Markdown, a line for each target and kind."""
+    head = ["target", "of", "cases", "not promised", "within", "exact 95 % interval", "true / asked: median", "95th",
+            "worst", "claimed / true: median", "truth by walks: median", "beyond 4 σ"]  # fmt: skip
+    rows = []
+    for target in sorted({one.target for one in found}):
+        for kind in (WHOLE, "each object"):
+            every = [one for one in found if one.target == target and (one.what == WHOLE) == (kind == WHOLE)]
+            some = [one for one in every if one.promised]
+            if not some:
+                continue
+            good = sum(one.within for one in some)
+            interval = stats.binomtest(good, len(some)).proportion_ci(0.95, "exact")
+            share = np.array([one.error / one.asked for one in some])
+            claimed = np.array([one.claimed / max(one.error, 1e-9) for one in some])
+            off = np.array([one.truth_off for one in some])
+            beyond = np.array([one.disputed for one in some])
+            rows.append([
+                f"{target:g}", kind, str(len(some)), str(len(every) - len(some)), f"{good / len(some):.1%}",
+                f"{interval.low:.1%} … {interval.high:.1%}",
+                *(f"{x:.2f}" for x in (np.median(share), np.quantile(share, 0.95), share.max(), np.median(claimed))),
+                f"{math.sqrt(max(float(np.median(off)), 0.0)):.2%}", str(int(beyond.sum())),
+            ])  # fmt: skip
+    return markdown(head, rows, words=2)
+
+
+def _told(one: Held) -> str:
+    """A case in one line."""
+    return (
+        f"{one.config} scene {one.scene}, target {one.target:g}, {one.what}: true {one.error:.4f}, claimed "
+        f"{one.claimed:.4f}; the truth claims {one.truth_claimed:.4f} of itself, walks {one.truth_off:.1e} ± "
+        f"{one.known:.1e} of its square"
+    )
+
+
+@click.command()
+@click.argument("out")
+@click.argument("configs", nargs=-1, required=True)
+@click.option("--scenes", type=int, default=8, show_default=True, help="How many scenes of each configuration.")
+@click.option("--first", type=int, default=0, show_default=True, help="Number of the first.")
+@click.option("--points", type=int, default=POINTS, show_default=True, help="Laser points or pixels of each.")
+@click.option("--target", "targets", type=float, multiple=True, default=TARGETS, show_default=True)
+def main(
+    out: str, configs: tuple[str, ...], scenes: int, first: int, points: int, targets: tuple[float, ...]
+) -> None:
+    """Hold scenes of CONFIGS, and each of their objects, against the truth; table and JSON in the folder OUT.
+
+    Running it again goes on with the scenes that OUT does not have yet. Configurations without a target, whose counts
+    are fixed, promise nothing and are passed over.
+    """
+    if scenes < 1 or points < 1:
+        raise InputError(f"--scenes {scenes} --points {points}: must be ≥ 1")
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = folder / "promise.json"
+    found = [Held(**one) for one in json.loads(kept.read_text())] if kept.exists() else []
+    done = {(one.config, one.scene, one.target) for one in found}
+    ready = [config for config in map(load_config, configs) if config.transport.target is not None]
+    for index in range(first, first + scenes):
+        for target in targets:
+            for config in ready:
+                if (config.name, index, target) not in done:
+                    found += held(config, index, target, points)
+                    kept.write_text(json.dumps([asdict(one) for one in found], indent=1))
+    if not found:
+        raise InputError("datagen bench promise: none of the configurations has a target; name others")
+    cases = {(one.config, one.scene) for one in found}
+    text = (
+        f"{len(cases)} scenes of {len({name for name, _ in cases})} configurations; {machine()}\n\n{table(found)}\n"
+    )
+    (folder / "promise.md").write_text(text, encoding="utf-8")
+    click.echo(text)
+    for one in found:
+        if one.disputed or (one.promised and not one.within):
+            click.echo(_told(one))

@@ -1,0 +1,111 @@
+"""How finely surfaces and pixels are cut is chosen on a few laser points: what these must not miss."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
+
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor
+from datagen.transport.cells.gathering import Gathering
+from datagen.transport.cells.trial import COARSE, MOST_LEVELS, PATCHES_SHARE, Asked, Trial, choose, quarter
+from datagen.transport.primary import pairs_of
+from datagen.transport.solver import prepared
+
+DEVICE = np.array([1.5, 0.1, 1.3])
+HALF_M = 0.02
+ALBEDO = 0.7
+
+
+def wall_and(*parts: Part) -> Scene:
+    wall = rectangle((0, 0, 1), (0, 3, 0), (0, 0, 3))
+    return Scene.from_parts([Part("wall", wall, Lambertian(ALBEDO), "relay_wall"), *parts])
+
+
+@pytest.mark.parametrize(("from_side", "at_edge"), [(0.35, True), (0.15, True), (-0.05, False)])
+def test_a_corner_of_a_pixel_on_another_surface_is_seen(from_side: float, at_edge: bool) -> None:
+    """A thin plate on the wall covers that share of both sides of the pixel, of its area a fiftieth at the least."""
+    low = np.array([0.4, 1.2]) + HALF_M - 2 * HALF_M * from_side
+    plate = rectangle((1e-4, low[0] + 0.1, low[1] + 0.1), (0, 0.1, 0), (0, 0, 0.1))
+    scene = wall_and(Part("plate", plate, Lambertian(ALBEDO), "structure"))
+    capture = one_point_capture((0, 0, 1), (0, 0.4, 1.2), HALF_M, device=DEVICE)
+    task = prepared(scene, capture, Accuracy(target=0.02), 0, split_parts=True)
+    assert Gathering.of(task).at_edge.tolist() == [at_edge]
+
+
+@pytest.mark.parametrize("gap", [0.002, 0.01])
+def test_patches_are_as_fine_as_a_close_surface_needs(gap: float) -> None:
+    """In bins of 4 cm a pixel of 4 cm is a point in time, but not before a board some millimetres beside it: what
+    patches of 64ths would change is within the share of the error that they may have."""
+    centre = np.array([0.4, 1.2])
+    board = rectangle((0.15, centre[0] + HALF_M + gap, centre[1]), (0.15, 0, 0), (0, 0, 0.3))
+    scene = wall_and(Part("board", board, Lambertian(ALBEDO)))
+    points = np.array([[0.0, *centre]])
+    capture = Capture(
+        Laser(DEVICE, points), Sensor(DEVICE, square_pixels(points, HALF_M)), bins_of_path(40, 0.04, 0.0), "confocal"
+    )
+    gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.02), 0, split_parts=True))
+    pairs, asked = pairs_of(gathering.task), Asked(0.02, 0.05, 0.0, np.array([False, True]))
+    trial = Trial.of(gathering, pairs, asked)
+    choice = choose(trial, asked)
+    assert choice is not None
+    quartering = quarter(trial, choice, asked, len(pairs))
+    assert quartering is not None
+    found, finest = (
+        gathering.gathered(pairs, gathering.seen(pairs, levels), choice.tried, np.arange(2)).histogram
+        for levels in (quartering.levels, MOST_LEVELS)
+    )
+    assert np.linalg.norm(found - finest) <= PATCHES_SHARE * 0.02 * np.linalg.norm(finest)
+
+
+def scan_with_few_low_points(order: int) -> Capture:
+    """Confocal points under the ceiling, and one in twenty above the floor, in any order."""
+    rng = np.random.default_rng(order)
+    points = np.column_stack([np.zeros(120), rng.uniform(-1.2, 1.2, 120), rng.uniform(2.2, 2.3, 120)])
+    points[:6, 2] = rng.uniform(0.2, 0.3, 6)
+    points = points[rng.permutation(120)]
+    return Capture(
+        Laser(DEVICE, points), Sensor(DEVICE, square_pixels(points, HALF_M)), bins_of_path(300, 0.04, 0.0), "confocal"
+    )
+
+
+@pytest.mark.parametrize("order", range(6))
+def test_all_light_is_in_the_trial(order: int) -> None:
+    """The pairs that a cutting is tried on stand for each part's light within a factor of two: a rough look at half
+    of all points tells no more of what six of them have."""
+    scene, capture = furnished_box(), scan_with_few_low_points(order)
+    gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.02), order, split_parts=True))
+    pairs, parts = pairs_of(gathering.task), len(scene.part_names)
+    asked = Asked(0.02, 0.05, 0.0, np.array([role == "object" for role in scene.roles]))
+    trial = Trial.of(gathering, pairs, asked)
+    rows, cutting = np.arange(parts), np.full(parts, COARSE)
+    every = gathering.gathered(pairs, gathering.seen(pairs, trial.levels), cutting, rows).histogram
+    rough, own = (np.linalg.norm(found, axis=(0, 2)) for found in (trial.gathered(cutting, 0).histogram, every))
+    assert (np.abs(np.log2(rough[own > 0] / own[own > 0])) < 1).all()
+
+
+def test_pixels_at_edges_get_as_many_points_as_they_need() -> None:
+    """Pixels with the foot of a board across them, lit near to it: what the points of the chosen net leave is what is
+    said, and less than what is asked; those of any scene leave more."""
+    y = np.linspace(-0.6, 0.6, 12)
+    board = rectangle((0.15, 0.0, 1.2), (0, 0.8, 0), (0.15, 0, 0.0))
+    laser = np.column_stack([np.zeros(12), y, np.full(12, 1.203)])
+    pixels = laser + np.array([0.0, 0.004, 0.0])
+    capture = Capture(
+        Laser(DEVICE, laser), Sensor(DEVICE, square_pixels(pixels, HALF_M)), bins_of_path(40, 0.04, 0.0), "confocal"
+    )
+    scene = wall_and(Part("board", board, Lambertian(ALBEDO)))
+    gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.02), 3, split_parts=True))
+    assert gathering.at_edge.all()
+    pairs, asked = pairs_of(gathering.task), Asked(0.02, 0.02, 0.0, np.array([False, True]))
+    trial = Trial.of(gathering, pairs, asked)
+    choice = choose(trial, asked)
+    assert choice is not None
+    quartering = quarter(trial, choice, asked, len(pairs))
+    assert quartering is not None
+    of_any, chosen, truth = (
+        gathering.gathered(pairs, gathering.seen(pairs, 0, levels), choice.tried, np.zeros(2, np.int64)).histogram
+        for levels in (gathering.edge_levels(), quartering.edge_levels, 8)
+    )
+    of_any, chosen = (np.linalg.norm(found - truth) for found in (of_any, chosen))
+    assert chosen <= quartering.error <= 0.02 * choice.whole < of_any
