@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Bools, Floats, Ints, l2_norm
 from datagen.transport.cells.gathering import Gathered, Gathering, Seen
 
 TRIALS, MOST_TRIED = (12, 48), 1 << 23
@@ -310,12 +310,12 @@ def _whole_error(runs: list[Floats], level: Ints, finest: Ints) -> float:
     last = runs[-1].sum(axis=1)
     chosen = sum(runs[n][:, k] for k, n in enumerate(level))
     before = sum(runs[n - 1][:, k] for k, n in enumerate(finest))
-    return float(np.linalg.norm(chosen - last) + (REST - 1) * np.linalg.norm(before - last))
+    return l2_norm(chosen - last) + (REST - 1) * l2_norm(before - last)
 
 
 def _norm(histograms: Floats) -> float:
     """L2 norm of the sum over parts of (n, K, T)."""
-    return float(np.linalg.norm(histograms.sum(axis=1)))
+    return l2_norm(histograms.sum(axis=1))
 
 
 def _norms(histograms: Floats) -> Floats:
