@@ -92,7 +92,7 @@ def secondary_by_cells(gathering: Gathering, limit: float, own: float, faint: fl
     scale = float(rough.photons.sum() / max(rough.gain, 1e-300))
     if scale == 0.0:
         return None
-    tried, stands_for = by_light((rough.histogram**2).sum(axis=1, keepdims=True), wanted)
+    tried, stands_for = by_light(np.linalg.norm(rough.histogram, axis=1, keepdims=True), wanted)
     tried, weight = looked[tried], stands_for * len(lit) / len(looked)
     level = _level(scan, tried, weight, patches, scale, limit, own, faint)
     if level is None:
