@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.transport.brdf.table import LAMBERTIAN
 from datagen.transport.cells.gathering import Gathering, patches_of
 from datagen.transport.cells.pairs import arrive, join, room_for
@@ -92,7 +92,7 @@ def secondary_by_cells(gathering: Gathering, limit: float, own: float, faint: fl
     scale = float(rough.photons.sum() / max(rough.gain, 1e-300))
     if scale == 0.0:
         return None
-    tried, stands_for = by_light((rough.histogram**2).sum(axis=1, keepdims=True), wanted)
+    tried, stands_for = by_light(np.linalg.norm(rough.histogram, axis=1, keepdims=True), wanted)
     tried, weight = looked[tried], stands_for * len(lit) / len(looked)
     level = _level(scan, tried, weight, patches, scale, limit, own, faint)
     if level is None:
@@ -134,7 +134,7 @@ def _level(
         runs.append(scan.light(tried, n, patches, PAIR * FINER**n * scale))
         histograms.append(root * runs[-1].histogram)
         held = runs[-1].photons @ weight >= faint
-        wanted = min(limit, own * float(np.linalg.norm(histograms[-1]))) if held else limit
+        wanted = min(limit, own * l2_norm(histograms[-1])) if held else limit
         if n == 0:
             patches, of_patches = _patches_for(scan, tried, root, patches, histograms[0], PAIR * scale, wanted)
             if patches < 0:
@@ -150,7 +150,7 @@ def _level(
             number, error = float(n - 1), float(still[-1])
         else:
             return None
-        left = (REST - 1) * float(np.linalg.norm(histograms[-1] - histograms[-2])) + of_patches
+        left = (REST - 1) * l2_norm(histograms[-1] - histograms[-2]) + of_patches
         return _Level(
             number, patches, error, runs[-1], left, sum(run.pairs for run in runs), sum(run.rays for run in runs)
         )
@@ -171,7 +171,7 @@ def _patches_for(
         return level, 0.0
     while level < PATCH_LEVELS:
         finer = root * scan.light(pairs, 0, level + 1, allowed).histogram
-        off = FROM_QUARTERS * float(np.linalg.norm(finer - coarse))
+        off = FROM_QUARTERS * l2_norm(finer - coarse)
         if off <= PATCHES_SHARE * wanted:
             return level, off
         level, coarse = level + 1, finer
@@ -180,7 +180,7 @@ def _patches_for(
 
 def _still(histograms: list[Floats]) -> Floats:
     """(n − 1,) L2 error that each run still has, the last of them apart."""
-    off = np.array([float(np.linalg.norm(run - histograms[-1])) for run in histograms[:-1]])
+    off = np.array([l2_norm(run - histograms[-1]) for run in histograms[:-1]])
     return np.asarray(off + (REST - 1) * off[-1])
 
 

@@ -51,7 +51,7 @@ class Cutting(NamedTuple):
     peak : (K,) largest value of each part's BRDF, 1/sr.
     rays_on_last_leg : whether it is asked what stands between a cell and the pixel.
     proofs : whether rays are saved where it is proven that nothing can stand in their way.
-    seed : of the points that stand for clusters of small triangles.
+    seed : (K,) of the points of each part that stand for clusters of small triangles.
     """
 
     error: Floats
@@ -59,7 +59,7 @@ class Cutting(NamedTuple):
     peak: Floats
     rays_on_last_leg: bool
     proofs: bool
-    seed: int
+    seed: Ints
 
 
 class Clock(NamedTuple):
@@ -163,18 +163,21 @@ class Gathering:
                     local = np.stack([pairs[which, 0], own.reshape(-1)], axis=1)
                     yield Seen(which, local, patches_of(self.task, pixels, quartered))
 
-    def gathered(self, pairs: Ints, seen: Iterable[Seen], error: Floats, row_of_part: Ints) -> Gathered:
+    def gathered(
+        self, pairs: Ints, seen: Iterable[Seen], error: Floats, row_of_part: Ints, draw: Ints | None = None
+    ) -> Gathered:
         """The light of some pairs of laser point and pixel, with each part in its row.
 
         error : (K,) L2 error that a cell of each part may make, photons; infinite for parts to be left out.
+        draw : (K,) number of the draw of each part's random points, zeros if nothing is said.
         """
         task, parts, rows = self.task, len(error), int(row_of_part.max()) + 1
         histogram = np.zeros((len(pairs) * rows, task.capture.time.bins))
         overflow, work = np.zeros(len(histogram)), np.zeros((parts, 2), np.int64)
-        seed = int(stream_seeds(task.seed, CLUSTER_STREAM, 0, np.zeros(1, np.int64))[0])
+        seed = stream_seeds(task.seed, CLUSTER_STREAM, 0, np.zeros(parts, np.int64) if draw is None else draw)
         cutting = Cutting(
             error, self.coarsest, self.peak, task.accuracy.occlusion != "off",
-            task.accuracy.occlusion == "auto", seed,
+            task.accuracy.occlusion == "auto", seed.astype(np.int64),
         )  # fmt: skip
         for some in seen:
             gather(

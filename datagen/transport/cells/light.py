@@ -140,8 +140,8 @@ def _gather(  # type: ignore[no-untyped-def]
         for k in range(len(roots)):
             if allowed[k] == np.inf:
                 continue
-            into, kind2, values2 = row[pair] + row_of_part[k], kind[k], values[k]
-            word = word_of(cutting.seed, pair, k)
+            into, kind2, values2, seed = row[pair] + row_of_part[k], kind[k], values[k], cutting.seed[k]
+            word = word_of(seed, row[pair], k)
             most, turn, cells, rays = np.inf, np.int64(word >> np.uint64(8)), 0, 0
             cell[0, 16], cell[0, 17] = 1.0, UNFOUND
             top = push(tag, 0, BOX, roots[k], 0, LISTED, to_z, free if apart else to_z)
@@ -216,7 +216,7 @@ def _gather(  # type: ignore[no-untyped-def]
                         )
                         quarter = small and quarters and size > 0.3 * near3
                         if small and not quarter:
-                            word = word_of(cutting.seed, pair, 8 * at)
+                            word = word_of(seed, row[pair], 8 * at)
                             f, y = anywhere(start, end, area_before, corners, word)
                             n = get(normal, f, 0)
                             w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint)
@@ -290,7 +290,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             rays += 1
                             y = m
                             if alone:
-                                word = word_of(cutting.seed, pair, 8 * at)
+                                word = word_of(seed, row[pair], 8 * at)
                                 f, y = anywhere(start, end, area_before, corners, word)
                             if not _seen(y, x, z, f, first, middle, last, hides, listed):
                                 continue
@@ -301,7 +301,7 @@ def _gather(  # type: ignore[no-untyped-def]
                                 y, part = half(m, vertex_of(cell, top, j)), 1.0
                                 if alone:
                                     low, high = start + j * (end - start) // 3, start + (j + 1) * (end - start) // 3
-                                    word = word_of(cutting.seed, pair, 8 * at + j + 1)
+                                    word = word_of(seed, row[pair], 8 * at + j + 1)
                                     f, y = anywhere(low, high, area_before, corners, word)
                                     facing = dot(less(y, x), get(normal, f, 0)) * dot(less(y, z), get(normal, f, 0))
                                     part = (area_before[high] - area_before[low]) * max(facing, 0.0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Bools, Floats, Ints, l2_norm
 from datagen.transport.cells.gathering import Gathered, Gathering, Seen
 
 TRIALS, MOST_TRIED = (12, 48), 1 << 23
@@ -111,7 +111,7 @@ class Trial:
         seen = rough.gathered(np.full(parts, COARSE), 0).histogram
         whole, own = (seen.sum(axis=1) ** 2).sum(axis=1), (seen**2).sum(axis=2)
         matters = asked.objects | (own.sum(axis=0) > asked.target**2 * whole.sum())
-        places, stands_for = by_light(np.column_stack([whole, own[:, matters]]), wanted)
+        places, stands_for = by_light(np.sqrt(np.column_stack([whole, own[:, matters]])), wanted)
         of_all, of_these = own.sum(axis=0), stands_for @ own[places]
         scale = np.sqrt(np.divide(of_all, of_these, where=of_these > 0, out=np.ones(parts)))
         return cls(gathering, looked[places], stands_for * len(lit) / len(looked), scale, rough.levels, rough.work)
@@ -120,12 +120,14 @@ class Trial:
         """Only some of the pairs."""
         return replace(self, pairs=self.pairs[which], weight=self.weight[which], seen={})
 
-    def gathered(self, cutting: Floats, levels: int, edge_levels: int | None = None) -> Gathered:
+    def gathered(
+        self, cutting: Floats, levels: int, edge_levels: int | None = None, draw: Ints | None = None
+    ) -> Gathered:
         """Their histograms with each part apart, such that squares add up to those of all pairs."""
         asked = levels, edge_levels
         if asked not in self.seen:
             self.seen[asked] = list(self.gathering.seen(self.pairs, levels, edge_levels))
-        found = self.gathering.gathered(self.pairs, self.seen[asked], cutting, np.arange(len(cutting)))
+        found = self.gathering.gathered(self.pairs, self.seen[asked], cutting, np.arange(len(cutting)), draw)
         self.work.cells += int(found.cells.sum())
         self.work.rays += int(found.rays.sum())
         return replace(found, histogram=found.histogram * np.sqrt(self.weight)[:, None, None] * self.scale[:, None])
@@ -141,7 +143,7 @@ class Choice:
 
     Attributes
     ----------
-    cutting : (K,) L2 error of a cell. tried : (K,) the finer one of the trial's `histogram`.
+    cutting : (K,) L2 error of a cell. tried, draw : (K,) the finer one of the trial's `histogram`, and its draw.
     error, whole : L2 error and norm of the whole.
     still, own : (K,) of each part.
     held : (K,) which are held to an error of their own, or would be but for `TOO_DEAR`.
@@ -151,6 +153,7 @@ class Choice:
 
     cutting: Floats
     tried: Floats
+    draw: Ints
     error: float
     whole: float
     still: Floats
@@ -175,7 +178,9 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
     while True:
         cutting = FINER * cutting
         before = trial.work.cells + trial.work.rays
-        found = trial.gathered(np.where(settled, np.inf, cutting), trial.levels)
+        # Points drawn anew: where clusters stay as they are, runs would else agree in what chance made of them.
+        draw = np.full(parts, len(runs))
+        found = trial.gathered(np.where(settled, np.inf, cutting), trial.levels, draw=draw)
         found.histogram[:, settled] = runs[-1][:, settled]
         runs.append(found.histogram)
         cuttings.append(np.where(settled, cuttings[-1], cutting))
@@ -208,7 +213,7 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
             spare = max(most - error, SPARE * most) / max(int(held.sum()), 1)
             coarser, enough_of_part = _between(tried, still, level, np.minimum(WITHIN_PARTS * limit, left + spare))
             error += float((enough_of_part - left).sum())
-            return Choice(coarser, tried[level, every], error, whole, enough_of_part, own, held, limit, chosen)
+            return Choice(coarser, tried[level, every], level, error, whole, enough_of_part, own, held, limit, chosen)
         work = trial.work.cells + trial.work.rays
         beyond = work + (work - before) / FINER > trial.gathering.task.accuracy.max_lookins * len(trial.pairs)
         if last or beyond:
@@ -239,7 +244,7 @@ def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quarteri
 
     def at(levels: int) -> Floats:
         if levels not in runs:
-            runs[levels] = even.gathered(choice.tried, levels).histogram
+            runs[levels] = even.gathered(choice.tried, levels, draw=choice.draw).histogram
         return runs[levels]
 
     # Of a surface that is close before a pixel the finest patches may be too large, too.
@@ -269,7 +274,7 @@ def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tupl
         return level, 0.0, np.zeros(len(choice.own))
     left = (asked.target * choice.whole) ** 2 - choice.error**2
     left_of_part = np.where(choice.held, choice.limit**2 - choice.still**2, np.inf)
-    coarsest, coarser = (edges.gathered(choice.tried, 0, max(level - k, 0)).histogram for k in (2, 1))
+    coarsest, coarser = (edges.gathered(choice.tried, 0, max(level - k, 0), choice.draw).histogram for k in (2, 1))
     error, of_parts = FROM_FEWER * _norm(coarser - coarsest), FROM_FEWER * _norms(coarser - coarsest)
     while True:
         change = FROM_FEWER * (finer - coarser)
@@ -279,7 +284,7 @@ def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tupl
         if enough or at_edge * points > MOST_PATCHES or len(edges.pairs) * points > MOST_PATCHES_TRIED:
             return level, error, of_parts
         level += 1
-        coarser, finer = finer, edges.gathered(choice.tried, 0, level).histogram
+        coarser, finer = finer, edges.gathered(choice.tried, 0, level, choice.draw).histogram
 
 
 def _between(cuttings: Floats, still: Floats, level: Ints, wanted: Floats) -> tuple[Floats, Floats]:
@@ -310,12 +315,12 @@ def _whole_error(runs: list[Floats], level: Ints, finest: Ints) -> float:
     last = runs[-1].sum(axis=1)
     chosen = sum(runs[n][:, k] for k, n in enumerate(level))
     before = sum(runs[n - 1][:, k] for k, n in enumerate(finest))
-    return float(np.linalg.norm(chosen - last) + (REST - 1) * np.linalg.norm(before - last))
+    return l2_norm(chosen - last) + (REST - 1) * l2_norm(before - last)
 
 
 def _norm(histograms: Floats) -> float:
     """L2 norm of the sum over parts of (n, K, T)."""
-    return float(np.linalg.norm(histograms.sum(axis=1)))
+    return l2_norm(histograms.sum(axis=1))
 
 
 def _norms(histograms: Floats) -> Floats:
@@ -323,13 +328,14 @@ def _norms(histograms: Floats) -> Floats:
     return np.asarray(np.sqrt((histograms**2).sum(axis=(0, 2))))
 
 
-def by_light(squares: Floats, wanted: int) -> tuple[Ints, Floats]:
-    """At most `wanted` rows drawn by their squared norms (n, K), and how many each stands for. The first column
-    counts as much as all others together; the brightest are always among them."""
-    count = len(squares)
+def by_light(norms: Floats, wanted: int) -> tuple[Ints, Floats]:
+    """At most `wanted` rows drawn by their norms (n, K), and how many each stands for. The first column counts as
+    much as all others together; the brightest are always among them. Errors are neither the same in all rows, for
+    which they should be drawn evenly, nor as large as their light, for which by its square: norms are in between."""
+    count = len(norms)
     if count <= wanted:
         return np.arange(count), np.ones(count)
-    share, whole, objects = np.full(count, EVENLY / count), squares[:, 0], squares[:, 1:]
+    share, whole, objects = np.full(count, EVENLY / count), norms[:, 0], norms[:, 1:]
     objects = objects[:, objects.sum(axis=0) > 0]
     if whole.any():
         share += 0.5 * whole / whole.sum()

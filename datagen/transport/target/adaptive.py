@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from datagen.records import Spend
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, l2_norm
 from datagen.transport.averages import Estimate, split_rows
 from datagen.transport.cells.gathering import Gathering
 from datagen.transport.cost import CELL, CELL_PAIR, CELL_RAY, PAIR_RAY
@@ -62,7 +62,7 @@ def meet_target(task: WalkTask) -> Estimate:
     found = {"primary": _of_primary(primary)}
     if "secondary" in splits.components and accuracy.strongest is None:
         used = 1 - LEFT_OVER - share if len(splits.others) == 1 else SECONDARY_SHARE
-        asked = accuracy.target * float(np.linalg.norm(found["primary"].light))
+        asked = accuracy.target * l2_norm(found["primary"].light)
         limit = used * asked
         if len(splits.others) == 1 and task.capture.pairing == "exhaustive":
             # What the primary left of its share; in a confocal scan late light would pay for that.
@@ -79,7 +79,7 @@ def meet_target(task: WalkTask) -> Estimate:
     if left:
         rest = _sampled(replace(task, splits=replace(splits, components=left, parts=())), known)
     else:
-        error = known.error / float(np.linalg.norm(known.light))
+        error = known.error / l2_norm(known.light)
         met = error <= accuracy.target
         spend = Spend({}, {}, {}, {}, 1, 0.0, "target met" if met else "target not met by cells")
         rest = Estimate({}, {}, np.zeros(task.capture.shape), np.zeros(task.capture.shape[:2]), spend, error, met)
@@ -102,7 +102,7 @@ def _of_primary(primary: Primary) -> _Found:
     for row in primary.rows[1:]:
         whole += row
     cost = CELL * primary.cells + CELL_RAY * primary.rays
-    return _Found(whole, primary.overflow, primary.error * float(np.linalg.norm(whole)), cost, primary.cells)
+    return _Found(whole, primary.overflow, primary.error * l2_norm(whole), cost, primary.cells)
 
 
 def _of_secondary(secondary: Secondary) -> _Found:
@@ -130,7 +130,7 @@ def _joined(task: WalkTask, found: dict[str, _Found], primary: Primary, rest: Es
     )  # fmt: skip
     stderr, overflow = rest.stderr, rest.overflow
     for one in found.values():
-        norm = float(np.linalg.norm(one.light))
+        norm = l2_norm(one.light)
         stderr = np.hypot(stderr, one.error / norm * one.light if norm > 0.0 else 0.0)
         overflow = overflow + one.overflow
     return Estimate(
