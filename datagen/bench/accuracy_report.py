@@ -105,6 +105,11 @@ def _cost(axes: Axes, rows: Sequence[Row], title: str) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter
 
     shown = [row for row in rows if row.error > 0]
+    if not shown:
+        # Axes in decades have no place for nothing.
+        axes.set_axis_off()
+        axes.set_title(f"{title}: the time left room for no run")
+        return
     front = sorted((row for row in shown if row.front), key=lambda row: row.seconds)
     broad: dict[str, Any] = {"color": "#F0C000", "lw": 7, "alpha": 0.45, "zorder": 0, "solid_capstyle": "round"}
     axes.plot(*_places(front), label="Pareto front", **broad)

@@ -19,6 +19,7 @@ import itertools
 import math
 import re
 import statistics
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +51,8 @@ class Run:
 
 LOOKS = (("#D55E00", "o"), ("#000000", "s"), ("#0072B2", "^"), ("#CC79A7", "v"))
 """Colour and marker of each contender, ours first."""
+RESTING_S = 0.2
+"""Before each run: threads of the one before turn idly for a while, and their processor time would be counted."""
 Turn = dict[str, list[Run]]
 """Contender → a run for each of its numbers of samples."""
 
@@ -58,6 +61,7 @@ def measured(case: Case, repeats: int) -> list[Turn]:
     """Every contender at each of its numbers of samples, turn after turn with other seeds."""
 
     def once(contender: Contender, samples: int, seed: int) -> Run:
+        time.sleep(RESTING_S)
         result, seconds = processor_seconds(lambda: contender.run(samples, seed))
         return Run(seconds, case.errors(result, contender.truth), result)
 

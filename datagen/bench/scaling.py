@@ -30,6 +30,7 @@ from datagen.bench.other_renderers import grid_points, point_capture
 from datagen.bench.peer_cases import path_axis
 from datagen.bench.problems import DEVICE, WALL, empty_room, furnished_room
 from datagen.records import Accuracy, Capture, Laser, Rectangle, Sensor, TimeAxis
+from datagen.records.arrays import l2_norm
 from datagen.transport import simulate
 from datagen.transport.cells.gathering import Gathering
 from datagen.transport.primary import pairs_of
@@ -179,7 +180,7 @@ def error_against_cell_size() -> str:
         light = sized.gathered(pairs, sized.seen(pairs, 0), np.full(parts, 1e300), np.zeros(parts, np.int64))
         cells.append(int(light.cells.sum()) // len(pairs))
         found.append(light.histogram)
-    errors = [float(np.linalg.norm(one - found[-1]) / np.linalg.norm(found[-1])) for one in found[:-1]]
+    errors = [l2_norm(one - found[-1]) / l2_norm(found[-1]) for one in found[:-1]]
     orders = ["–", *(f"{math.log2(coarse / fine):.1f}" for coarse, fine in itertools.pairwise(errors))]
     rows = [
         [f"{size:.3g}", str(count), percent(error), order]

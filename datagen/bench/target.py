@@ -30,6 +30,7 @@ from datagen.capture import capture_for
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scene, Transient
+from datagen.records.arrays import l2_norm
 from datagen.transport import simulate
 
 TARGETS = (0.10, 0.05, 0.02, 0.01)
@@ -109,8 +110,8 @@ def outcomes_of(
     assert dearest.spend is not None
     truth_target = (TRUTH if dearest.spend.cost <= cost else TRUTH_IF_DEAR) * smallest
     truth = _run(scene, capture, replace(base, target=max(truth_target, 1e-4)), 1000 * case + 999)
-    norm = float(np.linalg.norm(truth.total))
-    noise = float(np.linalg.norm(truth.stderr)) / norm if norm > 0 else 0.0
+    norm = l2_norm(truth.total)
+    noise = l2_norm(truth.stderr) / norm if norm > 0 else 0.0
     fixed = fixed_counts_costs(scene, capture, base, [target for target, _, _ in runs], norm, 1000 * case + 500)
     found = []
     for (target, run, seconds), fixed_cost in zip(runs, fixed, strict=True):
@@ -139,7 +140,7 @@ def fixed_counts_costs(
             counts = replace(base, lookins=lookins, fov_samples=samples, replicates=REPLICATES)
             run = _run(scene, capture, counts, seed)
             assert run.spend is not None
-            errors.append(math.sqrt(REPLICATES / USUAL_REPLICATES) * float(np.linalg.norm(run.stderr)) / norm)
+            errors.append(math.sqrt(REPLICATES / USUAL_REPLICATES) * l2_norm(run.stderr) / norm)
             costs.append(run.spend.cost * USUAL_REPLICATES / REPLICATES)
             lookins *= 4
         if all(errors):
@@ -156,7 +157,7 @@ def _error(run: NDArray[np.float64], truth: NDArray[np.float64], norm: float, no
     """‖run − truth‖ / ‖truth‖ without the truth's own expected part."""
     if norm == 0:
         return 0.0 if not run.any() else math.inf
-    return math.sqrt(max((float(np.linalg.norm(run - truth)) / norm) ** 2 - noise**2, 0.0))
+    return math.sqrt(max((l2_norm(run - truth) / norm) ** 2 - noise**2, 0.0))
 
 
 def table(found: Sequence[Outcome]) -> str:

@@ -18,8 +18,6 @@ LABELS = ("depth", "normal", "albedo", "shaded", "occupancy", "sdf")
 """Labels that are quantities, not indices."""
 COUNTS = ("histogram", "background_histogram")
 WITH_STATS = (*COUNTS, *LABELS)
-_STEPS = 2.0**20
-"""Labels are added up in steps of a millionth of their unit."""
 
 _Sane = Annotated[float, pydantic.Field(ge=-1e100, le=1e100)]
 
@@ -59,9 +57,13 @@ def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
 
 
 def _sum(values: NDArray[np.float64]) -> float:
-    if float(np.abs(values).max(initial=0.0)) * values.size * _STEPS > 2.0**62:
-        return math.fsum(values.tolist())
-    return int(np.rint(values * _STEPS).astype(np.int64).sum()) / _STEPS
+    """Of integers, in steps so fine that all of them together just fit: in any order the same, and better than
+    doubles, so that the spread of what hardly varies is right."""
+    largest = float(np.abs(values).max(initial=0.0)) * max(values.size, 1)
+    if not math.isfinite(largest):
+        return largest
+    steps = min(62 - math.frexp(largest)[1], 1000)
+    return math.ldexp(int(np.rint(values * math.ldexp(1.0, steps)).astype(np.int64).sum()), -steps)
 
 
 def together(scenes: Sequence[FieldStats]) -> dict[str, float]:

@@ -16,7 +16,7 @@ from torch.utils.data import IterableDataset
 from datagen import Accuracy, simulate
 from datagen.bench import detector, loader_peers, loaders, peer_cases, peers, scaling, stages
 from datagen.bench.accuracy import Truth, noise_and_bias, with_front
-from datagen.bench.accuracy_report import advice, table
+from datagen.bench.accuracy_report import advice, picture, table
 from datagen.bench.accuracy_settings import Row, fewer_laser_points
 from datagen.bench.peers import seconds_at
 from datagen.bench.plan import furthest_off
@@ -68,6 +68,13 @@ def test_accuracy(config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert len(lookins) == 1 or float(lookins[-1][3].split()[0]) < float(lookins[0][3].split()[0])
     assert "What to choose" in printed and "2 of its 9 laser points" in printed
     assert (tmp_path / "out/accuracy.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_accuracy_draws_what_the_time_left_room_for(count: int, tmp_path: Path) -> None:
+    """No run of all bounces, or no run with an error at all: a slow machine has few, in a second."""
+    rows = [Row("lookins", str(k), "", 1, 0.1 * k, 0.1 / k, 0.1, 0.0, complete=False) for k in range(1, 3)]
+    assert picture(rows[:count], "a room", tmp_path / "accuracy.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_promise(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:

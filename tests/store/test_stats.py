@@ -50,6 +50,14 @@ def test_they_are_mean_and_standard_deviation(counts: np.ndarray, label: np.ndar
         assert np.allclose(list(together(scenes).values()), plain(values, name), rtol=1e-5, atol=scale)
 
 
+def test_what_hardly_varies_hardly_spreads() -> None:
+    for value in (0.03, 1e-12, 3e7, 1e30):
+        same = np.full(1000, value, np.float32)
+        assert stats_of("sdf", same).std <= 1e-7 * value
+        spread = same.astype(float) * np.linspace(0.999, 1.001, 1000)
+        assert stats_of("sdf", spread).std == pytest.approx(spread.std(), rel=1e-6)
+
+
 def test_adding_up_does_not_depend_on_order() -> None:
     values = np.random.default_rng(0).normal(0, 3, 100_000).astype(np.float32)
     assert stats_of("sdf", values) == stats_of("sdf", values[::-1]) == stats_of("sdf", np.sort(values))
