@@ -13,7 +13,13 @@ from datagen.detector.avalanches import draw_avalanches
 from datagen.detector.chain import draw_cycle_ensemble, draw_hazard_chain, draw_in_order, draw_return_chain
 from datagen.detector.equilibrium import FOR_A_START, equilibrium
 from datagen.detector.events import draw_free_running
-from datagen.detector.expected import has_exact_mean, mean_detections, saturated_mean
+from datagen.detector.expected import (
+    counts_are_binomial,
+    counts_are_poisson,
+    has_exact_mean,
+    mean_detections,
+    saturated_mean,
+)
 from datagen.detector.flux import Cycle, checked_transient, cycle_of, flux_per_cycle
 from datagen.detector.poisson import draw_poisson
 from datagen.detector.renewal import pieces_of
@@ -125,7 +131,8 @@ def expected_histogram(
     transient, time, spad, exposure, first_pixel : as of `detect`.
     approximate : allow a self-consistent mean, whose error is of second order in the probabilities, where there is
         no exact one in closed form: afterpulsing or crosstalk together with a dead time, and counters that saturate
-        under a dead time.
+        where detections depend on one another (but for the binomial counts of a synchronous detector whose bin
+        counts a cycle at most once).
 
     Returns
     -------
@@ -158,7 +165,7 @@ def expected_histogram(
     for flux in setup.fluxes():
         detections = np.stack([mean_detections(values, setup.cycle, spad) for values in flux.values])
         mean = setup.tdc.mean(exposure.cycles * detections)
-        out[flux.first : flux.first + len(mean)] = _saturate_mean(mean, spad, exposure, approximate)
+        out[flux.first : flux.first + len(mean)] = _saturate_mean(mean, flux.values, setup, approximate)
     return out.reshape(np.shape(transient))
 
 
@@ -312,17 +319,19 @@ def _draw_one(setup: _Setup, flux: Array, sampler: Sampler, stream: Stream) -> N
     return draw_free_running(flux, edges, width, front, dead_time, cycles, state, stream)
 
 
-def _saturate_mean(mean: Array, spad: Spad, exposure: Exposure, approximate: bool) -> Array:
+def _saturate_mean(mean: Array, flux: Array, setup: _Setup, approximate: bool) -> Array:
+    """(laser, pixel, bin) mean counts, of flux (laser, pixel, n), once counters have stayed at their maximum."""
+    spad, exposure = setup.spad, setup.exposure
     if spad.counter_max is None:
         return mean
-    poisson = spad.mode == "ideal" or (spad.dead_time_s == 0 and has_exact_mean(spad, 1))
     reach = mean + 8 * np.sqrt(mean) + 8 > spad.counter_max
     if not reach.any():
         return mean
-    if not (poisson or spad.mode == "synchronous" or approximate):
+    poisson = counts_are_poisson(spad, mean.shape[1])
+    if not (poisson or approximate or counts_are_binomial(flux, setup.cycle, spad, mean.shape[1])):
         raise InputError(
-            f"expected_histogram: counter_max = {spad.counter_max} is reached under a dead time (mode "
-            f"{spad.mode!r}), where the law of a bin's count has no closed form; pass approximate=True, or leave "
-            "counter_max out"
+            f"expected_histogram: counter_max = {spad.counter_max} is reached where counts are neither Poisson nor "
+            f"binomial (mode {spad.mode!r} with detections that depend on one another), and the law of a bin's count "
+            "has no closed form; pass approximate=True, or leave counter_max out"
         )
     return np.where(reach, saturated_mean(mean, exposure.cycles, spad.counter_max, not poisson), mean)

@@ -90,8 +90,29 @@ def _self_consistent(
 
 def has_exact_mean(spad: Spad, pixels: int) -> bool:
     """Whether `mean_detections` is exact."""
-    coupled = spad.afterpulse_probability > 0 or (spad.crosstalk_probability > 0 and pixels > 1)
-    return spad.mode == "ideal" or spad.dead_time_s == 0 or not coupled
+    return spad.dead_time_s == 0 or not _is_coupled(spad, pixels)
+
+
+def counts_are_poisson(spad: Spad, pixels: int) -> bool:
+    """Whether detections are independent of one another, so that a bin's count is a Poisson number."""
+    return spad.mode == "ideal" or (spad.dead_time_s == 0 and not _is_coupled(spad, pixels))
+
+
+def counts_are_binomial(flux: Array, cycle: Cycle, spad: Spad, pixels: int) -> bool:
+    """Whether a bin counts each cycle at most once, and cycles are independent; of flux (…, n).
+
+    So it is where the dead time leaves one detection a cycle, or one a bin and nothing moves its record.
+    """
+    if spad.mode != "synchronous" or spad.afterpulse_probability > 0 or not has_exact_mean(spad, pixels):
+        return False
+    once_a_bin = cycle.after_avalanche.is_identity and spad.dead_time_s >= cycle.width_s * (1 - 1e-9)
+    return once_a_bin or bool((spad.dead_time_s >= active_span(flux, cycle)).all())
+
+
+def _is_coupled(spad: Spad, pixels: int) -> bool:
+    """Whether avalanches cause others: in the same pixel later, or in its neighbours."""
+    causes = spad.afterpulse_probability > 0 or (spad.crosstalk_probability > 0 and pixels > 1)
+    return causes and spad.mode != "ideal"
 
 
 def neighbour_sum(values: Array, columns: int) -> Array:

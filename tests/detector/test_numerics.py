@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mpmath
 import numba
 import numpy as np
 import pytest
-from scipy.stats import binom, chi2, poisson
+from scipy.stats import binom, chi2, norm, poisson
 from statistics_kit import accept
 
 from datagen.detector import Exposure, Spad, coates_correction, detect, expected_histogram
@@ -21,6 +23,7 @@ from datagen.detector.renewal import synchronous_mean
 from datagen.detector.sampler_choice import poisson_bias
 from datagen.detector.streams import stream_of
 from datagen.detector.tdc import Tdc
+from datagen.errors import InputError
 from datagen.records import TimeAxis
 
 TIME = TimeAxis(100, 1e-9)
@@ -238,6 +241,43 @@ def test_saturating_counters():
     accept(float(chi2(usual.sum()).sf(np.sum(z**2))), "saturated mean")
     assert usual.sum() > 60 and np.abs(counts.mean(0) - mean)[~usual].max() < 0.2
     assert mean[50] < 1000 * transient[50] - 2
+
+
+@pytest.mark.parametrize(
+    "spad",
+    [
+        pytest.param({"afterpulse_probability": 0.5, "afterpulse_times_s": (1e-15,)}, id="afterpulses in one bin"),
+        pytest.param({"dead_time_s": 0.2e-9}, id="several detections a bin"),
+        pytest.param({"dead_time_s": 20e-9, "jitter_fwhm_s": 30e-9}, id="jitter brings two into one bin"),
+    ],
+)
+def test_saturated_mean_is_given_for_counts_whose_law_is_known(spad):
+    """Elsewhere it once was that of Poisson or binomial counts all the same: three times too many."""
+    exposure, transient = Exposure(1e7, 1, 1.0), np.full(100, 0.3)
+    known = Spad(pde=1.0, mode="synchronous", counter_max=1, dead_time_s=1e-9)
+    expected_histogram(transient, TIME, known, exposure)
+    unknown = Spad(**{"pde": 1.0, "mode": "synchronous", "counter_max": 1} | spad)
+    with pytest.raises(InputError, match=r"neither Poisson nor binomial.*approximate=True"):
+        expected_histogram(transient, TIME, unknown, exposure)
+    assert np.isfinite(expected_histogram(transient, TIME, unknown, exposure, approximate=True)).all()
+
+
+@pytest.mark.parametrize("jitter, dead_time", [(0.0, 1e-9), (0.0, 7.3e-9), (3e-9, 100e-9)])
+def test_saturated_mean_of_binomial_counts(jitter, dead_time):
+    spad = Spad(pde=1.0, mode="synchronous", dead_time_s=dead_time, jitter_fwhm_s=jitter, counter_max=3)
+    exposure, transient = Exposure(1e7, 40, 1.0), np.linspace(0.0, 0.2, 100)
+    mean = expected_histogram(transient, TIME, spad, exposure)
+    unlimited = expected_histogram(transient, TIME, replace(spad, counter_max=None), exposure)
+    n = np.arange(41)
+    law = binom.pmf(n, 40, unlimited[:, None] / 40)
+    np.testing.assert_allclose(mean, law @ np.minimum(n, 3), rtol=1e-9, atol=1e-12)
+    counts = detect(np.tile(transient, (4000, 1, 1)), TIME, spad, exposure)[:, 0]
+    deviation = np.sqrt(law @ np.minimum(n, 3) ** 2 - mean**2)
+    usual = 4000 * mean >= 100
+    z = (counts.mean(0) - mean)[usual] / (deviation[usual] / np.sqrt(4000))
+    # Bins of one detector are not independent of one another: the largest of them, by Bonferroni.
+    accept(float(min(1.0, usual.sum() * 2 * norm.sf(np.abs(z).max()))), "saturated mean")
+    assert usual.sum() > 30 and (unlimited - mean).max() > 0.02
 
 
 def test_poisson_bias_bounds_the_true_bias():
