@@ -62,10 +62,10 @@ class Occluders(NamedTuple):
         corners = tree.corners[number]
         order, box, link = boxes_over(corners.min(axis=1), corners.max(axis=1))
         number, corners = number[order], corners[order]
-        # Two rows a line: of row 1 nothing is made, so that the two boxes in one share a line, as a triangle's rows do.
+        # Row 1 stays empty, so that the two boxes in one, as the two rows of a triangle, share a line of memory.
         at = np.maximum(np.arange(1, len(box) + 1), 2)
         at[0] = 0
-        first = at[-1] + 2 & ~1
+        first = (at[-1] + 2) & ~1
         row = _in_lines(first + 2 * len(number))
         row[at, :LINK] = box
         row[at, LINK] = np.where(link[:, 0] < 0, link[:, 1] - link[:, 2], link[:, 0] + 1)
