@@ -124,7 +124,7 @@ def _gather(  # type: ignore[no-untyped-def]
     last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
     per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
     enough = len(listed) - 4 * RING
-    some, strongest = min(len(hides) - occluders.boxes, 1), 0.0
+    some, strongest = min(occluders.triangles, 1), 0.0
     to_z = LISTED + some
     free = to_z + some
     for k in range(len(peak)):

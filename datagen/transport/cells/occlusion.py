@@ -27,8 +27,10 @@ MOST, RING = 16, 63
 """Candidates up to which boxes are opened, and the mask of a ring that holds those still to be looked at."""
 MANY_WALLS = 1024
 """Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""
-LINK, SPAN, COLUMNS_OF_BOX, NORMAL, NUMBER, COLUMNS = 6, 7, 9, 9, 12, 13
-"""Columns of `Occluders.row`."""
+LINK, FIRST, NUMBER, C, NORMAL, COLUMNS = 6, 7, 6, 0, 3, 8
+"""Columns of `Occluders.row`: those of a box, of a triangle's first row and of its second."""
+LINE = 128
+"""Bytes, a power of two, that processors fetch at once: two boxes."""
 SUSPECT, LISTED = 255, 256
 """In the lists that are handed down: what is to be looked at, which is scratch, comes first; then the triangle that
 hid something the last time, or 0; and from `LISTED` on candidates: rows, of triangles less than 0, their −k."""
@@ -41,16 +43,16 @@ class Occluders(NamedTuple):
 
     Attributes
     ----------
-    row : (N + F, 13) boxes, the first of which holds all, and triangles. Of a box its lowest and highest corner,
-        metres (0–5), the first of the two boxes in it, −1 in one that holds its triangles itself (`LINK`), and the
-        first of its triangles and behind the last (`SPAN`); of a triangle three corners, metres (0–8), its unit
-        normal (`NORMAL`) and its number in the `Hierarchy` (`NUMBER`).
-    boxes : N.
+    row : (R, 8) boxes, the first of which holds all, and triangles, each of them two rows. Of a box its lowest and
+        highest corner, metres (0–5), the first of the two boxes in it or, in one that holds its triangles itself,
+        their −number (`LINK`), and the first of its triangles (`FIRST`); of a triangle two corners, metres (0–5),
+        and its number in the `Hierarchy` (`NUMBER`), then the third corner (`C`) and its unit normal (`NORMAL`).
+    triangles : F.
     flat : distance from a plane within which a point lies on it, metres.
     """
 
     row: Floats
-    boxes: int
+    triangles: int
     flat: float
 
     @classmethod
@@ -59,17 +61,30 @@ class Occluders(NamedTuple):
         number = np.flatnonzero(_hides(scene, tree))
         corners = tree.corners[number]
         order, box, link = boxes_over(corners.min(axis=1), corners.max(axis=1))
-        number, boxes = number[order], len(box)
-        row = np.zeros((boxes + len(number), COLUMNS))
-        row[:boxes, :LINK], row[:boxes, LINK], row[:boxes, SPAN:COLUMNS_OF_BOX] = box, link[:, 0], boxes + link[:, 1:]
-        row[boxes:, :NORMAL], row[boxes:, NORMAL:NUMBER] = tree.corners[number].reshape(-1, 9), tree.normal[number]
-        row[boxes:, NUMBER] = number
-        return cls(row, boxes, ON_PLANE * tree.extent)
+        number, corners = number[order], corners[order]
+        # Row 1 stays empty, so that the two boxes in one, as the two rows of a triangle, share a line of memory.
+        at = np.maximum(np.arange(1, len(box) + 1), 2)
+        at[0] = 0
+        first = (at[-1] + 2) & ~1
+        row = _in_lines(first + 2 * len(number))
+        row[at, :LINK] = box
+        row[at, LINK] = np.where(link[:, 0] < 0, link[:, 1] - link[:, 2], link[:, 0] + 1)
+        row[at, FIRST] = first + 2 * link[:, 1]
+        row[first::2, :NUMBER], row[first::2, NUMBER] = corners[:, :2].reshape(-1, 6), number
+        row[first + 1 :: 2, C:NORMAL], row[first + 1 :: 2, NORMAL : NORMAL + 3] = corners[:, 2], tree.normal[number]
+        return cls(row, len(number), ON_PLANE * tree.extent)
 
     @property
     def any(self) -> bool:
         """Whether anything can be hidden."""
-        return len(self.row) > self.boxes
+        return self.triangles > 0
+
+
+def _in_lines(rows: int) -> Floats:
+    """(rows, 8) zeros that start where a line of the processor's memory does."""
+    room = np.zeros(rows * COLUMNS + LINE // 8)
+    start = -room.ctypes.data % LINE // 8
+    return room[start : start + rows * COLUMNS].reshape(rows, COLUMNS)
 
 
 def _hides(scene: Scene, tree: Hierarchy) -> Bools:
@@ -132,7 +147,7 @@ def lists(room):  # type: ignore[no-untyped-def]
 def _crosses(x, d, row, f, end):  # type: ignore[no-untyped-def]
     """Whether the line x … x + d · end passes through triangle f (Möller & Trumbore, J. Graphics Tools 2 (1997))."""
     a = get(row, f, 0)
-    along_b, along_c = less(get(row, f, 3), a), less(get(row, f, 6), a)
+    along_b, along_c = less(get(row, f, 3), a), less(get(row, f + 1, C), a)
     p = cross(d, along_c)
     volume = dot(along_b, p)
     if volume == 0.0:
@@ -194,13 +209,13 @@ def _stands_between(x, d, of, f, row):  # type: ignore[no-untyped-def]
 def _opened(listed, top, row, k):  # type: ignore[no-untyped-def]
     """Put what box k holds behind the first `top` entries; returns how many there are then."""
     one = int(row[k, LINK])
-    if one >= 0:
+    if one > 0:
         listed[top], listed[top + 1] = one, one + 1
         return top + 2
-    for f in range(int(row[k, SPAN]), int(row[k, SPAN + 1])):
-        listed[top] = -f
-        top += 1
-    return top
+    first = int(row[k, FIRST])
+    for j in range(-one):
+        listed[top + j] = -(first + 2 * j)
+    return top - one
 
 
 @compiled()
@@ -238,7 +253,7 @@ def narrowed_to_box(x, around, at, first, last, free, row, listed):  # type: ign
             across = np.sqrt(max(dot(d, d) - along * along, 0.0))
             if apart or (sine < 1.0 and across * cosine - along * sine > size * (1.0 + 1e-6)):
                 continue
-            if row[k, LINK] >= 0.0 and end - free + tail - head < MOST:
+            if row[k, LINK] > 0.0 and end - free + tail - head < MOST:
                 one = int(row[k, LINK])
                 listed[tail & RING], listed[(tail + 1) & RING] = one, one + 1
                 tail += 2
@@ -282,7 +297,7 @@ def narrowed(x, a, b, c, of, first, last, free, flat, row, listed):  # type: ign
             number = row[f, NUMBER]
             if number == of:
                 continue
-            p, q, r = get(row, f, 0), get(row, f, 3), get(row, f, 6)
+            p, q, r = get(row, f, 0), get(row, f, 3), get(row, f + 1, C)
             if (
                 _beyond(one, x, p, q, r, near1)
                 or _beyond(two, x, p, q, r, near2)
@@ -295,7 +310,7 @@ def narrowed(x, a, b, c, of, first, last, free, flat, row, listed):  # type: ign
                 if not (number > of and _beyond(upward, a, p, q, r, near0)):
                     continue
             else:
-                low, high = _heights(get(row, f, NORMAL), p, x, a, b, c)
+                low, high = _heights(get(row, f + 1, NORMAL), p, x, a, b, c)
                 if high <= flat or low >= -flat:
                     continue
         elif (
@@ -307,13 +322,14 @@ def narrowed(x, a, b, c, of, first, last, free, flat, row, listed):  # type: ign
             continue
         elif end - free + tail - head < MOST:
             one_of = int(row[k, LINK])
-            if one_of >= 0:
+            if one_of > 0:
                 listed[tail & RING], listed[(tail + 1) & RING] = one_of, one_of + 1
                 tail += 2
             else:
-                for f in range(int(row[k, SPAN]), int(row[k, SPAN + 1])):
-                    listed[tail & RING] = -f
-                    tail += 1
+                inside = int(row[k, FIRST])
+                for j in range(-one_of):
+                    listed[(tail + j) & RING] = -(inside + 2 * j)
+                tail -= one_of
             continue
         listed[end] = k
         end += 1

@@ -207,7 +207,7 @@ def _cut(  # type: ignore[no-untyped-def]
     span, roots, smallest, flat = tree.span, tree.roots, SMALLEST * tree.extent, occluders.flat
     hides = occluders.row
     part = ends.part
-    last = LISTED + (min(len(hides) - occluders.boxes, 1) if asked else 0)
+    last = LISTED + (min(occluders.triangles, 1) if asked else 0)
     count, rays, points = 0, 0, part.shape[1]
     for p in range(len(part)):
         first[p] = count
