@@ -254,7 +254,7 @@ class _Scan:
             twos, more = reach_of(seen, tree, occluders, materials, coarsest, error, asked, seed)
             rays += more
         legs = leg1[i] + leg3[p]
-        gain = (np.exp(-air * legs) * weight[p]).astype(np.float64)
+        gain = np.exp(-air * leg1[i]) * weight[p]
         per_metre = 1.0 / float(path_from_time(axis.width_s))
         zero = axis.start_s / axis.width_s - (legs * per_metre if device else np.zeros(len(legs)))
         caster = task.caster
@@ -306,7 +306,7 @@ class _Scan:
         return ends, np.nan_to_num(points.leg[lasers])
 
     def _pixels(self, pixels: Ints, level: int, device: bool) -> tuple[Ends, Floats, Floats]:
-        """The finest patches of some pixels as ends; their weight (n,), m² sr, and distance to the sensor (n,), m."""
+        """The finest patches of some pixels as ends; their weight (n,), air in it, and metres to the sensor (n,)."""
         patches = patches_of(self.task, pixels, level)
         finest = slice((4**level - 1) // 3, None)
         part, weight, leg = patches.part[:, finest], patches.weight[:, finest], patches.leg[:, finest]

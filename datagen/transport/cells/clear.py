@@ -30,12 +30,12 @@ MOST_QUARTERED = 256
 # light and path (15), the area, the triangle, the patch, how many times as large as itself that stands for, and the
 # product of the BRDFs; the triangle's normal, the patch's place, normal and footprint; a point, and w, R₁ and R₂
 # there; the longest side and which it is; what the patch makes of light, its size, whether it has quarters, the legs
-# to the device if they count, the sides of the patch and its direction to the device; verdict and bend; what the air
-# leaves, the energy, and the seven numbers of its tent.
+# to the device if they count, the sides of the patch and its direction to the device; verdict and bend; the
+# energy, and the seven numbers of its tent.
 AREA, OF, PATCH, SHARE, BRDF, STACKED = 15, 16, 17, 18, 19, 20
 NORMAL, SEEN_FROM, NORMAL3, FOOTPRINT, POINT, LIGHT, LONG = 20, 23, 26, 29, 30, 33, 36
-GAIN, SIZE, QUARTERS, LEGS, ACROSS, TO_SENSOR, VERDICT, BEND, AIR = 38, 39, 40, 41, 42, 48, 51, 52, 53
-ENERGY, TENT, NUMBERS = 54, 55, 62
+GAIN, SIZE, QUARTERS, LEGS, ACROSS, TO_SENSOR, VERDICT, BEND = 38, 39, 40, 41, 42, 48, 51, 52
+ENERGY, TENT, NUMBERS = 53, 54, 61
 DROPPED, SPREAD, CUT, QUARTERED = 0.0, 1.0, 2.0, 3.0
 
 
@@ -102,7 +102,7 @@ def _middles(batch, count):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _verdicts(batch, count, x, n1, limit, allowed, per_metre):  # type: ignore[no-untyped-def]
+def _verdicts(batch, count, x, n1, limit, allowed, per_metre, attenuation):  # type: ignore[no-untyped-def]
     """What becomes of the cells of a batch whose light in the middle is known."""
     for j in range(min(count, WIDE)):
         z, n3 = _at(batch, SEEN_FROM, j), _at(batch, NORMAL3, j)
@@ -114,7 +114,7 @@ def _verdicts(batch, count, x, n1, limit, allowed, per_metre):  # type: ignore[n
             batch[4 * WIDE + j], batch[9 * WIDE + j], batch[14 * WIDE + j], batch[AREA * WIDE + j], w,
             batch[LONG * WIDE + j], batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j],
             batch[GAIN * WIDE + j], batch[FOOTPRINT * WIDE + j], batch[SIZE * WIDE + j], limit, allowed,
-            batch[QUARTERS * WIDE + j] > 0.0, per_metre,
+            batch[QUARTERS * WIDE + j] > 0.0, per_metre, attenuation,
         )  # fmt: skip
         becomes = CUT if cut else SPREAD
         becomes = QUARTERED if quarter else becomes
@@ -128,7 +128,7 @@ def _tents(batch, count, per_metre, start, at_once):  # type: ignore[no-untyped-
     """How the light of the cells of a batch arrives, as if each were spread."""
     for j in range(min(count, WIDE)):
         wa, wb, wc = batch[3 * WIDE + j], batch[8 * WIDE + j], batch[13 * WIDE + j]
-        energy = batch[GAIN * WIDE + j] * batch[AIR * WIDE + j] * batch[AREA * WIDE + j]
+        energy = batch[GAIN * WIDE + j] * batch[AREA * WIDE + j]
         energy *= 0.75 * batch[LIGHT * WIDE + j] + 0.25 * (wa + wb + wc) / 3
         zero = (batch[LEGS * WIDE + j] - 0.75 * batch[BEND * WIDE + j]) * per_metre - start
         a = batch[4 * WIDE + j] * per_metre + zero
@@ -172,13 +172,12 @@ def _taken(clear, first, count, batch, normal, p, lit, leg1, device, patches):  
 
 
 @compiled()
-def _air(batch, count, attenuation, leg, p):  # type: ignore[no-untyped-def]
-    """What the air leaves of the light of the cells of a batch, by way of their middles."""
-    for j in range(min(count, WIDE)):
-        batch[AIR * WIDE + j] = 1.0
-        if attenuation > 0.0:
+def _dim(batch, count, attenuation):  # type: ignore[no-untyped-def]
+    """Leave of the light at the points of a batch what air leaves on the way by them."""
+    if attenuation > 0.0:
+        for j in range(min(count, WIDE)):
             path = batch[(LIGHT + 1) * WIDE + j] + batch[(LIGHT + 2) * WIDE + j]
-            batch[AIR * WIDE + j] = math.exp(-attenuation * (path + leg[p, int(batch[PATCH * WIDE + j])]))
+            batch[LIGHT * WIDE + j] *= math.exp(-attenuation * path)
 
 
 @compiled()
@@ -201,8 +200,8 @@ def spread_clear(  # type: ignore[no-untyped-def]
         _taken(clear, waiting, count, batch, normal, p, lit, leg1, clock.device, patches)
         _middles(batch, count)
         light_at_points(batch, count, x, n1)
-        _verdicts(batch, count, x, n1, limit, allowed, clock.per_metre)
-        _air(batch, count, clock.attenuation, patches.leg, p)
+        _dim(batch, count, clock.attenuation)
+        _verdicts(batch, count, x, n1, limit, allowed, clock.per_metre, clock.attenuation)
         _tents(batch, count, clock.per_metre, clock.start, at_once)
         halves = 0
         for j in range(min(count, WIDE)):
@@ -231,6 +230,7 @@ def spread_clear(  # type: ignore[no-untyped-def]
                 f, q = int(batch[OF * WIDE + j]), int(batch[PATCH * WIDE + j])
                 top = push(tag, top, KEPT, f, q, free, free, free)
         light_at_points(cuts, halves, x, n1)
+        _dim(cuts, halves, clock.attenuation)
         for k in range(min(halves, WIDE)):
             j = int(cuts[k])
             side = 5 * int(batch[(LONG + 1) * WIDE + j])

@@ -24,7 +24,7 @@ UNLIKE = 0.05
 
 
 @compiled()
-def is_small(around, at, x, z, most, allowed):  # type: ignore[no-untyped-def]
+def is_small(around, at, x, z, most, allowed, attenuation):  # type: ignore[no-untyped-def]
     """Whether a box is so small and faint that one point may stand for all of it, and how near it comes to z.
 
     most : photons if all of it were at distance 1 and faced both.
@@ -33,6 +33,7 @@ def is_small(around, at, x, z, most, allowed):  # type: ignore[no-untyped-def]
     near1, near3 = distance(centre, x) - radius, distance(centre, z) - radius
     if min(near1, near3) <= 0.0 or 2 * radius > COARSEST * min(near1, near3):
         return False, near3
+    most *= math.exp(-attenuation * (near1 + near3)) if attenuation > 0.0 else 1.0
     return 0.5 * most / (near1 * near1 * near3 * near3) <= allowed, near3
 
 

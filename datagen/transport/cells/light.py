@@ -7,8 +7,6 @@ moved so that their mean is that of second degree.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from datagen.compiled import compiled
@@ -33,7 +31,7 @@ from datagen.transport.cells.waiting import (
     put_vertex,
     vertex_of,
 )
-from datagen.transport.cells.weights import brightest, judged, smear, weight
+from datagen.transport.cells.weights import air, brightest, judged, smear, weight
 from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 0.5, 0.05
@@ -181,7 +179,7 @@ def _gather(  # type: ignore[no-untyped-def]
                     if rise <= 0.0 or most3[p, q] <= 0.0:
                         continue
                     at_most = share * lit * most3[p, q] * peak[k1] * peak[k] * strongest
-                    at_most *= brightest(m, h, area, rise, height, x, z, size)
+                    at_most *= brightest(m, h, area, rise, height, x, z, size, attenuation)
                     if what == BOX and q == 0 and at == roots[k]:
                         most = at_most
                     # Whatever of the patch is seen, its light is little: one quarter stands for it, and such cells
@@ -211,9 +209,8 @@ def _gather(  # type: ignore[no-untyped-def]
                         alone = sides > 0 or (sides == 0 and diffuse)
                         alone = alone and dot(less(m, x), n1) > h and dot(less(m, z), n3) > h
                     if many and not alone:
-                        small, near3 = is_small(
-                            around, at, x, z, gain * peak[k1] * peak[k] * peak[k3] * area, allowed[k]
-                        )
+                        at_most = gain * peak[k1] * peak[k] * peak[k3] * area
+                        small, near3 = is_small(around, at, x, z, at_most, allowed[k], attenuation)
                         quarter = small and quarters and size > 0.3 * near3
                         if small and not quarter:
                             word = word_of(seed, row[pair], 8 * at)
@@ -228,8 +225,8 @@ def _gather(  # type: ignore[no-untyped-def]
                             rays += 1
                             if _seen(y, x, z, f, first, middle, last, hides, listed):
                                 path = r1 + r3
-                                air = math.exp(-attenuation * (path + leg3[p, q])) if attenuation > 0.0 else 1.0
-                                t, energy = (path + device) * per_metre - start_bin, w * air * gain * area
+                                t = (path + device) * per_metre - start_bin
+                                energy = w * air(attenuation, path) * gain * area
                                 variance = smear(less(y, z), seen_from[2], clock.device, across3, p, q)
                                 at_a, at_b, at_c = widened(t, t, t, variance * per_metre * per_metre)
                                 overflow[into] += spread(histogram, into, at_a, at_b, at_c, 1.0, 1.0, 1.0, energy)
@@ -254,7 +251,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             for j in range(3):
                                 y = vertex_of(cell, top, j)
                                 w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint)
-                                put_vertex(cell, top, j, y, w, r1 + r3)
+                                put_vertex(cell, top, j, y, w * air(attenuation, r1 + r3), r1 + r3)
                         if first == last and what != KEPT and height1 * height3 > 0.0 and abs(height3) > flat:
                             others = alight
                             alight = put_clear(clear, alight, cell, top, f, q, lit_from, kind2, values2, seen_from)
@@ -262,14 +259,16 @@ def _gather(  # type: ignore[no-untyped-def]
                                 continue
                         m, side, h = middle_of(cell, top)
                     wm, r1, r3 = weight(m, n, kind2, values2, lit_from, seen_from, footprint)
+                    wm *= air(attenuation, r1 + r3)
                     if alone:
                         wm *= tilt
                         cell[top, 15] = area
                         for j in range(3):
                             put_vertex(cell, top, j, m, wm, r1 + r3 + 4.0 * longer + (j - 1.0) * apart)
                     cut, quarter, over, bend = judged(
-                        cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre
-                    )
+                        cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre,
+                        attenuation,
+                    )  # fmt: skip
                     if alone:
                         # What is cut once need not be cut again for each quarter of the pixel.
                         cut |= over * unlike > allowed[k] or (quarter and h > 2.0 * size)
@@ -361,11 +360,11 @@ def _gather(  # type: ignore[no-untyped-def]
                     # Across the longest side.
                     y = half(vertex_of(cell, top, side), vertex_of(cell, top, (side + 1) % 3))
                     w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint)
+                    w *= air(attenuation, r1 + r3)
                     top = push_halves(tag, cell, top, side, y, w, r1 + r3, CELL, f, q, first, middle, last)
                     continue
                 wa, wb, wc = cell[top, 3], cell[top, 8], cell[top, 13]
-                air = math.exp(-attenuation * (r1 + r3 + leg3[p, q])) if attenuation > 0.0 else 1.0
-                energy = visible * gain * air * cell[top, 15] * (0.75 * wm + 0.25 * (wa + wb + wc) / 3)
+                energy = visible * gain * cell[top, 15] * (0.75 * wm + 0.25 * (wa + wb + wc) / 3)
                 cells += 1
                 zero = (device - 0.75 * bend) * per_metre - start_bin
                 at_a, at_b, at_c = (

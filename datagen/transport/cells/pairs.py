@@ -38,6 +38,7 @@ from datagen.transport.cells.reach import (
     condense,
     lit,
 )
+from datagen.transport.cells.weights import air
 from datagen.transport.raycast import lifted_and_scaled
 
 NARROWEST = 0.25
@@ -131,13 +132,16 @@ def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _error(one, i, two, j, energy, keen, r, variance, share):  # type: ignore[no-untyped-def]
-    """L2 error that a pair of cells may make; variance in bins²."""
+def _error(one, i, two, j, energy, keen, r, variance, share, haze):  # type: ignore[no-untyped-def]
+    """L2 error that a pair of cells may make; variance in bins², haze what air takes in a bin."""
     h1, h2 = one[i, LONG], two[j, LONG]
     size = (h1 + h2) / r
     near1, near2 = h1 / one[i, LENGTH], h2 / two[j, LENGTH]
     wrong = (
-        keen * (size * size + near1 * near1 + near2 * near2) + SHAPE * min(variance, 1.0) + CLIPPED * (1.0 - share)
+        keen * (size * size + near1 * near1 + near2 * near2)
+        + SHAPE * min(variance, 1.0)
+        + CLIPPED * (1.0 - share)
+        + haze * haze * variance
     )
     return energy * wrong / math.sqrt(math.sqrt(1.0 + 24.0 * variance))
 
@@ -178,8 +182,8 @@ def room_for(count):  # type: ignore[no-untyped-def]
 @compiled(_nrt=False)
 def join(  # type: ignore[no-untyped-def]
     begin, begin_cell, pairs, gain, zero, row, ends1, first1, cell1, number1, part1, ends2, first2, cell2, number2,
-    part2, same, kind, values, sharp, allowed, air, per_metre, offset, scale, near1, known1, near2, known2, figures,
-    rows, origin, span,
+    part2, same, kind, values, sharp, allowed, attenuation, per_metre, offset, scale, near1, known1, near2, known2,
+    figures, rows, origin, span,
 ):  # fmt: skip
     """Pairs of cells of ends that are lit and ends that see, from pair of ends `begin` on, while there is room.
 
@@ -190,7 +194,7 @@ def join(  # type: ignore[no-untyped-def]
     Returns where it stopped, and how many pairs of cells were found.
     """
     count = 0
-    last = len(rows)
+    last, haze = len(rows), attenuation / per_metre
     for k in range(begin, len(pairs)):
         p, q = pairs[k, 0], pairs[k, 1]
         for i in range(begin_cell if k == begin and begin_cell >= 0 else first1[p], first1[p + 1]):
@@ -204,11 +208,12 @@ def join(  # type: ignore[no-untyped-def]
                 energy, r, path, variance, share, y1, y2 = _joined(number1, i, number2, j, a, b, kind, values)
                 if not energy > 0.0:
                     continue
+                energy *= air(attenuation, path)
                 variance *= per_metre * per_metre
-                if not _error(number1, i, number2, j, energy, keen, r, variance, share) > allowed:
+                if not _error(number1, i, number2, j, energy, keen, r, variance, share, haze) > allowed:
                     _note(
                         y1, get(number1, i, NORMAL), y2, get(number2, j, NORMAL), path, variance, energy, per_metre,
-                        zero[k], gain[k], air, row[k], count, offset, scale, figures, rows, origin, span,
+                        zero[k], gain[k], row[k], count, offset, scale, figures, rows, origin, span,
                     )  # fmt: skip
                     count += 1
                     continue
@@ -222,9 +227,10 @@ def join(  # type: ignore[no-untyped-def]
                     energy, r, path, variance, share, y1, y2 = _joined(known1, top, known2, top, a, b, kind, values)
                     if not energy > 0.0:
                         continue
+                    energy *= air(attenuation, path)
                     variance *= per_metre * per_metre
                     if (
-                        _error(known1, top, known2, top, energy, keen, r, variance, share) > allowed
+                        _error(known1, top, known2, top, energy, keen, r, variance, share, haze) > allowed
                         and top < DEEPEST
                         and top + 2 < left
                     ):
@@ -240,7 +246,7 @@ def join(  # type: ignore[no-untyped-def]
                         continue
                     _note(
                         y1, get(known1, top, NORMAL), y2, get(known2, top, NORMAL), path, variance, energy, per_metre,
-                        zero[k], gain[k], air, row[k], count, offset, scale, figures, rows, origin, span,
+                        zero[k], gain[k], row[k], count, offset, scale, figures, rows, origin, span,
                     )  # fmt: skip
                     count += 1
                     left -= 1
@@ -249,12 +255,12 @@ def join(  # type: ignore[no-untyped-def]
 
 @compiled()
 def _note(  # type: ignore[no-untyped-def]
-    y1, n1, y2, n2, path, variance, energy, per_metre, zero, gain, air, row, count, offset, scale, figures, rows,
+    y1, n1, y2, n2, path, variance, energy, per_metre, zero, gain, row, count, offset, scale, figures, rows,
     origin, span,
 ):  # fmt: skip
     """Write down when and how a pair's light arrives, and the ray between them."""
     figures[count, AT], figures[count, VARIANCE] = path * per_metre - zero, variance
-    figures[count, PHOTONS] = energy * gain * (math.exp(-air * path) if air > 0.0 else 1.0)
+    figures[count, PHOTONS] = energy * gain
     rows[count] = row
     a, b = lifted_and_scaled(y1, n1, offset, scale), lifted_and_scaled(y2, n2, offset, scale)
     for k in range(3):

@@ -35,7 +35,7 @@ class Patches(NamedTuple):
     position, normal, to_sensor : (P, Q, 3) of the middle: metres, unit normal and unit direction towards the sensor.
         Where its line of sight meets nothing, that of one of its quarters.
     part : (P, Q) part index, −1 where the line of sight meets nothing.
-    weight : (P, Q) effective aperture × solid angle, m² sr.
+    weight : (P, Q) effective aperture × solid angle, m² sr, and what air leaves on the way to the sensor.
     most : (P, Q) what that is at most in any patch within it, for as much of the pixel.
     footprint : (P, Q) its area, m².
     leg : (P, Q) distance to the sensor, m.
@@ -71,7 +71,7 @@ class Patches(NamedTuple):
             across = [
                 _across(pool, corner, uv) / 2**k for k, (pool, uv) in enumerate(zip(pools, places, strict=True))
             ]
-            return cls._joined(pools, np.concatenate(across, axis=1), _quarters(levels))
+            return cls._joined(pools, np.concatenate(across, axis=1), _quarters(levels), scene.attenuation_per_m)
 
         patches = at(pixels, _middles(levels, len(pixels)))
         at_edges = np.flatnonzero(patches.uneven[:, 0])
@@ -82,11 +82,12 @@ class Patches(NamedTuple):
         return patches
 
     @classmethod
-    def _joined(cls, pools: list[FovPool], across: Floats, quarters: Ints) -> Patches:
+    def _joined(cls, pools: list[FovPool], across: Floats, quarters: Ints, attenuation: float) -> Patches:
         position, normal, to_sensor, part, weight, footprint, leg = (
             np.concatenate([getattr(pool, name) for pool in pools], axis=1)
             for name in ("position", "normal", "to_sensor", "part", "weight", "footprint", "last_leg")
         )
+        weight *= np.exp(-attenuation * np.where(part >= 0, leg, 0.0))
         most = weight.copy()
         by_level = [slice((4**k - 1) // 3, (4 ** (k + 1) - 1) // 3) for k in range(len(pools) - 1)]
         for level in reversed(by_level):

@@ -4,7 +4,8 @@ Flux per hidden area at y, with x the laser point and z the middle of a patch of
 
     w(y) = f₁ cosθ₁ cosθ₂ / R₁²  ·  f₂  ·  cosθ₂′ cosθ₃ / (R₂² + a/π)  ·  f₃ W,     arriving at (R₁ + R₂)/c,
 
-a the patch's area, which bounds what a near cell can give it, and W the sensor's share.
+a the patch's area, which bounds what a near cell can give it, and W the sensor's share. What air leaves of it,
+exp(−κ (R₁ + R₂)), is put to each point's w: in dense fog nothing else tells a near cell from a far one.
 """
 
 from __future__ import annotations
@@ -49,18 +50,27 @@ def weight(y, n, kind2, values2, lit_from, seen_from, footprint):  # type: ignor
 
 
 @compiled()
-def judged(cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre):  # type: ignore[no-untyped-def]
+def air(attenuation, path):  # type: ignore[no-untyped-def]
+    """What air leaves of light on a path."""
+    return math.exp(-attenuation * path) if attenuation > 0.0 else 1.0
+
+
+@compiled()
+def judged(  # type: ignore[no-untyped-def]
+    cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre, attenuation
+):  # fmt: skip
     """`verdict` of waiting cell k, with wm at its middle."""
     w = max(wm, cell[k, 3], cell[k, 8], cell[k, 13])
     return verdict(
         cell[k, 4], cell[k, 9], cell[k, 14], cell[k, 15], w, h, r1, r3, gain, footprint, size, limit, allowed,
-        quarters, per_metre,
+        quarters, per_metre, attenuation,
     )  # fmt: skip
 
 
 @compiled()
 def verdict(  # type: ignore[no-untyped-def]
-    at_a, at_b, at_c, area, w, h, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre
+    at_a, at_b, at_c, area, w, h, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre,
+    attenuation,
 ):  # fmt: skip
     """What becomes of a cell, h long, with paths at_a, at_b and at_c by way of its vertices, R₁ and R₂ by way of its
     middle and at most w at these, seen from a patch of some size.
@@ -74,9 +84,10 @@ def verdict(  # type: ignore[no-untyped-def]
     patch_first = (ratio_z > limit) & quarters & (size > 0.5 * h)
     near = (not patch_first) & (max(ratio1, ratio3) > limit)
     bend = (at_a + at_b + at_c) / 3 - (r1 + r3)
-    width = max(1.0, (max(at_a, at_b, at_c) - min(at_a, at_b, at_c)) * per_metre)
+    longer = max(at_a, at_b, at_c) - min(at_a, at_b, at_c)
+    width, haze = max(1.0, longer * per_metre), attenuation * longer
     over = gain * area * w / math.sqrt(width)
-    curved = (COARSEST / limit) ** 2 * (ratio1 * ratio1 + ratio3 * ratio3) + bend * per_metre / width
+    curved = (COARSEST / limit) ** 2 * (ratio1 * ratio1 + ratio3 * ratio3 + haze * haze) + bend * per_metre / width
     blurred = SMEARED * size * per_metre / width
     smeared = ratio_z * ratio_z + min(blurred * blurred * (blurred * blurred), UNLIKE)
     asked = not (patch_first | near)
@@ -105,9 +116,10 @@ def smeared(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def brightest(m, radius, area, rise, height, x, z, size):  # type: ignore[no-untyped-def]
+def brightest(m, radius, area, rise, height, x, z, size, attenuation):  # type: ignore[no-untyped-def]
     """What a box or cell about m may bring at most for every photon, BRDF and solid angle of one, if x lights it and
     something within `size` of z is seen by it; `rise` it has above the plane of x, `height` x above its own."""
-    near1 = max(distance(m, x) - radius, math.sqrt(area / (2 * math.pi)))
-    near3 = max(distance(m, z) - radius - size, 0.25 * size)
+    far1, far3 = max(distance(m, x) - radius, 0.0), max(distance(m, z) - radius - size, 0.0)
+    near1, near3 = max(far1, math.sqrt(area / (2 * math.pi))), max(far3, 0.25 * size)
+    area *= air(attenuation, far1 + far3)
     return area * min(1.0, rise / near1) * min(1.0, height / near1) / (near1 * near3) ** 2
