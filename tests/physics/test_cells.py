@@ -14,6 +14,9 @@ from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, squ
 from sphere_chords import BINS, QUAD, SPOT, WIDTH_M, stored
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen.bench.other_renderers import grid_points, point_capture
+from datagen.bench.peer_cases import path_axis
+from datagen.bench.problems import DEVICE, WALL, furnished_room
 from datagen.records import Transient
 from datagen.transport.fov import PixelCones
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
@@ -283,6 +286,23 @@ def test_a_laser_point_in_a_corner_needs_no_more_than_ten_times_the_cells(gap: f
     assert found.met_target
     assert cells_of(found) < 10 * cells_of(plain)
     assert everything(found) == pytest.approx(everything(beside), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("attenuation_per_m", "bounces"), [(0.5, 3), (2.0, 3), (10.0, 3), (50.0, 3), (0.5, 4), (2.0, 4)]
+)
+def test_fog_needs_no_more_cells_than_clear_air(attenuation_per_m: float, bounces: int) -> None:
+    """Judged by what they would bring in clear air, cells were cut 10 times as finely as 2 m⁻¹ asks for, and without
+    end in 50 m⁻¹."""
+    points = grid_points(WALL, 3, 3)
+    capture = point_capture(WALL, points, DEVICE, points, path_axis(256, 0.06, 0.0), confocal=True)
+    clear = furnished_room()
+    fog = replace(clear, attenuation_per_m=attenuation_per_m)
+    accuracy = Accuracy(target=0.05, max_bounces=bounces)
+    found, true = cells(fog, capture, accuracy), simulate(fog, capture, replace(accuracy, target=0.01), 7)
+    assert np.linalg.norm(found.total - true.total) <= 0.05 * np.linalg.norm(true.total)
+    spent, usual = found.spend, cells(clear, capture, accuracy).spend
+    assert spent is not None and usual is not None and spent.cost < 1.5 * usual.cost
 
 
 @pytest.mark.parametrize(("bins", "width_m"), [(1, 20.0), (100_000, 3e-4)])
