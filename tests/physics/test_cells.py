@@ -17,6 +17,7 @@ from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, s
 from datagen.bench.other_renderers import grid_points, point_capture
 from datagen.bench.peer_cases import path_axis
 from datagen.bench.problems import DEVICE, WALL, furnished_room
+from datagen.errors import InputWarning
 from datagen.records import Transient
 from datagen.transport.fov import PixelCones
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
@@ -318,3 +319,23 @@ def test_one_bin_and_a_hundred_thousand(bins: int, width_m: float) -> None:
     late = cells(room, one_point_capture(half_side_m=0.02, time=bins_of_path(20, 0.1, 4.0)))
     assert everything(late) == pytest.approx(everything(plain), rel=3e-3)
     assert np.linalg.norm(late.total - plain.total[..., 40:60]) < 0.015 * np.linalg.norm(plain.total[..., 40:60])
+
+
+def test_light_outside_the_window_is_not_cut_for_what_little_is_inside() -> None:
+    """The window is a faint bin. In one of the fuzzer's, with 10⁻¹⁰ of the light, cells had no end."""
+    room, accuracy = furnished_box(), Accuracy(target=0.05)
+    plain = cells(room, one_point_capture(half_side_m=0.02, time=bins_of_path(1500, 0.01, 0.0)), accuracy)
+    light = plain.total[0, 0]
+    faint = int(np.argmin(np.where(light > 1e-4 * light.sum(), light, np.inf)))
+    window = bins_of_path(1, 0.01, 0.01 * faint)
+    found = cells(room, one_point_capture(half_side_m=0.02, time=window), accuracy)
+    assert cells_of(found) < 10 * cells_of(plain)
+    assert everything(found) == pytest.approx(everything(plain), rel=0.05)
+
+
+@pytest.mark.parametrize("start_m", [8.98, 9.11])
+def test_a_window_that_only_coarse_cells_reach_into_is_empty(start_m: float) -> None:
+    capture = one_point_capture(half_side_m=0.02, time=bins_of_path(1, 0.01, start_m))
+    with pytest.warns(InputWarning, match="all light arrives outside"):
+        found = simulate(furnished_box(), capture, Accuracy(target=0.05), 0)
+    assert not found.total.any() and found.overflow.sum() > 0

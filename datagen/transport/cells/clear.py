@@ -17,7 +17,7 @@ from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import pour, tent, widened
 from datagen.transport.cells.geometry import half, less
 from datagen.transport.cells.waiting import KEPT, push
-from datagen.transport.cells.weights import smeared, verdict
+from datagen.transport.cells.weights import outside, smeared, verdict
 
 WIDE = 64
 """Cells taken together."""
@@ -102,7 +102,7 @@ def _middles(batch, count):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _verdicts(batch, count, x, n1, limit, allowed, per_metre, attenuation):  # type: ignore[no-untyped-def]
+def _verdicts(batch, count, x, n1, limit, allowed, per_metre, attenuation, opens, closes):  # type: ignore[no-untyped-def]
     """What becomes of the cells of a batch whose light in the middle is known."""
     for j in range(min(count, WIDE)):
         z, n3 = _at(batch, SEEN_FROM, j), _at(batch, NORMAL3, j)
@@ -110,11 +110,16 @@ def _verdicts(batch, count, x, n1, limit, allowed, per_metre, attenuation):  # t
         above1 = max(dot(less(a, x), n1), dot(less(b, x), n1), dot(less(c, x), n1))
         above3 = max(dot(less(a, z), n3), dot(less(b, z), n3), dot(less(c, z), n3))
         w = max(batch[LIGHT * WIDE + j], batch[3 * WIDE + j], batch[8 * WIDE + j], batch[13 * WIDE + j])
+        unseen = outside(
+            batch[4 * WIDE + j], batch[9 * WIDE + j], batch[14 * WIDE + j],
+            batch[(LIGHT + 1) * WIDE + j] + batch[(LIGHT + 2) * WIDE + j], batch[LEGS * WIDE + j],
+            batch[SIZE * WIDE + j], opens, closes,
+        )  # fmt: skip
         cut, quarter, over, bend = verdict(
             batch[4 * WIDE + j], batch[9 * WIDE + j], batch[14 * WIDE + j], batch[AREA * WIDE + j], w,
             batch[LONG * WIDE + j], batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j],
             batch[GAIN * WIDE + j], batch[FOOTPRINT * WIDE + j], batch[SIZE * WIDE + j], limit, allowed,
-            batch[QUARTERS * WIDE + j] > 0.0, per_metre, attenuation,
+            batch[QUARTERS * WIDE + j] > 0.0, per_metre, attenuation, unseen,
         )  # fmt: skip
         becomes = CUT if cut else SPREAD
         becomes = QUARTERED if quarter else becomes
@@ -193,7 +198,8 @@ def spread_clear(  # type: ignore[no-untyped-def]
     wait now in `cell` to be seen from quarters of their patches, each with its candidates from `free` on: where these
     are `MOST_QUARTERED`, no more are taken.
     """
-    cells, outside, top = 0, 0.0, 0
+    cells, lost, top = 0, 0.0, 0
+    opens, closes = clock.start / clock.per_metre, (clock.start + histogram.shape[1]) / clock.per_metre
     while waiting > 0 and top < MOST_QUARTERED:
         count = min(waiting, WIDE)
         waiting -= count
@@ -201,7 +207,7 @@ def spread_clear(  # type: ignore[no-untyped-def]
         _middles(batch, count)
         light_at_points(batch, count, x, n1)
         _dim(batch, count, clock.attenuation)
-        _verdicts(batch, count, x, n1, limit, allowed, clock.per_metre, clock.attenuation)
+        _verdicts(batch, count, x, n1, limit, allowed, clock.per_metre, clock.attenuation, opens, closes)
         _tents(batch, count, clock.per_metre, clock.start, at_once)
         halves = 0
         for j in range(min(count, WIDE)):
@@ -212,7 +218,7 @@ def spread_clear(  # type: ignore[no-untyped-def]
                     batch[(TENT + 3) * WIDE + j], batch[(TENT + 4) * WIDE + j], batch[(TENT + 5) * WIDE + j],
                     batch[(TENT + 6) * WIDE + j],
                 )  # fmt: skip
-                outside += pour(histogram, into, shape, batch[ENERGY * WIDE + j])
+                lost += pour(histogram, into, shape, batch[ENERGY * WIDE + j])
                 cells += 1
             elif what == CUT and batch[LONG * WIDE + j] > smallest:
                 side = 5 * int(batch[(LONG + 1) * WIDE + j])
@@ -242,4 +248,4 @@ def spread_clear(  # type: ignore[no-untyped-def]
                     clear[waiting, vertex + i] = cuts[(POINT + i) * WIDE + k]
                 clear[waiting, vertex + 4] = cuts[(LIGHT + 1) * WIDE + k] + cuts[(LIGHT + 2) * WIDE + k]
                 waiting += 1
-    return waiting, cells, outside, top
+    return waiting, cells, lost, top

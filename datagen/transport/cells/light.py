@@ -31,7 +31,7 @@ from datagen.transport.cells.waiting import (
     put_vertex,
     vertex_of,
 )
-from datagen.transport.cells.weights import air, brightest, judged, smear, weight
+from datagen.transport.cells.weights import air, brightest, judged, outside, smear, weight
 from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 0.5, 0.05
@@ -121,6 +121,7 @@ def _gather(  # type: ignore[no-untyped-def]
     allowed, coarsest, peak = cutting.error, cutting.coarsest, cutting.peak
     last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
     per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
+    opens, closes = start_bin / per_metre, (start_bin + histogram.shape[1]) / per_metre
     enough = len(listed) - 4 * RING
     some, strongest = min(occluders.triangles, 1), 0.0
     to_z = LISTED + some
@@ -146,11 +147,11 @@ def _gather(  # type: ignore[no-untyped-def]
             alight = 0
             while top > 0 or alight > 0:
                 if top == 0:
-                    alight, more, outside, top = spread_clear(
+                    alight, more, beyond, top = spread_clear(
                         clear, alight, batch, cuts, normal, x, n1, lit, leg1[i], p, patches, coarsest[k], allowed[k],
                         clock, AT_ONCE, SMALLEST * extent, histogram, into, tag, cell, free,
                     )  # fmt: skip
-                    cells, overflow[into] = cells + more, overflow[into] + outside
+                    cells, overflow[into] = cells + more, overflow[into] + beyond
                     continue
                 top -= 1
                 what, at, q = tag[top, 0], tag[top, 1], tag[top, 2]
@@ -265,13 +266,14 @@ def _gather(  # type: ignore[no-untyped-def]
                         cell[top, 15] = area
                         for j in range(3):
                             put_vertex(cell, top, j, m, wm, r1 + r3 + 4.0 * longer + (j - 1.0) * apart)
+                    unseen = outside(cell[top, 4], cell[top, 9], cell[top, 14], r1 + r3, device, size, opens, closes)
                     cut, quarter, over, bend = judged(
                         cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre,
-                        attenuation,
+                        attenuation, unseen,
                     )  # fmt: skip
                     if alone:
                         # What is cut once need not be cut again for each quarter of the pixel.
-                        cut |= over * unlike > allowed[k] or (quarter and h > 2.0 * size)
+                        cut |= (over * unlike > allowed[k] and not unseen) or (quarter and h > 2.0 * size)
                         quarter &= not cut
                     if height1 * height3 <= 0.0 or abs(height3) < flat:
                         # This side does not light the patch's middle; it may light parts of a large one.
@@ -311,6 +313,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             visible = visible / of_all if of_all > 0.0 else seen / 3
                             # What three rays do not find may still be there: it is cut a little less eagerly.
                             cut = seen < 3 and (PARTLY if seen > 0 else cell[top, 17]) * over > allowed[k]
+                            cut &= not unseen
                             if seen == 0 and (
                                 not cut
                                 or (not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed))

@@ -188,6 +188,8 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         dear |= found.cells + found.rays > TOO_DEAR * len(trial.pairs)
         finest[~settled] = len(runs) - 1
         whole, own = _norm(runs[-1]), _norms(runs[-1])
+        if whole == 0.0:
+            return None
         held = asked.objects & (own > 0) & (trial.energy(runs[-1]) >= asked.faint)
         limit = np.where(held & ~dear, asked.part_target * own, np.inf)
         still, last = _still(runs, finest), len(runs) > LEVELS

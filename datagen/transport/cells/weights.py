@@ -23,6 +23,9 @@ SMEARED = 0.3
 """Of a patch, the share that its arrival times spread over."""
 BLURRED = 0.25
 """Of the error that a cell may make, the share that may come of the patch that sees it, as it does for many alike."""
+OUTSIDE = 0.01
+"""Error of a cell whose light comes outside the window, relative to it, that it may always make: no bin has it, and
+when exactly it comes does not matter."""
 
 
 @compiled()
@@ -56,30 +59,43 @@ def air(attenuation, path):  # type: ignore[no-untyped-def]
 
 
 @compiled()
+def outside(at_a, at_b, at_c, middle, legs, size, start, stop):  # type: ignore[no-untyped-def]
+    """Whether all of a cell's light comes before a window or after it. All in metres of path: by way of its vertices
+    and its middle, of the legs to the device, the size of its patch, of the window.
+
+    Paths are convex: within the triangle none is longer than by way of a vertex, or shorter than three times that of
+    the middle less twice that.
+    """
+    most = max(at_a, at_b, at_c)
+    return (most + legs + 2.0 * size < start) | (3.0 * middle - 2.0 * most + legs - 2.0 * size > stop)
+
+
+@compiled()
 def judged(  # type: ignore[no-untyped-def]
-    cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre, attenuation
+    cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre, attenuation, unseen
 ):  # fmt: skip
     """`verdict` of waiting cell k, with wm at its middle."""
     w = max(wm, cell[k, 3], cell[k, 8], cell[k, 13])
     return verdict(
         cell[k, 4], cell[k, 9], cell[k, 14], cell[k, 15], w, h, r1, r3, gain, footprint, size, limit, allowed,
-        quarters, per_metre, attenuation,
+        quarters, per_metre, attenuation, unseen,
     )  # fmt: skip
 
 
 @compiled()
 def verdict(  # type: ignore[no-untyped-def]
     at_a, at_b, at_c, area, w, h, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre,
-    attenuation,
+    attenuation, unseen,
 ):  # fmt: skip
     """What becomes of a cell, h long, with paths at_a, at_b and at_c by way of its vertices, R₁ and R₂ by way of its
-    middle and at most w at these, seen from a patch of some size.
+    middle and at most w at these, seen from a patch of some size; `unseen` if it is `outside` the window.
 
     Returns whether it is cut; whether the patch is quartered first; the L2 error if its light should be missing
     (infinite where that was not asked); and how far its arrival times are bent.
     """
     # What the patch itself cannot tell apart needs no cutting. All is worked out before it is asked, so that loops
     # over many cells need no branches.
+    per_metre = 0.0 if unseen else per_metre
     ratio1, ratio3, ratio_z = h / r1, h / math.sqrt(r3 * r3 + footprint / math.pi), size / r3
     patch_first = (ratio_z > limit) & quarters & (size > 0.5 * h)
     near = (not patch_first) & (max(ratio1, ratio3) > limit)
@@ -87,6 +103,7 @@ def verdict(  # type: ignore[no-untyped-def]
     longer = max(at_a, at_b, at_c) - min(at_a, at_b, at_c)
     width, haze = max(1.0, longer * per_metre), attenuation * longer
     over = gain * area * w / math.sqrt(width)
+    allowed = max(allowed, OUTSIDE * over) if unseen else allowed
     curved = (COARSEST / limit) ** 2 * (ratio1 * ratio1 + ratio3 * ratio3 + haze * haze) + bend * per_metre / width
     blurred = SMEARED * size * per_metre / width
     smeared = ratio_z * ratio_z + min(blurred * blurred * (blurred * blurred), UNLIKE)
