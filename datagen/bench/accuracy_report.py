@@ -33,9 +33,14 @@ def table(rows: Sequence[Row]) -> str:
     head = ["swept", "value", "processor s", "error", "of it noise", "of it bias", "front"]
     cells = []
     for row in rows:
-        errors = percent(row.error), percent(row.noise), percent(row.bias) if row.bias > 0 else "–"
+        errors = percent(row.error), _told(row.noise), _told(row.bias)
         cells.append([row.quantity, row.value, f"{row.seconds:.3g}", *errors, "●" if row.front else ""])
     return markdown(head, cells, words=2)
+
+
+def _told(error: float) -> str:
+    """What is more than the rounding of a way without noise."""
+    return percent(error) if error > 1e-9 else "–"
 
 
 def advice(rows: Sequence[Row]) -> list[str]:
