@@ -103,7 +103,7 @@ def counts_are_binomial(flux: Array, cycle: Cycle, spad: Spad, pixels: int) -> b
 
     So it is where the dead time leaves one detection a cycle, or one a bin and nothing moves its record.
     """
-    if spad.mode != "synchronous" or spad.afterpulse_probability > 0 or not has_exact_mean(spad, pixels):
+    if spad.mode != "synchronous" or _is_coupled(spad, pixels):
         return False
     once_a_bin = cycle.after_avalanche.is_identity and spad.dead_time_s >= cycle.width_s * (1 - 1e-9)
     return once_a_bin or bool((spad.dead_time_s >= active_span(flux, cycle)).all())

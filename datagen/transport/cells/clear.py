@@ -15,7 +15,7 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import pour, tent, widened
-from datagen.transport.cells.geometry import half, less
+from datagen.transport.cells.geometry import air, half, less
 from datagen.transport.cells.waiting import KEPT, push
 from datagen.transport.cells.weights import outside, smeared, verdict
 
@@ -182,7 +182,7 @@ def _dim(batch, count, attenuation):  # type: ignore[no-untyped-def]
     if attenuation > 0.0:
         for j in range(min(count, WIDE)):
             path = batch[(LIGHT + 1) * WIDE + j] + batch[(LIGHT + 2) * WIDE + j]
-            batch[LIGHT * WIDE + j] *= math.exp(-attenuation * path)
+            batch[LIGHT * WIDE + j] *= air(attenuation, path)
 
 
 @compiled()

@@ -11,7 +11,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot
-from datagen.transport.cells.geometry import ball, distance, get, less, unit
+from datagen.transport.cells.geometry import air, ball, distance, get, less, unit
 from datagen.transport.cells.hierarchy import one_of
 from datagen.transport.sampling import mix
 
@@ -33,7 +33,7 @@ def is_small(around, at, x, z, most, allowed, attenuation):  # type: ignore[no-u
     near1, near3 = distance(centre, x) - radius, distance(centre, z) - radius
     if min(near1, near3) <= 0.0 or 2 * radius > COARSEST * min(near1, near3):
         return False, near3
-    most *= math.exp(-attenuation * (near1 + near3)) if attenuation > 0.0 else 1.0
+    most *= air(attenuation, near1 + near3)
     return 0.5 * most / (near1 * near1 * near3 * near3) <= allowed, near3
 
 

@@ -30,6 +30,12 @@ def distance(a, b):  # type: ignore[no-untyped-def]
 
 
 @compiled()
+def air(attenuation, path):  # type: ignore[no-untyped-def]
+    """What air leaves of light on a path."""
+    return math.exp(-attenuation * path) if attenuation > 0.0 else 1.0
+
+
+@compiled()
 def unit(n):  # type: ignore[no-untyped-def]
     """The unit vector along n."""
     length = np.sqrt(dot(n, n))

@@ -14,7 +14,7 @@ from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import spread, widened
 from datagen.transport.cells.clear import put_clear, room_for_clear, spread_clear
 from datagen.transport.cells.clusters import anywhere, as_one, is_small, sides_turned
-from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less
+from datagen.transport.cells.geometry import above, air, ball, corner, distance, get, half, less
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, inner_side
 from datagen.transport.cells.occlusion import LISTED, RING, hidden, lists, narrowed, narrowed_to_box, shaded
 from datagen.transport.cells.waiting import (
@@ -31,7 +31,7 @@ from datagen.transport.cells.waiting import (
     put_vertex,
     vertex_of,
 )
-from datagen.transport.cells.weights import air, brightest, judged, outside, smear, weight
+from datagen.transport.cells.weights import brightest, judged, outside, smear, weight
 from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 0.5, 0.05

@@ -20,7 +20,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot, evaluate
-from datagen.transport.cells.geometry import get, half, less, longest, put
+from datagen.transport.cells.geometry import air, get, half, less, longest, put
 from datagen.transport.cells.reach import (
     ALONG,
     BACK,
@@ -38,7 +38,6 @@ from datagen.transport.cells.reach import (
     condense,
     lit,
 )
-from datagen.transport.cells.weights import air
 from datagen.transport.raycast import lifted_and_scaled
 
 NARROWEST = 0.25

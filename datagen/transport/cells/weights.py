@@ -17,7 +17,7 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot, evaluate
 from datagen.transport.cells.clusters import COARSEST, UNLIKE
-from datagen.transport.cells.geometry import distance, less
+from datagen.transport.cells.geometry import air, distance, less
 
 SMEARED = 0.3
 """Of a patch, the share that its arrival times spread over."""
@@ -50,12 +50,6 @@ def weight(y, n, kind2, values2, lit_from, seen_from, footprint):  # type: ignor
     f3 = evaluate(kind3, values3, n3, w3, to_sensor)
     w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
     return w, r1, r3
-
-
-@compiled()
-def air(attenuation, path):  # type: ignore[no-untyped-def]
-    """What air leaves of light on a path."""
-    return math.exp(-attenuation * path) if attenuation > 0.0 else 1.0
 
 
 @compiled()
