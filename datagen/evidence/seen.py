@@ -27,7 +27,7 @@ from datagen.labels.images import HiddenSurface
 from datagen.records import Capture, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot
-from datagen.transport.cells.geometry import cross, get, less, unit
+from datagen.transport.cells.geometry import air, cross, get, less, unit
 from datagen.transport.cells.weights import weight
 from datagen.transport.raycast import Raycaster, lifted_and_scaled
 from datagen.units import path_from_time
@@ -154,11 +154,10 @@ def _brought(  # type: ignore[no-untyped-def]
         # Lit from behind, what the label shows is dark.
         if dot(less(lit_from[0], place), n) <= 0.0:
             continue
-        w, r1, r3 = weight(place, n, kind[p], values[p], lit_from, seen_from, footprint[s])
+        w, r1, r3 = weight(place, n, kind[p], values[p], lit_from, seen_from, footprint[s], attenuation)
         arrival = math.floor((r1 + r3 + (leg1[s] + leg3[s] if device else 0.0)) / bin_m - first)
         if w > 0.0 and 0 <= arrival < gain.shape[1]:
-            air = math.exp(-attenuation * (leg1[s] + r1 + r3 + leg3[s]))
-            out[k] = area[i] * w * share[s] * air * gain[s, int(arrival)]
+            out[k] = area[i] * w * share[s] * air(attenuation, leg1[s] + leg3[s]) * gain[s, int(arrival)]
     return out
 
 

@@ -66,7 +66,7 @@ def put_clear(clear, waiting, cell, k, f, q, lit_from, kind2, values2, seen_from
 
 
 @compiled()
-def light_at_points(batch, count, x, n1):  # type: ignore[no-untyped-def]
+def light_at_points(batch, count, x, n1, attenuation):  # type: ignore[no-untyped-def]
     """`weights.weight` at the points of a batch."""
     for j in range(min(count, WIDE)):
         y = _at(batch, POINT, j)
@@ -79,6 +79,11 @@ def light_at_points(batch, count, x, n1):  # type: ignore[no-untyped-def]
         w /= square1 * square1 * square3 * (square3 + batch[FOOTPRINT * WIDE + j] / math.pi)
         batch[LIGHT * WIDE + j] = w if (up1 > 0.0) & (up3 > 0.0) & (facing > 0.0) else 0.0
         batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j] = math.sqrt(square1), math.sqrt(square3)
+    # Apart, for exponentials are no vector instructions.
+    if attenuation > 0.0:
+        for j in range(min(count, WIDE)):
+            path = batch[(LIGHT + 1) * WIDE + j] + batch[(LIGHT + 2) * WIDE + j]
+            batch[LIGHT * WIDE + j] *= air(attenuation, path)
 
 
 @compiled()
@@ -102,8 +107,9 @@ def _middles(batch, count):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _verdicts(batch, count, x, n1, limit, allowed, per_metre, attenuation, opens, closes):  # type: ignore[no-untyped-def]
+def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-untyped-def]
     """What becomes of the cells of a batch whose light in the middle is known."""
+    per_metre, attenuation, opens, closes = clock.per_metre, clock.attenuation, clock.opens, clock.closes
     for j in range(min(count, WIDE)):
         z, n3 = _at(batch, SEEN_FROM, j), _at(batch, NORMAL3, j)
         a, b, c = _at(batch, 0, j), _at(batch, 5, j), _at(batch, 10, j)
@@ -177,15 +183,6 @@ def _taken(clear, first, count, batch, normal, p, lit, leg1, device, patches):  
 
 
 @compiled()
-def _dim(batch, count, attenuation):  # type: ignore[no-untyped-def]
-    """Leave of the light at the points of a batch what air leaves on the way by them."""
-    if attenuation > 0.0:
-        for j in range(min(count, WIDE)):
-            path = batch[(LIGHT + 1) * WIDE + j] + batch[(LIGHT + 2) * WIDE + j]
-            batch[LIGHT * WIDE + j] *= air(attenuation, path)
-
-
-@compiled()
 def spread_clear(  # type: ignore[no-untyped-def]
     clear, waiting, batch, cuts, normal, x, n1, lit, leg1, p, patches, limit, allowed, clock, at_once, smallest,
     histogram, into, tag, cell, free,
@@ -199,15 +196,13 @@ def spread_clear(  # type: ignore[no-untyped-def]
     are `MOST_QUARTERED`, no more are taken.
     """
     cells, lost, top = 0, 0.0, 0
-    opens, closes = clock.start / clock.per_metre, (clock.start + histogram.shape[1]) / clock.per_metre
     while waiting > 0 and top < MOST_QUARTERED:
         count = min(waiting, WIDE)
         waiting -= count
         _taken(clear, waiting, count, batch, normal, p, lit, leg1, clock.device, patches)
         _middles(batch, count)
-        light_at_points(batch, count, x, n1)
-        _dim(batch, count, clock.attenuation)
-        _verdicts(batch, count, x, n1, limit, allowed, clock.per_metre, clock.attenuation, opens, closes)
+        light_at_points(batch, count, x, n1, clock.attenuation)
+        _verdicts(batch, count, x, n1, limit, allowed, clock)
         _tents(batch, count, clock.per_metre, clock.start, at_once)
         halves = 0
         for j in range(min(count, WIDE)):
@@ -235,8 +230,7 @@ def spread_clear(  # type: ignore[no-untyped-def]
                 cell[top, 16], cell[top, 17] = batch[SHARE * WIDE + j], 0.0
                 f, q = int(batch[OF * WIDE + j]), int(batch[PATCH * WIDE + j])
                 top = push(tag, top, KEPT, f, q, free, free, free)
-        light_at_points(cuts, halves, x, n1)
-        _dim(cuts, halves, clock.attenuation)
+        light_at_points(cuts, halves, x, n1, clock.attenuation)
         for k in range(min(halves, WIDE)):
             j = int(cuts[k])
             side = 5 * int(batch[(LONG + 1) * WIDE + j])

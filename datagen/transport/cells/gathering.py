@@ -63,12 +63,15 @@ class Cutting(NamedTuple):
 
 
 class Clock(NamedTuple):
-    """Path to bins: at = path · per_metre − start; `device` whether the legs of laser and sensor count."""
+    """Path to bins: at = path · per_metre − start; `device` whether the legs of laser and sensor count;
+    `opens` and `closes` the window, metres of path."""
 
     per_metre: float
     start: float
     device: bool
     attenuation: float
+    opens: float
+    closes: float
 
 
 @dataclass(frozen=True)
@@ -124,8 +127,9 @@ class Gathering:
             points.position, points.normal, points.to_laser, points.part, np.exp(-air * np.nan_to_num(points.leg)),
             points.leg,
         )  # fmt: skip
+        per_metre, start = 1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s
         clock = Clock(
-            1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s, axis.origin == "source", air
+            per_metre, start, axis.origin == "source", air, start / per_metre, (start + axis.bins) / per_metre
         )
         width = np.array([lobe_width(material) for material in task.scene.materials])
         seen = width[np.unique(points.part[points.part >= 0])].min(initial=1.0)

@@ -14,7 +14,7 @@ from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import spread, widened
 from datagen.transport.cells.clear import put_clear, room_for_clear, spread_clear
 from datagen.transport.cells.clusters import anywhere, as_one, is_small, sides_turned
-from datagen.transport.cells.geometry import above, air, ball, corner, distance, get, half, less
+from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, inner_side
 from datagen.transport.cells.occlusion import LISTED, RING, hidden, lists, narrowed, narrowed_to_box, shaded
 from datagen.transport.cells.waiting import (
@@ -121,7 +121,7 @@ def _gather(  # type: ignore[no-untyped-def]
     allowed, coarsest, peak = cutting.error, cutting.coarsest, cutting.peak
     last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
     per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
-    opens, closes = start_bin / per_metre, (start_bin + histogram.shape[1]) / per_metre
+    opens, closes = clock.opens, clock.closes
     enough = len(listed) - 4 * RING
     some, strongest = min(occluders.triangles, 1), 0.0
     to_z = LISTED + some
@@ -217,7 +217,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             word = word_of(seed, row[pair], 8 * at)
                             f, y = anywhere(start, end, area_before, corners, word)
                             n = get(normal, f, 0)
-                            w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint)
+                            w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
                             if not w > 0.0:
                                 continue
                             cells += 1
@@ -227,7 +227,7 @@ def _gather(  # type: ignore[no-untyped-def]
                             if _seen(y, x, z, f, first, middle, last, hides, listed):
                                 path = r1 + r3
                                 t = (path + device) * per_metre - start_bin
-                                energy = w * air(attenuation, path) * gain * area
+                                energy = w * gain * area
                                 variance = smear(less(y, z), seen_from[2], clock.device, across3, p, q)
                                 at_a, at_b, at_c = widened(t, t, t, variance * per_metre * per_metre)
                                 overflow[into] += spread(histogram, into, at_a, at_b, at_c, 1.0, 1.0, 1.0, energy)
@@ -251,16 +251,15 @@ def _gather(  # type: ignore[no-untyped-def]
                                 continue
                             for j in range(3):
                                 y = vertex_of(cell, top, j)
-                                w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint)
-                                put_vertex(cell, top, j, y, w * air(attenuation, r1 + r3), r1 + r3)
+                                w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
+                                put_vertex(cell, top, j, y, w, r1 + r3)
                         if first == last and what != KEPT and height1 * height3 > 0.0 and abs(height3) > flat:
                             others = alight
                             alight = put_clear(clear, alight, cell, top, f, q, lit_from, kind2, values2, seen_from)
                             if alight > others:
                                 continue
                         m, side, h = middle_of(cell, top)
-                    wm, r1, r3 = weight(m, n, kind2, values2, lit_from, seen_from, footprint)
-                    wm *= air(attenuation, r1 + r3)
+                    wm, r1, r3 = weight(m, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
                     if alone:
                         wm *= tilt
                         cell[top, 15] = area
@@ -362,8 +361,7 @@ def _gather(  # type: ignore[no-untyped-def]
                         continue
                     # Across the longest side.
                     y = half(vertex_of(cell, top, side), vertex_of(cell, top, (side + 1) % 3))
-                    w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint)
-                    w *= air(attenuation, r1 + r3)
+                    w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
                     top = push_halves(tag, cell, top, side, y, w, r1 + r3, CELL, f, q, first, middle, last)
                     continue
                 wa, wb, wc = cell[top, 3], cell[top, 8], cell[top, 13]

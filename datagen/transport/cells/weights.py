@@ -29,8 +29,8 @@ when exactly it comes does not matter."""
 
 
 @compiled()
-def weight(y, n, kind2, values2, lit_from, seen_from, footprint):  # type: ignore[no-untyped-def]
-    """w(y) but for power, sensor and air, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
+def weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation):  # type: ignore[no-untyped-def]
+    """w(y) but for power and sensor, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
     path: a point, its normal, the direction on to the device, and the BRDF's kind and values."""
     x, n1, to_laser, kind1, values1 = lit_from
     z, n3, to_sensor, kind3, values3 = seen_from
@@ -49,7 +49,7 @@ def weight(y, n, kind2, values2, lit_from, seen_from, footprint):  # type: ignor
     f2 = evaluate(kind2, values2, n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
     f3 = evaluate(kind3, values3, n3, w3, to_sensor)
     w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
-    return w, r1, r3
+    return w * air(attenuation, r1 + r3), r1, r3
 
 
 @compiled()
