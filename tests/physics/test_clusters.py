@@ -13,8 +13,10 @@ from datagen.bench.other_renderers import grid_points, point_capture
 from datagen.bench.peer_cases import path_axis
 from datagen.bench.problems import DEVICE, WALL, furnished_room, lump
 from datagen.records import Transient
-from datagen.transport.cells.clusters import as_one, sides_turned
+from datagen.transport.cells.clusters import as_one
+from datagen.transport.cells.geometry import ball
 from datagen.transport.cells.hierarchy import CLUSTER, Hierarchy
+from datagen.transport.cells.solids import side_turned
 
 AT = np.array([1.6, -0.2, 1.7])
 
@@ -74,10 +76,18 @@ def of_each(tree: Hierarchy, k: int, x: np.ndarray, z: np.ndarray) -> tuple[floa
     return float(light.sum()), float(middle), float((light * (path - middle) ** 2).mean() / mean)
 
 
+def sides_turned(tree: Hierarchy, k: int, x: np.ndarray, z: np.ndarray) -> int:
+    """1 where all of a cluster turns one side to both, −1 where another to each, 0 where that is not certain."""
+    (middle, radius), row = ball(tree.box, k), int(tree.cluster[k])
+    cosine = float(tree.moment[row, 18])
+    cone = radius, tuple(tree.moment[row, 15:18]), cosine, max(1 - cosine**2, 0.0) ** 0.5
+    return side_turned(tuple(x - middle), *cone) * side_turned(tuple(z - middle), *cone)
+
+
 def of_cluster(tree: Hierarchy, k: int, x: np.ndarray, z: np.ndarray) -> tuple[float, float, float, float, float]:
     """The same from its moments, with the error that these are given and the size relative to the distance."""
     row = int(tree.cluster[k])
-    sides = sides_turned(tree.moment, row, tree.box, k, tuple(x), tuple(z))
+    sides = sides_turned(tree, k, x, z)
     place, n, tilt, unlike, h, longer, apart = as_one(tree.moment, row, tuple(x), tuple(z), sides, True, 0.8, 1e-3)
     d1, d3 = np.array(place) - x, np.array(place) - z
     r1, r3 = np.linalg.norm(d1), np.linalg.norm(d3)
@@ -93,8 +103,7 @@ def test_one_cell_for_a_cluster_is_right_to_second_order() -> None:
     x, z = np.array([0.0, -0.4, 1.2]), np.array([0.0, 0.3, 1.9])
     rows = []
     for k in np.flatnonzero(tree.cluster >= 0):
-        row = int(tree.cluster[k])
-        if sides_turned(tree.moment, row, tree.box, k, tuple(x), tuple(z)) == 1:
+        if sides_turned(tree, k, x, z) == 1:
             (light, path, variance), found = of_each(tree, k, x, z), of_cluster(tree, k, x, z)
             rows.append((found[0] / light - 1, found[1] - path, found[2] / variance - 1, found[3], found[4], light))
     wrong, late, wide, unlike, size, light = np.array(rows).T
@@ -120,7 +129,7 @@ def test_of_a_cluster_with_two_outlines_the_light_is_bounded(z: tuple[float, flo
     checked = 0
     for k in np.flatnonzero(tree.cluster >= 0):
         light, found = of_each(tree, k, x, to)[0], of_cluster(tree, k, x, to)
-        if sides_turned(tree.moment, int(tree.cluster[k]), tree.box, k, tuple(x), z) == 0 and found[0] > 0:
+        if sides_turned(tree, k, x, to) == 0 and found[0] > 0:
             checked += 1
             first, last = tree.span[k]
             d1, d3 = AT - x, AT - to

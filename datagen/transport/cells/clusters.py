@@ -38,27 +38,6 @@ def is_small(around, at, x, z, most, allowed, attenuation):  # type: ignore[no-u
 
 
 @compiled()
-def sides_turned(moment, row, around, k, x, z):  # type: ignore[no-untyped-def]
-    """Whether all of a box's surface turns the same side to x and to z (1), or to each another one (−1); 0 where that
-    is not certain."""
-    (middle, radius), axis, cosine, same = ball(around, k), get(moment, row, 15), moment[row, 18], 1.0
-    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    for at in (x, z):
-        d = less(middle, at)
-        far = math.sqrt(dot(d, d))
-        if radius >= far:
-            return 0
-        sine_ball = radius / far
-        cosine_ball = math.sqrt(1.0 - sine_ball * sine_ball)
-        across = dot(d, axis) / far
-        # The cone of the normals, widened by that of the lines to the box, on one side of a right angle.
-        if cosine * cosine_ball <= sine * sine_ball or abs(across) <= sine_ball * cosine + cosine_ball * sine:
-            return 0
-        same *= across
-    return 1 if same > 0.0 else -1
-
-
-@compiled()
 def as_one(moment, k, x, z, sides, diffuse, limit, per_metre):  # type: ignore[no-untyped-def]
     """A cluster as one cell, all of it at the middle of its light.
 

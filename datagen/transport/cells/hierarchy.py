@@ -11,14 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from datagen.compiled import compiled
 from datagen.records import Scene
-from datagen.records.arrays import Floats, Ints
-from datagen.transport.brdf import dot
-from datagen.transport.cells.geometry import corner, less
+from datagen.records.arrays import Bools, Floats, Ints
+from datagen.transport.cells.solids import NONE, bounds, closed, convex, of_boxes, pierced
 
 LEAF = 2
 """Most triangles of a box that is not halved."""
@@ -29,8 +26,6 @@ SMALLEST = 1e-8
 MORTON_BITS = 16
 ON_PLANE = 1e-9
 """Distance from a plane, relative to the scene, below which a point lies on it."""
-LARGEST_SOLID = 2048
-"""Triangles up to which it is asked whether they bound a convex solid."""
 
 
 class Hierarchy(NamedTuple):
@@ -51,8 +46,10 @@ class Hierarchy(NamedTuple):
         least cosine of a normal with it (18), and 1 − |n̄|² (19); means of n nᵀ times x, y and z from the centroid,
         metres (20–37).
     roots : (K,) the box of each part.
-    solid : (F,) the convex solid that a triangle bounds with others, its normal outwards, or −1.
+    solid : (F,) the solid that a triangle bounds with others, its normal outwards, or −1 (`solids.py`).
     solid_box : (S, 6) lowest and highest corner of each, metres.
+    convex : (S,) whether it is.
+    of_box : (N,) the solid of all triangles of a box, −1 if none is of any, else −2.
     extent : the scene's largest side, metres.
     """
 
@@ -68,6 +65,8 @@ class Hierarchy(NamedTuple):
     roots: Ints
     solid: Ints
     solid_box: Floats
+    convex: Bools
+    of_box: Ints
     extent: float
 
     @classmethod
@@ -76,49 +75,30 @@ class Hierarchy(NamedTuple):
         corners, parts = scene.corners, len(scene.part_names)
         order = np.lexsort((_morton(corners.mean(axis=1)), scene.face_part))
         corners = np.ascontiguousarray(corners[order])
+        extent = float(np.ptp(scene.vertices, axis=0).max())
+        solid, inside_out = closed(
+            scene.triangles[order].astype(np.int64),
+            scene.vertices,
+            scene.face_part[order].astype(np.int64),
+            ON_PLANE * extent,
+        )
+        turned = (solid >= 0) & np.append(inside_out, False)[solid]
+        corners[turned] = corners[turned, ::-1]
         doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(doubled, axis=1)
         normal = doubled / length[:, None]
         ends = np.searchsorted(scene.face_part[order], np.arange(parts + 1))
         box, children, span, roots = _boxes(corners, ends.astype(np.int64), LEAF)
-        extent = float(np.ptp(scene.vertices, axis=0).max())
         area = np.concatenate([[0.0], np.cumsum(length / 2)])
-        solid, solid_box = _solids(
-            scene.triangles[order].astype(np.int64), scene.vertices, corners[:, 0], normal, ON_PLANE * extent
-        )
+        found = np.zeros(len(inside_out), np.bool_)
+        pierced(corners, normal, box, children, span, roots, solid, ON_PLANE * extent, found)
+        solid = np.where(np.append(found, True)[solid], NONE, solid)
         cluster, moment = _moments(corners, normal, length, children, span)
         return cls(
-            corners, normal, area, order, box, children, span, cluster, moment, roots, solid, solid_box, extent
-        )
-
-
-def _solids(triangles: Ints, vertices: Floats, on: Floats, normal: Floats, flat: float) -> tuple[Ints, Floats]:
-    """Which triangles (F, 3) of planes through `on` bound a convex solid, and the boxes of these.
-
-    From outside a solid nothing is seen of its faces' inner sides.
-    """
-    count, n = len(vertices), len(triangles)
-    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    _, group = connected_components(
-        coo_array((np.ones(3 * n, np.int8), (start, end)), (count, count)), directed=False
-    )
-    own = group[triangles[:, 0]]
-    few = np.repeat(np.bincount(own)[own] <= LARGEST_SOLID, 3)
-    # Closed and turned one way: each side is passed once in either direction.
-    there, back = (start * count + end)[few], (end * count + start)[few]
-    once = len(np.unique(there)) == len(there)
-    open_ = np.unique(group[start[few][~np.isin(there, back)]])
-    solid, boxes = np.full(n, -1), list[Floats]()
-    order = np.argsort(own, kind="stable")
-    for faces in np.split(order, np.flatnonzero(np.diff(own[order])) + 1):
-        if not once or not 4 <= len(faces) <= LARGEST_SOLID or own[faces[0]] in open_:
-            continue
-        points = vertices[np.unique(triangles[faces])]
-        height = np.einsum("fi,pi->fp", normal[faces], points) - (normal[faces] * on[faces]).sum(axis=1)[:, None]
-        if height.max() <= flat and (height.min(axis=1) < -10 * flat).all():
-            solid[faces] = len(boxes)
-            boxes.append(np.concatenate([points.min(axis=0), points.max(axis=0)]))
-    return solid, np.array(boxes).reshape(-1, 6)
+            corners, normal, area, order, box, children, span, cluster, moment, roots, solid,
+            bounds(solid, corners, ON_PLANE * extent), convex(solid, corners, normal, ON_PLANE * extent),
+            of_boxes(solid, children, span), extent,
+        )  # fmt: skip
 
 
 def _morton(points: Floats) -> NDArray[np.uint64]:
@@ -244,18 +224,6 @@ def _place(m):  # type: ignore[no-untyped-def]
 def _wait(waiting, top, first, last, parent):  # type: ignore[no-untyped-def]
     waiting[top, 0], waiting[top, 1], waiting[top, 2] = first, last, parent
     return top + 1
-
-
-@compiled()
-def inner_side(x, n, corners, f, solid, solid_box):  # type: ignore[no-untyped-def]
-    """Whether triangle f turns the inner side of a convex solid to x, which lies outside it and so cannot see it."""
-    s = solid[f]
-    if s < 0 or dot(less(x, corner(corners, f, 0)), n) >= 0.0:
-        return False
-    outside = False
-    for j in range(3):
-        outside |= x[j] <= solid_box[s, j] or x[j] >= solid_box[s, 3 + j]
-    return outside
 
 
 @compiled()

@@ -7,16 +7,19 @@ moved so that their mean is that of second degree.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from datagen.compiled import compiled
 from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import spread, widened
 from datagen.transport.cells.clear import put_clear, room_for_clear, spread_clear
-from datagen.transport.cells.clusters import anywhere, as_one, is_small, sides_turned
+from datagen.transport.cells.clusters import anywhere, as_one, is_small
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less
-from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, inner_side
+from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST
 from datagen.transport.cells.occlusion import LISTED, RING, hidden, lists, narrowed, narrowed_to_box, shaded
+from datagen.transport.cells.solids import inner_side, seen_from_outside, side_turned
 from datagen.transport.cells.waiting import (
     BOX,
     CELL,
@@ -72,6 +75,13 @@ def _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed):  # type: i
 
 
 @compiled()
+def _inner_side(x, z, f, normal, corners, solid, solid_box):  # type: ignore[no-untyped-def]
+    """Whether triangle f of a solid turns its inner side to the laser point or to the patch."""
+    n = get(normal, f, 0)
+    return inner_side(x, n, corners, f, solid, solid_box) or inner_side(z, n, corners, f, solid, solid_box)
+
+
+@compiled()
 def gather(  # type: ignore[no-untyped-def]
     pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
     work,
@@ -108,7 +118,7 @@ def _gather(  # type: ignore[no-untyped-def]
     corners, normal, area_before, extent = tree.corners, tree.normal, tree.area, tree.extent
     around, children, span, roots = tree.box, tree.children, tree.span, tree.roots
     cluster, moment = tree.cluster, tree.moment
-    solid, solid_box = tree.solid, tree.solid_box
+    solid, solid_box, of_box = tree.solid, tree.solid_box, tree.of_box
     hides, flat = occluders.row, occluders.flat
     position1, normal1, to_laser1, part1, power1, leg1 = (
         lasers.position, lasers.normal, lasers.to_laser, lasers.part, lasers.power, lasers.leg
@@ -135,7 +145,7 @@ def _gather(  # type: ignore[no-untyped-def]
         x, k1 = get(position1, i, 0), part1[i]
         n1, lit, z = get(normal1, i, 0), power1[i], corner(position3, p, 0)
         lit_from = (x, n1, get(to_laser1, i, 0), kind[k1], values[k1])
-        apart = last_leg and distance(x, z) > flat
+        two_legs = last_leg and distance(x, z) > flat
         for k in range(len(roots)):
             if allowed[k] == np.inf:
                 continue
@@ -143,7 +153,7 @@ def _gather(  # type: ignore[no-untyped-def]
             word = word_of(seed, row[pair], k)
             most, turn, cells, rays = np.inf, np.int64(word >> np.uint64(8)), 0, 0
             cell[0, 16], cell[0, 17] = 1.0, UNFOUND
-            top = push(tag, 0, BOX, roots[k], 0, LISTED, to_z, free if apart else to_z)
+            top = push(tag, 0, BOX, roots[k], 0, LISTED, to_z, free if two_legs else to_z)
             alight = 0
             while top > 0 or alight > 0:
                 if top == 0:
@@ -200,13 +210,18 @@ def _gather(  # type: ignore[no-untyped-def]
                         continue
                     start, end = span[at, 0], span[at, 1]
                     many, area = end - start > CLUSTER, area_before[end] - area_before[start]
-                    sides, diffuse = 0, kind2 == LAMBERTIAN
+                    sides, diffuse, own = 0, kind2 == LAMBERTIAN, seen_from_outside(solid_box, of_box[at], x)
                     if many:
-                        sides = sides_turned(moment, cluster[at], around, at, x, z)
+                        m, h = ball(around, at)
+                        axis, cosine = get(moment, cluster[at], 15), moment[cluster[at], 18]
+                        sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+                        sides = side_turned(less(x, m), h, axis, cosine, sine)
+                        if proofs and own >= 0 and sides < 0:
+                            continue
+                        sides *= side_turned(less(z, m), h, axis, cosine, sine)
                         # The other side does not light the patch's middle; it may light parts of a large one.
                         if sides < 0 and not quarters:
                             continue
-                        m, h = ball(around, at)
                         alone = sides > 0 or (sides == 0 and diffuse)
                         alone = alone and dot(less(m, x), n1) > h and dot(less(m, z), n3) > h
                     if many and not alone:
@@ -283,7 +298,12 @@ def _gather(  # type: ignore[no-untyped-def]
                         continue
                     # Seen or not, it can make no larger error than it may.
                     visible, faint = 1.0, (PARTLY if alone else 1.0) * over <= allowed[k]
-                    if not quarter and first < last:
+                    if alone and not (quarter or cut) and proofs and first < last < enough:
+                        half_way = narrowed_to_box(x, around, at, own, first, middle, last, hides, listed)
+                        behind = narrowed_to_box(z, around, at, own, middle, last, half_way, hides, listed)
+                        first, middle, last = last, half_way, behind
+                    inner = alone and proofs and own >= 0 and sides == 0
+                    if not quarter and (first < last or inner):
                         if cut and not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed):
                             continue
                         if faint and not cut:
@@ -292,6 +312,8 @@ def _gather(  # type: ignore[no-untyped-def]
                             if alone:
                                 word = word_of(seed, row[pair], 8 * at)
                                 f, y = anywhere(start, end, area_before, corners, word)
+                                if inner and _inner_side(x, z, f, normal, corners, solid, solid_box):
+                                    continue
                             if not _seen(y, x, z, f, first, middle, last, hides, listed):
                                 continue
                         elif not cut:
@@ -306,6 +328,8 @@ def _gather(  # type: ignore[no-untyped-def]
                                     facing = dot(less(y, x), get(normal, f, 0)) * dot(less(y, z), get(normal, f, 0))
                                     part = (area_before[high] - area_before[low]) * max(facing, 0.0)
                                 of_all += part
+                                if inner and _inner_side(x, z, f, normal, corners, solid, solid_box):
+                                    continue
                                 if _seen(y, x, z, f, first, middle, last, hides, listed):
                                     seen += 1
                                     visible += part
@@ -322,8 +346,9 @@ def _gather(  # type: ignore[no-untyped-def]
                     # Rays find their way through what may hide the cell it is cut from; it pays to narrow that down
                     # for what is cut.
                     if cut and not (alone or quarter) and proofs and first < last < enough:
-                        half_way = narrowed(x, a, b, c, f, first, middle, last, flat, hides, listed)
-                        behind = narrowed(z, a, b, c, f, middle, last, half_way, flat, hides, listed)
+                        own = seen_from_outside(solid_box, solid[f], x)
+                        half_way = narrowed(x, a, b, c, f, own, first, middle, last, hides, listed)
+                        behind = narrowed(z, a, b, c, f, own, middle, last, half_way, hides, listed)
                         first, middle, last = last, half_way, behind
                 if quarter:
                     cell[top, 17] = UNFOUND
@@ -342,8 +367,8 @@ def _gather(  # type: ignore[no-untyped-def]
                     continue
                 if what == BOX and (cut or not alone):
                     if proofs and first < last < enough:
-                        half_way = narrowed_to_box(x, around, at, first, middle, last, hides, listed)
-                        behind = narrowed_to_box(z, around, at, middle, last, half_way, hides, listed)
+                        half_way = narrowed_to_box(x, around, at, own, first, middle, last, hides, listed)
+                        behind = narrowed_to_box(z, around, at, own, middle, last, half_way, hides, listed)
                         first, middle, last = last, half_way, behind
                     if many:
                         top = push_boxes(tag, cell, top, children[at], q, first, middle, last)

@@ -14,8 +14,9 @@ from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import dot
-from datagen.transport.cells.geometry import above, ball, corner, cross, distance, get, less, unit
+from datagen.transport.cells.geometry import above, ball, corner, cross, distance, get, half, less, unit
 from datagen.transport.cells.hierarchy import ON_PLANE, Hierarchy
+from datagen.transport.cells.solids import NONE, SEVERAL, encloses, side_turned
 from datagen.transport.cells.surface_area import boxes_over
 
 TINY = 1e-300
@@ -27,8 +28,14 @@ MOST, RING = 16, 63
 """Candidates up to which boxes are opened, and the mask of a ring that holds those still to be looked at."""
 MANY_WALLS = 1024
 """Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""
-LINK, FIRST, NUMBER, C, NORMAL, COLUMNS = 6, 7, 6, 0, 3, 8
+LINK, FIRST, NUMBER, C, NORMAL, SOLID, COLUMNS = 6, 7, 6, 0, 3, 6, 8
 """Columns of `Occluders.row`: those of a box, of a triangle's first row and of its second."""
+HEAD, TURNED, SOLIDS, FLAT = 1, 0, 1, 2
+"""The row that says where others are, and its columns."""
+COSINE, SINE, RADIUS, WHOLE = 3, 4, 5, 6
+"""Columns of what else is known of a box."""
+CONVEX = 6
+"""Column of a solid."""
 LINE = 128
 """Bytes, a power of two, that processors fetch at once: two boxes."""
 SUSPECT, LISTED = 255, 256
@@ -46,7 +53,12 @@ class Occluders(NamedTuple):
     row : (R, 8) boxes, the first of which holds all, and triangles, each of them two rows. Of a box its lowest and
         highest corner, metres (0–5), the first of the two boxes in it or, in one that holds its triangles itself,
         their −number (`LINK`), and the first of its triangles (`FIRST`); of a triangle two corners, metres (0–5),
-        and its number in the `Hierarchy` (`NUMBER`), then the third corner (`C`) and its unit normal (`NORMAL`).
+        and its number in the `Hierarchy` (`NUMBER`), then the third corner (`C`), its unit normal (`NORMAL`) and the
+        solid it bounds (`SOLID`).
+        Row `HEAD` has `flat` and the numbers of two rows. `TURNED` + k has of the triangles in box k the mean normal
+        (0–2), the cosine and the sine of the largest angle of a normal with it (`COSINE`, `SINE`), the radius of the
+        ball round the box, metres (`RADIUS`), and the solid that all of them bound, −1 if there is none (`WHOLE`);
+        `SOLIDS` + s has the box of solid s, as the `Hierarchy` has it, and whether that is convex (`CONVEX`).
     triangles : F.
     flat : distance from a plane within which a point lies on it, metres.
     """
@@ -62,17 +74,24 @@ class Occluders(NamedTuple):
         corners = tree.corners[number]
         order, box, link = boxes_over(corners.min(axis=1), corners.max(axis=1))
         number, corners = number[order], corners[order]
-        # Row 1 stays empty, so that the two boxes in one, as the two rows of a triangle, share a line of memory.
+        # The two boxes in one, as the two rows of a triangle, share a line of memory, for row 1 is another.
         at = np.maximum(np.arange(1, len(box) + 1), 2)
         at[0] = 0
         first = (at[-1] + 2) & ~1
-        row = _in_lines(first + 2 * len(number))
+        turned = first + 2 * len(number)
+        solids, flat = turned + first, ON_PLANE * tree.extent
+        row = _in_lines(solids + len(tree.solid_box))
+        row[HEAD, [TURNED, SOLIDS, FLAT]] = turned, solids, flat
         row[at, :LINK] = box
         row[at, LINK] = np.where(link[:, 0] < 0, link[:, 1] - link[:, 2], link[:, 0] + 1)
         row[at, FIRST] = first + 2 * link[:, 1]
-        row[first::2, :NUMBER], row[first::2, NUMBER] = corners[:, :2].reshape(-1, 6), number
-        row[first + 1 :: 2, C:NORMAL], row[first + 1 :: 2, NORMAL : NORMAL + 3] = corners[:, 2], tree.normal[number]
-        return cls(row, len(number), ON_PLANE * tree.extent)
+        row[first:turned:2, :NUMBER], row[first:turned:2, NUMBER] = corners[:, :2].reshape(-1, 6), number
+        seconds = row[first + 1 : turned : 2]
+        seconds[:, C:NORMAL], seconds[:, NORMAL:SOLID] = corners[:, 2], tree.normal[number]
+        seconds[:, SOLID] = tree.solid[number]
+        row[turned + at] = _cones(box, link, tree.normal[number], tree.solid[number])
+        row[solids:, :6], row[solids:, CONVEX] = tree.solid_box, tree.convex
+        return cls(row, len(number), flat)
 
     @property
     def any(self) -> bool:
@@ -108,6 +127,30 @@ def _hides(scene: Scene, tree: Hierarchy) -> Bools:
     else:
         hides[walls] = True
     return hides
+
+
+@compiled()
+def _cones(box, link, normal, solid):  # type: ignore[no-untyped-def]
+    """Rows `TURNED` … of boxes (N, 6) that hold triangles link[k, 1] … link[k, 2]."""
+    found = np.zeros((len(link), COLUMNS))
+    for k in range(len(link)):
+        first, last = link[k, 1], link[k, 2]
+        found[k, WHOLE], found[k, RADIUS] = solid[first] if last > first else NONE, ball(box, k)[1]
+        for f in range(first, last):
+            found[k, WHOLE] = found[k, WHOLE] if solid[f] == found[k, WHOLE] else NONE
+        if found[k, WHOLE] < 0.0:
+            continue
+        x = y = z = 0.0
+        for f in range(first, last):
+            x, y, z = x + normal[f, 0], y + normal[f, 1], z + normal[f, 2]
+        length, cosine = np.sqrt(x * x + y * y + z * z), 1.0
+        axis = (x / length, y / length, z / length) if length > 0.0 else (0.0, 0.0, 0.0)
+        for f in range(first, last):
+            cosine = min(cosine, dot(axis, get(normal, f, 0)))
+        for j in range(3):
+            found[k, j] = axis[j]
+        found[k, COSINE], found[k, SINE] = cosine, np.sqrt(max(1.0 - cosine * cosine, 0.0))
+    return found
 
 
 @compiled()
@@ -231,14 +274,39 @@ def shaded(x, a, b, c, of, first, last, row, listed):  # type: ignore[no-untyped
     return _crosses(x, less(b, x), row, before, end) and _crosses(x, less(c, x), row, before, end)
 
 
+@compiled(forceinline=True)
+def _needless(x, k, own, row):  # type: ignore[no-untyped-def]
+    """Whether candidate k need not be asked what hides from x the outer sides of solid `own`, or what bounds none if
+    that is `NONE`: all of it is of one solid that does not enclose x, and turns one side to x (`solids.py`), or of
+    a convex one, which never hides an outer side of its own."""
+    about = int(row[HEAD, TURNED]) + k
+    s = int(row[1 - k, SOLID] if k < 0 else row[about, WHOLE])
+    if s < 0 or own == SEVERAL:
+        return False
+    of_solid = int(row[HEAD, SOLIDS]) + s
+    if s == own and row[of_solid, CONVEX] > 0.0:
+        return True
+    if k < 0:
+        height = dot(get(row, 1 - k, NORMAL), less(x, get(row, -k, 0)))
+        side = 0 if abs(height) <= row[HEAD, FLAT] else 1 if height > 0.0 else -1
+    else:
+        middle = half(get(row, k, 0), get(row, k, 3))
+        axis, cosine, sine = get(row, about, 0), row[about, COSINE], row[about, SINE]
+        side = side_turned(less(x, middle), row[about, RADIUS], axis, cosine, sine)
+    return side == (1 if s == own else -1) and not encloses(row, of_solid, x)
+
+
 @compiled()
-def narrowed_to_box(x, around, at, first, last, free, row, listed):  # type: ignore[no-untyped-def]
-    """Those of the candidates first … last that may stand between x and some point of the box `around[at]`; as
-    `narrowed`, but only boxes are asked: by their shadows on the axes and by the cone over the ball round the box."""
+def narrowed_to_box(x, around, at, own, first, last, free, row, listed):  # type: ignore[no-untyped-def]
+    """Those of the candidates first … last that may stand between x and some point of the box `around[at]`, whose
+    triangles are of solid `own`; as `narrowed`, but of boxes, by their shadows on the axes and by the cone over the
+    ball round the box."""
     middle, radius = ball(around, at)
     axis, far = less(middle, x), distance(middle, x)
     sine = min(radius / far, 1.0)
-    cosine = np.sqrt(1.0 - sine * sine)
+    square, turned = 1.0 - sine * sine, int(row[HEAD, TURNED])
+    low = (min(x[0], around[at, 0]), min(x[1], around[at, 1]), min(x[2], around[at, 2]))
+    high = (max(x[0], around[at, 3]), max(x[1], around[at, 4]), max(x[2], around[at, 5]))
     head, tail, end = 0, _waiting(listed, first, last), free
     while head < tail:
         k = listed[head & RING]
@@ -246,18 +314,22 @@ def narrowed_to_box(x, around, at, first, last, free, row, listed):  # type: ign
         if k >= 0:
             apart = False
             for j in range(3):
-                apart |= row[k, j] > max(x[j], around[at, 3 + j]) or row[k, 3 + j] < min(x[j], around[at, j])
-            centre, size = ball(row, k)
-            d = less(centre, x)
+                apart |= (row[k, j] > high[j]) | (row[k, 3 + j] < low[j])
+            if apart:
+                continue
+            d = less(half(get(row, k, 0), get(row, k, 3)), x)
             along = dot(d, axis) / far
-            across = np.sqrt(max(dot(d, d) - along * along, 0.0))
-            if apart or (sine < 1.0 and across * cosine - along * sine > size * (1.0 + 1e-6)):
+            # Beyond the cone: farther from its axis than its side is there, by more than the ball's radius.
+            beyond = row[turned + k, RADIUS] * (1.0 + 1e-6) + along * sine
+            if sine < 1.0 and (beyond < 0.0 or (dot(d, d) - along * along) * square > beyond * beyond):
                 continue
-            if row[k, LINK] > 0.0 and end - free + tail - head < MOST:
-                one = int(row[k, LINK])
-                listed[tail & RING], listed[(tail + 1) & RING] = one, one + 1
-                tail += 2
-                continue
+        if _needless(x, k, own, row):
+            continue
+        if k >= 0 and row[k, LINK] > 0.0 and end - free + tail - head < MOST:
+            one = int(row[k, LINK])
+            listed[tail & RING], listed[(tail + 1) & RING] = one, one + 1
+            tail += 2
+            continue
         listed[end] = k
         end += 1
     return end
@@ -272,15 +344,17 @@ def _waiting(listed, first, last):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def narrowed(x, a, b, c, of, first, last, free, flat, row, listed):  # type: ignore[no-untyped-def]
+def narrowed(x, a, b, c, of, own, first, last, free, row, listed):  # type: ignore[no-untyped-def]
     """Those of the candidates first … last that may stand between x and some point of the triangle a, b, c on
-    triangle `of`, boxes opened while they are few: written from `free` on; returns the end. None left is a proof.
+    triangle `of` of solid `own`, boxes opened while they are few: written from `free` on; returns the end. None left
+    is a proof.
 
     The pyramid over the triangle with its tip in x is free of every triangle that lies beyond one of its sides, or
     has all of the pyramid on one side of itself.
     """
     if first >= last:
         return free
+    flat = row[HEAD, FLAT]
     base = cross(less(b, a), less(c, a))
     if dot(base, less(x, a)) < 0.0:
         base = (-base[0], -base[1], -base[2])
@@ -311,13 +385,14 @@ def narrowed(x, a, b, c, of, first, last, free, flat, row, listed):  # type: ign
                     continue
             else:
                 low, high = _heights(get(row, f + 1, NORMAL), p, x, a, b, c)
-                if high <= flat or low >= -flat:
+                if high <= flat or low >= -flat or _needless(x, k, own, row):
                     continue
         elif (
             above(row, k, x, one) <= near1
             or above(row, k, x, two) <= near2
             or above(row, k, x, three) <= near3
             or above(row, k, a, base) <= -near0
+            or _needless(x, k, own, row)
         ):
             continue
         elif end - free + tail - head < MOST:

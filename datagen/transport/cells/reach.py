@@ -23,6 +23,7 @@ from datagen.transport.brdf import MaterialTable, dot, evaluate
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less, longest, put
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, Hierarchy, one_of
 from datagen.transport.cells.occlusion import LISTED, Occluders, hidden, lists, shaded
+from datagen.transport.cells.solids import inner_side
 from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 4.0, 0.4
@@ -186,6 +187,15 @@ def _faces_any(box, at, ends, p):  # type: ignore[no-untyped-def]
 
 
 @compiled(_nrt=False)
+def _see_inner_side(ends, p, f, n, corners, solid, solid_box):  # type: ignore[no-untyped-def]
+    """Whether triangle f turns the inner side of a solid to all points of an end."""
+    for q in range(ends.part.shape[1]):
+        if ends.part[p, q] >= 0 and not inner_side(get(ends.point[p], q, 0), n, corners, f, solid, solid_box):
+            return False
+    return True
+
+
+@compiled(_nrt=False)
 def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
     """Variance of the path to y over an end's points, m²."""
     variance, points = 0.0, ends.part.shape[1]
@@ -205,7 +215,7 @@ def _cut(  # type: ignore[no-untyped-def]
     """Fill `first`, `cell`, `known` and `part_of`; returns the rays asked, or −1 where there is no room."""
     corners, normal, area_before, around, children = tree.corners, tree.normal, tree.area, tree.box, tree.children
     span, roots, smallest, flat = tree.span, tree.roots, SMALLEST * tree.extent, occluders.flat
-    hides = occluders.row
+    hides, solid, solid_box = occluders.row, tree.solid, tree.solid_box
     part = ends.part
     last = LISTED + (min(occluders.triangles, 1) if asked else 0)
     count, rays, points = 0, 0, part.shape[1]
@@ -234,6 +244,8 @@ def _cut(  # type: ignore[no-untyped-def]
                     end = start + 1
                 for f in range(start, end):
                     n = get(normal, f, 0)
+                    if last > LISTED and _see_inner_side(ends, p, f, n, corners, solid, solid_box):
+                        continue
                     height = dot(less(x, corner(corners, f, 0)), n)
                     if abs(height) < flat and points == 1:
                         continue
