@@ -95,6 +95,19 @@ def boxes(draw: st.DrawFn) -> trimesh.Trimesh:
 
 
 @st.composite
+def closed_surfaces(draw: st.DrawFn) -> trimesh.Trimesh:
+    """Balls and rings with dents, some of which pass through themselves, turned either way, whole or in loose
+    triangles."""
+    mesh = draw(st.sampled_from([trimesh.creation.icosphere(1, 0.5), trimesh.creation.torus(0.4, 0.15, 8, 6)]))
+    rng, dents = np.random.default_rng(draw(seeds)), draw(st.sampled_from([0.0, 0.05, 0.3]))
+    vertices = mesh.vertices + dents * rng.standard_normal(mesh.vertices.shape) + np.array(draw(points))
+    faces = mesh.faces[:, ::-1] if draw(st.booleans()) else mesh.faces
+    if draw(st.booleans()):
+        vertices, faces = vertices[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+@st.composite
 def rooms(draw: st.DrawFn) -> list[trimesh.Trimesh]:
     """Walls of −1.5 … 1.5 m in each direction, each a part or all one; some may be missing."""
     sides = draw(st.sets(st.integers(0, 5), min_size=1, max_size=6))
@@ -109,7 +122,9 @@ def rooms(draw: st.DrawFn) -> list[trimesh.Trimesh]:
 @st.composite
 def scenes(draw: st.DrawFn, *, smooth: bool = False) -> Scene:
     meshes = draw(rooms()) if draw(st.booleans()) else []
-    meshes = meshes + draw(st.lists(st.one_of(soups(), boxes()), min_size=0 if meshes else 1, max_size=3))
+    meshes = meshes + draw(
+        st.lists(st.one_of(soups(), boxes(), closed_surfaces()), min_size=0 if meshes else 1, max_size=3)
+    )
     hair = draw(st.sampled_from(HAIR_M))
     lambertian = draw(st.booleans())
     rng = np.random.default_rng(draw(seeds)) if hair else None

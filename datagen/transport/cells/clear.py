@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from datagen.compiled import compiled
+from datagen.records.arrays import Floats
 from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import pour, tent, widened
 from datagen.transport.cells.geometry import air, half, less
@@ -39,8 +40,7 @@ ENERGY, TENT, NUMBERS = 53, 54, 61
 DROPPED, SPREAD, CUT, QUARTERED = 0.0, 1.0, 2.0, 3.0
 
 
-@compiled()
-def room_for_clear():  # type: ignore[no-untyped-def]
+def room_for_clear() -> tuple[Floats, Floats, Floats]:
     """The stack and two batches."""
     return np.empty((CLEAR_ROOM, STACKED)), np.empty(NUMBERS * WIDE), np.empty(NUMBERS * WIDE)
 

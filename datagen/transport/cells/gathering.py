@@ -13,7 +13,7 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.materials import GGX, Material, Phong, Retroreflector
 from datagen.transport.cells.clusters import COARSEST
 from datagen.transport.cells.hierarchy import Hierarchy
-from datagen.transport.cells.light import AT_ONCE, gather
+from datagen.transport.cells.light import AT_ONCE, gather, room_to_gather
 from datagen.transport.cells.occlusion import Occluders
 from datagen.transport.cells.patches import Patches, at_edges
 from datagen.transport.sampling import stream_seeds
@@ -183,10 +183,12 @@ class Gathering:
             error, self.coarsest, self.peak, task.accuracy.occlusion != "off",
             task.accuracy.occlusion == "auto", seed.astype(np.int64),
         )  # fmt: skip
+        room = room_to_gather()
         for some in seen:
             gather(
                 some.pairs, some.which, self.tree, self.occluders, self.lasers, some.patches, task.materials.kind,
                 task.materials.values, cutting, self.clock, row_of_part * len(pairs), histogram, overflow, work,
+                *room,
             )  # fmt: skip
         # Row by row, so that each is one piece of memory.
         of_rows = histogram.reshape(rows, len(pairs), task.capture.time.bins)

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from datagen.compiled import compiled
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import spread, widened
 from datagen.transport.cells.clear import put_clear, room_for_clear, spread_clear
@@ -81,38 +82,31 @@ def _inner_side(x, z, f, normal, corners, solid, solid_box):  # type: ignore[no-
     return inner_side(x, n, corners, f, solid, solid_box) or inner_side(z, n, corners, f, solid, solid_box)
 
 
-@compiled()
+def room_to_gather() -> tuple[Ints, Floats, Ints, Floats, Floats, Floats]:
+    """What `gather` works in: tags and cells that wait, lists of candidates, and `room_for_clear`.
+
+    What waits has its kind, number, patch and candidates; and of cells three vertices with w and path, and the area;
+    how many times as large as itself a patch is that it stands for; and how much of it may be seen though no ray
+    found anything.
+    """
+    return np.empty((1024, 6), np.int64), np.empty((1024, 18)), lists(1 << 14), *room_for_clear()
+
+
+# Without `_nrt=False` arrays are counted in and out of every function, a third of the time.
+@compiled(_nrt=False)
 def gather(  # type: ignore[no-untyped-def]
     pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-    work,
+    work, tag, cell, listed, clear, batch, cuts,
 ):  # fmt: skip
     """Add the primary of laser points and pixels to their histograms.
 
     pairs : (n, 2) laser point and pixel of each. row : (n,) first row of each, to which `row_of_part` (K,) is added.
     histogram (rows, T) and overflow (rows,) get the photons; work (K, 2) gets the cells that were spread and the rays
-    asked, part by part.
-    """
-    # What waits: its kind, number, patch and candidates; and of cells three vertices with w and path, and the area;
-    # how many times as large as itself a patch is that it stands for; and how much of it may be seen though no ray
-    # found anything.
-    tag, cell = np.empty((1024, 6), np.int64), np.empty((1024, 18))
-    listed = lists(1 << 14)
-    clear, batch, cuts = room_for_clear()
-    _gather(
-        pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-        work, tag, cell, listed, clear, batch, cuts,
-    )  # fmt: skip
+    asked, part by part. The rest is `room_to_gather`.
 
-
-# Without `_nrt=False` arrays are counted in and out of every function, a third of the time.
-@compiled(_nrt=False)
-def _gather(  # type: ignore[no-untyped-def]
-    pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-    work, tag, cell, listed, clear, batch, cuts,
-):  # fmt: skip
-    """The loop. What may stand between a cell and laser point or patch is among what may stand before all of the box
-    or cell that it is cut from: each hands down its candidates, first … middle for the one and middle … last for the
-    other, and where none is left nothing is hidden. Cells hand down their vertices' light, too.
+    What may stand between a cell and laser point or patch is among what may stand before all of the box or cell that
+    it is cut from: each hands down its candidates, first … middle for the one and middle … last for the other, and
+    where none is left nothing is hidden. Cells hand down their vertices' light, too.
     """
     # Records are taken apart here: in the loops every look into one costs as much as what it is for.
     corners, normal, area_before, extent = tree.corners, tree.normal, tree.area, tree.extent
