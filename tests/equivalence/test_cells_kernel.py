@@ -128,6 +128,19 @@ def within_a_ring() -> Scene:
     )  # fmt: skip
 
 
+def touching() -> Scene:
+    """Boxes that stand on each other, their edges where points of cells lie."""
+    wall = Part("wall", rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall")
+    third = 0.4 / 3
+    bounds = [[(1.0, -0.4, -0.4), (1.4, 0.4, 0.4)], [(0.8, -third, 0.0), (1.0, third, third)],
+              [(0.8, -0.4, -0.4), (1.0, 0.4, -2 * third)], [(0.9, 0.0, -third), (1.0, third, 0.0)],
+              [(0.8, third, 0.0), (1.0, 2 * third, 2 * third)]]  # fmt: skip
+    shelf = trimesh.util.concatenate([trimesh.creation.box(bounds=ends) for ends in bounds])
+    shelf.apply_transform(trimesh.transformations.euler_matrix(0.0, 0.0, 0.37))
+    shelf.apply_translation((0.0123, 0.0345, 0.0567))
+    return Scene.from_parts([wall, Part("shelf", shelf, Lambertian(0.6))])
+
+
 def bumpy() -> Scene:
     """Meshes of clusters, which hide parts of themselves."""
     wall = Part("wall", rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall")
@@ -135,7 +148,8 @@ def bumpy() -> Scene:
 
 
 @pytest.mark.parametrize(
-    ("scene", "share"), [(cluttered, 0.75), (furnished_box, 0.8), (within_a_ring, 1.0), (bumpy, 0.55)],
+    ("scene", "share"),
+    [(cluttered, 0.75), (furnished_box, 0.8), (within_a_ring, 1.0), (touching, 0.8), (bumpy, 0.55)],
     ids=lambda given: getattr(given, "__name__", "of rays"),
 )  # fmt: skip
 @pytest.mark.parametrize("half_side_m", [1e-3, 0.2])
@@ -164,8 +178,7 @@ def test_inner_sides_are_left_out_where_nothing_sees_them_alone() -> None:
     assert bounding == {"ball", "box", "inside", "ring", "loose"}
     # Whatever way a surface is turned, its normals are outward.
     ring = tree.solid == tree.solid[tree.own == np.flatnonzero(scene.face_part == scene.part_names.index("ring"))[0]]
-    a, b, c = np.moveaxis(tree.corners[ring], 1, 0)
-    assert np.einsum("fi,fi->", a, np.cross(b, c)) > 0
+    assert (tree.normal[ring] * tree.corners[ring, 0]).sum(axis=1) @ np.diff(tree.area)[ring] > 0
     # A room that is one closed box, seen from within: turned either way it is the same.
     room = trimesh.creation.box(bounds=[(0, -1, -1), (2, 1, 1)])
     wall = Part("wall", rectangle((0.01, 0, 0), (0, 0.9, 0), (0, 0, 0.9)), Lambertian(0.8), "relay_wall")

@@ -106,7 +106,7 @@ def test_what_is_a_solid(case: str) -> None:
     assert tree.convex[found].sum() == convex
     for s in found:
         a, b, c = np.moveaxis(tree.corners[tree.solid == s], 1, 0)
-        assert np.einsum("fi,fi->", a, np.cross(b, c)) > 0
+        assert (a * tree.normal[tree.solid == s]).sum(axis=1) @ np.diff(tree.area)[tree.solid == s] > 0
         np.testing.assert_array_less(tree.solid_box[s, :3], np.minimum(np.minimum(a, b), c).min(axis=0))
         np.testing.assert_array_less(np.maximum(np.maximum(a, b), c).max(axis=0), tree.solid_box[s, 3:])
 

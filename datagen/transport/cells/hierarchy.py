@@ -82,11 +82,10 @@ class Hierarchy(NamedTuple):
             scene.face_part[order].astype(np.int64),
             ON_PLANE * extent,
         )
-        turned = (solid >= 0) & np.append(inside_out, False)[solid]
-        corners[turned] = corners[turned, ::-1]
         doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(doubled, axis=1)
         normal = doubled / length[:, None]
+        normal[np.append(inside_out, False)[solid]] *= -1.0
         ends = np.searchsorted(scene.face_part[order], np.arange(parts + 1))
         box, children, span, roots = _boxes(corners, ends.astype(np.int64), LEAF)
         area = np.concatenate([[0.0], np.cumsum(length / 2)])

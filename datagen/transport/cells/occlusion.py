@@ -275,25 +275,47 @@ def shaded(x, a, b, c, of, first, last, row, listed):  # type: ignore[no-untyped
 
 
 @compiled(forceinline=True)
-def _needless(x, k, own, row):  # type: ignore[no-untyped-def]
-    """Whether candidate k need not be asked what hides from x the outer sides of solid `own`, or what bounds none if
-    that is `NONE`: all of it is of one solid that does not enclose x, and turns one side to x (`solids.py`), or of
-    a convex one, which never hides an outer side of its own."""
-    about = int(row[HEAD, TURNED]) + k
-    s = int(row[1 - k, SOLID] if k < 0 else row[about, WHOLE])
-    if s < 0 or own == SEVERAL:
-        return False
-    of_solid = int(row[HEAD, SOLIDS]) + s
-    if s == own and row[of_solid, CONVEX] > 0.0:
-        return True
+def _solid_of(k, row):  # type: ignore[no-untyped-def]
+    """The solid that all of candidate k bounds, or a number below 0."""
+    return int(row[1 - k, SOLID] if k < 0 else row[int(row[HEAD, TURNED]) + k, WHOLE])
+
+
+@compiled()
+def _turned(x, k, row):  # type: ignore[no-untyped-def]
+    """`side_turned` of candidate k towards x."""
     if k < 0:
         height = dot(get(row, 1 - k, NORMAL), less(x, get(row, -k, 0)))
-        side = 0 if abs(height) <= row[HEAD, FLAT] else 1 if height > 0.0 else -1
-    else:
-        middle = half(get(row, k, 0), get(row, k, 3))
-        axis, cosine, sine = get(row, about, 0), row[about, COSINE], row[about, SINE]
-        side = side_turned(less(x, middle), row[about, RADIUS], axis, cosine, sine)
-    return side == (1 if s == own else -1) and not encloses(row, of_solid, x)
+        return 0 if abs(height) <= row[HEAD, FLAT] else 1 if height > 0.0 else -1
+    about, middle = int(row[HEAD, TURNED]) + k, half(get(row, k, 0), get(row, k, 3))
+    axis, cosine, sine = get(row, about, 0), row[about, COSINE], row[about, SINE]
+    return side_turned(less(x, middle), row[about, RADIUS], axis, cosine, sine)
+
+
+@compiled(forceinline=True)
+def _hides_none_of(own, x, k, row):  # type: ignore[no-untyped-def]
+    """Whether candidate k need not be asked what hides outer sides of solid `own` from x: all of it is of that solid,
+    which does not enclose x, and turns outer sides to it, too (`solids.py`); or the solid is convex."""
+    if own < 0 or _solid_of(k, row) != own:
+        return False
+    of_solid = int(row[HEAD, SOLIDS]) + own
+    return row[of_solid, CONVEX] > 0.0 or (_turned(x, k, row) > 0 and not encloses(row, of_solid, x))
+
+
+@compiled(forceinline=True)
+def _is_behind(own, x, low, high, k, row):  # type: ignore[no-untyped-def]
+    """Whether all of candidate k is of a solid other than `own`, which does not enclose x, and turns inner sides to
+    x: outer ones hide as much (`solids.py`). What touches the box low … high about what is seen may lie on it."""
+    s = _solid_of(k, row)
+    if s < 0 or s == own or own == SEVERAL or _turned(x, k, row) >= 0:
+        return False
+    apart = False
+    for j in range(3):
+        if k < 0:
+            one, two, three = row[-k, j], row[-k, 3 + j], row[1 - k, C + j]
+            apart |= (min(one, two, three) > high[j]) | (max(one, two, three) < low[j])
+        else:
+            apart |= (row[k, j] > high[j]) | (row[k, 3 + j] < low[j])
+    return apart and not encloses(row, int(row[HEAD, SOLIDS]) + s, x)
 
 
 @compiled()
@@ -305,6 +327,9 @@ def narrowed_to_box(x, around, at, own, first, last, free, row, listed):  # type
     axis, far = less(middle, x), distance(middle, x)
     sine = min(radius / far, 1.0)
     square, turned = 1.0 - sine * sine, int(row[HEAD, TURNED])
+    flat = row[HEAD, FLAT]
+    least = (around[at, 0] - flat, around[at, 1] - flat, around[at, 2] - flat)
+    most = (around[at, 3] + flat, around[at, 4] + flat, around[at, 5] + flat)
     low = (min(x[0], around[at, 0]), min(x[1], around[at, 1]), min(x[2], around[at, 2]))
     high = (max(x[0], around[at, 3]), max(x[1], around[at, 4]), max(x[2], around[at, 5]))
     head, tail, end = 0, _waiting(listed, first, last), free
@@ -323,7 +348,7 @@ def narrowed_to_box(x, around, at, own, first, last, free, row, listed):  # type
             beyond = row[turned + k, RADIUS] * (1.0 + 1e-6) + along * sine
             if sine < 1.0 and (beyond < 0.0 or (dot(d, d) - along * along) * square > beyond * beyond):
                 continue
-        if _needless(x, k, own, row):
+        if _hides_none_of(own, x, k, row) or _is_behind(own, x, least, most, k, row):
             continue
         if k >= 0 and row[k, LINK] > 0.0 and end - free + tail - head < MOST:
             one = int(row[k, LINK])
@@ -385,14 +410,14 @@ def narrowed(x, a, b, c, of, own, first, last, free, row, listed):  # type: igno
                     continue
             else:
                 low, high = _heights(get(row, f + 1, NORMAL), p, x, a, b, c)
-                if high <= flat or low >= -flat or _needless(x, k, own, row):
+                if high <= flat or low >= -flat or _hides_none_of(own, x, k, row):
                     continue
         elif (
             above(row, k, x, one) <= near1
             or above(row, k, x, two) <= near2
             or above(row, k, x, three) <= near3
             or above(row, k, a, base) <= -near0
-            or _needless(x, k, own, row)
+            or _hides_none_of(own, x, k, row)
         ):
             continue
         elif end - free + tail - head < MOST:
