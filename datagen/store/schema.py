@@ -38,8 +38,8 @@ SCHEMA_VERSIONS = {
     "where cells hardly face the wall",
     10: "datagen 0.11: with a target a seed yields other light of three bounces (pixels' edges, patches and the "
     "choice of cells)",
-    11: "datagen 0.12: with a target a seed yields light of other last digits, of large pixels other light within its "
-    "errors; transport.spend.cost is less, by rays",
+    11: "datagen 0.12: with a target a seed yields light of other last digits, of large pixels other light within "
+    "its errors; transport.spend.cost is less, by rays",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
