@@ -15,7 +15,8 @@ from datagen.records.materials import Material
 from datagen.transport.cells.arrival import spread
 from datagen.transport.cells.gathering import Gathering
 from datagen.transport.cells.hierarchy import Hierarchy
-from datagen.transport.cells.occlusion import LISTED, SUSPECT, Occluders, hidden, lists, narrowed, narrowed_to_box
+from datagen.transport.cells.occluders import Occluders
+from datagen.transport.cells.occlusion import LISTED, SUSPECT, hidden, lists, narrowed, narrowed_to_box
 from datagen.transport.cells.solids import inner_side
 from datagen.transport.primary import pairs_of
 from datagen.transport.solver import prepared

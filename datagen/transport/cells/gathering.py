@@ -14,7 +14,7 @@ from datagen.records.materials import GGX, Material, Phong, Retroreflector
 from datagen.transport.cells.clusters import COARSEST
 from datagen.transport.cells.hierarchy import Hierarchy
 from datagen.transport.cells.light import AT_ONCE, gather, room_to_gather
-from datagen.transport.cells.occlusion import Occluders
+from datagen.transport.cells.occluders import Occluders
 from datagen.transport.cells.patches import Patches, at_edges
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.walk import WalkTask

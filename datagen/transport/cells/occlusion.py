@@ -1,181 +1,43 @@
 """What stands between two points, or between a point and all of a triangle, in double precision.
 
-It is asked of a tree of boxes over the triangles that can hide anything, answers the same on every processor, and in
-compiled loops, one line at a time.
+It is asked of a tree of boxes over the triangles that can hide anything (`occluders.py`), answers the same on every
+processor, and in compiled loops, one line at a time.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from datagen.compiled import compiled
-from datagen.records import Scene
-from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import dot
-from datagen.transport.cells.geometry import above, ball, corner, cross, distance, get, half, less, unit
-from datagen.transport.cells.hierarchy import ON_PLANE, Hierarchy
-from datagen.transport.cells.solids import NONE, SEVERAL, encloses, side_turned
-from datagen.transport.cells.surface_area import boxes_over
+from datagen.transport.cells.geometry import above, ball, cross, distance, get, half, less
+from datagen.transport.cells.occluders import (
+    CONVEX,
+    COSINE,
+    FIRST,
+    FLAT,
+    HEAD,
+    LINK,
+    NORMAL,
+    NUMBER,
+    RADIUS,
+    SINE,
+    SOLID,
+    SOLIDS,
+    TURNED,
+    WHOLE,
+    C,
+)
+from datagen.transport.cells.solids import SEVERAL, encloses, side_turned
 
 TINY = 1e-300
 TOUCHING = 1e-9
 """Share of a line at each end within which a triangle only touches it."""
-FEW_VERTICES = 256
-"""Vertices of a part up to which each is asked whether it lies behind a wall; of larger parts their box is."""
 MOST, RING = 16, 63
 """Candidates up to which boxes are opened, and the mask of a ring that holds those still to be looked at."""
-MANY_WALLS = 1024
-"""Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""
-LINK, FIRST, NUMBER, C, NORMAL, SOLID, COLUMNS = 6, 7, 6, 0, 3, 6, 8
-"""Columns of `Occluders.row`: those of a box, of a triangle's first row and of its second."""
-HEAD, TURNED, SOLIDS, FLAT = 1, 0, 1, 2
-"""The row that says where others are, and its columns."""
-COSINE, SINE, RADIUS, WHOLE = 3, 4, 5, 6
-"""Columns of what else is known of a box."""
-CONVEX = 6
-"""Column of a solid."""
-LINE = 128
-"""Bytes, a power of two, that processors fetch at once: two boxes."""
 SUSPECT, LISTED = 255, 256
 """In the lists that are handed down: what is to be looked at, which is scratch, comes first; then the triangle that
 hid something the last time, or 0; and from `LISTED` on candidates: rows, of triangles less than 0, their −k."""
-
-
-class Occluders(NamedTuple):
-    """F triangles that can hide anything, in N boxes; the walls round a convex room are not among them.
-
-    All are rows of one array, as columns say, for in loops that ask for one line each array handed over counts.
-
-    Attributes
-    ----------
-    row : (R, 8) boxes, the first of which holds all, and triangles, each of them two rows. Of a box its lowest and
-        highest corner, metres (0–5), the first of the two boxes in it or, in one that holds its triangles itself,
-        their −number (`LINK`), and the first of its triangles (`FIRST`); of a triangle two corners, metres (0–5),
-        and its number in the `Hierarchy` (`NUMBER`), then the third corner (`C`), its unit normal (`NORMAL`) and the
-        solid it bounds (`SOLID`).
-        Row `HEAD` has `flat` and the numbers of two rows. `TURNED` + k has of the triangles in box k the mean normal
-        (0–2), the cosine and the sine of the largest angle of a normal with it (`COSINE`, `SINE`), the radius of the
-        ball round the box, metres (`RADIUS`), and the solid that all of them bound, −1 if there is none (`WHOLE`);
-        `SOLIDS` + s has the box of solid s, as the `Hierarchy` has it, and whether that is convex (`CONVEX`).
-    triangles : F.
-    flat : distance from a plane within which a point lies on it, metres.
-    """
-
-    row: Floats
-    triangles: int
-    flat: float
-
-    @classmethod
-    def of(cls, scene: Scene, tree: Hierarchy) -> Occluders:
-        """Those of a scene, in time nearly linear in its triangles."""
-        number = np.flatnonzero(_hides(scene, tree))
-        corners = tree.corners[number]
-        order, box, link = boxes_over(corners.min(axis=1), corners.max(axis=1))
-        number, corners = number[order], corners[order]
-        # The two boxes in one, as the two rows of a triangle, share a line of memory, for row 1 is another.
-        at = np.maximum(np.arange(1, len(box) + 1), 2)
-        at[0] = 0
-        first = (at[-1] + 2) & ~1
-        turned = first + 2 * len(number)
-        solids, flat = turned + first, ON_PLANE * tree.extent
-        row = _in_lines(solids + len(tree.solid_box))
-        row[HEAD, [TURNED, SOLIDS, FLAT]] = turned, solids, flat
-        row[at, :LINK] = box
-        row[at, LINK] = np.where(link[:, 0] < 0, link[:, 1] - link[:, 2], link[:, 0] + 1)
-        row[at, FIRST] = first + 2 * link[:, 1]
-        row[first:turned:2, :NUMBER], row[first:turned:2, NUMBER] = corners[:, :2].reshape(-1, 6), number
-        seconds = row[first + 1 : turned : 2]
-        seconds[:, C:NORMAL], seconds[:, NORMAL:SOLID] = corners[:, 2], tree.normal[number]
-        seconds[:, SOLID] = tree.solid[number]
-        row[turned + at] = _cones(box, link, tree.normal[number], tree.solid[number])
-        row[solids:, :6], row[solids:, CONVEX] = tree.solid_box, tree.convex
-        return cls(row, len(number), flat)
-
-    @property
-    def any(self) -> bool:
-        """Whether anything can be hidden."""
-        return self.triangles > 0
-
-
-def _in_lines(rows: int) -> Floats:
-    """(rows, 8) zeros that start where a line of the processor's memory does."""
-    room = np.zeros(rows * COLUMNS + LINE // 8)
-    start = -room.ctypes.data % LINE // 8
-    return room[start : start + rows * COLUMNS].reshape(rows, COLUMNS)
-
-
-def _hides(scene: Scene, tree: Hierarchy) -> Bools:
-    """(F,) whether a triangle has something of the scene on both its sides. Large meshes say yes unasked."""
-    outline, few = [], np.zeros(len(scene.part_names), np.bool_)
-    for part in range(len(few)):
-        used = scene.vertices[np.unique(scene.triangles[scene.face_part == part])]
-        few[part] = len(used) <= FEW_VERTICES
-        if not few[part]:
-            ends = np.stack([used.min(axis=0), used.max(axis=0)])
-            used = ends[np.indices((2, 2, 2)).reshape(3, -1).T, np.arange(3)]
-        outline.append(used)
-    points = np.concatenate(outline)
-    hides = np.ones(len(tree.corners), np.bool_)
-    for f in np.flatnonzero(few[scene.face_part[tree.own]]):
-        height = (points - tree.corners[f, 0]) @ tree.normal[f]
-        hides[f] = height.min() < -ON_PLANE * tree.extent and height.max() > ON_PLANE * tree.extent
-    walls = np.flatnonzero(~hides)
-    if len(walls) <= MANY_WALLS:
-        _lie_on_each_other(tree.corners, tree.normal, walls, ON_PLANE * tree.extent, hides)
-    else:
-        hides[walls] = True
-    return hides
-
-
-@compiled()
-def _cones(box, link, normal, solid):  # type: ignore[no-untyped-def]
-    """Rows `TURNED` … of boxes (N, 6) that hold triangles link[k, 1] … link[k, 2]."""
-    found = np.zeros((len(link), COLUMNS))
-    for k in range(len(link)):
-        first, last = link[k, 1], link[k, 2]
-        found[k, WHOLE], found[k, RADIUS] = solid[first] if last > first else NONE, ball(box, k)[1]
-        for f in range(first, last):
-            found[k, WHOLE] = found[k, WHOLE] if solid[f] == found[k, WHOLE] else NONE
-        if found[k, WHOLE] < 0.0:
-            continue
-        x = y = z = 0.0
-        for f in range(first, last):
-            x, y, z = x + normal[f, 0], y + normal[f, 1], z + normal[f, 2]
-        length, cosine = np.sqrt(x * x + y * y + z * z), 1.0
-        axis = (x / length, y / length, z / length) if length > 0.0 else (0.0, 0.0, 0.0)
-        for f in range(first, last):
-            cosine = min(cosine, dot(axis, get(normal, f, 0)))
-        for j in range(3):
-            found[k, j] = axis[j]
-        found[k, COSINE], found[k, SINE] = cosine, np.sqrt(max(1.0 - cosine * cosine, 0.0))
-    return found
-
-
-@compiled()
-def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-untyped-def]
-    """Mark those of some triangles that overlap another one of them in its plane."""
-    for i in some:
-        n = (normal[i, 0], normal[i, 1], normal[i, 2])
-        for j in some:
-            apart = i == j
-            for v in range(3):
-                apart |= abs(dot(less(corner(corners, j, v), corner(corners, i, 0)), n)) > near
-            # Two triangles are apart if a side of either has the other wholly beyond it.
-            for side in range(6):
-                one, other = (i, j) if side < 3 else (j, i)
-                a, b = corner(corners, one, side % 3), corner(corners, one, (side + 1) % 3)
-                outward = unit(cross(less(b, a), n))
-                if dot(less(corner(corners, one, (side + 2) % 3), a), outward) > 0.0:
-                    outward = (-outward[0], -outward[1], -outward[2])
-                beyond = True
-                for v in range(3):
-                    beyond &= dot(less(corner(corners, other, v), a), outward) > -near
-                apart |= beyond
-            if not apart:
-                found[i] = True
-                break
 
 
 @compiled()
@@ -358,6 +220,14 @@ def narrowed_to_box(x, around, at, own, first, last, free, row, listed):  # type
         listed[end] = k
         end += 1
     return end
+
+
+@compiled()
+def narrowed_to_box_for_both(x, z, around, at, own, first, middle, last, row, listed):  # type: ignore[no-untyped-def]
+    """`narrowed_to_box` of the candidates first … middle towards x and of middle … last towards z, behind the last;
+    returns where they are then."""
+    half_way = narrowed_to_box(x, around, at, own, first, middle, last, row, listed)
+    return last, half_way, narrowed_to_box(z, around, at, own, middle, last, half_way, row, listed)
 
 
 @compiled()

@@ -22,7 +22,8 @@ from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot, evaluate
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less, longest, put
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, Hierarchy, one_of
-from datagen.transport.cells.occlusion import LISTED, Occluders, hidden, lists, shaded
+from datagen.transport.cells.occluders import Occluders
+from datagen.transport.cells.occlusion import LISTED, hidden, lists, shaded
 from datagen.transport.cells.solids import inner_side
 from datagen.transport.sampling import word_of
 

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot
-from datagen.transport.cells.geometry import corner, cross, less
+from datagen.transport.cells.geometry import corner, cross, get, less
 
 NONE, SEVERAL = -1, -2
 """In place of a solid's number: none, and not one alone."""
@@ -118,13 +118,8 @@ def _merged(triangles: Ints, vertices: Floats, part: Ints, near: float) -> tuple
     owner = np.zeros(len(used), np.int64)
     owner[local.reshape(-1)] = np.repeat(part, 3)
     places = np.column_stack([np.rint(vertices[used] / near).astype(np.int64), owner])
-    order = np.lexsort(places.T)
-    new = (np.diff(places[order], axis=0, prepend=places[order[:1]]) != 0).any(axis=1)
-    number = np.empty(len(used), np.int64)
-    number[order] = np.cumsum(new)
-    place = np.empty((int(number.max()) + 1, 3))
-    place[number] = vertices[used]
-    return np.asarray(number[local].reshape(triangles.shape)), place
+    _, one, number = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    return np.asarray(number.reshape(-1)[local].reshape(triangles.shape)), vertices[used[one]]
 
 
 def bounds(solid: Ints, corners: Floats, near: float) -> Floats:
@@ -183,15 +178,13 @@ def pierced(corners, normal, box, children, span, roots, solid, near, found):  #
 @compiled()
 def _meet(corners, normal, f, g, near):  # type: ignore[no-untyped-def]
     """Whether triangles f and g have more in common than they touch: no plane by a side of theirs parts them."""
-    least_f, most_f = _along(corners, f, g, _at(normal, g))
-    least_g, most_g = _along(corners, g, f, _at(normal, f))
+    least_f, most_f = _along(corners, f, g, get(normal, g, 0))
+    least_g, most_g = _along(corners, g, f, get(normal, f, 0))
     in_plane = max(-least_f, most_f, -least_g, most_g) <= near
     if not in_plane and (least_f >= -near or most_f <= near or least_g >= -near or most_g <= near):
         return False
-    for i in range(3):
-        out_f, out_g = cross(_side(corners, f, i), _at(normal, f)), cross(_side(corners, g, i), _at(normal, g))
-        if _apart(corners, f, g, out_f, near) or _apart(corners, f, g, out_g, near):
-            return False
+    if apart_in_plane(corners, normal, f, g, near):
+        return False
     if in_plane:
         return True
     for i in range(3):
@@ -202,8 +195,13 @@ def _meet(corners, normal, f, g, near):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _at(normal, f):  # type: ignore[no-untyped-def]
-    return (normal[f, 0], normal[f, 1], normal[f, 2])
+def apart_in_plane(corners, normal, f, g, near):  # type: ignore[no-untyped-def]
+    """Whether a side of triangle f or g has the other wholly beyond it, but for touching."""
+    for i in range(3):
+        out_f, out_g = cross(_side(corners, f, i), get(normal, f, 0)), cross(_side(corners, g, i), get(normal, g, 0))
+        if _apart(corners, f, g, out_f, near) or _apart(corners, f, g, out_g, near):
+            return True
+    return False
 
 
 @compiled()
