@@ -3,14 +3,17 @@ sources.
 
 numba recompiles a cached function when its own file changes, but not when a function it calls from another file does.
 So each package of kernels drops, when it is imported, caches older than the newest of its sources: the first call
-of a kernel, which loads them, comes later.
+of a kernel, which loads them, comes later. Nor does it know of other processes that are compiling the same: of those
+that start together one compiles a kernel, and the others read it from the cache.
 """
 
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable
-from contextlib import suppress
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
 from types import FunctionType
@@ -18,14 +21,33 @@ from typing import Any, TypeVar, cast
 
 from numba import types
 from numba.core import config
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import make_concrete_template
 
+try:
+    import fcntl
+except ImportError:  # Windows: each process compiles for itself.
+    fcntl = None  # type: ignore[assignment]
+
 F = TypeVar("F", bound=Callable[..., Any])
 
+PATIENCE_S, LOOK_S = 600.0, 0.02
+"""How long a process waits for another one to compile a kernel before it does so itself, and how often it looks."""
 
-class Kernel(CPUDispatcher):
+
+class InnerKernel(CPUDispatcher):
+    """A function that kernels call."""
+
+    def compile(self, sig: Any) -> Any:
+        """Compile for a list of types, or load what was."""
+        # The lock of this process's threads first: they wait for one another in the same order.
+        with global_compiler_lock, _alone(self.py_func.__code__.co_filename):
+            return super().compile(sig)
+
+
+class Kernel(InnerKernel):
     """A function that Python and other kernels call. For each of them it is compiled apart, and only where called:
     Python needs a wrapper that takes its objects apart, of which kernels have no use. For kernels it is compiled once
     for each list of types, not once more for each number that stands in a call: of `corner(a, f, 0)` and
@@ -64,7 +86,45 @@ class Kernel(CPUDispatcher):
         )
         # Its cache is a file of its own: numba names the file so.
         twin.__qualname__ = f"{function.__qualname__}.called_by_kernels"
-        return _compiler(twin, CPUDispatcher, {**self.targetoptions, "no_cpython_wrapper": True})
+        return _compiler(twin, InnerKernel, {**self.targetoptions, "no_cpython_wrapper": True})
+
+
+_files: set[str] = set()
+"""Whose kernels this process is compiling, one within another."""
+
+
+@contextmanager
+def _alone(source: str) -> Iterator[None]:
+    """Wait until no other process compiles a kernel of this file. Kernels of several files are compiled one within
+    another only as the files import each other, which is never in a circle: no two processes wait for each other."""
+    if fcntl is None or source in _files:
+        yield
+        return
+    try:
+        handle = os.open(source, os.O_RDONLY)
+    except OSError:
+        yield
+        return
+    _files.add(source)
+    try:
+        until = time.monotonic() + PATIENCE_S
+        while not _locked(handle) and time.monotonic() < until:
+            time.sleep(LOOK_S)
+        yield
+    finally:
+        _files.remove(source)
+        os.close(handle)
+
+
+def _locked(handle: int) -> bool:
+    """Lock a file until it is closed; False where another process has it. True where files cannot be locked."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def compiled(**options: Any) -> Callable[[F], Dispatcher[F]]:
@@ -81,7 +141,7 @@ def compiled(**options: Any) -> Callable[[F], Dispatcher[F]]:
     return decorated
 
 
-def _compiler(function: Any, kind: type[CPUDispatcher], options: dict[str, Any]) -> CPUDispatcher:
+def _compiler(function: Any, kind: type[InnerKernel], options: dict[str, Any]) -> InnerKernel:
     compiler = kind(function, targetoptions={**options, "no_cfunc_wrapper": True})
     compiler.enable_caching()
     return compiler

@@ -1,14 +1,11 @@
-"""How the tests run: one thread each, the long files first, every kernel compiled once, builds of one worker in the
-test's own process, and without waiting for the disk."""
+"""How the tests run: one thread each, the long files first, builds of one worker in the test's own process, without
+waiting for the disk."""
 
 from __future__ import annotations
 
-import fcntl
 import gc
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -59,42 +56,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     """The collector need not look again and again at what the libraries brought and stays."""
     gc.freeze()
-
-
-@contextmanager
-def _held(lock: Path) -> Iterator[None]:
-    """Wait until no other process holds the lock; it goes with the process that holds it."""
-    with lock.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def a_kernel_is_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A kernel that another test process is compiling is waited for and then read from numba's cache: on a clean
-    clone two processes would otherwise both compile nearly all of them. A kernel's lock is taken before those of the
-    kernels it calls, and none calls itself, so no two processes wait for each other.
-    """
-    from numba.core.caching import NullCache
-    from numba.core.compiler_lock import global_compiler_lock
-    from numba.core.dispatcher import Dispatcher
-
-    base = tmp_path_factory.getbasetemp()
-    locks = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "kernels"
-    locks.mkdir(exist_ok=True)
-    alone = Dispatcher.compile
-
-    def compiled(kernel: Any, signature: Any) -> Any:
-        if isinstance(kernel._cache, NullCache):
-            return alone(kernel, signature)
-        name = f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}".replace("<", "").replace(">", "")
-        # The lock of this process's threads first: they wait for one another in the same order.
-        with global_compiler_lock, _held(locks / name):
-            return alone(kernel, signature)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Dispatcher, "compile", compiled)
-        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

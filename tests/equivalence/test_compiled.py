@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from datagen.compiled import compiled, drop_stale_kernels
+from datagen.compiled import _alone, compiled, drop_stale_kernels
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -49,6 +49,29 @@ def test_numbers_in_a_call_and_variables_are_one_function_and_python_has_its_own
         return first.library.get_pointer_to_function(first.fndesc.llvm_cpython_wrapper_name) != 0
 
     assert wrapped(one_of) and not wrapped(twin)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files are not locked there")
+def test_what_another_process_compiles_is_waited_for_and_read(tmp_path: Path) -> None:
+    (tmp_path / "of_both.py").write_text(
+        "from datagen.compiled import compiled\n@compiled()\ndef twice(x):\n    return 2 * x\n"
+    )
+    code = (
+        "from of_both import twice\n"
+        "print('ready', flush=True)\n"
+        "print(twice(21), sum(twice.stats.cache_hits.values()), sum(twice.stats.cache_misses.values()))"
+    )
+    path, cache = os.pathsep.join([str(tmp_path), str(ROOT)]), tmp_path / "cache"
+    environment = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(cache)}
+    both = []
+    with _alone(str(tmp_path / "of_both.py")):
+        for _ in range(2):
+            one = subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True)
+            assert one.stdout is not None and one.stdout.readline() == "ready\n"
+            both.append(one)
+        with pytest.raises(subprocess.TimeoutExpired):
+            both[0].wait(2)
+    assert sorted(one.communicate()[0] for one in both) == ["42 0 1\n", "42 1 0\n"]
 
 
 def test_division_by_zero_does_not_hang_on_who_calls() -> None:
