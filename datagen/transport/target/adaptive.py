@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -72,10 +73,7 @@ def meet_target(task: WalkTask) -> Estimate:
         if secondary is not None:
             found["secondary"] = _of_secondary(secondary)
     left = tuple(name for name in splits.others if name not in found)
-    known = Known(
-        sum((one.light for one in found.values()), start=np.zeros(task.capture.shape)),
-        sum(one.error for one in found.values()),
-    )
+    known = Known(reduce(np.add, (one.light for one in found.values())), sum(one.error for one in found.values()))
     if left:
         rest = _sampled(replace(task, splits=replace(splits, components=left, parts=())), known)
     else:
@@ -128,13 +126,12 @@ def _joined(task: WalkTask, found: dict[str, _Found], primary: Primary, rest: Es
         fov_samples=dict(rest.spend.fov_samples) | dict.fromkeys(found, 1),
         rounds=rest.spend.rounds, cost=total, outcome=outcome,
     )  # fmt: skip
-    stderr, overflow = rest.stderr, rest.overflow
-    for one in found.values():
-        norm = l2_norm(one.light)
-        stderr = np.hypot(stderr, one.error / norm * one.light if norm > 0.0 else 0.0)
-        overflow = overflow + one.overflow
+    norms = [l2_norm(one.light) or 1.0 for one in found.values()]
+    errors = [one.error / norm * one.light for one, norm in zip(found.values(), norms, strict=True)]
+    overflow = reduce(np.add, [rest.overflow, *(one.overflow for one in found.values())])
     return Estimate(
-        components, dict(zip(task.splits.parts, primary.rows, strict=False)), stderr, overflow, spend,
+        components, dict(zip(task.splits.parts, primary.rows, strict=False)),
+        reduce(np.hypot, [rest.stderr, *errors] if rest.components else errors), overflow, spend,
         rest.error_bound, rest.met_target and told, dict(primary.part_errors),
     )  # fmt: skip
 
