@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time as clock_time
 from dataclasses import replace
+from functools import cache, partial
 from warnings import warn
 
 import numpy as np
@@ -131,7 +132,7 @@ def prepared(
     task = WalkTask(
         scene, capture, accuracy, caster, materials, cones,
         PixelPatches.of(caster, capture.sensor, cones, accuracy.fov_samples), points,
-        AreaTarget.choose(caster, scene, materials, points, seed), seed, splits,
+        cache(partial(AreaTarget.choose, caster, scene, materials, points, seed)), seed, splits,
         ClearSight.of(caster, capture.sensor, accuracy.occlusion, *_connections(capture, accuracy)),
         _walked(accuracy, materials),
     )  # fmt: skip

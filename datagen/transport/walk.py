@@ -6,6 +6,7 @@ orders but saves their connections, which are most of its cost.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -110,7 +111,8 @@ class WalkTask:
     cones: PixelCones
     patches: PixelPatches
     points: LaserPoints
-    target: AreaTarget
+    aim: Callable[[], AreaTarget]
+    """What lookins are aimed at, for which rays are traced, once they are drawn: cells draw none."""
     seed: int
     splits: Splits
     sight: ClearSight
@@ -162,7 +164,7 @@ def trace_chunk(task: WalkTask, chunk: Ints, pool: FovPool, count: int, streams:
     if asked == ("direct",):
         return receiver.tally, Work(rays, connections, receiver.tally.histogram.size)
     vertices = ends.draw_lookins(
-        task.caster, task.scene, task.materials, task.points, chunk, count, task.target, streams,
+        task.caster, task.scene, task.materials, task.points, chunk, count, task.aim(), streams,
         SOBOL_STEPS + 1 if last is None else last - 2,
     )  # fmt: skip
     rays += count * len(chunk)
