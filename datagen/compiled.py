@@ -33,7 +33,7 @@ except ImportError:  # Windows: each process compiles for itself.
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-PATIENCE_S, LOOK_S = 600.0, 0.02
+PATIENCE_S, LOOK_S = 120.0, 0.02
 """How long a process waits for another one to compile a kernel before it does so itself, and how often it looks."""
 
 
@@ -113,6 +113,9 @@ def _alone(source: str) -> Iterator[None]:
         yield
     finally:
         _files.remove(source)
+        # Closing would not do where a child was forked meanwhile.
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_UN)
         os.close(handle)
 
 

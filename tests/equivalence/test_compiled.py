@@ -74,6 +74,23 @@ def test_what_another_process_compiles_is_waited_for_and_read(tmp_path: Path) ->
     assert sorted(one.communicate()[0] for one in both) == ["42 0 1\n", "42 1 0\n"]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="files are not locked there")
+def test_who_compiles_for_too_long_is_waited_for_no_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import fcntl
+
+    monkeypatch.setattr("datagen.compiled.PATIENCE_S", 0.1)
+    source = tmp_path / "kernels.py"
+    source.touch()
+    with source.open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with _alone(str(source)), _alone(str(source)), _alone(str(tmp_path / "not there.py")):
+            pass
+    with _alone(str(source)), source.open() as wanted, pytest.raises(BlockingIOError):
+        fcntl.flock(wanted, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    with source.open() as wanted:
+        fcntl.flock(wanted, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
 def test_division_by_zero_does_not_hang_on_who_calls() -> None:
     assert ratio_for_another(1.0, 0.0) == np.inf == ratio(1.0, 0.0)
 
