@@ -40,6 +40,7 @@ SCHEMA_VERSIONS = {
     "choice of cells)",
     11: "datagen 0.12: with a target a seed yields light of other last digits, of large pixels other light within "
     "its errors; transport.spend.cost is less, by rays",
+    12: "datagen 0.13: transport.spend.cost is less where surfaces lie on each other, by rays; nothing else differs",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
 
@@ -83,3 +84,23 @@ def test_the_error_of_very_little_light(exponent: int) -> None:
         factors.append(bound_factor([Scatter(scale**2, 3.0, 8), Scatter(0.5 * scale**2, 20.0, 8)]))
     assert freedoms[0] == freedoms[1] > 5
     assert factors[0] == factors[1] > 1
+
+
+def test_bright_triangles_under_dark_ones_are_proven_hidden() -> None:
+    """Cells on which other triangles lie were cut as finely as the light of what covers them asked, for nothing that
+    lies on them was a proof: under what is a thousand times darker until cells were given up, a billion times for
+    minutes."""
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.4)
+    ball.apply_translation((0.2, 0.1, 1.0))
+    both = [Part(name, ball, Lambertian(albedo), "object") for name, albedo in (("under", 0.5), ("over", 0.0005))]
+    wall = Part("wall", rectangle((0, 0, 0), (1.5, 0, 0), (0, 1.5, 0)), Lambertian(0.8), "relay_wall")
+    points = np.array([[0.3, 0.2, 0.0], [-0.6, 0.4, 0.0]])
+    capture = Capture(
+        Laser((0, 0, 2.0), points), Sensor((0, 0, 2.0), square_pixels(points, 0.02)), bins_of_path(32, 0.1, 0.0),
+        pairing="confocal",
+    )  # fmt: skip
+    found = simulate(Scene.from_parts([wall, *both]), capture, Accuracy(target=0.02, max_bounces=3), seed=0)
+    alone = simulate(Scene.from_parts([wall, both[1]]), capture, Accuracy(target=0.02, max_bounces=3), seed=0)
+    assert found.spend.way == {"primary": "cells"} and found.spend.cost < 1e6
+    assert found.parts["under"].sum() == 0.0 < found.parts["over"].sum()
+    np.testing.assert_allclose(found.total.sum(), alone.total.sum(), rtol=0.02)

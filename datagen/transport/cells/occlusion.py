@@ -132,8 +132,7 @@ def shaded(x, a, b, c, of, first, last, row, listed):  # type: ignore[no-untyped
     before = hidden(x, a, of, first, last, row, listed)
     if before == 0:
         return False
-    end = 1.0 - TOUCHING
-    return _crosses(x, less(b, x), row, before, end) and _crosses(x, less(c, x), row, before, end)
+    return _stands_between(x, less(b, x), of, before, row) and _stands_between(x, less(c, x), of, before, row)
 
 
 @compiled(forceinline=True)
