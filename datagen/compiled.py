@@ -26,10 +26,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import make_concrete_template
 
-try:
-    import fcntl
-except ImportError:  # Windows: each process compiles for itself.
-    fcntl = None  # type: ignore[assignment]
+from datagen.locks import locked, unlock
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -97,7 +94,7 @@ _files: set[str] = set()
 def _alone(source: str) -> Iterator[None]:
     """Wait until no other process compiles a kernel of this file. Kernels of several files are compiled one within
     another only as the files import each other, which is never in a circle: no two processes wait for each other."""
-    if fcntl is None or source in _files:
+    if source in _files:
         yield
         return
     try:
@@ -108,26 +105,13 @@ def _alone(source: str) -> Iterator[None]:
     _files.add(source)
     try:
         until = time.monotonic() + PATIENCE_S
-        while not _locked(handle) and time.monotonic() < until:
+        while not locked(handle, otherwise=True) and time.monotonic() < until:
             time.sleep(LOOK_S)
         yield
     finally:
         _files.remove(source)
-        # Closing would not do where a child was forked meanwhile.
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_UN)
+        unlock(handle)
         os.close(handle)
-
-
-def _locked(handle: int) -> bool:
-    """Lock a file until it is closed; False where another process has it. True where files cannot be locked."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
-    return True
 
 
 def compiled(**options: Any) -> Callable[[F], Dispatcher[F]]:

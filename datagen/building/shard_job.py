@@ -13,6 +13,7 @@ from datagen.building.engines import Terminated
 from datagen.building.time_limit import Overtime, limited
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
+from datagen.locks import locked
 from datagen.records import Sample
 from datagen.store import (
     DatasetReader,
@@ -25,7 +26,6 @@ from datagen.store import (
     write_shard,
 )
 from datagen.store.environment import made_with, mixed, together
-from datagen.store.files import locked
 
 LOCK_PATIENCE_S = 10.0
 """How long to wait for another writer of the same shard, such as an orphan of a killed build about to notice."""

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO, TypeVar
 import pydantic
 
 from datagen.errors import InputError
+from datagen.locks import locked
 from datagen.store.open_files import size_of, sized, too_many
 from datagen.store.places import Place
 
@@ -76,23 +77,6 @@ def clear_partials(folder: Path) -> None:
     for trial in folder.glob(f"{TRIAL}*"):
         with contextlib.suppress(OSError):
             trial.rmdir()
-
-
-def locked(handle: int, otherwise: bool) -> bool:
-    """Lock an open file until it is closed, or its process ends; False where another process holds it, and
-    `otherwise` where the file system has no locks.
-    """
-    try:
-        import fcntl
-    except ImportError:
-        return otherwise
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return otherwise
-    return True
 
 
 def bytes_below(folder: Path) -> int:
