@@ -24,7 +24,7 @@ from datagen.transport.cells.gathering import Gathering, lobe_width
 from datagen.transport.cells.trial import Asked, Trial, choose, quarter
 from datagen.transport.walk import WalkTask
 
-NARROWEST_RAD = 0.1
+NARROWEST_RAD = 0.0
 """Width of a BRDF's lobe under which the walk, which aims at lobes, is the better way."""
 
 

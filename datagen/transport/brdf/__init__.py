@@ -7,7 +7,7 @@ the surface receives nothing (no transmission).
 
 from datagen.transport.brdf.albedo import albedo
 from datagen.transport.brdf.directions import Vector, cosine_directions, dot, in_frame_of, sample_cosine
-from datagen.transport.brdf.models import evaluate, pdf, sample
+from datagen.transport.brdf.models import evaluate, evaluate_at_most, pdf, sample
 from datagen.transport.brdf.table import (
     GGX_LOBE,
     LAMBERTIAN,
@@ -31,6 +31,7 @@ __all__ = [
     "cosine_directions",
     "dot",
     "evaluate",
+    "evaluate_at_most",
     "in_frame_of",
     "pdf",
     "sample",

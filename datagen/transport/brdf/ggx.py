@@ -133,12 +133,33 @@ def multiple_share(f0: float, mean: float) -> float:
 @compiled()
 def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
+    to_facet, facets = _facet_and_density(values[1], w_in, w_out, cos_in, cos_out)
+    return _of_facets(values, to_facet, facets, cos_in, cos_out)
+
+
+@compiled()
+def _of_facets(values: Floats, to_facet: float, facets: float, cos_in: float, cos_out: float) -> float:
+    """The BRDF, 1/sr, where facets of density `facets` mirror the light at an angle whose cosine is `to_facet`."""
     alpha, f0, mean = values[1], values[2], values[3]
-    to_facet, facets = _facet_and_density(alpha, w_in, w_out, cos_in, cos_out)
     masking = 0.5 / (cos_out * _smith_root(alpha, cos_in) + cos_in * _smith_root(alpha, cos_out))
     lost = (1.0 - tabulated(values, cos_in)) * (1.0 - tabulated(values, cos_out))
     multiple = multiple_share(f0, mean) * lost / (math.pi * (1.0 - mean)) if mean < 1.0 else 0.0
     return float(values[0] * (_schlick(f0, to_facet) * facets * masking + multiple))
+
+
+@compiled()
+def at_most(
+    values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
+) -> float:
+    """`models.evaluate_at_most`: the half vector turns by the sum of what its two directions turn, over the length
+    of their sum."""
+    alpha = values[1]
+    sum_length = math.sqrt(max(2.0 + 2.0 * dot(w_in, w_out), 1e-12))
+    facet_angle = math.acos(min((cos_in + cos_out) / sum_length, 1.0)) - turn / sum_length - tilt
+    facet_cos = math.cos(min(max(facet_angle, 0.0), 0.5 * math.pi))
+    spread = facet_cos * facet_cos * (alpha * alpha - 1.0) + 1.0
+    facets = alpha * alpha / (math.pi * spread * spread)
+    return _of_facets(values, 0.5 * sum_length - 0.5 * turn, facets, cos_in, cos_out)
 
 
 @compiled()

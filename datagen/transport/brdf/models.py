@@ -36,6 +36,23 @@ def evaluate(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) 
 
 
 @compiled(inline="always")
+def evaluate_at_most(
+    kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector, turn: float, tilt: float
+) -> float:
+    """The largest BRDF, 1/sr, of a piece of surface, though no direction that was tried may meet its lobe.
+
+    turn : by how much the directions of incidence and exitance deviate from `w_in` and `w_out` over the piece, both
+        together, rad. tilt : by how much its normals deviate from `n`, rad.
+
+    A bound for Phong's and retroreflectors' lobes and for facets (GGX) but for their cosines, which vary slowly; what
+    `evaluate` gives for a rough matt surface, which has no lobe. 0 where either direction is below the surface.
+    """
+    if kind == LAMBERTIAN:
+        return evaluate(kind, values, n, w_in, w_out)
+    return _other_at_most(kind, values, n, w_in, w_out, turn, tilt)
+
+
+@compiled(inline="always")
 def pdf(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
     """Density per solid angle with which `sample` draws `w_out` given `w_in`, 1/sr; 0 below the surface.
 
@@ -71,6 +88,24 @@ def _evaluate_other(
     if kind == GGX_LOBE:
         return ggx.evaluate(values, w_in, w_out, cos_in, cos_out)
     return retroreflector.evaluate(values, w_in, w_out, cos_in, cos_out)
+
+
+@compiled()
+def _other_evaluated_at_most(
+    kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector, turn: float, tilt: float
+) -> float:
+    cos_in, cos_out = dot(n, w_in), dot(n, w_out)
+    if cos_in <= 0.0 or cos_out <= 0.0:
+        return 0.0
+    if kind == SIN_LOBE:
+        return sin_lobe.at_most(values, n, w_in, w_out, turn, tilt)
+    if kind == PHONG:
+        return phong.at_most(values, w_in, w_out, cos_in, cos_out, turn, tilt)
+    if kind == OREN_NAYAR:
+        return oren_nayar.evaluate(values, w_in, w_out, cos_in, cos_out)
+    if kind == GGX_LOBE:
+        return ggx.at_most(values, w_in, w_out, cos_in, cos_out, turn, tilt)
+    return retroreflector.at_most(values, w_in, w_out, cos_in, cos_out, turn)
 
 
 @compiled()
@@ -120,5 +155,6 @@ def _unless_lambertian(answer: Callable[P, R], otherwise: Callable[..., R]) -> C
 
 
 _other_brdf = _unless_lambertian(_evaluate_other, lambda kind, *arguments: 0.0)
+_other_at_most = _unless_lambertian(_other_evaluated_at_most, lambda kind, *arguments: 0.0)
 _other_pdf = _unless_lambertian(_pdf_other, lambda kind, *arguments: 0.0)
 _other_sample = _unless_lambertian(_sample_other, lambda kind, values, n, *arguments: n)

@@ -19,6 +19,20 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
 
 
 @compiled()
+def at_most(
+    values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
+) -> float:
+    """`models.evaluate_at_most`: the mirror direction turns twice as far as the normal."""
+    exponent, specular = values[1], values[2]
+    from_mirror = 2.0 * cos_in * cos_out - dot(w_in, w_out)
+    angle = math.acos(min(max(from_mirror, -1.0), 1.0)) - turn - 2.0 * tilt
+    lobe = (exponent + 2.0) / (2.0 * math.pi)
+    if angle > 0.0:
+        lobe *= math.cos(angle) ** exponent if angle < 0.5 * math.pi else 0.0
+    return float(values[0] * (specular * lobe + (1.0 - specular) / math.pi))
+
+
+@compiled()
 def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     exponent, specular = values[1], values[2]

@@ -6,7 +6,7 @@ import math
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats
-from datagen.transport.brdf.directions import Vector, around, sample_cosine
+from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
 
 
 def concentration(half_width_rad: float) -> float:
@@ -29,6 +29,15 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
     retro = values[2]
     lobe = density(values[1], w_in, w_out) / max(cos_in, cos_out)
     return float(values[0] * (retro * lobe + (1.0 - retro) / math.pi))
+
+
+@compiled()
+def at_most(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float) -> float:
+    """`models.evaluate_at_most`: the lobe knows no normal."""
+    kappa, retro = values[1], values[2]
+    angle = max(math.acos(min(max(dot(w_in, w_out), -1.0), 1.0)) - turn, 0.0)
+    lobe = kappa / (2.0 * math.pi * -math.expm1(-2.0 * kappa)) * math.exp(-2.0 * kappa * math.sin(0.5 * angle) ** 2)
+    return float(values[0] * (retro * lobe / max(cos_in, cos_out) + (1.0 - retro) / math.pi))
 
 
 @compiled()

@@ -35,6 +35,17 @@ def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
 
 
 @compiled()
+def at_most(values: Floats, n: Vector, w_in: Vector, w_out: Vector, turn: float, tilt: float) -> float:
+    """`models.evaluate_at_most`: an azimuth turns by the angle over the sine of the polar one."""
+    axis, away = (values[1], values[2], values[3]), turn + tilt
+    both = 1.0
+    for w in (w_in, w_out):
+        polar = math.sqrt(max(1.0 - dot(w, n) ** 2, 0.0))
+        both *= min(azimuth_sine(axis, n, w) + away / max(polar, 1e-6), 1.0)
+    return float(0.5 * values[0] * both)
+
+
+@compiled()
 def pdf(values: Floats, n: Vector, cos_out: float, w_out: Vector) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     return 0.5 * cos_out * azimuth_sine((values[1], values[2], values[3]), n, w_out)

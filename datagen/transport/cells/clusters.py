@@ -38,10 +38,10 @@ def is_small(around, at, x, z, most, allowed, attenuation):  # type: ignore[no-u
 
 
 @compiled()
-def as_one(moment, k, x, z, sides, diffuse, limit, per_metre):  # type: ignore[no-untyped-def]
+def as_one(moment, k, x, z, sides, diffuse, keen, per_metre):  # type: ignore[no-untyped-def]
     """A cluster as one cell, all of it at the middle of its light.
 
-    limit : largest cell, relative to its distance. per_metre : bins.
+    keen : 1/width² of the narrowest lobe on the path. per_metre : bins.
 
     Returns that place; a normal there, and what to multiply its light with; the error that this has beside that of a
     triangle's cell, relative to the light; the size that a triangle's longest side would have; by how much the mean
@@ -87,11 +87,13 @@ def as_one(moment, k, x, z, sides, diffuse, limit, per_metre):  # type: ignore[n
     tilt = (facing + nearer if near else facing) / (dot(d1, n) * dot(d3, n))
     h, apart = math.sqrt(18.0 * trace), math.sqrt(6.0 * variance)
     # Normals go with place; light need not come as a triangle's; and what is not diffuse changes with the normal.
-    lacking, scale, wide = moment[k, 19], (COARSEST / limit) ** 2, 2.0 * apart * per_metre
+    lacking, wide = moment[k, 19], 2.0 * apart * per_metre
+    turned = math.sqrt(lacking) * (h / r1 + h / r3)
+    lobe = 0.0 if diffuse else min(keen * lacking, 1.0)
     unlike = (
-        doubt + scale * math.sqrt(lacking) * (h / r1 + h / r3) + UNLIKE * min(1.0, wide * wide) + CLUTTERED * lacking
+        doubt + min(keen * turned, max(turned, 1.0)) + UNLIKE * min(1.0, wide * wide) + CLUTTERED * lacking + lobe
     )
-    return place, n, tilt, unlike if diffuse else unlike + scale * lacking, h, longer, apart
+    return place, n, tilt, unlike, h, longer, apart
 
 
 @compiled()

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from datagen.records.arrays import Bools, Floats, Ints
-from datagen.records.materials import GGX, Material, Phong, Retroreflector
-from datagen.transport.cells.clusters import COARSEST
+from datagen.records.materials import GGX, Lambertian, Material, Phong, Retroreflector
 from datagen.transport.cells.hierarchy import Hierarchy
 from datagen.transport.cells.light import AT_ONCE, gather, room_to_gather
 from datagen.transport.cells.occluders import Occluders
@@ -47,15 +46,15 @@ class Cutting(NamedTuple):
     Attributes
     ----------
     error : (K,) L2 error in a histogram, in photons, up to which a cell of each part is left as it is.
-    coarsest : (K,) largest cell of each part, relative to its distance.
-    peak : (K,) largest value of each part's BRDF, 1/sr.
+    sharp : (K,) 1/width² of each part's narrowest lobe, 1 for a matt surface.
+    peak : (K,) largest value of each part's BRDF, 1/sr, but for its cosines.
     rays_on_last_leg : whether it is asked what stands between a cell and the pixel.
     proofs : whether rays are saved where it is proven that nothing can stand in their way.
     seed : (K,) of the points of each part that stand for clusters of small triangles.
     """
 
     error: Floats
-    coarsest: Floats
+    sharp: Floats
     peak: Floats
     rays_on_last_leg: bool
     proofs: bool
@@ -114,7 +113,6 @@ class Gathering:
     clock: Clock
     width: Floats
     """(K,) rad, half width of the narrowest lobe of each part."""
-    coarsest: Floats
     peak: Floats
     at_edge: Bools
     """(P,) pixels that see more than one surface, or past one."""
@@ -132,14 +130,13 @@ class Gathering:
             per_metre, start, axis.origin == "source", air, start / per_metre, (start + axis.bins) / per_metre
         )
         width = np.array([lobe_width(material) for material in task.scene.materials])
-        seen = width[np.unique(points.part[points.part >= 0])].min(initial=1.0)
-        peak = task.materials.values[:, 0] / (math.pi * width**2)
+        lobes = np.array([not isinstance(material, Lambertian) for material in task.scene.materials])
+        peak = task.materials.values[:, 0] / math.pi * (1.0 / width**2 + lobes)
         tree = Hierarchy.of(task.scene)
         past = np.isinf(task.patches.radius)
         at_edge = past | at_edges(task.caster, task.scene, task.capture.sensor, task.cones)
         return cls(
-            task, tree, Occluders.of(task.scene, tree), lasers, clock, width, COARSEST * np.minimum(width, seen),
-            peak, at_edge,
+            task, tree, Occluders.of(task.scene, tree), lasers, clock, width, peak, at_edge,
         )  # fmt: skip
 
     def levels(self) -> int:
@@ -180,7 +177,7 @@ class Gathering:
         overflow, work = np.zeros(len(histogram)), np.zeros((parts, 2), np.int64)
         seed = stream_seeds(task.seed, CLUSTER_STREAM, 0, np.zeros(parts, np.int64) if draw is None else draw)
         cutting = Cutting(
-            error, self.coarsest, self.peak, task.accuracy.occlusion != "off",
+            error, 1.0 / self.width**2, self.peak, task.accuracy.occlusion != "off",
             task.accuracy.occlusion == "auto", seed.astype(np.int64),
         )  # fmt: skip
         room = room_to_gather()

@@ -13,10 +13,10 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.brdf import LAMBERTIAN, dot
+from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, dot
 from datagen.transport.cells.arrival import spread, widened
 from datagen.transport.cells.clear import put_clear, room_for_clear, spread_clear
-from datagen.transport.cells.clusters import anywhere, as_one, is_small
+from datagen.transport.cells.clusters import COARSEST, anywhere, as_one, is_small
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST
 from datagen.transport.cells.occlusion import LISTED, RING, hidden, lists, narrowed, narrowed_to_box_for_both, shaded
@@ -35,7 +35,7 @@ from datagen.transport.cells.waiting import (
     put_vertex,
     vertex_of,
 )
-from datagen.transport.cells.weights import brightest, judged, outside, smear, weight
+from datagen.transport.cells.weights import brightest, judged, outside, smear, weight, weight_at_most
 from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 0.5, 0.05
@@ -122,7 +122,7 @@ def gather(  # type: ignore[no-untyped-def]
     )  # fmt: skip
     most3, leg3, size3, across3 = patches.most, patches.leg, patches.size, patches.across
     uneven3, quarters3 = patches.uneven, patches.quarters
-    allowed, coarsest, peak = cutting.error, cutting.coarsest, cutting.peak
+    allowed, sharp, peak = cutting.error, cutting.sharp, cutting.peak
     last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
     per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
     opens, closes = clock.opens, clock.closes
@@ -152,7 +152,7 @@ def gather(  # type: ignore[no-untyped-def]
             while top > 0 or alight > 0:
                 if top == 0:
                     alight, more, beyond, top = spread_clear(
-                        clear, alight, batch, cuts, normal, x, n1, lit, leg1[i], p, patches, coarsest[k], allowed[k],
+                        clear, alight, batch, cuts, normal, x, n1, lit, leg1[i], p, patches, allowed[k],
                         clock, AT_ONCE, SMALLEST * extent, histogram, into, tag, cell, free,
                     )  # fmt: skip
                     cells, overflow[into] = cells + more, overflow[into] + beyond
@@ -167,6 +167,7 @@ def gather(  # type: ignore[no-untyped-def]
                     continue
                 z, n3 = corner(position3, p, q), corner(normal3, p, q)
                 seen_from = (z, n3, corner(to_sensor3, p, q), kind[k3], values[k3])
+                keen, tilt = max(sharp[k1], sharp[k], sharp[k3]), 0.0
                 share, size, footprint = cell[top, 16], size3[p, q], footprint3[p, q]
                 gain = lit * weight3[p, q] * share
                 few = halve = alone = cut = False
@@ -216,11 +217,19 @@ def gather(  # type: ignore[no-untyped-def]
                         # The other side does not light the patch's middle; it may light parts of a large one.
                         if sides < 0 and not quarters:
                             continue
-                        alone = sides > 0 or (sides == 0 and diffuse)
+                        # One normal cannot stand for many where a lobe goes with each of them.
+                        alone = (sides > 0 and (diffuse or kind2 == OREN_NAYAR)) or (sides == 0 and diffuse)
                         alone = alone and dot(less(m, x), n1) > h and dot(less(m, z), n3) > h
                     if many and not alone:
                         at_most = gain * peak[k1] * peak[k] * peak[k3] * area
                         small, near3 = is_small(around, at, x, z, at_most, allowed[k], attenuation)
+                        if sides > 0 and not small:
+                            tilt = math.acos(max(cosine, -1.0))
+                            at_most = gain * area * weight_at_most(
+                                m, axis, kind2, values2, lit_from, seen_from, footprint, attenuation, 2.0 * h, size,
+                                tilt,
+                            )  # fmt: skip
+                            small = at_most <= allowed[k] and 2.0 * h <= COARSEST * near3
                         quarter = small and quarters and size > 0.3 * near3
                         if small and not quarter:
                             word = word_of(seed, row[pair], 8 * at)
@@ -243,10 +252,11 @@ def gather(  # type: ignore[no-untyped-def]
                             continue
                 if not quarter and (alone or what != BOX):
                     if alone:
-                        m, n, tilt, unlike, h, longer, apart = as_one(
-                            moment, cluster[at], x, z, sides, diffuse, coarsest[k], per_metre
+                        m, n, facing, unlike, h, longer, apart = as_one(
+                            moment, cluster[at], x, z, sides, diffuse, keen, per_metre
                         )
                         f, side, a, b, c, height1, height3 = at, 0, m, m, m, 1.0, 1.0
+                        tilt = math.acos(max(cosine, -1.0))
                     else:
                         f, n = at, get(normal, at, 0)
                         if highest_above(cell, top, x, n1) <= 0.0 or highest_above(cell, top, z, n3) <= 0.0:
@@ -270,13 +280,19 @@ def gather(  # type: ignore[no-untyped-def]
                         m, side, h = middle_of(cell, top)
                     wm, r1, r3 = weight(m, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
                     if alone:
-                        wm *= tilt
+                        wm *= facing
                         cell[top, 15] = area
                         for j in range(3):
                             put_vertex(cell, top, j, m, wm, r1 + r3 + 4.0 * longer + (j - 1.0) * apart)
+                    bright = wm
+                    if kind[k1] != LAMBERTIAN or kind2 != LAMBERTIAN or kind[k3] != LAMBERTIAN:
+                        # A lobe that no point of the cell meets may cross it all the same: it is not dark for that.
+                        bright = max(wm, weight_at_most(
+                            m, n, kind2, values2, lit_from, seen_from, footprint, attenuation, h, size, tilt
+                        ))  # fmt: skip
                     unseen = outside(cell[top, 4], cell[top, 9], cell[top, 14], r1 + r3, device, size, opens, closes)
                     cut, quarter, over, bend = judged(
-                        cell, top, h, wm, r1, r3, gain, footprint, size, coarsest[k], allowed[k], quarters, per_metre,
+                        cell, top, h, bright, r1, r3, gain, footprint, size, keen, allowed[k], quarters, per_metre,
                         attenuation, unseen,
                     )  # fmt: skip
                     if alone:

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from datagen.compiled import compiled
-from datagen.transport.brdf import dot, evaluate
+from datagen.transport.brdf import dot, evaluate, evaluate_at_most
 from datagen.transport.cells.clusters import COARSEST, UNLIKE
 from datagen.transport.cells.geometry import air, distance, less
 
@@ -53,6 +53,38 @@ def weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation):  
 
 
 @compiled()
+def weight_at_most(  # type: ignore[no-untyped-def]
+    y, n, kind2, values2, lit_from, seen_from, footprint, attenuation, h, size, tilt
+):  # fmt: skip
+    """The largest w that the BRDFs allow within a cell about y that is h long, seen from a patch of some size.
+
+    Lobes that none of the cell's points meets may still cross it: the directions to its ends turn by h/R₁ and
+    (h + size)/R₂ over it, and its normals deviate from n by up to `tilt`, rad. All else of w is that of y.
+    """
+    x, n1, to_laser, kind1, values1 = lit_from
+    z, n3, to_sensor, kind3, values3 = seen_from
+    d1, d3 = less(y, x), less(y, z)
+    square1, square3 = dot(d1, d1), dot(d3, d3)
+    r1, r3 = math.sqrt(square1), math.sqrt(square3)
+    up1, up3 = dot(d1, n1), dot(d3, n3)
+    in2, out2 = -dot(d1, n), -dot(d3, n)
+    if up1 <= 0.0 or up3 <= 0.0 or in2 * out2 <= 0.0:
+        return 0.0
+    if in2 < 0.0:
+        n = (-n[0], -n[1], -n[2])
+    per1, per3 = 1.0 / r1, 1.0 / r3
+    w1, w3 = (d1[0] * per1, d1[1] * per1, d1[2] * per1), (d3[0] * per3, d3[1] * per3, d3[2] * per3)
+    turn1, turn3 = h * per1, (h + size) * per3
+    f1 = evaluate_at_most(kind1, values1, n1, to_laser, w1, turn1, 0.0)
+    f2 = evaluate_at_most(
+        kind2, values2, n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]), turn1 + turn3, tilt
+    )  # fmt: skip
+    f3 = evaluate_at_most(kind3, values3, n3, w3, to_sensor, turn3, 0.0)
+    w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
+    return w * air(attenuation, r1 + r3)
+
+
+@compiled()
 def outside(at_a, at_b, at_c, middle, legs, size, start, stop):  # type: ignore[no-untyped-def]
     """Whether all of a cell's light comes before a window or after it. All in metres of path: by way of its vertices
     and its middle, of the legs to the device, the size of its patch, of the window.
@@ -66,23 +98,26 @@ def outside(at_a, at_b, at_c, middle, legs, size, start, stop):  # type: ignore[
 
 @compiled()
 def judged(  # type: ignore[no-untyped-def]
-    cell, k, h, wm, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre, attenuation, unseen
+    cell, k, h, bright, r1, r3, gain, footprint, size, keen, allowed, quarters, per_metre, attenuation, unseen
 ):  # fmt: skip
-    """`verdict` of waiting cell k, with wm at its middle."""
-    w = max(wm, cell[k, 3], cell[k, 8], cell[k, 13])
+    """`verdict` of waiting cell k, whose w is at most `bright` as far as its middle tells."""
+    w = max(bright, cell[k, 3], cell[k, 8], cell[k, 13])
     return verdict(
-        cell[k, 4], cell[k, 9], cell[k, 14], cell[k, 15], w, h, r1, r3, gain, footprint, size, limit, allowed,
+        cell[k, 4], cell[k, 9], cell[k, 14], cell[k, 15], w, h, r1, r3, gain, footprint, size, keen, allowed,
         quarters, per_metre, attenuation, unseen,
     )  # fmt: skip
 
 
 @compiled()
 def verdict(  # type: ignore[no-untyped-def]
-    at_a, at_b, at_c, area, w, h, r1, r3, gain, footprint, size, limit, allowed, quarters, per_metre,
+    at_a, at_b, at_c, area, w, h, r1, r3, gain, footprint, size, keen, allowed, quarters, per_metre,
     attenuation, unseen,
 ):  # fmt: skip
     """What becomes of a cell, h long, with paths at_a, at_b and at_c by way of its vertices, R₁ and R₂ by way of its
-    middle and at most w at these, seen from a patch of some size; `unseen` if it is `outside` the window.
+    middle and at most w anywhere, seen from a patch of some size; `unseen` if it is `outside` the window.
+
+    keen : 1/width² of the narrowest lobe on the path, 1 if all its surfaces are matt. What a lobe makes of a cell is
+        never more wrong than all its light.
 
     Returns whether it is cut; whether the patch is quartered first; the L2 error if its light should be missing
     (infinite where that was not asked); and how far its arrival times are bent.
@@ -91,16 +126,18 @@ def verdict(  # type: ignore[no-untyped-def]
     # over many cells need no branches.
     per_metre = 0.0 if unseen else per_metre
     ratio1, ratio3, ratio_z = h / r1, h / math.sqrt(r3 * r3 + footprint / math.pi), size / r3
-    patch_first = (ratio_z > limit) & quarters & (size > 0.5 * h)
-    near = (not patch_first) & (max(ratio1, ratio3) > limit)
+    patch_first = (ratio_z > COARSEST) & quarters & (size > 0.5 * h)
+    near = (not patch_first) & (max(ratio1, ratio3) > COARSEST)
     bend = (at_a + at_b + at_c) / 3 - (r1 + r3)
     longer = max(at_a, at_b, at_c) - min(at_a, at_b, at_c)
     width, haze = max(1.0, longer * per_metre), attenuation * longer
     over = gain * area * w / math.sqrt(width)
     allowed = max(allowed, OUTSIDE * over) if unseen else allowed
-    curved = (COARSEST / limit) ** 2 * (ratio1 * ratio1 + ratio3 * ratio3 + haze * haze) + bend * per_metre / width
+    across = ratio1 * ratio1 + ratio3 * ratio3 + haze * haze
+    curved = min(keen * across, max(across, 1.0)) + bend * per_metre / width
     blurred = SMEARED * size * per_metre / width
-    smeared = ratio_z * ratio_z + min(blurred * blurred * (blurred * blurred), UNLIKE)
+    seen_across = ratio_z * ratio_z
+    smeared = min(keen * seen_across, max(seen_across, 1.0)) + min(blurred * blurred * (blurred * blurred), UNLIKE)
     asked = not (patch_first | near)
     quarter = patch_first | (asked & quarters & (over * smeared > BLURRED * allowed))
     cut = near | (asked & (not quarter) & (over * curved > allowed))
