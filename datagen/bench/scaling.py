@@ -172,10 +172,10 @@ def error_against_cell_size() -> str:
     points = grid_points(WALL, 4, 4)
     capture = point_capture(WALL, points, DEVICE, points, path_axis(512, 0.03, 0.0), confocal=True)
     gathering = Gathering.of(prepared(empty_room(), capture, Accuracy(), 0, split_parts=False))
-    pairs, parts = pairs_of(gathering.task), len(gathering.coarsest)
+    pairs, parts = pairs_of(gathering.task), len(gathering.peak)
     cells, found = list[int](), list[NDArray[np.float64]]()
     for size in (*CELL_SIZES, CELL_SIZES[-1] / 2):
-        sized = replace(gathering, coarsest=np.full(parts, size))
+        sized = replace(gathering, coarsest=size)
         # An error that no cell can make: its size alone decides.
         light = sized.gathered(pairs, sized.seen(pairs, 0), np.full(parts, 1e300), np.zeros(parts, np.int64))
         cells.append(int(light.cells.sum()) // len(pairs))

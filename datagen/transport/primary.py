@@ -20,12 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.cells.gathering import Gathering, lobe_width
+from datagen.transport.cells.gathering import Gathering
 from datagen.transport.cells.trial import Asked, Trial, choose, quarter
 from datagen.transport.walk import WalkTask
-
-NARROWEST_RAD = 0.0
-"""Width of a BRDF's lobe under which the walk, which aims at lobes, is the better way."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +44,6 @@ class Primary:
     part_errors: Mapping[str, float]
     cells: int
     rays: int
-
-
-def smooth(task: WalkTask) -> bool:
-    """Whether every BRDF of the scene varies slowly enough for cells."""
-    return min(lobe_width(material) for material in task.scene.materials) >= NARROWEST_RAD
 
 
 def primary_by_cells(gathering: Gathering, target: float, part_target: float, faint: float = 0.0) -> Primary | None:

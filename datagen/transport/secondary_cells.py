@@ -12,7 +12,7 @@ between the middles of each pair of cells.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,12 @@ def secondary_by_cells(gathering: Gathering, limit: float, own: float, faint: fl
     wanted = int(np.clip(len(lit) // 20, *TRIALS))
     looked = lit[spread_evenly(len(lit), LOOKED_AT * wanted)]
     rough = scan.light(looked, 0, patches, np.inf)
+    if gathering.lobed:
+        # Coarse cells may miss lobes, and what they find is then no measure of how fine to begin.
+        matt = scan.light(looked, 0, patches, np.inf, matt=True)
+        rough = replace(
+            rough, histogram=rough.histogram + matt.histogram, photons=np.maximum(rough.photons, matt.photons)
+        )
     scale = float(rough.photons.sum() / max(rough.gain, 1e-300))
     if scale == 0.0:
         return None
@@ -218,8 +224,11 @@ class _Scan:
         """What is asked of the scene."""
         return self.gathering.task
 
-    def light(self, pairs: Ints, level: float, patches: int, allowed: float) -> _Light:
-        """The secondary of some pairs of laser point and pixel, by cells of a level."""
+    def light(self, pairs: Ints, level: float, patches: int, allowed: float, matt: bool = False) -> _Light:
+        """The secondary of some pairs of laser point and pixel, by cells of a level.
+
+        matt : as if every surface followed Lambert's law with its albedo.
+        """
         bins = self.task.capture.time.bins
         knots, photons = np.zeros((len(pairs), bins + 3)), np.zeros(len(pairs))
         gain, count, rays = 0.0, 0, 0
@@ -227,7 +236,7 @@ class _Scan:
         for start in range(0, len(pairs), at_once):
             run = slice(start, start + at_once)
             of_run, joined, asked = self._add(
-                pairs[run], start, LIGHT * LIGHT_FINER**level, patches, allowed, knots, photons
+                pairs[run], start, LIGHT * LIGHT_FINER**level, patches, allowed, matt, knots, photons
             )
             gain, count, rays = gain + of_run, count + joined, rays + asked
         histogram = np.cumsum(np.cumsum(knots, axis=1), axis=1)[:, :bins]
@@ -235,8 +244,9 @@ class _Scan:
         return _Light(histogram, photons, gain, count, rays)
 
     def _add(
-        self, pairs: Ints, first: int, error: float, patches: int, allowed: float, knots: Floats, photons: Floats
-    ) -> tuple[float, int, int]:
+        self, pairs: Ints, first: int, error: float, patches: int, allowed: float, matt: bool, knots: Floats,
+        photons: Floats,
+    ) -> tuple[float, int, int]:  # fmt: skip
         """Add the knots of a run of pairs; returns the sum of their gains, pairs of cells and rays."""
         task, axis, air = self.task, self.task.capture.time, self.task.scene.attenuation_per_m
         tree, occluders, width = self.gathering.tree, self.gathering.occluders, self.gathering.width
@@ -246,12 +256,14 @@ class _Scan:
         seed = int(stream_seeds(task.seed, CLUSTER_STREAM, first, np.zeros(1, np.int64))[0])
         lit, leg1 = self._lasers(lasers)
         seen, weight, leg3 = self._pixels(pixels, patches, device)
-        materials, coarsest = task.materials, COARSEST * width
-        ones, rays = reach_of(lit, tree, occluders, materials, coarsest, error, True, seed)
+        materials, sharp = task.materials, 1.0 / width**2
+        if matt:
+            materials, sharp = replace(materials, kind=np.zeros_like(materials.kind)), np.ones_like(width)
+        ones, rays = reach_of(lit, tree, occluders, materials, sharp, COARSEST, error, True, seed)
         same = self._same(lit, seen, pairs)
         twos = ones
         if not same:
-            twos, more = reach_of(seen, tree, occluders, materials, coarsest, error, asked, seed)
+            twos, more = reach_of(seen, tree, occluders, materials, sharp, COARSEST, error, asked, seed)
             rays += more
         legs = leg1[i] + leg3[p]
         gain = np.exp(-air * leg1[i]) * weight[p]
@@ -261,7 +273,7 @@ class _Scan:
         scale = np.array([*caster.center, caster.half_extent_m])
         waiting, (figures, rows), (origin, span) = self.room
         local = np.stack([i.reshape(-1), p.reshape(-1)], axis=1)
-        row, sharp = first + np.arange(len(pairs)), 1.0 / width**2
+        row = first + np.arange(len(pairs))
         at, cell, count = 0, -1, 0
         while at < len(pairs):
             at, cell, found = join(  # type: ignore[call-arg]

@@ -107,7 +107,7 @@ def _middles(batch, count):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _verdicts(batch, count, x, n1, allowed, clock):  # type: ignore[no-untyped-def]
+def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-untyped-def]
     """What becomes of the cells of a batch whose light in the middle is known."""
     per_metre, attenuation, opens, closes = clock.per_metre, clock.attenuation, clock.opens, clock.closes
     for j in range(min(count, WIDE)):
@@ -124,7 +124,7 @@ def _verdicts(batch, count, x, n1, allowed, clock):  # type: ignore[no-untyped-d
         cut, quarter, over, bend = verdict(
             batch[4 * WIDE + j], batch[9 * WIDE + j], batch[14 * WIDE + j], batch[AREA * WIDE + j], w,
             batch[LONG * WIDE + j], batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j],
-            batch[GAIN * WIDE + j], batch[FOOTPRINT * WIDE + j], batch[SIZE * WIDE + j], 1.0, allowed,
+            batch[GAIN * WIDE + j], batch[FOOTPRINT * WIDE + j], batch[SIZE * WIDE + j], limit, 1.0, allowed,
             batch[QUARTERS * WIDE + j] > 0.0, per_metre, attenuation, unseen,
         )  # fmt: skip
         becomes = CUT if cut else SPREAD
@@ -184,7 +184,7 @@ def _taken(clear, first, count, batch, normal, p, lit, leg1, device, patches):  
 
 @compiled()
 def spread_clear(  # type: ignore[no-untyped-def]
-    clear, waiting, batch, cuts, normal, x, n1, lit, leg1, p, patches, allowed, clock, at_once, smallest,
+    clear, waiting, batch, cuts, normal, x, n1, lit, leg1, p, patches, limit, allowed, clock, at_once, smallest,
     histogram, into, tag, cell, free,
 ):  # fmt: skip
     """Take `waiting` cells from their stack, cut them and add their light to a histogram.
@@ -202,7 +202,7 @@ def spread_clear(  # type: ignore[no-untyped-def]
         _taken(clear, waiting, count, batch, normal, p, lit, leg1, clock.device, patches)
         _middles(batch, count)
         light_at_points(batch, count, x, n1, clock.attenuation)
-        _verdicts(batch, count, x, n1, allowed, clock)
+        _verdicts(batch, count, x, n1, limit, allowed, clock)
         _tents(batch, count, clock.per_metre, clock.start, at_once)
         halves = 0
         for j in range(min(count, WIDE)):

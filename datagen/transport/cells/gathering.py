@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.materials import GGX, Lambertian, Material, Phong, Retroreflector
+from datagen.transport.cells.clusters import COARSEST
 from datagen.transport.cells.hierarchy import Hierarchy
 from datagen.transport.cells.light import AT_ONCE, gather, room_to_gather
 from datagen.transport.cells.occluders import Occluders
@@ -22,7 +23,7 @@ from datagen.units import path_from_time
 CLUSTER_STREAM = 64
 LEVELS, SIZED, TINY = (1, 5), 64, 1e-4
 """How often even pixels are quartered, if at all; how many of them are measured for that; and their size, relative to
-the scene, up to which they are points."""
+the scene and to the narrowest lobe, up to which they are points."""
 PATCHES_AT_ONCE = 1 << 17
 EDGE_LEVELS, MOST_AT_EDGES = range(2, 7), 1 << 14
 """How often pixels that see more than one surface are quartered: as often as leaves no more than so many patches of
@@ -48,6 +49,7 @@ class Cutting(NamedTuple):
     error : (K,) L2 error in a histogram, in photons, up to which a cell of each part is left as it is.
     sharp : (K,) 1/width² of each part's narrowest lobe, 1 for a matt surface.
     peak : (K,) largest value of each part's BRDF, 1/sr, but for its cosines.
+    coarsest : largest cell, relative to its distance.
     rays_on_last_leg : whether it is asked what stands between a cell and the pixel.
     proofs : whether rays are saved where it is proven that nothing can stand in their way.
     seed : (K,) of the points of each part that stand for clusters of small triangles.
@@ -56,6 +58,7 @@ class Cutting(NamedTuple):
     error: Floats
     sharp: Floats
     peak: Floats
+    coarsest: float
     rays_on_last_leg: bool
     proofs: bool
     seed: Ints
@@ -116,6 +119,8 @@ class Gathering:
     peak: Floats
     at_edge: Bools
     """(P,) pixels that see more than one surface, or past one."""
+    coarsest: float = COARSEST
+    """Largest cell, relative to its distance."""
 
     @classmethod
     def of(cls, task: WalkTask) -> Gathering:
@@ -139,11 +144,16 @@ class Gathering:
             task, tree, Occluders.of(task.scene, tree), lasers, clock, width, peak, at_edge,
         )  # fmt: skip
 
+    @property
+    def lobed(self) -> bool:
+        """Whether some surface is not of Lambert's law."""
+        return bool(self.task.materials.kind.any())
+
     def levels(self) -> int:
         """How often even pixels are quartered at most: once more than leaves patches of a bin."""
         even = np.flatnonzero(~self.at_edge)
         size = float(patches_of(self.task, even[:: len(even) // SIZED + 1], 0).size.max(initial=0.0))
-        if size * self.clock.per_metre <= AT_ONCE and size <= TINY * self.tree.extent:
+        if size * self.clock.per_metre <= AT_ONCE and size <= TINY * self.tree.extent * self.width.min():
             return 0
         return int(np.clip(math.ceil(math.log2(size * self.clock.per_metre)) + 1, *LEVELS))
 
@@ -165,26 +175,31 @@ class Gathering:
                     yield Seen(which, local, patches_of(self.task, pixels, quartered))
 
     def gathered(
-        self, pairs: Ints, seen: Iterable[Seen], error: Floats, row_of_part: Ints, draw: Ints | None = None
-    ) -> Gathered:
+        self, pairs: Ints, seen: Iterable[Seen], error: Floats, row_of_part: Ints, draw: Ints | None = None,
+        matt: bool = False,
+    ) -> Gathered:  # fmt: skip
         """The light of some pairs of laser point and pixel, with each part in its row.
 
         error : (K,) L2 error that a cell of each part may make, photons; infinite for parts to be left out.
         draw : (K,) number of the draw of each part's random points, zeros if nothing is said.
+        matt : as if every surface followed Lambert's law with its albedo.
         """
         task, parts, rows = self.task, len(error), int(row_of_part.max()) + 1
         histogram = np.zeros((len(pairs) * rows, task.capture.time.bins))
         overflow, work = np.zeros(len(histogram)), np.zeros((parts, 2), np.int64)
         seed = stream_seeds(task.seed, CLUSTER_STREAM, 0, np.zeros(parts, np.int64) if draw is None else draw)
+        materials, sharp = task.materials, 1.0 / self.width**2
+        if matt:
+            materials, sharp = replace(materials, kind=np.zeros_like(materials.kind)), np.ones(parts)
         cutting = Cutting(
-            error, 1.0 / self.width**2, self.peak, task.accuracy.occlusion != "off",
+            error, sharp, self.peak, self.coarsest, task.accuracy.occlusion != "off",
             task.accuracy.occlusion == "auto", seed.astype(np.int64),
         )  # fmt: skip
         room = room_to_gather()
         for some in seen:
             gather(
-                some.pairs, some.which, self.tree, self.occluders, self.lasers, some.patches, task.materials.kind,
-                task.materials.values, cutting, self.clock, row_of_part * len(pairs), histogram, overflow, work,
+                some.pairs, some.which, self.tree, self.occluders, self.lasers, some.patches, materials.kind,
+                materials.values, cutting, self.clock, row_of_part * len(pairs), histogram, overflow, work,
                 *room,
             )  # fmt: skip
         # Row by row, so that each is one piece of memory.

@@ -123,7 +123,7 @@ def gather(  # type: ignore[no-untyped-def]
     most3, leg3, size3, across3 = patches.most, patches.leg, patches.size, patches.across
     uneven3, quarters3 = patches.uneven, patches.quarters
     allowed, sharp, peak = cutting.error, cutting.sharp, cutting.peak
-    last_leg, proofs = cutting.rays_on_last_leg, cutting.proofs
+    limit, last_leg, proofs = cutting.coarsest, cutting.rays_on_last_leg, cutting.proofs
     per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
     opens, closes = clock.opens, clock.closes
     enough = len(listed) - 4 * RING
@@ -152,7 +152,7 @@ def gather(  # type: ignore[no-untyped-def]
             while top > 0 or alight > 0:
                 if top == 0:
                     alight, more, beyond, top = spread_clear(
-                        clear, alight, batch, cuts, normal, x, n1, lit, leg1[i], p, patches, allowed[k],
+                        clear, alight, batch, cuts, normal, x, n1, lit, leg1[i], p, patches, limit, allowed[k],
                         clock, AT_ONCE, SMALLEST * extent, histogram, into, tag, cell, free,
                     )  # fmt: skip
                     cells, overflow[into] = cells + more, overflow[into] + beyond
@@ -292,8 +292,8 @@ def gather(  # type: ignore[no-untyped-def]
                         ))  # fmt: skip
                     unseen = outside(cell[top, 4], cell[top, 9], cell[top, 14], r1 + r3, device, size, opens, closes)
                     cut, quarter, over, bend = judged(
-                        cell, top, h, bright, r1, r3, gain, footprint, size, keen, allowed[k], quarters, per_metre,
-                        attenuation, unseen,
+                        cell, top, h, bright, r1, r3, gain, footprint, size, limit, keen, allowed[k], quarters,
+                        per_metre, attenuation, unseen,
                     )  # fmt: skip
                     if alone:
                         # What is cut once need not be cut again for each quarter of the pixel.

@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from datagen.compiled import compiled
-from datagen.transport.brdf import dot, evaluate
+from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, evaluate_at_most
 from datagen.transport.cells.geometry import air, get, half, less, longest, put
 from datagen.transport.cells.reach import (
     ALONG,
@@ -53,8 +53,8 @@ AT, VARIANCE, PHOTONS, FIGURES = 0, 1, 2, 3
 
 @compiled()
 def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-untyped-def]
-    """Energy of a pair of cells if nothing hides them from each other, their distance, the path's mean and variance,
-    the share of them that face each other, and the middles of what does.
+    """Energy of a pair of cells if nothing hides them from each other, the most that their lobes allow, their
+    distance, the path's mean and variance, the share of them that face each other, and the middles of what does.
 
     With C = Σ p pᵀ the covariance of a cell's points, the mean over them of cosθ cosθ′/R² is 1 + Σ p·H·p/2 of that at
     their middles, H the matrix of its second derivatives, relative to it; and the mean path is longer by that of R,
@@ -65,13 +65,21 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     d = less(y2, y1)
     up, down = dot(d, n1), -dot(d, n2)
     if not share > 0.0 or up <= 0.0 or down <= 0.0:
-        return 0.0, 1.0, 0.0, 0.0, 0.0, y1, y2
+        return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, y1, y2
     square = dot(d, d)
     r = math.sqrt(square)
     per = 1.0 / r
     w, back = (d[0] * per, d[1] * per, d[2] * per), (-d[0] * per, -d[1] * per, -d[2] * per)
     f1 = evaluate(kind[part1], values[part1], n1, get(one, i, BACK), w)
     f2 = evaluate(kind[part2], values[part2], n2, back, get(two, j, BACK))
+    f_most = f1 * f2
+    if kind[part1] != LAMBERTIAN or kind[part2] != LAMBERTIAN:
+        # Directions turn over both cells, and from each to its own end.
+        turn = (one[i, LONG] + two[j, LONG]) * per
+        turn1, turn2 = turn + one[i, LONG] / one[i, LENGTH], turn + two[j, LONG] / two[j, LENGTH]
+        f_most = max(f_most, evaluate_at_most(
+            kind[part1], values[part1], n1, get(one, i, BACK), w, turn1, 0.0
+        ) * evaluate_at_most(kind[part2], values[part2], n2, back, get(two, j, BACK), turn2, 0.0))  # fmt: skip
     variance, more, turned, shift = one[i, BLUR] + two[j, BLUR], 0.0, 0.0, 0.0
     path = one[i, LENGTH] + r + two[j, LENGTH]
     for k in range(2):
@@ -91,8 +99,8 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     whole = max(whole + turned, 0.25 * whole)
     farthest = math.sqrt(variance)
     path += min(max(shift / whole, -farthest), farthest)
-    energy = share * one[i, ENERGY] * f1 * f2 * two[j, ENERGY] * whole * (per * per) * (per * per)
-    return energy, r, path, variance, share, y1, y2
+    all_but_f = share * one[i, ENERGY] * two[j, ENERGY] * whole * (per * per) * (per * per)
+    return all_but_f * f1 * f2, all_but_f * f_most, r, path, variance, share, y1, y2
 
 
 @compiled(forceinline=True)
@@ -131,18 +139,20 @@ def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _error(one, i, two, j, energy, keen, r, variance, share, haze):  # type: ignore[no-untyped-def]
-    """L2 error that a pair of cells may make; variance in bins², haze what air takes in a bin."""
+def _error(one, i, two, j, most, keen, r, variance, share, haze):  # type: ignore[no-untyped-def]
+    """L2 error that a pair of cells may make, of at most so much energy; variance in bins², haze what air takes in a
+    bin, keen 1/width² of the narrower of their lobes: never more than all of the energy."""
     h1, h2 = one[i, LONG], two[j, LONG]
     size = (h1 + h2) / r
     near1, near2 = h1 / one[i, LENGTH], h2 / two[j, LENGTH]
+    across = size * size + near1 * near1 + near2 * near2
     wrong = (
-        keen * (size * size + near1 * near1 + near2 * near2)
+        min(keen * across, max(across, 1.0))
         + SHAPE * min(variance, 1.0)
         + CLIPPED * (1.0 - share)
         + haze * haze * variance
     )
-    return energy * wrong / math.sqrt(math.sqrt(1.0 + 24.0 * variance))
+    return most * wrong / math.sqrt(math.sqrt(1.0 + 24.0 * variance))
 
 
 @compiled()
@@ -204,12 +214,14 @@ def join(  # type: ignore[no-untyped-def]
             for j in range(i + 1 if same else first2[q], first2[q + 1]):
                 b = part2[j]
                 keen = max(sharp[a], sharp[b])
-                energy, r, path, variance, share, y1, y2 = _joined(number1, i, number2, j, a, b, kind, values)
-                if not energy > 0.0:
+                energy, most, r, path, variance, share, y1, y2 = _joined(number1, i, number2, j, a, b, kind, values)
+                if not most > 0.0:
                     continue
-                energy *= air(attenuation, path)
+                energy, most = energy * air(attenuation, path), most * air(attenuation, path)
                 variance *= per_metre * per_metre
-                if not _error(number1, i, number2, j, energy, keen, r, variance, share, haze) > allowed:
+                if not _error(number1, i, number2, j, most, keen, r, variance, share, haze) > allowed:
+                    if not energy > 0.0:
+                        continue
                     _note(
                         y1, get(number1, i, NORMAL), y2, get(number2, j, NORMAL), path, variance, energy, per_metre,
                         zero[k], gain[k], row[k], count, offset, scale, figures, rows, origin, span,
@@ -223,13 +235,15 @@ def join(  # type: ignore[no-untyped-def]
                 top, left = 1, last - count - (first2[q + 1] - j)
                 while top > 0:
                     top -= 1
-                    energy, r, path, variance, share, y1, y2 = _joined(known1, top, known2, top, a, b, kind, values)
-                    if not energy > 0.0:
+                    energy, most, r, path, variance, share, y1, y2 = _joined(
+                        known1, top, known2, top, a, b, kind, values
+                    )
+                    if not most > 0.0:
                         continue
-                    energy *= air(attenuation, path)
+                    energy, most = energy * air(attenuation, path), most * air(attenuation, path)
                     variance *= per_metre * per_metre
                     if (
-                        _error(known1, top, known2, top, energy, keen, r, variance, share, haze) > allowed
+                        _error(known1, top, known2, top, most, keen, r, variance, share, haze) > allowed
                         and top < DEEPEST
                         and top + 2 < left
                     ):
@@ -242,6 +256,8 @@ def join(  # type: ignore[no-untyped-def]
                         else:
                             _halved(near2, known2, top, q, ends2, kind, values)
                         top += 2
+                        continue
+                    if not energy > 0.0:
                         continue
                     _note(
                         y1, get(known1, top, NORMAL), y2, get(known2, top, NORMAL), path, variance, energy, per_metre,

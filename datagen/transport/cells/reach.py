@@ -19,7 +19,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.brdf import MaterialTable, dot, evaluate
+from datagen.transport.brdf import LAMBERTIAN, MaterialTable, dot, evaluate, evaluate_at_most
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less, longest, put
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, Hierarchy, one_of
 from datagen.transport.cells.occluders import Occluders
@@ -83,12 +83,12 @@ class Reach(NamedTuple):
 
 
 def reach_of(
-    ends: Ends, tree: Hierarchy, occluders: Occluders, materials: MaterialTable, coarsest: Floats,
+    ends: Ends, tree: Hierarchy, occluders: Occluders, materials: MaterialTable, sharp: Floats, coarsest: float,
     error: float, asked: bool, seed: int,
 ) -> tuple[Reach, int]:  # fmt: skip
     """The cells of some ends, and how many rays were asked for them.
 
-    coarsest : (K,) largest cell of each part, relative to its distance.
+    sharp : (K,) 1/width² of each part's narrowest lobe. coarsest : largest cell, relative to its distance.
     error : what a cell may be wrong by, relative to the light of its end. asked : whether anything may hide a cell.
     """
     room = 128 * (len(ends.part) + 1)
@@ -96,7 +96,7 @@ def reach_of(
         cell, number, part = np.empty((room, COLUMNS)), np.empty((room, NUMBERS)), np.empty(room, np.int64)
         first = np.zeros(len(ends.part) + 1, np.int64)
         rays = _cut(
-            ends, tree, occluders, materials.kind, materials.values, coarsest, error, asked, seed, first, cell,
+            ends, tree, occluders, materials.kind, materials.values, sharp, coarsest, error, asked, seed, first, cell,
             number, part, np.empty(128, np.int64), np.empty((128, 3, 3)), np.empty(128), lists(0),
         )  # fmt: skip
         if rays >= 0:
@@ -124,6 +124,25 @@ def lit(y, n, p, ends, kind, values):  # type: ignore[no-untyped-def]
             f = evaluate(kind[k], values[k], n1, get(point, q, TO_DEVICE), (d[0] * per, d[1] * per, d[2] * per))
             w += share * f * up * down / (square * (square + point[q, FOOTPRINT] / math.pi))
     return w, path / whole
+
+
+@compiled(_nrt=False)
+def lit_at_most(y, n, h, p, ends, kind, values):  # type: ignore[no-untyped-def]
+    """The largest w that the BRDFs at end p allow within a cell about y that is h long."""
+    point, part, w = ends.point[p], ends.part, 0.0
+    for q in range(part.shape[1]):
+        k = part[p, q]
+        if k < 0:
+            continue
+        d, n1 = less(y, get(point, q, 0)), get(point, q, UPWARD)
+        square = dot(d, d)
+        r, up, down = math.sqrt(square), dot(d, n1), -dot(d, n)
+        if up > 0.0 and down > 0.0:
+            per = 1.0 / r
+            w1 = (d[0] * per, d[1] * per, d[2] * per)
+            f = evaluate_at_most(kind[k], values[k], n1, get(point, q, TO_DEVICE), w1, h * per, 0.0)
+            w += point[q, SHARE] * f * up * down / (square * (square + point[q, FOOTPRINT] / math.pi))
+    return w
 
 
 @compiled(_nrt=False)
@@ -210,8 +229,8 @@ def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
 
 @compiled(_nrt=False)
 def _cut(  # type: ignore[no-untyped-def]
-    ends, tree, occluders, kind, values, coarsest, error, asked, seed, first, cell, known, part_of, boxes, waits,
-    wait_area, listed,
+    ends, tree, occluders, kind, values, sharp, coarsest, error, asked, seed, first, cell, known, part_of, boxes,
+    waits, wait_area, listed,
 ):  # fmt: skip
     """Fill `first`, `cell`, `known` and `part_of`; returns the rays asked, or −1 where there is no room."""
     corners, normal, area_before, around, children = tree.corners, tree.normal, tree.area, tree.box, tree.children
@@ -225,6 +244,10 @@ def _cut(  # type: ignore[no-untyped-def]
         x, one = _mean(ends, p)
         if one < 0:
             continue
+        keen, lobed = 1.0, False
+        for q in range(points):
+            if part[p, q] >= 0:
+                keen, lobed = max(keen, sharp[part[p, q]]), lobed or kind[part[p, q]] != LAMBERTIAN
         for k in range(len(roots)):
             boxes[0], closed = roots[k], 1
             while closed > 0:
@@ -236,7 +259,7 @@ def _cut(  # type: ignore[no-untyped-def]
                 if end - start > CLUSTER:
                     centre, radius = ball(around, at)
                     near, cluster = distance(centre, x) - radius, area_before[end] - area_before[start]
-                    if near <= 0.0 or 2.0 * radius > coarsest[k] * near or cluster > error * math.pi * near * near:
+                    if near <= 0.0 or 2.0 * radius > coarsest * near or cluster > error * math.pi * near * near:
                         boxes[closed], boxes[closed + 1] = children[at, 0], children[at, 1]
                         closed += 2
                         continue
@@ -275,11 +298,13 @@ def _cut(  # type: ignore[no-untyped-def]
                             put(cell, count, 3 * j, y)
                             cell[count, WEIGHT + j], cell[count, PATH + j] = lit(y, n, p, ends, kind, values)
                             brightest = max(brightest, cell[count, WEIGHT + j])
-                        size = wait_area[top]
-                        ratio, over = h / distance(m, x), size * brightest
-                        if not over > 0.0 and ratio < coarsest[k]:
+                        size, across = wait_area[top], (h / distance(m, x)) ** 2
+                        if lobed:
+                            brightest = max(brightest, lit_at_most(m, n, h, p, ends, kind, values))
+                        over, near = size * brightest, across < coarsest * coarsest
+                        if not over > 0.0 and near:
                             continue
-                        cut = cluster == 0.0 and (ratio > coarsest[k] or over * ratio * ratio > error)
+                        cut = cluster == 0.0 and (not near or over * min(keen * across, max(across, 1.0)) > error)
                         visible = 1.0
                         if last > LISTED and not cut:
                             seen, u = 0, (0.0, 0.0, 0.0)

@@ -109,6 +109,9 @@ class Trial:
         if len(looked) <= wanted:
             return rough
         seen = rough.gathered(np.full(parts, COARSE), 0).histogram
+        if rough.gathering.lobed:
+            # Coarse cells may miss lobes, and with them the pairs that have most of the light.
+            seen = seen + rough.gathered(np.full(parts, COARSE), 0, matt=True).histogram
         whole, own = (seen.sum(axis=1) ** 2).sum(axis=1), (seen**2).sum(axis=2)
         matters = asked.objects | (own.sum(axis=0) > asked.target**2 * whole.sum())
         places, stands_for = by_light(np.sqrt(np.column_stack([whole, own[:, matters]])), wanted)
@@ -121,13 +124,14 @@ class Trial:
         return replace(self, pairs=self.pairs[which], weight=self.weight[which], seen={})
 
     def gathered(
-        self, cutting: Floats, levels: int, edge_levels: int | None = None, draw: Ints | None = None
-    ) -> Gathered:
+        self, cutting: Floats, levels: int, edge_levels: int | None = None, draw: Ints | None = None,
+        matt: bool = False,
+    ) -> Gathered:  # fmt: skip
         """Their histograms with each part apart, such that squares add up to those of all pairs."""
         asked = levels, edge_levels
         if asked not in self.seen:
             self.seen[asked] = list(self.gathering.seen(self.pairs, levels, edge_levels))
-        found = self.gathering.gathered(self.pairs, self.seen[asked], cutting, np.arange(len(cutting)), draw)
+        found = self.gathering.gathered(self.pairs, self.seen[asked], cutting, np.arange(len(cutting)), draw, matt)
         self.work.cells += int(found.cells.sum())
         self.work.rays += int(found.rays.sum())
         return replace(found, histogram=found.histogram * np.sqrt(self.weight)[:, None, None] * self.scale[:, None])
@@ -170,7 +174,12 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
     every, settled = np.arange(parts), np.zeros(parts, np.bool_)
     found = trial.gathered(np.full(parts, COARSE), trial.levels)
     runs, cuttings, cells = [found.histogram], [np.full(parts, COARSE)], [found.cells]
-    whole, own = _norm(runs[0]), _norms(runs[0])
+    scale = runs[0]
+    if trial.gathering.lobed:
+        # What coarse cells find of lobes may be a millionth of their light, and no measure of how fine to begin.
+        matt = trial.gathered(np.full(parts, COARSE), trial.levels, matt=True).histogram
+        scale = np.maximum(scale, matt)
+    whole, own = _norm(scale), _norms(scale)
     if whole == 0.0:
         return None
     cutting = FIRST / FINER * np.maximum(own, UNSEEN * whole) / math.sqrt(trial.weight.sum())

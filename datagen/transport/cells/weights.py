@@ -16,7 +16,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot, evaluate, evaluate_at_most
-from datagen.transport.cells.clusters import COARSEST, UNLIKE
+from datagen.transport.cells.clusters import UNLIKE
 from datagen.transport.cells.geometry import air, distance, less
 
 SMEARED = 0.3
@@ -98,26 +98,27 @@ def outside(at_a, at_b, at_c, middle, legs, size, start, stop):  # type: ignore[
 
 @compiled()
 def judged(  # type: ignore[no-untyped-def]
-    cell, k, h, bright, r1, r3, gain, footprint, size, keen, allowed, quarters, per_metre, attenuation, unseen
+    cell, k, h, bright, r1, r3, gain, footprint, size, limit, keen, allowed, quarters, per_metre, attenuation,
+    unseen,
 ):  # fmt: skip
     """`verdict` of waiting cell k, whose w is at most `bright` as far as its middle tells."""
     w = max(bright, cell[k, 3], cell[k, 8], cell[k, 13])
     return verdict(
-        cell[k, 4], cell[k, 9], cell[k, 14], cell[k, 15], w, h, r1, r3, gain, footprint, size, keen, allowed,
+        cell[k, 4], cell[k, 9], cell[k, 14], cell[k, 15], w, h, r1, r3, gain, footprint, size, limit, keen, allowed,
         quarters, per_metre, attenuation, unseen,
     )  # fmt: skip
 
 
 @compiled()
 def verdict(  # type: ignore[no-untyped-def]
-    at_a, at_b, at_c, area, w, h, r1, r3, gain, footprint, size, keen, allowed, quarters, per_metre,
-    attenuation, unseen,
+    at_a, at_b, at_c, area, w, h, r1, r3, gain, footprint, size, limit, keen, allowed, quarters,
+    per_metre, attenuation, unseen,
 ):  # fmt: skip
     """What becomes of a cell, h long, with paths at_a, at_b and at_c by way of its vertices, R₁ and R₂ by way of its
     middle and at most w anywhere, seen from a patch of some size; `unseen` if it is `outside` the window.
 
-    keen : 1/width² of the narrowest lobe on the path, 1 if all its surfaces are matt. What a lobe makes of a cell is
-        never more wrong than all its light.
+    limit : largest cell, relative to its distance. keen : 1/width² of the narrowest lobe on the path, 1 if all its
+        surfaces are matt. What a lobe makes of a cell is never more wrong than all its light.
 
     Returns whether it is cut; whether the patch is quartered first; the L2 error if its light should be missing
     (infinite where that was not asked); and how far its arrival times are bent.
@@ -126,8 +127,8 @@ def verdict(  # type: ignore[no-untyped-def]
     # over many cells need no branches.
     per_metre = 0.0 if unseen else per_metre
     ratio1, ratio3, ratio_z = h / r1, h / math.sqrt(r3 * r3 + footprint / math.pi), size / r3
-    patch_first = (ratio_z > COARSEST) & quarters & (size > 0.5 * h)
-    near = (not patch_first) & (max(ratio1, ratio3) > COARSEST)
+    patch_first = (ratio_z > limit) & quarters & (size > 0.5 * h)
+    near = (not patch_first) & (max(ratio1, ratio3) > limit)
     bend = (at_a + at_b + at_c) / 3 - (r1 + r3)
     longer = max(at_a, at_b, at_c) - min(at_a, at_b, at_c)
     width, haze = max(1.0, longer * per_metre), attenuation * longer

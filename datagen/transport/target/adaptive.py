@@ -12,7 +12,7 @@ from datagen.records.arrays import Floats, l2_norm
 from datagen.transport.averages import Estimate, split_rows
 from datagen.transport.cells.gathering import Gathering
 from datagen.transport.cost import CELL, CELL_PAIR, CELL_RAY, PAIR_RAY
-from datagen.transport.primary import Primary, primary_by_cells, smooth
+from datagen.transport.primary import Primary, primary_by_cells
 from datagen.transport.secondary_cells import Secondary, secondary_by_cells
 from datagen.transport.target.allocation import REPLICATES, Allotment, next_allotments, one_more
 from datagen.transport.target.confidence import bound_factor, total_variance
@@ -45,16 +45,14 @@ def meet_target(task: WalkTask) -> Estimate:
     """A transient whose relative L2 error, in all and in each object's primary, is within what `Accuracy` asks.
 
     The primary and the secondary come from cells, without noise (`primary.py`, `secondary_cells.py`), and what they
-    leave of the error is met by sampling the other components. Where cells are not the means (a narrow lobe, a pixel
-    that looks past its wall, more cells than `max_lookins` would leave rays) all components are sampled, or all but
-    the primary, and only the whole is held to an error.
+    leave of the error is met by sampling the other components. Where cells are not the means (a pixel that looks past
+    its wall, more cells than `max_lookins` would leave rays) all components are sampled, or all but the primary, and
+    only the whole is held to an error.
     """
     accuracy, splits = task.accuracy, task.splits
     assert accuracy.target is not None
     if not (task.points.part >= 0).any():
         return _nothing(task)
-    if not smooth(task):
-        return _sampled(task, None)
     share = PRIMARY_SHARE[task.capture.pairing] if splits.others else 1.0
     gathering = Gathering.of(task)
     primary = primary_by_cells(gathering, share * accuracy.target, accuracy.each_part, accuracy.faint_part)
