@@ -1,0 +1,461 @@
+"""The definition of the transient, written out: draw paths of light, weigh each, put it into its time bin.
+
+What the faster ways (`target/`, `cells/`, `walk.py`, `factorised/`) compute is an integral over paths. A path of B
+bounces goes from the laser by x₁ … x_B to the sensor: x₁ is the laser point, x_B a FoV point, and those between are
+hidden vertices. With BRDFs f, angles θ against the normals, visibility V (0 or 1), attenuation κ per metre and the
+pixel's solid angle Ω, the photons in the aperture per emitted photon are (docs/physics.md)
+
+    L = ∫ … ∫  Π_{i<B} [ fᵢ cosθᵢ cosθᵢ₊₁ V / Rᵢ,ᵢ₊₁² ]  f_B A  exp(−κ · length)  dA₂ … dA_{B−1} dΩ
+
+and a path arrives at length / c. Surfaces scatter on both sides and transmit nothing: both directions at a vertex lie
+on one side of it. A is the aperture's area, for a finite aperture A R²/(R² + a²) at distance R (`fov.py`).
+
+This file shares no cells, no proofs of visibility and no walk with those ways, only the ray caster and the BRDFs. It
+is slower than they are and unbiased everywhere: with more samples it goes to the right answer in every scene.
+
+The last two vertices, h = x_{B−1} and v = x_B, are drawn in three ways, given b = x_{B−2}:
+
+- *join*: h from b (by b's BRDF; x₂ also uniform on the parts' areas), v from the pixel;
+- *back*: v from the pixel, h from v by v's BRDF: this finds what stands right beside the field of view;
+- *land*: h from b, v from h by h's BRDF, if that falls inside the pixel: for h on parts whose BRDF has a lobe.
+
+Whichever way found it, a path counts the integrand over the sum of the densities of all three ways (the balance
+heuristic: Veach & Guibas, SIGGRAPH 1995), so together they count every path once.
+
+`sample_paths` returns weighted paths, to be added up as the caller likes; `reference` puts them into a capture's bins:
+
+    paths = sample_paths(Raycaster(scene), scene, MaterialTable.of(scene.materials), capture, pairs, 64, max_bounces=4)
+    primary = paths.take(paths.order == 3)
+    energy_by_part = np.bincount(primary.part, primary.photons)
+    transient = reference(scene, capture, samples=4096, max_bounces=4)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from datagen.compiled import compiled
+from datagen.records import Capture, Scene, Transient
+from datagen.records.accuracy import MAX_BOUNCES
+from datagen.records.arrays import Bools, Floats, Ints
+from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, SIN_LOBE, MaterialTable, evaluate, pdf, sample
+from datagen.transport.fov import PixelCones
+from datagen.transport.raycast import Hits, Raycaster
+from datagen.transport.sampling import scrambled_sobol, stream_seeds
+from datagen.units import time_from_path
+
+BY_AREA = 0.5
+"""Share of x₂ drawn by area: whatever it is, the mean is the same. Half of it meets what is small or far half as often
+by this way, and what is near more often by the other."""
+SOBOL_DIMENSIONS = 9
+"""Quasi-random numbers of a sample: two aim at the pixel, three at x₂, two go back from the pixel, two aim at x₃. Later
+vertices, for which they gain little, have independent numbers."""
+SURVIVAL = (0.05, 0.95)
+"""Least and greatest chance to go on, where paths of all orders are followed: the one bounds how much a path's weight
+grows at once, the other ends it in the end."""
+ROULETTE_FROM = 4
+AT_ONCE = 1 << 16
+"""Samples in memory together."""
+REFERENCE_STREAM, LATER_STREAM = 96, 97
+
+
+@dataclass(frozen=True)
+class Paths:
+    """n weighted paths: those of one pair and order add up to its expected photons.
+
+    Attributes
+    ----------
+    pair : (n,) row of `pairs`.
+    sample : (n,) number of the sample that found it, pair · samples + 0 … samples − 1. The samples of a pair are
+        alike, so the spread of their sums gives a standard error (somewhat too large a one, as they are stratified).
+    order : (n,) bounces.
+    part : (n,) index of the part that the last hidden vertex lies on; with one or two bounces, the FoV point.
+    path_m : (n,) length that counts for the time axis, metres; the device's legs too for the time origin `source`.
+    photons : (n,) expected photons at the aperture per emitted photon.
+    """
+
+    pair: Ints
+    sample: Ints
+    order: Ints
+    part: Ints
+    path_m: Floats
+    photons: Floats
+
+    def take(self, which: Ints | Bools) -> Paths:
+        """Some of them."""
+        return Paths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+
+@dataclass(frozen=True)
+class _Vertices:
+    """Where n samples' paths have come to.
+
+    sample, face, part : (n,). position, normal, back : (n, 3) metres; unit normal on the side that the path came from;
+    unit direction back along it. power : (n,) photons that arrive. density : (n,) 1/m², with which the vertex before
+    draws this place. path : (n,) metres so far.
+    """
+
+    sample: Ints
+    face: Ints
+    part: Ints
+    position: Floats
+    normal: Floats
+    back: Floats
+    power: Floats
+    density: Floats
+    path: Floats
+
+    def __len__(self) -> int:
+        return len(self.sample)
+
+    def take(self, which: Ints | Bools) -> _Vertices:
+        return _Vertices(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+
+@compiled()
+def _brdf(kind, values, part, normal, w_in, w_out):  # type: ignore[no-untyped-def]
+    """At n vertices the BRDF, and the density with which `_drawn` draws `w_out` for `w_in`; both (n,), 1/sr."""
+    f, density = np.empty(len(part)), np.empty(len(part))
+    for i in range(len(part)):
+        k, material, n = kind[part[i]], values[part[i]], (normal[i, 0], normal[i, 1], normal[i, 2])
+        a, b = (w_in[i, 0], w_in[i, 1], w_in[i, 2]), (w_out[i, 0], w_out[i, 1], w_out[i, 2])
+        f[i], density[i] = evaluate(k, material, n, a, b), pdf(k, material, n, a, b)
+    return f, density
+
+
+@compiled()
+def _drawn(kind, values, part, normal, w_in, uv):  # type: ignore[no-untyped-def]
+    """(n, 3) directions drawn by the BRDFs of n vertices from points uv (n, 2) of the unit square."""
+    w = np.empty((len(part), 3))
+    for i in range(len(part)):
+        n, a = (normal[i, 0], normal[i, 1], normal[i, 2]), (w_in[i, 0], w_in[i, 1], w_in[i, 2])
+        w[i, 0], w[i, 1], w[i, 2] = sample(kind[part[i]], values[part[i]], n, a, uv[i, 0], uv[i, 1])
+    return w
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("nk,nk->n", a, b))
+
+
+def _leg(a: _Vertices, b: _Vertices) -> tuple[Floats, Floats, Floats, Floats]:
+    """From a to b: unit direction (n, 3), distance, and the cosines at a and at b, 0 where a side faces away."""
+    span = b.position - a.position
+    distance = np.sqrt(_dot(span, span))
+    w = span / np.maximum(distance, 1e-300)[:, None]
+    return w, distance, np.maximum(_dot(a.normal, w), 0.0), np.maximum(-_dot(b.normal, w), 0.0)
+
+
+def _over(a: Floats, b: Floats) -> Floats:
+    """a / b, and 0 where b is 0."""
+    return np.divide(a, b, out=np.zeros_like(a), where=b > 0)
+
+
+class _Tracer:
+    """The paths of some pairs of laser point and pixel: the steps that `sample_paths` takes."""
+
+    def __init__(
+        self, caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int,
+        occlusion: bool,
+    ) -> None:  # fmt: skip
+        self.caster, self.scene, self.materials, self.capture = caster, scene, materials, capture
+        self.samples, self.occlusion = samples, occlusion
+        self.laser, self.pixel = np.repeat(pairs, samples, axis=0).T
+        cones = PixelCones.of(capture.sensor)
+        self.planes, self.solid_angle = cones.planes, cones.solid_angle
+        self.has_lobe = ~np.isin(materials.kind, (LAMBERTIAN, OREN_NAYAR, SIN_LOBE))
+        self.per_photon = 1.0 / samples
+        # By area, each part with the same probability.
+        area = np.bincount(scene.face_part, caster.face_area_m2, len(scene.part_names))
+        self.area_density = 1.0 / (np.count_nonzero(area) * area[scene.face_part])
+        self.cumulative = np.cumsum(self.area_density * caster.face_area_m2)
+
+    def air(self, metres: Floats) -> Floats:
+        return np.exp(-self.scene.attenuation_per_m * metres)
+
+    def brdf(self, at: _Vertices, w_in: Floats, w_out: Floats) -> tuple[Floats, Floats]:
+        f, density = _brdf(self.materials.kind, self.materials.values, at.part, at.normal, w_in, w_out)
+        return f, density
+
+    def drawn(self, at: _Vertices, numbers: Floats) -> Floats:
+        kind, values = self.materials.kind, self.materials.values
+        return np.asarray(_drawn(kind, values, at.part, at.normal, at.back, np.ascontiguousarray(numbers)))
+
+    def lifted(self, at: _Vertices) -> Floats:
+        return at.position + self.caster.offset_m * at.normal
+
+    def met(self, sample: Ints, hits: Hits) -> _Vertices:
+        """The surfaces that some samples' rays met, those of rays that met none left out; what arrives comes later."""
+        rows = np.flatnonzero(hits.valid)
+        face, zero = hits.face[rows].astype(np.int64), np.zeros(len(rows))
+        part, nowhere = self.scene.face_part[face].astype(np.int64), np.zeros((len(rows), 3))
+        position, normal = hits.position[rows], hits.normal[rows]
+        return _Vertices(sample[rows], face, part, position, normal, nowhere, zero, zero, zero)
+
+    def laser_points(self) -> _Vertices:
+        """x₁ of every sample that has one: the first surface along the laser's ray."""
+        laser = self.capture.laser
+        used, of_sample = np.unique(self.laser, return_inverse=True)
+        span = laser.targets[used] - laser.position
+        points = self.met(np.arange(len(used)), self.caster.closest(laser.position, span))
+        to_laser = laser.position - points.position
+        leg = np.sqrt(_dot(to_laser, to_laser))
+        counts = leg if self.capture.time.origin == "source" else np.zeros_like(leg)
+        points = replace(points, back=to_laser / leg[:, None], power=self.air(leg) / self.samples, path=counts)
+        lit = np.flatnonzero(np.isin(of_sample, points.sample))
+        return replace(points.take(np.searchsorted(points.sample, of_sample[lit])), sample=lit)
+
+    def fov_points(self, uv: Floats) -> tuple[_Vertices, Floats]:
+        """v of every sample, and the photons it gives for each unit of f E there: A dΩ/(du dv), 0 where there is none.
+
+        A point uniform on the pixel's quadrilateral q(u, v), as seen from the sensor, stands for the solid angle
+        dΩ/(du dv) = |q · (∂q/∂u × ∂q/∂v)| / |q|³.
+        """
+        a, b, c, d = (self.capture.sensor.pixels[self.pixel, k] - self.capture.sensor.position for k in range(4))
+        u, v = uv[:, :1], uv[:, 1:]
+        q = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+        along_u, along_v = (1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b)
+        jacobian = np.abs(_dot(q, np.cross(along_u, along_v))) / _dot(q, q) ** 1.5
+        hits = self.caster.closest(self.capture.sensor.position, q)
+        there = hits.valid
+        hits.face[~there] = 0
+        points = self.seen(self.met(np.arange(len(q)), hits))
+        return points, np.where(there, self.aperture(points) * jacobian, 0.0)
+
+    def seen(self, points: _Vertices) -> _Vertices:
+        """Places that the sensor sees as FoV points: `back` leads to the sensor, `path` is the distance to it."""
+        to_sensor = self.capture.sensor.position - points.position
+        leg = np.sqrt(_dot(to_sensor, to_sensor))
+        return replace(points, back=to_sensor / leg[:, None], path=leg)
+
+    def aperture(self, v: _Vertices) -> Floats:
+        sensor = self.capture.sensor
+        near = sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0
+        return np.asarray(sensor.aperture_area_m2 * v.path**2 / (v.path**2 + near))
+
+    def second(self, b: _Vertices, numbers: Floats) -> _Vertices:
+        """x₂ seen from the laser points b: by area or by the BRDF, as the first of three numbers says."""
+        by_area = numbers[:, 0] < BY_AREA
+        pick = np.minimum(numbers[:, 0] / BY_AREA, 1.0) * self.cumulative[-1]
+        face = np.minimum(np.searchsorted(self.cumulative, pick, side="right"), len(self.cumulative) - 1)
+        root, other = np.sqrt(numbers[:, 1]), numbers[:, 2]
+        weights = np.stack([1 - root, root * (1 - other), root * other], axis=1)
+        place = np.einsum("nk,nkj->nj", weights, self.caster.corners[face])
+        w = np.where(by_area[:, None], place - self.lifted(b), self.drawn(b, numbers[:, 1:]))
+        hits = self.caster.leaving(b.position, b.normal, w)
+        # A place counts for the one surface that is met there first, even where two lie on each other.
+        hits.face[by_area & (hits.face != face)] = -1
+        hits.position[by_area] = place[by_area]
+        return self.lit(b.take(hits.valid), self.met(b.sample, hits), order=2)
+
+    def onward(self, b: _Vertices, numbers: Floats, order: int) -> _Vertices:
+        """x of `order` ≥ 3: by the BRDF of the vertex b before it."""
+        hits = self.caster.leaving(b.position, b.normal, self.drawn(b, numbers))
+        return self.lit(b.take(hits.valid), self.met(b.sample, hits), order)
+
+    def lit(self, b: _Vertices, x: _Vertices, order: int) -> _Vertices:
+        """The vertices x of `order` that b lights: the photons f_b cosθ_b cosθ_x / R² per area, over x's density."""
+        w, r, cos_b, cos_x = _leg(b, x)
+        f, density = self.brdf(b, b.back, w)
+        density = self.by_light(_over(density * cos_x, r**2), x, order)
+        power = b.power * self.air(r) * _over(f * _over(cos_b * cos_x, r**2), density)
+        x = replace(x, back=-w, power=power, density=density, path=b.path + r)
+        return x.take(power > 0)
+
+    def by_light(self, by_brdf: Floats, x: _Vertices, order: int) -> Floats:
+        """1/m², with which the way from the laser draws the vertices x of `order`."""
+        if order > 2:
+            return by_brdf
+        return np.asarray((1 - BY_AREA) * by_brdf + BY_AREA * self.area_density[x.face])
+
+    def join(self, x: _Vertices, fov: _Vertices, gain: Floats, order: int) -> Paths:
+        """Paths of `order` bounces from vertices x to the FoV points drawn from the pixel."""
+        x = x.take(gain[x.sample] > 0)
+        v = fov.take(x.sample)
+        photons, path_m = self.photons(x, v, gain[x.sample], order)
+        bright = np.flatnonzero(photons > 0)
+        if self.occlusion:
+            bright = bright[~self.caster.occluded(self.lifted(x.take(bright)), self.lifted(v.take(bright)))]
+        return self.paths(x, v, photons, path_m, order).take(bright)
+
+    def beside(self, fov: _Vertices, gain: Floats, numbers: Floats) -> _Vertices:
+        """What the FoV points see along rays drawn by their BRDFs, against the light."""
+        v = fov.take(gain > 0)
+        hits = self.caster.leaving(v.position, v.normal, self.drawn(v, numbers[gain > 0]))
+        return self.met(v.sample, hits)
+
+    def back(self, b: _Vertices, x: _Vertices, fov: _Vertices, gain: Floats, order: int) -> Paths:
+        """Paths of `order` bounces from vertices b by way of the x `beside` the FoV."""
+        both, of_b, of_x = np.intersect1d(b.sample, x.sample, assume_unique=True, return_indices=True)
+        b, x = b.take(of_b), x.take(of_x)
+        # x is what b meets first at that place, which is what a ray from b would have found.
+        hits = self.caster.closest(self.lifted(b), x.position - self.lifted(b))
+        same = np.abs(hits.position - x.position).max(axis=1) < self.caster.offset_m
+        seen = np.flatnonzero(hits.valid & same)
+        x = replace(self.met(both[seen], hits.take(seen)), normal=x.normal[seen])
+        x = self.lit(b.take(seen), x, order - 1)
+        v = fov.take(x.sample)
+        photons, path_m = self.photons(x, v, gain[x.sample], order)
+        return self.paths(x, v, photons, path_m, order).take(photons > 0)
+
+    def land(self, x: _Vertices, v: _Vertices, order: int) -> Paths:
+        """Paths of `order` bounces whose last vertex v, met from x, falls inside the pixel."""
+        span = self.capture.sensor.position - v.position
+        x = x.take(np.searchsorted(x.sample, v.sample))
+        inside = self.has_lobe[x.part] | (order == 2)
+        inside &= (np.einsum("nk,njk->nj", span, self.planes[self.pixel[v.sample]]) <= 0).all(axis=1)
+        x, v = x.take(inside), self.seen(v.take(inside))
+        photons, path_m = self.photons(x, v, self.aperture(v) * self.solid_angle[self.pixel[v.sample]], order)
+        bright = np.flatnonzero(photons > 0)
+        hidden = self.caster.occluded(self.capture.sensor.position, self.lifted(v.take(bright)))
+        return self.paths(x, v, photons, path_m, order).take(bright[~hidden])
+
+    def one_bounce(self, x: _Vertices) -> Paths:
+        """The laser points themselves, where the pixel sees them: f cosθ A / R²."""
+        v = self.seen(x)
+        inside = np.einsum("nk,njk->nj", v.back, self.planes[self.pixel[v.sample]]).max(axis=1) <= 0
+        f, _ = self.brdf(x, x.back, v.back)
+        photons = x.power * f * _dot(x.normal, v.back) * self.aperture(v) / v.path**2 * self.air(v.path)
+        bright = np.flatnonzero(inside & (photons > 0))
+        hidden = self.caster.occluded(self.capture.sensor.position, self.lifted(v.take(bright)))
+        device = v.path if self.capture.time.origin == "source" else 0.0
+        return self.paths(x, x, photons, x.path + device, 1).take(bright[~hidden])
+
+    def photons(self, x: _Vertices, v: _Vertices, gain: Floats, order: int) -> tuple[Floats, Floats]:
+        """What paths by way of x and v bring, and their length: the integrand over the sum of all ways' densities.
+
+        With p of `by_light`, 1/Ω of v from the pixel, per solid angle at the sensor, these are
+
+            join: p/Ω     back: pdf_v cosθ_x/R² /Ω     land: p · pdf_x cosθ_v/R² · R_s²/cosθ_s
+
+        gain : (n,) m² sr, what v stands for: A dΩ/(du dv) where it was drawn from the pixel, A Ω where it was met.
+        """
+        w, r, cos_x, cos_v = _leg(x, v)
+        f_x, onto_v = self.brdf(x, x.back, w)
+        f_v, onto_x = self.brdf(v, v.back, -w)
+        ways = np.ones(len(r))
+        if self.occlusion and order > 2:
+            ways += _over(onto_x * _over(cos_x, r**2), x.density)
+        if self.occlusion:
+            lands = self.by_light(onto_v * _over(cos_v, r**2), v, order) * (self.has_lobe[x.part] | (order == 2))
+            ways += lands * self.solid_angle[self.pixel[v.sample]] * _over(v.path**2, _dot(v.normal, v.back))
+        device = v.path if self.capture.time.origin == "source" else 0.0
+        photons = x.power * f_x * _over(cos_x * cos_v, r**2) * f_v * gain * self.air(r + v.path) / ways
+        return photons, x.path + r + device
+
+    def paths(self, x: _Vertices, v: _Vertices, photons: Floats, path_m: Floats, order: int) -> Paths:
+        """All of them, those without light too."""
+        part = x.part if order > 2 else v.part
+        return Paths(x.sample // self.samples, x.sample, np.full(len(part), order), part, path_m, photons)
+
+
+def sample_paths(
+    caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int, *,
+    max_bounces: int | None = 3, direct: bool = False, occlusion: bool = True, seed: int = 0,
+) -> Paths:  # fmt: skip
+    """Weighted paths of light for some pairs of laser point and pixel, unbiased for any number of samples.
+
+    pairs : (n, 2) indices of laser point and pixel. samples : of each pair; each finds up to three paths of an order.
+        A power of two makes the most of the quasi-random numbers.
+    max_bounces : highest order, ≥ 3, or None for all (by Russian roulette). direct : orders 1 and 2 as well.
+    occlusion : whether anything may stand between last hidden vertex and FoV point (`Accuracy.occlusion` not "off").
+    seed : the same seed gives the same paths.
+    """
+    t = _Tracer(caster, scene, materials, capture, np.asarray(pairs), samples, occlusion)
+    count = len(t.pixel)
+    numbers = scrambled_sobol(stream_seeds(seed, REFERENCE_STREAM, 0), count, SOBOL_DIMENSIONS)[0]
+    later = np.random.default_rng([LATER_STREAM, seed])
+    x = t.laser_points()
+    fov, gain = t.fov_points(numbers[:, :2])
+    beside = t.beside(fov, gain, numbers[:, 5:7]) if occlusion else None
+    found = [t.one_bounce(x)] if direct else []
+    order, b = 2, x
+    # x is the vertex before the FoV point of paths of `order`, and b the one before that.
+    while len(x):
+        joined = order > 2 or direct
+        if joined:
+            found.append(t.join(x, fov, gain, order))
+        if order > 2 and beside is not None:
+            found.append(t.back(b, beside, fov, gain, order))
+        lands = joined and occlusion
+        if order == max_bounces:
+            x = x.take((t.has_lobe[x.part] | (order == 2)) & lands)
+        if order == 2:
+            y = t.second(x, numbers[x.sample, 2:5])
+        else:
+            y = t.onward(x, numbers[x.sample, 7:9] if order == 3 else later.random((len(x), 2)), order)
+        if lands:
+            found.append(t.land(x, y, order))
+        if order == max_bounces:
+            break
+        if max_bounces is None and order >= ROULETTE_FROM:
+            stays = np.clip(y.power / x.power[np.searchsorted(x.sample, y.sample)], *SURVIVAL)
+            y = replace(y, power=y.power / stays).take(later.random(len(y.sample)) < stays)
+        b, x, order = x, y, order + 1
+    return Paths(**{f.name: np.concatenate([getattr(some, f.name) for some in found]) for f in fields(Paths)})
+
+
+def reference(
+    scene: Scene, capture: Capture, *, samples: int = 4096, replicates: int = 8, max_bounces: int | None = 3,
+    direct: bool = False, occlusion: bool = True, seed: int = 0, caster: Raycaster | None = None,
+) -> Transient:  # fmt: skip
+    """The transient of a capture by its definition: (L, P, T) by component and part, with standard errors.
+
+    samples : of each laser point and pixel, in each of `replicates` independent runs, whose spread is the standard
+        error. The other arguments are those of `sample_paths`. A flood is the mean over its laser points
+        (`flood.py`).
+    """
+    caster = Raycaster(scene) if caster is None else caster
+    materials, axis, shape = MaterialTable.of(scene.materials), capture.time, capture.shape
+    pairs = pairs_of(capture)
+    # A flood adds up, for each pixel, what all laser points give with an equal share of the light.
+    flood = capture.illumination == "flood"
+    histogram_of = pairs[:, 1] if flood else np.arange(len(pairs))
+    share = 1 / (replicates * len(capture.laser.targets)) if flood else 1 / replicates
+    parts = len(scene.part_names)
+    rows, values = parts + 3, int(np.prod(shape))
+    light, squares, overflow = np.zeros(rows * values), np.zeros(values), np.zeros(values // axis.bins)
+    at_once = max(AT_ONCE // samples, 1)
+    for replicate in range(replicates):
+        before = light.reshape(rows, values).sum(axis=0)
+        for start in range(0, len(pairs), at_once):
+            own_seed = int(stream_seeds(seed, REFERENCE_STREAM, replicate, start)[0])
+            paths = sample_paths(
+                caster, scene, materials, capture, pairs[start : start + at_once], samples, max_bounces=max_bounces,
+                direct=direct, occlusion=occlusion, seed=own_seed,
+            )  # fmt: skip
+            # A bin is the integral of the flux between its edges; what comes before or after all of them is tallied.
+            place = np.floor((time_from_path(paths.path_m) - axis.start_s) / axis.width_s)
+            inside = (place >= 0) & (place < axis.bins)
+            histogram, photons = histogram_of[start + paths.pair], share * paths.photons
+            row = np.where(paths.order == 3, paths.part, parts + np.clip(paths.order - 3, 0, 2))
+            to = (row * len(overflow) + histogram) * axis.bins + place.astype(np.int64)
+            light += np.bincount(to[inside], photons[inside], len(light))
+            overflow += np.bincount(histogram[~inside], photons[~inside], len(overflow))
+        squares += (light.reshape(rows, values).sum(axis=0) - before) ** 2
+    by_row = light.reshape(rows, *shape)
+    scatter = np.maximum(squares - by_row.sum(axis=0).ravel() ** 2 / replicates, 0.0)
+    stderr = np.sqrt(scatter * replicates / (replicates - 1)) if replicates > 1 else np.full(values, np.nan)
+    last = MAX_BOUNCES if max_bounces is None else max_bounces
+    asked = {"direct": direct, "primary": True, "secondary": last > 3, "higher": last > 4}
+    found = {"direct": by_row[parts], "primary": by_row[:parts].sum(axis=0), "secondary": by_row[parts + 1],
+             "higher": by_row[parts + 2]}  # fmt: skip
+    return Transient(
+        axis, {name: found[name] for name in found if asked[name]}, dict(zip(scene.part_names, by_row, strict=False)),
+        stderr.reshape(shape), overflow.reshape(shape[:2]), laser_points(caster, capture),
+    )  # fmt: skip
+
+
+def pairs_of(capture: Capture) -> Ints:
+    """(n, 2) laser point and pixel of each histogram, in their order; of a flood, of each of its laser points."""
+    lasers, pixels = len(capture.laser.targets), len(capture.sensor.pixels)
+    if capture.pairing == "confocal":
+        return np.stack([np.arange(lasers), np.arange(lasers)], axis=1)
+    return np.stack(np.divmod(np.arange(lasers * pixels), pixels), axis=1)
+
+
+def laser_points(caster: Raycaster, capture: Capture) -> Floats:
+    """(L, 3) where the laser's rays first meet the scene, NaN where they meet nothing."""
+    hits = caster.closest(capture.laser.position, capture.laser.targets - capture.laser.position)
+    return np.where(hits.valid[:, None], hits.position, np.nan)
