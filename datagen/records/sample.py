@@ -33,6 +33,7 @@ class Spend:
     rounds : passes over the scene; 1 for fixed sample counts.
     cost : all work in units of one connection with its shadow ray (`transport/cost.py`), a function of counts alone.
     outcome : why it ended, in words.
+    second_opinion : what unbiased samples say of light that was found by cells, in words; empty where none was.
 
     Raises
     ------
@@ -46,6 +47,7 @@ class Spend:
     rounds: int
     cost: float
     outcome: str
+    second_opinion: str = ""
 
     def __post_init__(self) -> None:
         for name in ("lookins", "share", "fov_samples"):
@@ -60,14 +62,16 @@ class Spend:
         check_integer("Spend", "rounds", self.rounds, 0, 2**53)
         check_number("Spend", "cost", self.cost, 0.0, np.inf, "connections")
         check_kind("Spend.outcome", self.outcome, str)
+        check_kind("Spend.second_opinion", self.second_opinion, str)
 
     def parameters(self) -> dict[str, Scalar]:
-        """As flat scalars, `primary.lookins`, `primary.share` … `rounds`, `cost`."""
+        """As flat scalars, `primary.lookins`, `primary.share` … `rounds`, `cost`, `outcome`, `second_opinion`."""
         flat: dict[str, Scalar] = {}
         for name, lookins in self.lookins.items():
             flat |= {f"{name}.lookins": lookins, f"{name}.share": self.share[name], f"{name}.way": self.way[name]}
             flat[f"{name}.fov_samples"] = self.fov_samples[name]
-        return flat | {"rounds": self.rounds, "cost": self.cost, "outcome": self.outcome}
+        flat |= {"rounds": self.rounds, "cost": self.cost, "outcome": self.outcome}
+        return flat | ({"second_opinion": self.second_opinion} if self.second_opinion else {})
 
 
 @dataclass(frozen=True, repr=False)

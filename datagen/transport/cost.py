@@ -24,6 +24,8 @@ CELL, CELL_RAY = 2.0, 3.0
 """A cell spread over its arrival times, and a ray of it in the hierarchy."""
 CELL_PAIR, PAIR_RAY = 1.5, 1.0
 """A pair of cells, and the ray between them."""
+SAMPLE = 20.0
+"""A path of the reference, by all its ways of finding one."""
 TERM, TERM_EACH = 0.001, 0.03
 """A bin of what arrives, multiplied with one path that leaves, and beginning with it."""
 SPECTRUM, BUTTERFLY = 0.01, 0.0055

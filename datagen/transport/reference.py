@@ -157,7 +157,7 @@ class _Tracer:
 
     def __init__(
         self, caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int,
-        occlusion: bool,
+        occlusion: bool, aim: Floats | None,
     ) -> None:  # fmt: skip
         self.caster, self.scene, self.materials, self.capture = caster, scene, materials, capture
         self.samples, self.occlusion = samples, occlusion
@@ -166,9 +166,10 @@ class _Tracer:
         self.planes, self.solid_angle = cones.planes, cones.solid_angle
         self.has_lobe = ~np.isin(materials.kind, (LAMBERTIAN, OREN_NAYAR, SIN_LOBE))
         self.per_photon = 1.0 / samples
-        # By area, each part with the same probability.
+        # By area, each part with the same probability if nothing is said.
         area = np.bincount(scene.face_part, caster.face_area_m2, len(scene.part_names))
-        self.area_density = 1.0 / (np.count_nonzero(area) * area[scene.face_part])
+        chance = (area > 0) * (np.ones(len(area)) if aim is None else aim)
+        self.area_density = (chance / chance.sum())[scene.face_part] / area[scene.face_part]
         self.cumulative = np.cumsum(self.area_density * caster.face_area_m2)
 
     def air(self, metres: Floats) -> Floats:
@@ -353,6 +354,7 @@ class _Tracer:
 def sample_paths(
     caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int, *,
     max_bounces: int | None = 3, direct: bool = False, occlusion: bool = True, seed: int = 0,
+    aim: Floats | None = None,
 ) -> Paths:  # fmt: skip
     """Weighted paths of light for some pairs of laser point and pixel, unbiased for any number of samples.
 
@@ -361,8 +363,10 @@ def sample_paths(
     max_bounces : highest order, ≥ 3, or None for all (by Russian roulette). direct : orders 1 and 2 as well.
     occlusion : whether anything may stand between last hidden vertex and FoV point (`Accuracy.occlusion` not "off").
     seed : the same seed gives the same paths.
+    aim : (K,) how often x₂ is drawn on each part, relative to the others; alike if left out. It changes the scatter
+        and not the mean.
     """
-    t = _Tracer(caster, scene, materials, capture, np.asarray(pairs), samples, occlusion)
+    t = _Tracer(caster, scene, materials, capture, np.asarray(pairs), samples, occlusion, aim)
     count = len(t.pixel)
     numbers = scrambled_sobol(stream_seeds(seed, REFERENCE_STREAM, 0), count, SOBOL_DIMENSIONS)[0]
     later = np.random.default_rng([LATER_STREAM, seed])

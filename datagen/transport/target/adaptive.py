@@ -16,6 +16,7 @@ from datagen.transport.primary import Primary, primary_by_cells
 from datagen.transport.secondary_cells import Secondary, secondary_by_cells
 from datagen.transport.target.allocation import REPLICATES, Allotment, next_allotments, one_more
 from datagen.transport.target.confidence import bound_factor, total_variance
+from datagen.transport.target.second_opinion import Claim, Opinion, second_opinion
 from datagen.transport.target.strata import Known, Stratum, square_norm
 from datagen.transport.target.strategies import Seeds, first_rounds
 from datagen.transport.walk import WalkTask
@@ -37,6 +38,9 @@ laser point is its own pixel what comes first is most of the light, and what com
 SECONDARY_SHARE, SECONDARY_OWN, LEFT_OVER = 0.5, 2.0, 0.05
 """Share of the target that the secondary from cells may use beside samples; the error of its own light, which comes
 when the primary's is past, relative to that of an object's; and what neither of the two uses where they are all."""
+TRIES = (1.0, 0.25)
+"""Errors that the primary from cells is tried with, relative to those asked for: where unbiased samples disagree with
+the one, finer cells get a chance before all is sampled."""
 LEAST_LEFT = 0.1
 """Share of the square of the target that is left to samples at least."""
 
@@ -46,8 +50,8 @@ def meet_target(task: WalkTask) -> Estimate:
 
     The primary and the secondary come from cells, without noise (`primary.py`, `secondary_cells.py`), and what they
     leave of the error is met by sampling the other components. Where cells are not the means (a pixel that looks past
-    its wall, more cells than `max_lookins` would leave rays) all components are sampled, or all but the primary, and
-    only the whole is held to an error.
+    its wall, more cells than `max_lookins` would leave rays, unbiased samples that disagree with them:
+    `second_opinion.py`) all components are sampled, or all but the primary, and only the whole is held to an error.
     """
     accuracy, splits = task.accuracy, task.splits
     assert accuracy.target is not None
@@ -55,9 +59,9 @@ def meet_target(task: WalkTask) -> Estimate:
         return _nothing(task)
     share = PRIMARY_SHARE[task.capture.pairing] if splits.others else 1.0
     gathering = Gathering.of(task)
-    primary = primary_by_cells(gathering, share * accuracy.target, accuracy.each_part, accuracy.faint_part)
+    primary, opinions = _agreed_primary(gathering, share)
     if primary is None:
-        return _sampled(task, None)
+        return _with_opinions(_sampled(task, None), opinions)
     found = {"primary": _of_primary(primary)}
     if "secondary" in splits.components and accuracy.strongest is None:
         used = 1 - LEFT_OVER - share if len(splits.others) == 1 else SECONDARY_SHARE
@@ -69,7 +73,11 @@ def meet_target(task: WalkTask) -> Estimate:
         own = min(SECONDARY_OWN * accuracy.each_part, 1.0)
         secondary = secondary_by_cells(gathering, limit, own, accuracy.faint_part)
         if secondary is not None:
-            found["secondary"] = _of_secondary(secondary)
+            of_cells = _of_secondary(secondary)
+            claim = Claim(of_cells.light, of_cells.error / (l2_norm(of_cells.light) or 1.0), order=4)
+            opinions.append(second_opinion(task, {"secondary": claim}, of_cells.cost, len(opinions)))
+            if opinions[-1].agrees:
+                found["secondary"] = of_cells
     left = tuple(name for name in splits.others if name not in found)
     known = Known(reduce(np.add, (one.light for one in found.values())), sum(one.error for one in found.values()))
     if left:
@@ -79,7 +87,42 @@ def meet_target(task: WalkTask) -> Estimate:
         met = error <= accuracy.target
         spend = Spend({}, {}, {}, {}, 1, 0.0, "target met" if met else "target not met by cells")
         rest = Estimate({}, {}, np.zeros(task.capture.shape), np.zeros(task.capture.shape[:2]), spend, error, met)
-    return _joined(task, found, primary, rest)
+    return _with_opinions(_joined(task, found, primary, rest), opinions)
+
+
+def _agreed_primary(gathering: Gathering, share: float) -> tuple[Primary | None, list[Opinion]]:
+    """The primary by cells, if unbiased samples agree with it, and what they said of each try; else nothing."""
+    task, accuracy, opinions = gathering.task, gathering.task.accuracy, list[Opinion]()
+    assert accuracy.target is not None
+    for finer in TRIES:
+        primary = primary_by_cells(
+            gathering, finer * share * accuracy.target, finer * accuracy.each_part, accuracy.faint_part
+        )
+        if primary is None:
+            return None, opinions
+        opinions.append(second_opinion(task, _claims(task, primary), _of_primary(primary).cost, len(opinions)))
+        if opinions[-1].agrees:
+            return primary, opinions
+    return None, opinions
+
+
+def _claims(task: WalkTask, primary: Primary) -> dict[str, Claim]:
+    """What the primary says of the error of its whole, and of each part that brings light.
+
+    The light of a part that is held to no error of its own may be wrong by as much as the whole.
+    """
+    whole = reduce(np.add, primary.rows)
+    claims, error = {"primary": Claim(whole, primary.error, order=3)}, primary.error * l2_norm(whole)
+    for k, name in enumerate(task.splits.parts):
+        norm = l2_norm(primary.rows[k])
+        if norm > 0.0:
+            claims[name] = Claim(primary.rows[k], primary.part_errors.get(name, min(error / norm, 1.0)), 3, k)
+    return claims
+
+
+def _with_opinions(estimate: Estimate, opinions: list[Opinion]) -> Estimate:
+    """The same estimate, its record saying what the second opinions were."""
+    return replace(estimate, spend=replace(estimate.spend, second_opinion="; ".join(map(str, opinions))))
 
 
 @dataclass(frozen=True)
