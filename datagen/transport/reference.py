@@ -22,9 +22,10 @@ The last two vertices, h = x_{B−1} and v = x_B, are drawn in three ways, given
 Whichever way found it, a path counts the integrand over the sum of the densities of all three ways (the balance
 heuristic: Veach & Guibas, SIGGRAPH 1995), so together they count every path once.
 
-`sample_paths` returns weighted paths, to be added up as the caller likes; `reference` puts them into a capture's bins:
+`sample_paths` returns weighted paths, to be added up as the caller likes; `reference` puts them into time bins:
 
-    paths = sample_paths(Raycaster(scene), scene, MaterialTable.of(scene.materials), capture, pairs, 64, max_bounces=4)
+    materials, caster = MaterialTable.of(scene.materials), Raycaster(scene)
+    paths = sample_paths(caster, scene, materials, capture, pairs_of(capture), samples=64, max_bounces=4)
     primary = paths.take(paths.order == 3)
     energy_by_part = np.bincount(primary.part, primary.photons)
     transient = reference(scene, capture, samples=4096, max_bounces=4)
@@ -47,17 +48,20 @@ from datagen.transport.sampling import scrambled_sobol, stream_seeds
 from datagen.units import time_from_path
 
 BY_AREA = 0.5
-"""Share of x₂ drawn by area: whatever it is, the mean is the same. Half of it meets what is small or far half as often
-by this way, and what is near more often by the other."""
+"""Share of x₂ drawn by area: whatever it is, the mean is the same. Half of it meets what is small or far half as
+often, and what is near more often."""
 SOBOL_DIMENSIONS = 9
-"""Quasi-random numbers of a sample: two aim at the pixel, three at x₂, two go back from the pixel, two aim at x₃. Later
-vertices, for which they gain little, have independent numbers."""
+"""Quasi-random numbers of a sample: two aim at the pixel, three at x₂, two go back from the pixel, two aim at x₃.
+Later vertices, for which they gain little, have independent numbers."""
 SURVIVAL = (0.05, 0.95)
 """Least and greatest chance to go on, where paths of all orders are followed: the one bounds how much a path's weight
 grows at once, the other ends it in the end."""
 ROULETTE_FROM = 4
+"""Bounce order from which paths may end so."""
 AT_ONCE = 1 << 16
 """Samples in memory together."""
+SMALLEST = 1e-200
+"""Densities below are taken for 0: far below any with which a path is drawn, and safe to divide by."""
 REFERENCE_STREAM, LATER_STREAM = 96, 97
 
 
@@ -92,9 +96,9 @@ class Paths:
 class _Vertices:
     """Where n samples' paths have come to.
 
-    sample, face, part : (n,). position, normal, back : (n, 3) metres; unit normal on the side that the path came from;
-    unit direction back along it. power : (n,) photons that arrive. density : (n,) 1/m², with which the vertex before
-    draws this place. path : (n,) metres so far.
+    sample, face, part : (n,). position, normal, back : (n, 3) metres; unit normal on the side that the path came
+    from; unit direction back along it. power : (n,) photons that arrive. density : (n,) 1/m², with which the way from
+    the laser draws this place. path : (n,) metres so far.
     """
 
     sample: Ints
@@ -111,7 +115,8 @@ class _Vertices:
         return len(self.sample)
 
     def take(self, which: Ints | Bools) -> _Vertices:
-        return _Vertices(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+        rows = np.flatnonzero(which) if which.dtype == np.bool_ else which
+        return _Vertices(*(getattr(self, field.name).take(rows, axis=0) for field in fields(self)))
 
 
 @compiled()
@@ -148,8 +153,8 @@ def _leg(a: _Vertices, b: _Vertices) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def _over(a: Floats, b: Floats) -> Floats:
-    """a / b, and 0 where b is 0."""
-    return np.divide(a, b, out=np.zeros_like(a), where=b > 0)
+    """a / b, and 0 where b is all but 0: a density that nothing is drawn with."""
+    return np.divide(a, b, out=np.zeros_like(a), where=b > SMALLEST)
 
 
 class _Tracer:
@@ -157,7 +162,7 @@ class _Tracer:
 
     def __init__(
         self, caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int,
-        occlusion: bool, aim: Floats | None,
+        occlusion: bool,
     ) -> None:  # fmt: skip
         self.caster, self.scene, self.materials, self.capture = caster, scene, materials, capture
         self.samples, self.occlusion = samples, occlusion
@@ -166,10 +171,13 @@ class _Tracer:
         self.planes, self.solid_angle = cones.planes, cones.solid_angle
         self.has_lobe = ~np.isin(materials.kind, (LAMBERTIAN, OREN_NAYAR, SIN_LOBE))
         self.per_photon = 1.0 / samples
-        # By area, each part with the same probability if nothing is said.
+        self.lasers, self.of_sample = self.laser_points()
+        # Small parts more often for their area, as rays seldom meet them; none that no laser point lights.
         area = np.bincount(scene.face_part, caster.face_area_m2, len(scene.part_names))
-        chance = (area > 0) * (np.ones(len(area)) if aim is None else aim)
-        self.area_density = (chance / chance.sum())[scene.face_part] / area[scene.face_part]
+        lit = self.before_laser_points() & (area > 0)
+        lit = lit if lit.any() else area > 0
+        chance = np.where(lit, 1.0 / np.sqrt(np.where(lit, area, 1.0)), 0.0)
+        self.area_density = (chance / chance.sum() / np.where(lit, area, 1.0))[scene.face_part]
         self.cumulative = np.cumsum(self.area_density * caster.face_area_m2)
 
     def air(self, metres: Floats) -> Floats:
@@ -187,15 +195,15 @@ class _Tracer:
         return at.position + self.caster.offset_m * at.normal
 
     def met(self, sample: Ints, hits: Hits) -> _Vertices:
-        """The surfaces that some samples' rays met, those of rays that met none left out; what arrives comes later."""
+        """The surfaces that samples' rays met; those of rays that met none are left out. What arrives comes later."""
         rows = np.flatnonzero(hits.valid)
         face, zero = hits.face[rows].astype(np.int64), np.zeros(len(rows))
         part, nowhere = self.scene.face_part[face].astype(np.int64), np.zeros((len(rows), 3))
         position, normal = hits.position[rows], hits.normal[rows]
         return _Vertices(sample[rows], face, part, position, normal, nowhere, zero, zero, zero)
 
-    def laser_points(self) -> _Vertices:
-        """x₁ of every sample that has one: the first surface along the laser's ray."""
+    def laser_points(self) -> tuple[_Vertices, Ints]:
+        """x₁ of the laser rays that meet a surface, the first along each; and which of them each sample has, or −1."""
         laser = self.capture.laser
         used, of_sample = np.unique(self.laser, return_inverse=True)
         span = laser.targets[used] - laser.position
@@ -204,11 +212,23 @@ class _Tracer:
         leg = np.sqrt(_dot(to_laser, to_laser))
         counts = leg if self.capture.time.origin == "source" else np.zeros_like(leg)
         points = replace(points, back=to_laser / leg[:, None], power=self.air(leg) / self.samples, path=counts)
-        lit = np.flatnonzero(np.isin(of_sample, points.sample))
-        return replace(points.take(np.searchsorted(points.sample, of_sample[lit])), sample=lit)
+        number = np.full(len(used), -1)
+        number[points.sample] = np.arange(len(points))
+        return points, number[of_sample]
+
+    def before_laser_points(self) -> Bools:
+        """(K,) parts of which a corner of the box about them lies before the tangent plane of a laser point."""
+        x = self.lasers
+        low, high = np.empty((2, len(self.scene.part_names), 3))
+        for part in range(len(low)):
+            corners = self.caster.corners[self.scene.face_part == part].reshape(-1, 3)
+            low[part], high[part] = corners.min(axis=0), corners.max(axis=0)
+        boxes = np.stack([low, high], axis=1)
+        highest = ((boxes[:, None] - x.position[:, None]) * x.normal[:, None]).max(axis=2).sum(axis=2)
+        return np.asarray((highest > self.caster.offset_m).any(axis=1))
 
     def fov_points(self, uv: Floats) -> tuple[_Vertices, Floats]:
-        """v of every sample, and the photons it gives for each unit of f E there: A dΩ/(du dv), 0 where there is none.
+        """v of every sample, and the photons that it gives for each unit of f E there: A dΩ/(du dv); 0 without a v.
 
         A point uniform on the pixel's quadrilateral q(u, v), as seen from the sensor, stands for the solid angle
         dΩ/(du dv) = |q · (∂q/∂u × ∂q/∂v)| / |q|³.
@@ -302,11 +322,13 @@ class _Tracer:
 
     def land(self, x: _Vertices, v: _Vertices, order: int) -> Paths:
         """Paths of `order` bounces whose last vertex v, met from x, falls inside the pixel."""
+        of_x = np.searchsorted(x.sample, v.sample)
+        if order > 2:
+            lobed = np.flatnonzero(self.has_lobe[x.part[of_x]])
+            of_x, v = of_x[lobed], v.take(lobed)
         span = self.capture.sensor.position - v.position
-        x = x.take(np.searchsorted(x.sample, v.sample))
-        inside = self.has_lobe[x.part] | (order == 2)
-        inside &= (np.einsum("nk,njk->nj", span, self.planes[self.pixel[v.sample]]) <= 0).all(axis=1)
-        x, v = x.take(inside), self.seen(v.take(inside))
+        inside = np.flatnonzero((np.einsum("nk,njk->nj", span, self.planes[self.pixel[v.sample]]) <= 0).all(axis=1))
+        x, v = x.take(of_x[inside]), self.seen(v.take(inside))
         photons, path_m = self.photons(x, v, self.aperture(v) * self.solid_angle[self.pixel[v.sample]], order)
         bright = np.flatnonzero(photons > 0)
         hidden = self.caster.occluded(self.capture.sensor.position, self.lifted(v.take(bright)))
@@ -354,7 +376,6 @@ class _Tracer:
 def sample_paths(
     caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int, *,
     max_bounces: int | None = 3, direct: bool = False, occlusion: bool = True, seed: int = 0,
-    aim: Floats | None = None,
 ) -> Paths:  # fmt: skip
     """Weighted paths of light for some pairs of laser point and pixel, unbiased for any number of samples.
 
@@ -363,14 +384,14 @@ def sample_paths(
     max_bounces : highest order, ≥ 3, or None for all (by Russian roulette). direct : orders 1 and 2 as well.
     occlusion : whether anything may stand between last hidden vertex and FoV point (`Accuracy.occlusion` not "off").
     seed : the same seed gives the same paths.
-    aim : (K,) how often x₂ is drawn on each part, relative to the others; alike if left out. It changes the scatter
-        and not the mean.
     """
-    t = _Tracer(caster, scene, materials, capture, np.asarray(pairs), samples, occlusion, aim)
-    count = len(t.pixel)
-    numbers = scrambled_sobol(stream_seeds(seed, REFERENCE_STREAM, 0), count, SOBOL_DIMENSIONS)[0]
+    t = _Tracer(caster, scene, materials, capture, np.asarray(pairs), samples, occlusion)
+    # A scrambling for each pair, so that the errors of pairs are independent.
+    seeds = stream_seeds(seed, REFERENCE_STREAM, np.arange(len(pairs)))
+    numbers = scrambled_sobol(seeds, samples, SOBOL_DIMENSIONS).reshape(-1, SOBOL_DIMENSIONS)
     later = np.random.default_rng([LATER_STREAM, seed])
-    x = t.laser_points()
+    lit = np.flatnonzero(t.of_sample >= 0)
+    x = replace(t.lasers.take(t.of_sample[lit]), sample=lit)
     fov, gain = t.fov_points(numbers[:, :2])
     beside = t.beside(fov, gain, numbers[:, 5:7]) if occlusion else None
     found = [t.one_bounce(x)] if direct else []

@@ -36,8 +36,6 @@ PAIRS, SAMPLES, SHARE = (128, 1024), 16, 0.04
 look may take in between. Half the pairs would see a loss √2 times as large."""
 MORE = 16
 """How many times the fewest pairs a second look has, and four times those of the first at least."""
-AT_OBJECTS = 4.0
-"""How often an object is aimed at, relative to walls."""
 WINDOWS = 4
 """Windows of time, each with an equal share of the light that was found; all of it is tested, too."""
 LOOK_AGAIN = 1.25
@@ -114,7 +112,7 @@ def _look(task: WalkTask, claims: Mapping[str, Claim], count: int, last_order: i
     rows = lit[which]
     paths = sample_paths(
         task.caster, task.scene, task.materials, task.capture, every[rows], SAMPLES, max_bounces=last_order,
-        occlusion=task.accuracy.occlusion != "off", seed=seed, aim=_aim(task, claims),
+        occlusion=task.accuracy.occlusion != "off", seed=seed,
     )  # fmt: skip
     bins = np.floor((time_from_path(paths.path_m) - time.start_s) / time.width_s)
     inside = (bins >= 0) & (bins < time.bins)
@@ -137,13 +135,6 @@ def _look(task: WalkTask, claims: Mapping[str, Claim], count: int, last_order: i
                 True, name, float(-missing[k] / energy), float(sigma[k] / energy), float(sigmas[k]), count * SAMPLES
             )
     return worst
-
-
-def _aim(task: WalkTask, claims: Mapping[str, Claim]) -> Floats:
-    """(K,) how often each part is aimed at: objects more often, for what is large is met without."""
-    aim = np.ones(len(task.scene.part_names))
-    aim[[role == "object" for role in task.scene.roles]] = AT_OBJECTS
-    return aim
 
 
 def _with_sum(energy: Floats) -> Floats:
