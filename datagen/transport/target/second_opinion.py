@@ -38,7 +38,7 @@ MORE = 16
 """How many times the fewest pairs a second look has, and four times those of the first at least."""
 WINDOWS = 4
 """Windows of time, each with an equal share of the light that was found; all of it is tested, too."""
-LOOK_AGAIN = 1.25
+LOOK_AGAIN = 1.75
 """Standard errors beyond the claim from which a first look calls for a second."""
 LEVEL = 1e-4
 """Chance that a second look calls light wrong that is right, over all its parts and windows."""
