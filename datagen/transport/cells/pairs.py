@@ -95,7 +95,7 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     whole = max(whole + turned, 0.25 * whole)
     farthest = math.sqrt(variance)
     path += min(max(shift / whole, -farthest), farthest)
-    # Clusters are not halved, and their middles may meet: their points are about `apart` from each other all the same.
+    # Clusters are not halved, and their middles may meet; their points are apart from each other all the same.
     apart = one[i, CLUSTERED] * one[i, LONG] * one[i, LONG] + two[j, CLUSTERED] * two[j, LONG] * two[j, LONG]
     per = min(per, 1.0 / math.sqrt(NEAREST * apart)) if apart > 0.0 else per
     energy = share * one[i, ENERGY] * f1 * f2 * two[j, ENERGY] * whole * (per * per) * (per * per)

@@ -32,8 +32,8 @@ PARTLY, UNFOUND = 4.0, 0.4
 """Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
 
 DRAWN = 8
-"""Triangles that a cluster's light is taken from at most, one from each of as many equal shares of its area. With half
-as many the mesh's part of the secondary has about 1.4 times the noise."""
+"""Triangles that a cluster's light is taken from at most, one from each of as many equal shares of its area. With
+half as many the mesh's part of the secondary has about 1.4 times the noise."""
 WEIGHT, PATH, SIZE, COLUMNS = 9, 12, 15, 18
 """Columns of a cell: nine coordinates of its vertices, w and path there, and the area of it that is not hidden. Of a
 cluster: three points on its triangles, and from `WEIGHT` on the normals there."""
@@ -103,7 +103,8 @@ def reach_of(
         first = np.zeros(len(ends.part) + 1, np.int64)
         rays = _cut(
             ends, tree, occluders, materials.kind, materials.values, coarsest, error, asked, seed, first, cell,
-            number, part, np.empty(128, np.int64), np.empty((128, 3, 3)), np.empty(128), np.empty((DRAWN, 8)), lists(0),
+            number, part, np.empty(128, np.int64), np.empty((128, 3, 3)), np.empty(128), np.empty((DRAWN, 8)),
+            lists(0),
         )  # fmt: skip
         if rays >= 0:
             return Reach(first, cell[: first[-1]], number[: first[-1]], part[: first[-1]]), rays
@@ -352,8 +353,8 @@ def _cut(  # type: ignore[no-untyped-def]
                     if count == len(cell):
                         return -1
                     rays += _cluster(
-                        at, p, ends, tree, hides, last, listed, kind, values, word_of(seed, p, at), drawn, cell, known,
-                        count,
+                        at, p, ends, tree, hides, last, listed, kind, values, word_of(seed, p, at), drawn, cell,
+                        known, count,
                     )  # fmt: skip
                     if known[count, ENERGY] > 0.0:
                         part_of[count] = k

@@ -39,7 +39,7 @@ which that falls with its error: about two for pairs of cells and samples, and a
 SECONDARY_OWN = 2.0
 """The error of the secondary's own light, which comes when the primary's is past, relative to that of an object's."""
 LEAST_LEFT = 0.1
-"""Share of the square of the target that is left to samples at least."""
+"""Share of the square of the target that is left to components still to be found at least."""
 
 
 def meet_target(task: WalkTask) -> Estimate:
@@ -64,7 +64,8 @@ def meet_target(task: WalkTask) -> Estimate:
     found = {"primary": _of_primary(primary)}
     if "secondary" in splits.components and accuracy.strongest is None:
         asked, own = accuracy.target * l2_norm(found["primary"].light), min(SECONDARY_OWN * accuracy.each_part, 1.0)
-        limit = math.sqrt((asked**2 - found["primary"].error ** 2) / others)
+        square = max(asked**2 - found["primary"].error ** 2, LEAST_LEFT * asked**2)
+        limit = math.sqrt(square / others)
         apart = replace(task, splits=replace(splits, components=("secondary",), parts=()))
         walk = ForecastWalk(apart, limit)
         secondary = secondary_by_cells(gathering, limit, own, accuracy.faint_part, walk.costs_less_than)
