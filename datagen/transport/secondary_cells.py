@@ -23,7 +23,7 @@ from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.transport.brdf.table import LAMBERTIAN
 from datagen.transport.cells.gathering import Gathering, patches_of
 from datagen.transport.cells.pairs import arrive, join, room_for
-from datagen.transport.cells.reach import FOOTPRINT, SHARE, TO_DEVICE, UPWARD, Ends, reach_of
+from datagen.transport.cells.reach import SHARE, TO_DEVICE, UPWARD, Ends, reach_of
 from datagen.transport.cells.trial import by_light, spread_evenly
 from datagen.transport.cost import CELL_PAIR, PAIR_RAY
 from datagen.transport.primary import pairs_of
@@ -51,7 +51,8 @@ PATCH_LEVELS, PATCHES_SHARE, FROM_QUARTERS = 3, 0.25, 4 / 3
 what quartering them once more changes."""
 CONFOCAL_AT_ONCE, EXHAUSTIVE_AT_ONCE, PAIRS_AT_ONCE = 512, 4096, 1 << 18
 ROUNDING = 1e-12
-"""What is left of a histogram where its light has ended, relative to its highest bin."""
+"""What is left of a histogram where its light has ended, relative to its highest bin; and outside of the window,
+relative to all."""
 
 
 Singles = NDArray[np.float32]
@@ -111,10 +112,11 @@ def secondary_by_cells(
     else:
         found = scan.light(pairs, level.number, level.patches, PAIR * FINER**level.number * scale)
         error = level.error
-    shape = task.capture.shape
+    shape, outside = task.capture.shape, found.photons - found.histogram.sum(axis=1)
+    outside[outside < ROUNDING * found.photons] = 0.0
     return Secondary(
-        found.histogram.reshape(shape), (found.photons - found.histogram.sum(axis=1)).clip(0.0).reshape(shape[:2]),
-        error, rough.pairs + level.pairs + found.pairs, rough.rays + level.rays + found.rays,
+        found.histogram.reshape(shape), outside.reshape(shape[:2]), error,
+        rough.pairs + level.pairs + found.pairs, rough.rays + level.rays + found.rays,
     )  # fmt: skip
 
 
@@ -336,17 +338,14 @@ class _Scan:
         alike &= (kinds == LAMBERTIAN) | (
             np.abs(lit.point - seen.point)[..., TO_DEVICE:SHARE].max(axis=(1, 2)) < 1e-6
         )
-        return (
-            bool((alike | (lit.part[:, 0] < 0)).all())
-            and not seen.point[..., FOOTPRINT].max(initial=0.0) > near * near * 1e6
-        )
+        return bool((alike | (lit.part[:, 0] < 0)).all())
 
     def _lasers(self, lasers: Ints) -> tuple[Ends, Floats]:
         points = self.task.points
         one = np.ones((len(lasers), 1))
         ends = Ends.of(
             np.nan_to_num(points.position[lasers])[:, None], points.normal[lasers][:, None],
-            points.to_laser[lasers][:, None], points.part[lasers][:, None], one, 0 * one, 0 * one,
+            points.to_laser[lasers][:, None], points.part[lasers][:, None], one, 0 * one,
         )  # fmt: skip
         return ends, np.nan_to_num(points.leg[lasers])
 
@@ -363,6 +362,5 @@ class _Scan:
         part = np.where(weight > 0, part, -1)
         ends = Ends.of(
             patches.position[:, finest], patches.normal[:, finest], patches.to_sensor[:, finest], part, share, longer,
-            patches.footprint[:, finest],
         )  # fmt: skip
         return ends, whole, mean

@@ -3,12 +3,13 @@
 Flux per area at y from an end, a few points x of weights that add up to one (a laser point is one, a pixel's patch is
 as many as it needs; docs/physics.md):
 
-    w(y) = Σ weight · f₁ cosθ₁ cosθ₂ V / (R₁² + a/π),     path R₁ on average,
+    w(y) = Σ weight · f₁ cosθ₁ cosθ₂ V / R₁²,     path R₁ on average.
 
-a the wall area that a point of a patch stands for. By reciprocity it is also the share of the light leaving y that
-gets to the sensor by way of the patch. A cell is halved until it is small against its distance and its light is
-little; what is partly hidden is halved further. A box of many small triangles is one cell, whose light, place and
-normal are the means over a few of its triangles (`_cluster`).
+By reciprocity it is also the share of the light leaving y that gets to the sensor by way of the patch. A cell is
+halved until it is small against its distance and its light is little; what is partly hidden is halved further. A box
+of many small triangles is one cell, whose light, place and normal are the means over a few of its triangles
+(`_cluster`). A point for a whole patch is right beside another surface, too: what it sees of a wall depends on the
+angle between them, not on its distance.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ the path to the end, its longest side, the direction to the end, the variance ov
 cluster, 0 for a triangle."""
 
 
-UPWARD, TO_DEVICE, SHARE, LONGER, FOOTPRINT = 3, 6, 9, 10, 11
+UPWARD, TO_DEVICE, SHARE, LONGER = 3, 6, 9, 10
 """Columns of an end's point, whose first three are its position."""
 
 
@@ -53,9 +54,9 @@ class Ends(NamedTuple):
 
     Attributes
     ----------
-    point : (N, Q, 12) position, metres (0–2), normal (`UPWARD`) and direction to the device (`TO_DEVICE`), unit
-        vectors; its weight (`SHARE`), of which those of an end add up to one or are zero; what its path is longer by
-        than that of the end, metres (`LONGER`); and the wall area that it stands for, m² (`FOOTPRINT`).
+    point : (N, Q, 11) position, metres (0–2), normal (`UPWARD`) and direction to the device (`TO_DEVICE`), unit
+        vectors; its weight (`SHARE`), of which those of an end add up to one or are zero; and what its path is longer
+        by than that of the end, metres (`LONGER`).
     part : (N, Q) −1 for a point that is none.
     """
 
@@ -65,10 +66,9 @@ class Ends(NamedTuple):
     @classmethod
     def of(
         cls, position: Floats, normal: Floats, to_device: Floats, part: Ints, share: Floats, longer: Floats,
-        footprint: Floats,
     ) -> Ends:  # fmt: skip
         """Of (N, Q, 3) and (N, Q)."""
-        numbers = np.stack([share, longer, footprint], axis=-1)
+        numbers = np.stack([share, longer], axis=-1)
         return cls(np.concatenate([position, normal, to_device, numbers], axis=-1), np.ascontiguousarray(part))
 
 
@@ -129,7 +129,7 @@ def lit(y, n, p, ends, kind, values):  # type: ignore[no-untyped-def]
         if up > 0.0 and down > 0.0:
             per = 1.0 / r
             f = evaluate(kind[k], values[k], n1, get(point, q, TO_DEVICE), (d[0] * per, d[1] * per, d[2] * per))
-            w += share * f * up * down / (square * (square + point[q, FOOTPRINT] / math.pi))
+            w += share * f * up * down / (square * square)
     return w, path / whole
 
 
