@@ -20,7 +20,7 @@ ORDER_CALL = 0.2
 """A call's share that each bounce order beyond the first adds."""
 OBSERVED_RAY = 1.7
 """A ray from a lookin to an observed point, or a shadow ray from there to a laser point."""
-CELL, CELL_RAY = 2.0, 9.0
+CELL, CELL_RAY = 2.0, 3.0
 """A cell spread over its arrival times, and a ray of it in the hierarchy."""
 CELL_PAIR, PAIR_RAY = 4.0, 2.0
 """A pair of cells, cut and spread over its arrival times, and the ray between them."""
