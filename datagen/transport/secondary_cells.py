@@ -293,12 +293,12 @@ class _Scan:
         seed = int(stream_seeds(task.seed, CLUSTER_STREAM, first, np.zeros(1, np.int64))[0])
         lit, leg1 = self._lasers(lasers)
         seen, weight, leg3 = self._pixels(pixels, patches, device)
-        materials, coarsest = task.materials, COARSEST * width
-        ones, rays = reach_of(lit, tree, occluders, materials, coarsest, error, True, seed)
+        materials, coarsest, narrow = task.materials, COARSEST * width, width < 1.0
+        ones, rays = reach_of(lit, tree, occluders, materials, coarsest, narrow, error, True, seed)
         same = self._same(lit, seen, pairs)
         twos = ones
         if not same:
-            twos, more = reach_of(seen, tree, occluders, materials, coarsest, error, asked, seed)
+            twos, more = reach_of(seen, tree, occluders, materials, coarsest, narrow, error, asked, seed)
             rays += more
         legs = leg1[i] + leg3[p]
         gain = np.exp(-air * leg1[i]) * weight[p]

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from datagen.compiled import compiled
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot, evaluate
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less, longest, put
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST, Hierarchy, one_of
@@ -34,7 +34,8 @@ PARTLY, UNFOUND = 4.0, 0.4
 
 DRAWN = 8
 """Triangles that a cluster's light is taken from at most, one from each of as many equal shares of its area. With
-half as many the mesh's part of the secondary has about 1.4 times the noise."""
+half as many the mesh's part of the secondary has about 1.4 times the noise. One alone where a lobe is too narrow for
+a mean normal: a different one for each end is right on average."""
 WEIGHT, PATH, SIZE, COLUMNS = 9, 12, 15, 18
 """Columns of a cell: nine coordinates of its vertices, w and path there, and the area of it that is not hidden. Of a
 cluster: three points on its triangles, and from `WEIGHT` on the normals there."""
@@ -89,12 +90,12 @@ class Reach(NamedTuple):
 
 
 def reach_of(
-    ends: Ends, tree: Hierarchy, occluders: Occluders, materials: MaterialTable, coarsest: Floats,
+    ends: Ends, tree: Hierarchy, occluders: Occluders, materials: MaterialTable, coarsest: Floats, narrow: Bools,
     error: float, asked: bool, seed: int,
 ) -> tuple[Reach, int]:  # fmt: skip
     """The cells of some ends, and how many rays were asked for them.
 
-    coarsest : (K,) largest cell of each part, relative to its distance.
+    coarsest : (K,) largest cell of each part, relative to its distance. narrow : (K,) which have a narrow lobe.
     error : what a cell may be wrong by, relative to the light of its end. asked : whether anything may hide a cell.
     """
     room = 128 * (len(ends.part) + 1)
@@ -102,8 +103,8 @@ def reach_of(
         cell, number, part = np.empty((room, COLUMNS)), np.empty((room, NUMBERS)), np.empty(room, np.int64)
         first = np.zeros(len(ends.part) + 1, np.int64)
         rays = _cut(
-            ends, tree, occluders, materials.kind, materials.values, coarsest, error, asked, seed, first, cell,
-            number, part, np.empty(128, np.int64), np.empty((128, 3, 3)), np.empty(128), np.empty((DRAWN, 8)),
+            ends, tree, occluders, materials.kind, materials.values, coarsest, narrow, error, asked, seed, first,
+            cell, number, part, np.empty(128, np.int64), np.empty((128, 3, 3)), np.empty(128), np.empty((DRAWN, 8)),
             lists(0),
         )  # fmt: skip
         if rays >= 0:
@@ -217,23 +218,23 @@ def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
 
 @compiled(_nrt=False)
 def _cluster(  # type: ignore[no-untyped-def]
-    at, p, ends, tree, hides, last, listed, kind, values, word, drawn, cell, number, k
+    at, p, ends, tree, hides, last, listed, kind, values, most, word, drawn, cell, number, k
 ):
     """Make one cell k of the triangles of box `at` that end p lights; returns the rays asked.
 
-    Its light, middle, path and normal are means over the light of some of its triangles, one from each of equal
-    shares of its area, or all of them where they are few, which are asked one by one what hides them. With Lambert's
+    Its light, middle, path and normal are means over the light of some of its triangles, one from each of `most`
+    equal shares of its area, or all where they are fewer, and one by one it is asked what hides them. With Lambert's
     law what leaves towards ω is Σ E n·ω, the same as by the mean normal, as long as all that is lit faces ω.
     """
     corners, normal, area_before = tree.corners, tree.normal, tree.area
     start, end, points = tree.span[at, 0], tree.span[at, 1], ends.part.shape[1]
-    count, rays, found = min(end - start, DRAWN), 0, 0
+    count, rays, found = min(end - start, most), 0, 0
     whole = length = 0.0
     middle = mean = (0.0, 0.0, 0.0)
     x, one = _mean(ends, p)
     for s in range(count):
         f, size = start + s, area_before[start + s + 1] - area_before[start + s]
-        if end - start > DRAWN:
+        if end - start > most:
             f = one_of(start, end, area_before, (2.0**32 * s + np.float64(word)) / count)
             size = (area_before[end] - area_before[start]) / count
         n = get(normal, f, 0)
@@ -267,14 +268,22 @@ def _cluster(  # type: ignore[no-untyped-def]
     y, length = (middle[0] * per, middle[1] * per, middle[2] * per), length * per
     # The mean of unit normals is shorter than one, by as much as less leaves towards each direction.
     number[k, ENERGY] = math.sqrt(dot(mean, mean))
-    along = 1.0 / number[k, ENERGY]
+    per = 1.0 / number[k, ENERGY]
     put(number, k, 0, y)
-    put(number, k, NORMAL, (mean[0] * along, mean[1] * along, mean[2] * along))
+    put(number, k, NORMAL, (mean[0] * per, mean[1] * per, mean[2] * per))
     number[k, LENGTH], number[k, CLUSTERED] = length, 1.0
     back = distance(x, y)
     put(number, k, BACK, ((x[0] - y[0]) / back, (x[1] - y[1]) / back, (x[2] - y[2]) / back))
     blur = _blur(y, p, ends, length) if points > 1 else 0.0
-    number[k, BLUR] = blur + _spans(drawn, found, y, length, whole, number, k)
+    if found == 1:
+        # Of one there is no scatter: that of all the box.
+        moment, g = tree.moment[tree.cluster[at]], (-number[k, BACK], -number[k, BACK + 1], -number[k, BACK + 2])
+        spread = (moment[3], moment[6], moment[7], moment[4], moment[8], moment[5])
+        xx, xy, xz, yy, yz, zz = spread
+        along = (dot((xx, xy, xz), g), dot((xy, yy, yz), g), dot((xz, yz, zz), g))
+    else:
+        spread, along = _scatter(drawn, found, y, length, whole)
+    number[k, BLUR] = blur + _spans(spread, along, number, k)
     # Three of the points, in the middles of thirds of the light, are where its rays begin.
     at_light, s = 0.0, 0
     for j in range(3):
@@ -287,9 +296,9 @@ def _cluster(  # type: ignore[no-untyped-def]
 
 
 @compiled(_nrt=False)
-def _spans(drawn, found, y, length, whole, number, k):  # type: ignore[no-untyped-def]
-    """Fill `SPAN`, `ALONG` and `LONG` of cluster k from the places and light of some triangles; returns the variance
-    along the third direction, m², for which there is no column."""
+def _scatter(drawn, found, y, length, whole):  # type: ignore[no-untyped-def]
+    """Covariance of the places of some triangles, weighted with their light, as xx, xy, xz, yy, yz, zz, and of their
+    places with their paths; m²."""
     # What lies between the triangles drawn is in none of them: N of them have (N − 1)/N of the variance.
     share = found / max(found - 1, 1) / whole
     xx = xy = xz = yy = yz = zz = rx = ry = rz = 0.0
@@ -299,29 +308,37 @@ def _spans(drawn, found, y, length, whole, number, k):  # type: ignore[no-untype
         xx, xy, xz = xx + w * d[0] * d[0], xy + w * d[0] * d[1], xz + w * d[0] * d[2]
         yy, yz, zz = yy + w * d[1] * d[1], yz + w * d[1] * d[2], zz + w * d[2] * d[2]
         rx, ry, rz = rx + w * r * d[0], ry + w * r * d[1], rz + w * r * d[2]
+    return (xx, xy, xz, yy, yz, zz), (rx, ry, rz)
+
+
+@compiled(_nrt=False)
+def _spans(spread, along, number, k):  # type: ignore[no-untyped-def]
+    """Fill `SPAN`, `ALONG` and `LONG` of cluster k from its covariances; returns the variance along the third
+    direction, m², for which there is no column."""
+    xx, xy, xz, yy, yz, zz = spread
+    rx, ry, rz = along
     number[k, LONG] = math.sqrt(18.0 * (xx + yy + zz))
     for j in range(2):
         # The column of the axis with the largest variance left, as in Cholesky's decomposition with pivots.
-        p, along = (xx, xy, xz), rx
-        most = xx
+        p, path, most = (xx, xy, xz), rx, xx
         if yy >= max(xx, zz):
-            p, along, most = (xy, yy, yz), ry, yy
+            p, path, most = (xy, yy, yz), ry, yy
         elif zz > xx:
-            p, along, most = (xz, yz, zz), rz, zz
+            p, path, most = (xz, yz, zz), rz, zz
         per = 1.0 / math.sqrt(most) if most > 0.0 else 0.0
-        p, along = (per * p[0], per * p[1], per * p[2]), per * along
+        p, path = (per * p[0], per * p[1], per * p[2]), per * path
         put(number, k, SPAN + 3 * j, p)
-        number[k, ALONG + j] = along
+        number[k, ALONG + j] = path
         xx, xy, xz = xx - p[0] * p[0], xy - p[0] * p[1], xz - p[0] * p[2]
         yy, yz, zz = yy - p[1] * p[1], yz - p[1] * p[2], zz - p[2] * p[2]
-        rx, ry, rz = rx - p[0] * along, ry - p[1] * along, rz - p[2] * along
+        rx, ry, rz = rx - p[0] * path, ry - p[1] * path, rz - p[2] * path
     return max(xx, yy, zz, 0.0)
 
 
 @compiled(_nrt=False)
 def _cut(  # type: ignore[no-untyped-def]
-    ends, tree, occluders, kind, values, coarsest, error, asked, seed, first, cell, known, part_of, boxes, waits,
-    wait_area, drawn, listed,
+    ends, tree, occluders, kind, values, coarsest, narrow, error, asked, seed, first, cell, known, part_of, boxes,
+    waits, wait_area, drawn, listed,
 ):  # fmt: skip
     """Fill `first`, `cell`, `known` and `part_of`; returns the rays asked, or −1 where there is no room."""
     corners, normal, area_before, around, children = tree.corners, tree.normal, tree.area, tree.box, tree.children
@@ -353,8 +370,8 @@ def _cut(  # type: ignore[no-untyped-def]
                     if count == len(cell):
                         return -1
                     rays += _cluster(
-                        at, p, ends, tree, hides, last, listed, kind, values, word_of(seed, p, at), drawn, cell,
-                        known, count,
+                        at, p, ends, tree, hides, last, listed, kind, values, 1 if narrow[k] else DRAWN,
+                        word_of(seed, p, at), drawn, cell, known, count,
                     )  # fmt: skip
                     if known[count, ENERGY] > 0.0:
                         part_of[count] = k
