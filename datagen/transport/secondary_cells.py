@@ -3,7 +3,8 @@
 A laser point lights cells, a pixel sees cells (`cells/reach.py`), and every cell of the one gives light to every
 cell of the other (`cells/pairs.py`); pairs that bring much of the light, or are near each other, are cut further.
 How fine that must be is found on some pairs of laser point and pixel, with ever finer cells, until the next finer
-ones make little difference. The error of what is chosen is thus known without noise.
+ones make little difference. The error of what is chosen is thus known without noise. And each finer level foretells
+what the cells of all pairs will cost to meet the error asked: where samples cost less, they are left to those.
 
 Cells are cut for each laser point and each pixel on its own, L + P times for an exhaustive scan. One ray is asked
 between the middles of each pair of cells.
@@ -12,44 +13,46 @@ between the middles of each pair of cells.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records.arrays import Floats, Ints, l2_norm
-from datagen.transport.brdf.table import LAMBERTIAN
+from datagen.transport.brdf.table import LAMBERTIAN, OREN_NAYAR
 from datagen.transport.cells.gathering import Gathering, patches_of
 from datagen.transport.cells.pairs import arrive, join, room_for
-from datagen.transport.cells.reach import FOOTPRINT, SHARE, TO_DEVICE, UPWARD, Ends, reach_of
+from datagen.transport.cells.reach import SHARE, TO_DEVICE, UPWARD, Ends, reach_of
 from datagen.transport.cells.trial import by_light, spread_evenly
+from datagen.transport.cost import CELL_PAIR, PAIR_RAY
 from datagen.transport.primary import pairs_of
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.walk import WalkTask
 from datagen.units import path_from_time
 
 CLUSTER_STREAM = 66
-COARSEST, LIGHT, PAIR = 1.2, 0.05, 1e-3
+COARSEST, LIGHT, PAIR = 1.2, 0.1, 4e-3
 """Of the coarsest cells: the largest, relative to its distance; its error, relative to the light of its end; and the
-error of a pair, relative to the light of all pairs."""
-LIGHT_FINER, FINER, REST, LEVELS = 0.5, 0.25, 2.0, 8
+error of a pair, relative to the light of all pairs. With half of the last two even scans that ask for little take
+twice the time."""
+LIGHT_FINER, FINER, REST, LEVELS = 0.5, 0.25, 2.0, 9
 """What the two errors are multiplied with from one level to the next, finer one; the error of a level, relative to
 its difference from the next, for errors fall to about half; and the number of levels at most."""
-WITHIN = 0.7
+GROWTH, FALL = 2.5, 0.65
+"""Pairs of cells and error from one level to the next, about: what levels not yet tried are foretold by."""
+WITHIN = 0.85
 """Share of the error to be met that its estimate may reach on the pairs tried: others may be worse."""
 TRIALS, LOOKED_AT = (8, 48), 4
 """Fewest and most pairs of laser point and pixel on which the level is chosen, one in twenty in between; and how many
 are looked at roughly for each of them."""
-MOST_PAIRS = 1 << 16
-"""Pairs of cells for each of these up to which they cost less than samples."""
-GROWTH = 2.5
-"""Pairs of cells from one level to the next, about."""
 PATCH_LEVELS, PATCHES_SHARE, FROM_QUARTERS = 3, 0.25, 4 / 3
 """How often pixels are quartered at most; the share of the error that may come of it; and that error, relative to
 what quartering them once more changes."""
 CONFOCAL_AT_ONCE, EXHAUSTIVE_AT_ONCE, PAIRS_AT_ONCE = 512, 4096, 1 << 18
 ROUNDING = 1e-12
-"""What is left of a histogram where its light has ended, relative to its highest bin."""
+"""What is left of a histogram where its light has ended, relative to its highest bin; and outside of the window,
+relative to all."""
 
 
 Singles = NDArray[np.float32]
@@ -73,18 +76,25 @@ class Secondary:
     rays: int
 
 
-def secondary_by_cells(gathering: Gathering, limit: float, own: float, faint: float = 0.0) -> Secondary | None:
+def secondary_by_cells(
+    gathering: Gathering,
+    limit: float,
+    own: float,
+    faint: float = 0.0,
+    too_dear: Callable[[float], bool] = lambda cost: False,
+) -> Secondary | None:
     """The secondary with an L2 error of at most `limit`, in photons, and of `own` relative to its own norm.
 
-    Returns nothing if that would take more work than samples do. The second is given up for the first.
+    The second is given up for the first where it would cost too much. Returns nothing where the first would, too.
 
     faint : photons, per emitted photon and over all histograms, under which it is not held to the second.
+    too_dear : whether a cost, in the units of `cost.py`, is too much.
     """
     scan, task = _Scan.of(gathering), gathering.task
     pairs = pairs_of(task)
     lit = pairs[task.points.part[pairs[:, 0]] >= 0]
-    patches = scan.patches_to_begin
-    if len(lit) == 0 or scan.light(lit[:1], 0, patches, np.inf).pairs > MOST_PAIRS:
+    patches, most = scan.patches_to_begin, _Most(len(lit), too_dear)
+    if len(lit) == 0 or most.exceeded(scan.light(lit[:1], 0, patches, np.inf).cost):
         return None
     wanted = int(np.clip(len(lit) // 20, *TRIALS))
     looked = lit[spread_evenly(len(lit), LOOKED_AT * wanted)]
@@ -100,7 +110,7 @@ def secondary_by_cells(gathering: Gathering, limit: float, own: float, faint: fl
         return None
     tried, stands_for = by_light(np.linalg.norm(rough.histogram, axis=1, keepdims=True), wanted)
     tried, weight = looked[tried], stands_for * len(lit) / len(looked)
-    level = _level(scan, tried, weight, patches, scale, limit, own, faint)
+    level = _level(scan, tried, weight, patches, scale, limit, own, faint, most)
     if level is None:
         return None
     if len(tried) == len(pairs):
@@ -108,11 +118,24 @@ def secondary_by_cells(gathering: Gathering, limit: float, own: float, faint: fl
     else:
         found = scan.light(pairs, level.number, level.patches, PAIR * FINER**level.number * scale)
         error = level.error
-    shape = task.capture.shape
+    shape, outside = task.capture.shape, found.photons - found.histogram.sum(axis=1)
+    outside[outside < ROUNDING * found.photons] = 0.0
     return Secondary(
-        found.histogram.reshape(shape), (found.photons - found.histogram.sum(axis=1)).clip(0.0).reshape(shape[:2]),
-        error, rough.pairs + level.pairs + found.pairs, rough.rays + level.rays + found.rays,
+        found.histogram.reshape(shape), outside.reshape(shape[:2]), error,
+        rough.pairs + level.pairs + found.pairs, rough.rays + level.rays + found.rays,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Most:
+    """What the cells of so many pairs of laser point and pixel may cost."""
+
+    count: int
+    too_dear: Callable[[float], bool]
+
+    def exceeded(self, each: float) -> bool:
+        """Whether so much for each of them is too much."""
+        return self.too_dear(self.count * each)
 
 
 @dataclass(frozen=True)
@@ -130,11 +153,12 @@ class _Level:
 
 
 def _level(
-    scan: _Scan, tried: Ints, weight: Floats, patches: int, scale: float, limit: float, own: float, faint: float
-) -> _Level | None:
-    """The coarsest that will do, or nothing where that is more work than samples are."""
+    scan: _Scan, tried: Ints, weight: Floats, patches: int, scale: float, limit: float, own: float, faint: float,
+    most: _Most,
+) -> _Level | None:  # fmt: skip
+    """The coarsest that will do, or nothing where that would cost too much."""
     root = np.sqrt(weight)[:, None]
-    runs, histograms, of_patches, wanted = list[_Light](), list[Floats](), 0.0, limit
+    runs, histograms, of_patches = list[_Light](), list[Floats](), 0.0
     while True:
         n = len(runs)
         runs.append(scan.light(tried, n, patches, PAIR * FINER**n * scale))
@@ -142,31 +166,49 @@ def _level(
         held = runs[-1].photons @ weight >= faint
         wanted = min(limit, own * l2_norm(histograms[-1])) if held else limit
         if n == 0:
-            patches, of_patches = _patches_for(scan, tried, root, patches, histograms[0], PAIR * scale, wanted)
+            continue
+        if n == 1:
+            # Not with the coarsest cells: how those are cut changes with the patches, too.
+            patches, of_patches = _patches_for(
+                scan, tried, root, patches, histograms[1], PAIR * FINER * scale, wanted
+            )
             if patches < 0:
                 return None
-            continue
         still = _still(histograms) + of_patches
-        fine = np.flatnonzero(still <= WITHIN * wanted)
-        if len(fine):
-            number, error = _between(still, int(fine[0]), WITHIN * wanted)
-        elif len(runs) <= LEVELS and runs[-1].pairs * GROWTH <= MOST_PAIRS * len(tried):
-            continue
-        elif still[-1] <= WITHIN * limit:
-            number, error = float(n - 1), float(still[-1])
+        costs = [run.cost for run in runs]
+        # The error of its own light is given up where that costs too much, and where no level is left.
+        for goal in (wanted, limit):
+            number, error = _to_reach(still, WITHIN * goal)
+            if (number <= n - 1 or n < LEVELS) and not most.exceeded(_cost_at(costs, number)):
+                break
         else:
             return None
+        if number > n - 1:
+            continue
         left = (REST - 1) * l2_norm(histograms[-1] - histograms[-2]) + of_patches
         return _Level(
             number, patches, error, runs[-1], left, sum(run.pairs for run in runs), sum(run.rays for run in runs)
         )
 
 
-def _between(still: Floats, level: int, wanted: float) -> tuple[float, float]:
-    """A level between this one and the coarser one before it that leaves an error of `wanted`, and what it leaves."""
+def _to_reach(still: Floats, wanted: float) -> tuple[float, float]:
+    """The level that leaves an error of `wanted`, with those that some levels leave, and what it leaves: between two
+    of them or the first where one does, else as many levels beyond the last as it will take."""
+    fine = np.flatnonzero(still <= wanted)
+    if len(fine) == 0:
+        steps = math.log(wanted / still[-1]) / math.log(FALL) if wanted > 0.0 else math.inf
+        return len(still) - 1 + steps, wanted
+    level = int(fine[0])
     if level == 0 or not 0.0 < still[level] < wanted < still[level - 1]:
         return float(level), float(still[level])
     return level - math.log(wanted / still[level]) / math.log(still[level - 1] / still[level]), wanted
+
+
+def _cost_at(costs: list[float], level: float) -> float:
+    """Cost of a level, with those of some levels."""
+    known = min(math.floor(level), len(costs) - 1)
+    growth = costs[known + 1] / costs[known] if known + 1 < len(costs) else GROWTH
+    return float(costs[known] * growth ** (level - known))
 
 
 def _patches_for(
@@ -176,7 +218,7 @@ def _patches_for(
     if not scan.extended:
         return level, 0.0
     while level < PATCH_LEVELS:
-        finer = root * scan.light(pairs, 0, level + 1, allowed).histogram
+        finer = root * scan.light(pairs, 1, level + 1, allowed).histogram
         off = FROM_QUARTERS * l2_norm(finer - coarse)
         if off <= PATCHES_SHARE * wanted:
             return level, off
@@ -199,6 +241,11 @@ class _Light:
     gain: float
     pairs: int
     rays: int
+
+    @property
+    def cost(self) -> float:
+        """In the units of `cost.py`, for each pair."""
+        return (CELL_PAIR * self.pairs + PAIR_RAY * self.rays) / max(len(self.photons), 1)
 
 
 @dataclass(frozen=True)
@@ -259,11 +306,12 @@ class _Scan:
         materials, sharp = task.materials, 1.0 / width**2
         if matt:
             materials, sharp = replace(materials, kind=np.zeros_like(materials.kind)), np.ones_like(width)
-        ones, rays = reach_of(lit, tree, occluders, materials, sharp, COARSEST, error, True, seed)
+        narrow = ~np.isin(materials.kind, (LAMBERTIAN, OREN_NAYAR))
+        ones, rays = reach_of(lit, tree, occluders, materials, sharp, narrow, COARSEST, error, True, seed)
         same = self._same(lit, seen, pairs)
         twos = ones
         if not same:
-            twos, more = reach_of(seen, tree, occluders, materials, sharp, COARSEST, error, asked, seed)
+            twos, more = reach_of(seen, tree, occluders, materials, sharp, narrow, COARSEST, error, asked, seed)
             rays += more
         legs = leg1[i] + leg3[p]
         gain = np.exp(-air * leg1[i]) * weight[p]
@@ -303,17 +351,14 @@ class _Scan:
         alike &= (kinds == LAMBERTIAN) | (
             np.abs(lit.point - seen.point)[..., TO_DEVICE:SHARE].max(axis=(1, 2)) < 1e-6
         )
-        return (
-            bool((alike | (lit.part[:, 0] < 0)).all())
-            and not seen.point[..., FOOTPRINT].max(initial=0.0) > near * near * 1e6
-        )
+        return bool((alike | (lit.part[:, 0] < 0)).all())
 
     def _lasers(self, lasers: Ints) -> tuple[Ends, Floats]:
         points = self.task.points
         one = np.ones((len(lasers), 1))
         ends = Ends.of(
             np.nan_to_num(points.position[lasers])[:, None], points.normal[lasers][:, None],
-            points.to_laser[lasers][:, None], points.part[lasers][:, None], one, 0 * one, 0 * one,
+            points.to_laser[lasers][:, None], points.part[lasers][:, None], one, 0 * one,
         )  # fmt: skip
         return ends, np.nan_to_num(points.leg[lasers])
 
@@ -330,6 +375,5 @@ class _Scan:
         part = np.where(weight > 0, part, -1)
         ends = Ends.of(
             patches.position[:, finest], patches.normal[:, finest], patches.to_sensor[:, finest], part, share, longer,
-            patches.footprint[:, finest],
         )  # fmt: skip
         return ends, whole, mean

@@ -25,6 +25,7 @@ from datagen.transport.cells.reach import (
     ALONG,
     BACK,
     BLUR,
+    CLUSTERED,
     COLUMNS,
     ENERGY,
     LENGTH,
@@ -46,6 +47,9 @@ SHAPE = 0.1
 """L2 error of a tent that is many bins wide, relative to its norm."""
 CLIPPED = 0.2
 """L2 error of a pair of which almost nothing faces each other, relative to what does."""
+NEAREST = 2 / 9
+"""Least square of the distance of a cluster from another cell, relative to that of its size: four times the variance
+of its points, which is an 18th of that of its longest side's."""
 DEEPEST = 64
 """Pairs that wait to be cut, at most."""
 AT, VARIANCE, PHOTONS, FIGURES = 0, 1, 2, 3
@@ -99,6 +103,9 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     whole = max(whole + turned, 0.25 * whole)
     farthest = math.sqrt(variance)
     path += min(max(shift / whole, -farthest), farthest)
+    # Clusters are not halved, and their middles may meet; their points are apart from each other all the same.
+    apart = one[i, CLUSTERED] * one[i, LONG] * one[i, LONG] + two[j, CLUSTERED] * two[j, LONG] * two[j, LONG]
+    per = min(per, 1.0 / math.sqrt(NEAREST * apart)) if apart > 0.0 else per
     all_but_f = share * one[i, ENERGY] * two[j, ENERGY] * whole * (per * per) * (per * per)
     return all_but_f * f1 * f2, all_but_f * f_most, r, path, variance, share, y1, y2
 
@@ -172,6 +179,32 @@ def _halved(cell, number, k, p, ends, kind, values):  # type: ignore[no-untyped-
 
 
 @compiled()
+def _which(one, i, two, j):  # type: ignore[no-untyped-def]
+    """Which of two cells to halve: 1 or 2, the larger one; 0 for neither, for clusters are not halved, nor is what is
+    much smaller than a cluster before it."""
+    h1, h2 = one[i, LONG], two[j, LONG]
+    if one[i, CLUSTERED] > 0.0:
+        return 2 if two[j, CLUSTERED] == 0.0 and 2.0 * h2 > h1 else 0
+    if two[j, CLUSTERED] > 0.0:
+        return 1 if 2.0 * h1 > h2 else 0
+    return 1 if h1 >= h2 else 2
+
+
+@compiled()
+def _ray_from(cell, number, k, turn, y, other):  # type: ignore[no-untyped-def]
+    """Where the ray from a cell to the middle of another leaves it, and the normal there: the middle y of a triangle,
+    and of a cluster one of its points in turn, for its middle may lie inside of a solid."""
+    if number[k, CLUSTERED] == 0.0:
+        return y, get(number, k, NORMAL)
+    for j in range(3):
+        at = 3 * ((turn + j) % 3)
+        z, n = get(cell, k, at), get(cell, k, WEIGHT + at)
+        if dot(less(other, z), n) > 0.0:
+            return z, n
+    return y, get(number, k, NORMAL)
+
+
+@compiled()
 def _copy(array, k, to, at):  # type: ignore[no-untyped-def]
     for column in range(array.shape[1]):
         to[at, column] = array[k, column]
@@ -219,11 +252,16 @@ def join(  # type: ignore[no-untyped-def]
                     continue
                 energy, most = energy * air(attenuation, path), most * air(attenuation, path)
                 variance *= per_metre * per_metre
-                if not _error(number1, i, number2, j, most, keen, r, variance, share, haze) > allowed:
+                if (
+                    not _error(number1, i, number2, j, most, keen, r, variance, share, haze) > allowed
+                    or _which(number1, i, number2, j) == 0
+                ):
                     if not energy > 0.0:
                         continue
+                    z1, n1 = _ray_from(cell1, number1, i, j, y1, y2)
+                    z2, n2 = _ray_from(cell2, number2, j, i, y2, z1)
                     _note(
-                        y1, get(number1, i, NORMAL), y2, get(number2, j, NORMAL), path, variance, energy, per_metre,
+                        z1, n1, z2, n2, path, variance, energy, per_metre,
                         zero[k], gain[k], row[k], count, offset, scale, figures, rows, origin, span,
                     )  # fmt: skip
                     count += 1
@@ -242,8 +280,10 @@ def join(  # type: ignore[no-untyped-def]
                         continue
                     energy, most = energy * air(attenuation, path), most * air(attenuation, path)
                     variance *= per_metre * per_metre
+                    larger = _which(known1, top, known2, top)
                     if (
-                        _error(known1, top, known2, top, most, keen, r, variance, share, haze) > allowed
+                        larger > 0
+                        and _error(known1, top, known2, top, most, keen, r, variance, share, haze) > allowed
                         and top < DEEPEST
                         and top + 2 < left
                     ):
@@ -251,7 +291,7 @@ def join(  # type: ignore[no-untyped-def]
                         _copy(known1, top, known1, top + 1)
                         _copy(near2, top, near2, top + 1)
                         _copy(known2, top, known2, top + 1)
-                        if known1[top, LONG] >= known2[top, LONG]:
+                        if larger == 1:
                             _halved(near1, known1, top, p, ends1, kind, values)
                         else:
                             _halved(near2, known2, top, q, ends2, kind, values)
@@ -259,8 +299,10 @@ def join(  # type: ignore[no-untyped-def]
                         continue
                     if not energy > 0.0:
                         continue
+                    z1, n1 = _ray_from(near1, known1, top, j, y1, y2)
+                    z2, n2 = _ray_from(near2, known2, top, i, y2, z1)
                     _note(
-                        y1, get(known1, top, NORMAL), y2, get(known2, top, NORMAL), path, variance, energy, per_metre,
+                        z1, n1, z2, n2, path, variance, energy, per_metre,
                         zero[k], gain[k], row[k], count, offset, scale, figures, rows, origin, span,
                     )  # fmt: skip
                     count += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -18,7 +19,7 @@ from datagen.transport.target.allocation import REPLICATES, Allotment, next_allo
 from datagen.transport.target.confidence import bound_factor, total_variance
 from datagen.transport.target.second_opinion import Claim, Opinion, second_opinion
 from datagen.transport.target.strata import Known, Stratum, square_norm
-from datagen.transport.target.strategies import Seeds, first_rounds
+from datagen.transport.target.strategies import ForecastWalk, Seeds, first_rounds
 from datagen.transport.walk import WalkTask
 
 ROUNDS_AT_LEAST, ROUNDS_AT_MOST = 2, 64
@@ -32,17 +33,17 @@ NOISE_AT_MOST = 0.9
 NOTHING_AFTER = 1 << 16
 """Lookins in all after which a component without any light is taken for dark."""
 SEARCH_GROWTH = 8
-PRIMARY_SHARE = {"confocal": 0.2, "exhaustive": 0.45}
-"""Share of the target that the primary from cells may use beside other components: it costs far less. Where each
-laser point is its own pixel what comes first is most of the light, and what comes late needs more care."""
-SECONDARY_SHARE, SECONDARY_OWN, LEFT_OVER = 0.5, 2.0, 0.05
-"""Share of the target that the secondary from cells may use beside samples; the error of its own light, which comes
-when the primary's is past, relative to that of an object's; and what neither of the two uses where they are all."""
+CHEAP = 0.25
+"""Share of the square of the target for the primary from cells, relative to that of each other component. Errors of
+different light add up as squares, and all of it costs least where each has a share as its cost times the power by
+which that falls with its error: about two for pairs of cells and samples, and a half for the primary's cells."""
+SECONDARY_OWN = 2.0
+"""The error of the secondary's own light, which comes when the primary's is past, relative to that of an object's."""
 TRIES = (1.0, 0.25)
 """Errors that the primary from cells is tried with, relative to those asked for: where unbiased samples disagree with
 the one, finer cells get a chance before all is sampled."""
 LEAST_LEFT = 0.1
-"""Share of the square of the target that is left to samples at least."""
+"""Share of the square of the target that is left to components still to be found at least."""
 
 
 def meet_target(task: WalkTask) -> Estimate:
@@ -57,21 +58,19 @@ def meet_target(task: WalkTask) -> Estimate:
     assert accuracy.target is not None
     if not (task.points.part >= 0).any():
         return _nothing(task)
-    share = PRIMARY_SHARE[task.capture.pairing] if splits.others else 1.0
-    gathering = Gathering.of(task)
+    others = len(splits.others)
+    gathering, share = Gathering.of(task), math.sqrt(CHEAP / (CHEAP + others))
     primary, opinions = _agreed_primary(gathering, share)
     if primary is None:
         return _with_opinions(_sampled(task, None), opinions)
     found = {"primary": _of_primary(primary)}
     if "secondary" in splits.components and accuracy.strongest is None:
-        used = 1 - LEFT_OVER - share if len(splits.others) == 1 else SECONDARY_SHARE
-        asked = accuracy.target * l2_norm(found["primary"].light)
-        limit = used * asked
-        if len(splits.others) == 1 and task.capture.pairing == "exhaustive":
-            # What the primary left of its share; in a confocal scan late light would pay for that.
-            limit += share * asked - found["primary"].error
-        own = min(SECONDARY_OWN * accuracy.each_part, 1.0)
-        secondary = secondary_by_cells(gathering, limit, own, accuracy.faint_part)
+        asked, own = accuracy.target * l2_norm(found["primary"].light), min(SECONDARY_OWN * accuracy.each_part, 1.0)
+        square = max(asked**2 - found["primary"].error ** 2, LEAST_LEFT * asked**2)
+        limit = math.sqrt(square / others)
+        apart = replace(task, splits=replace(splits, components=("secondary",), parts=()))
+        walk = ForecastWalk(apart, limit)
+        secondary = secondary_by_cells(gathering, limit, own, accuracy.faint_part, walk.costs_less_than)
         if secondary is not None:
             of_cells = _of_secondary(secondary)
             claim = Claim(of_cells.light, of_cells.error / (l2_norm(of_cells.light) or 1.0), order=4)
@@ -79,7 +78,9 @@ def meet_target(task: WalkTask) -> Estimate:
             if opinions[-1].agrees:
                 found["secondary"] = of_cells
     left = tuple(name for name in splits.others if name not in found)
-    known = Known(reduce(np.add, (one.light for one in found.values())), sum(one.error for one in found.values()))
+    known = Known(
+        reduce(np.add, (one.light for one in found.values())), math.hypot(*(one.error for one in found.values()))
+    )
     if left:
         rest = _sampled(replace(task, splits=replace(splits, components=left, parts=())), known)
     else:

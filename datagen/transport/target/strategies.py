@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from datagen.records.arrays import Bools, Ints
-from datagen.transport.cost import RAY
+from datagen.transport.cost import RAY, Work
 from datagen.transport.factorised.secondary import factorising
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.surroundings import CONTACT, surroundings
@@ -42,6 +44,8 @@ WORTH_LOOKING = 30.0
 """Cost to go, in first rounds, from which other ways than one walk for everything are tried."""
 LOOKINS_WORTH_LOOKING = 1 << 17
 """Limits of the lookins under which looking around would take too many of them."""
+LOOK_FROM = 10.0
+"""Cost of another way, in first rounds of a walk, from which one is made to compare with."""
 WORTH_SHARING = 0.8
 """Largest cost, relative to that of walks apart, for which some orders share a walk that has to begin anew."""
 
@@ -117,6 +121,30 @@ def first_rounds(
         return [*strata, *apart], tried + joint.work.cost
     found, more = _with_shared_walks(task, joint, apart, points, seeds)
     return [*strata, *found], tried + more
+
+
+@dataclass(frozen=True)
+class ForecastWalk:
+    """What a walk for all components of a task will cost, with an L2 error of `wanted` photons."""
+
+    task: WalkTask
+    wanted: float
+
+    def costs_less_than(self, cost: float) -> bool:
+        """Whether it costs less. It is looked into where that costs little beside."""
+        points, capture = _first_points(self.task) * float(REPLICATES), self.task.capture
+        # Two rays of each lookin; and FoV points, which the laser points share.
+        rays = 2.0 * points.sum() + points.max() * len(capture.sensor.pixels)
+        look = Work(rays, points.sum() * capture.shape[1], REPLICATES * math.prod(capture.shape)).cost
+        return cost > LOOK_FROM * look and cost > self.cost
+
+    @cached_property
+    def cost(self) -> float:
+        """The cost by the variance of a first round, which falls with the number of lookins."""
+        task = with_fov_samples(self.task, _usual_fov_samples(self.task))
+        stratum = _sampled(Stratum(task), _first_points(task), Seeds(task.seed))
+        variance = total_variance(stratum.scatters())
+        return stratum.work.cost + stratum.work.growing * variance / self.wanted**2
 
 
 def _sampled(stratum: Stratum, points: Ints, seeds: Seeds) -> Stratum:
