@@ -203,7 +203,7 @@ class _Tracer:
         return _Vertices(sample[rows], face, part, position, normal, nowhere, zero, zero, zero)
 
     def laser_points(self) -> tuple[_Vertices, Ints]:
-        """x₁ of the laser rays that meet a surface, the first along each; and which of them each sample has, or −1."""
+        """x₁ of the laser rays that meet a surface, the first along each; and which of them a sample has, or −1."""
         laser = self.capture.laser
         used, of_sample = np.unique(self.laser, return_inverse=True)
         span = laser.targets[used] - laser.position
@@ -394,7 +394,7 @@ def sample_paths(
     x = replace(t.lasers.take(t.of_sample[lit]), sample=lit)
     fov, gain = t.fov_points(numbers[:, :2])
     beside = t.beside(fov, gain, numbers[:, 5:7]) if occlusion else None
-    found = [t.one_bounce(x)] if direct else []
+    found = [t.one_bounce(x if direct else x.take(np.empty(0, np.int64)))]
     order, b = 2, x
     # x is the vertex before the FoV point of paths of `order`, and b the one before that.
     while len(x):

@@ -1,4 +1,4 @@
-"""The solver equals a plain estimator that shares no code with it.
+"""The definition (`transport/reference.py`) equals a plainer estimator that shares no code with it.
 
 Plain: points uniform on every triangle, FoV points uniform on the pixel, brute-force intersection of every segment
 with every triangle in numpy, box bins, no Sobol', no balance heuristic, no embree.
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from rooms import bins_of_path, furnished_box, one_point_capture
 from scipy import stats
 
-from datagen import Accuracy, Scene, simulate
+from datagen import Scene
+from datagen.transport.reference import reference
 
 Points = NDArray[np.float64]
 BINS, WIDTH_M = 30, 0.4
@@ -94,19 +95,19 @@ def test_primary_and_secondary_equal_the_plain_estimator() -> None:
     """Energy by component, and by coarse bin, from 16 batches each: Student's t at a family-wise level of 10⁻³."""
     scene, batches = furnished_box(0.8), 16
     capture = one_point_capture(time=bins_of_path(BINS, WIDTH_M, 0.0))
-    reference, ours = np.empty((batches, 2, BINS)), np.empty((batches, 2, BINS))
+    plainly, ours = np.empty((batches, 2, BINS)), np.empty((batches, 2, BINS))
     for k in range(batches):
-        reference[k] = plain(scene, k, 16_000)
-        result = simulate(scene, capture, Accuracy(1 << 12, 4, 4, 1), seed=k)
+        plainly[k] = plain(scene, k, 16_000)
+        result = reference(scene, capture, samples=1 << 13, replicates=1, max_bounces=4, seed=k)
         for c, name in enumerate(("primary", "secondary")):
             ours[k, c] = result.components[name][0, 0]
-    filled = (reference > 0).sum(axis=0) > batches // 2
+    filled = (plainly > 0).sum(axis=0) > batches // 2
     assert filled.sum() > 30
-    difference = ours.mean(axis=0) - reference.mean(axis=0)
-    error = np.hypot(ours.std(axis=0, ddof=1), reference.std(axis=0, ddof=1)) / np.sqrt(batches)
+    difference = ours.mean(axis=0) - plainly.mean(axis=0)
+    error = np.hypot(ours.std(axis=0, ddof=1), plainly.std(axis=0, ddof=1)) / np.sqrt(batches)
     assert np.abs(difference[filled] / error[filled]).max() < stats.t.ppf(1 - 0.25e-3 / filled.sum(), batches - 1)
-    energies = ours.sum(axis=2) - reference.sum(axis=2)
+    energies = ours.sum(axis=2) - plainly.sum(axis=2)
     t = energies.mean(axis=0) / (energies.std(axis=0, ddof=1) / np.sqrt(batches))
     assert np.abs(t).max() < stats.t.ppf(1 - 0.25e-3 / 2, batches - 1)
-    precision = reference.sum(axis=2).std(axis=0, ddof=1) / np.sqrt(batches) / reference.sum(axis=2).mean(axis=0)
+    precision = plainly.sum(axis=2).std(axis=0, ddof=1) / np.sqrt(batches) / plainly.sum(axis=2).mean(axis=0)
     assert precision.max() < 0.05
