@@ -19,14 +19,16 @@ from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
 from datagen.effects import EffectDecisions, decide_detector_effects
 from datagen.errors import InputError
-from datagen.evidence import evidence_image
+from datagen.evidence import evidence_image, light_in_sight
 from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
 from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
 from datagen.evidence.stations import stations_of
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
+from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, TimeAxis, Transient
+from datagen.records.sample import SCAN_PLACE
 from datagen.scene import check_scene_config
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport.raycast import Raycaster
@@ -95,7 +97,8 @@ def sample_of(
         # A transient that another simulator made is not split by object.
         parts = scene.objects if given is None else ()
         stations = stations_of(caster, scene, capture) if faded else None
-        evidence, gain = evidence_and_gain(transient, used, conditions, parts, stations)
+        plain = light_in_sight(light.scene, capture, light.accuracy, light.seed, caster) if parts else {}
+        evidence, gain = evidence_and_gain(transient, used, conditions, parts, stations, plain)
         evidence = evidence if given is None else dict.fromkeys(scene.objects, UNKNOWN)
         image = {} if surface is None else {"evidence": evidence_image(caster, surface, capture, stations, gain)}
     presence = dict[str, Presence]()
@@ -195,6 +198,7 @@ def _parameters(
     return {
         **scene.parameters,
         "scene.part_names": ",".join(scene.part_names),
+        **_label_place(scene, transient),
         **_scalars("detector", asdict(spad)),
         **_scalars("exposure", asdict(exposure)),
         **effects.parameters(),
@@ -208,6 +212,12 @@ def _parameters(
         **evidence_parameters(evidence),
         "histogram.counts": int(counts.sum()),
     }
+
+
+def _label_place(scene: Scene, transient: Transient) -> dict[str, Scalar]:
+    """Where the scan lies on the label images; nothing of a scene that says not where it is seen from."""
+    found = None if scene.hidden_view is None else scan_place(scene.hidden_view, transient.laser_points)
+    return {} if found is None else dict(zip(SCAN_PLACE, found, strict=True))
 
 
 def _scalars(prefix: str, values: Mapping[str, object]) -> dict[str, Scalar]:

@@ -87,6 +87,7 @@ def main() -> None:
     old = pinned() if PINNED.exists() else {}
     configs = {path.stem: load_config(path) for path in READY}
     geometry = {} if "--geometry" in sys.argv else old.get("geometry", {})
+    geometry = {name: digests for name, digests in geometry.items() if name in configs}
     geometry |= {name: geometry_digests(config) for name, config in configs.items() if name not in geometry}
     values = {}
     with tempfile.TemporaryDirectory() as folder:

@@ -15,10 +15,15 @@ from datagen.transport.fov import PixelCones
 from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.raycast import Raycaster
 from datagen.transport.vertices import LaserPoints
+from datagen.transport.visibility.clearance import flat_patch, pyramids_clear
 from datagen.units import path_from_time
 
 PAIRS_CHECKED = 1 << 22
 """Pairs of laser points and pixels up to which each is asked."""
+ON_THE_EDGE = -1e-12
+"""A laser point on a pixel's edge counts as seen, on whatever side rounding puts it."""
+FLAT = 1e-9
+"""Rounding, relative to the distance, of where lines of sight meet a plane."""
 
 
 @dataclass(frozen=True)
@@ -84,33 +89,49 @@ class SceneFigures:
 
     @cached_property
     def view_is_flush(self) -> bool:
-        """Whether laser points and field of view lie in one plane, so that no light goes from one to the other."""
-        position, part = self._view
+        """Whether it is proven that no light goes from a laser point to what any pixel sees: all laser points lie in
+        one plane, and nothing reaches out of it between the sensor and the field of view, however small it is.
+
+        What pixels see beyond the plane, where there is a hole, laser points that face this way do not light.
+        """
         exists = self.laser_points.part >= 0
         if not exists.any():
             return True
         points, normals = self.laser_points.position[exists], self.laser_points.normal[exists]
-        both = np.concatenate([points, position[part >= 0]])
-        height = (both - points[0]) @ normals[0]
-        return bool(np.abs(height).max() <= self._caster.offset_m and (normals @ normals[0]).min() > 1 - 1e-9)
+        offset_m, sensor = self._caster.offset_m, self.capture.sensor
+        if np.abs((points - points[0]) @ normals[0]).max() > offset_m or (normals @ normals[0]).min() <= 1 - 1e-9:
+            return False
+        above = (sensor.position - points[0]) @ normals[0]
+        span = sensor.pixels.reshape(-1, 3) - sensor.position
+        towards = -(span @ normals[0])
+        if above <= offset_m or (towards <= 0).any():
+            return False
+        corners = sensor.position + span * (above / towards)[:, None]
+        patch = flat_patch(corners, np.broadcast_to(normals[0], corners.shape), max(offset_m, FLAT * above))
+        if patch is None:
+            return False
+        clear = pyramids_clear(
+            sensor.position[None], patch, self._caster.corners, self._caster.face_normal, offset_m
+        )  # fmt: skip
+        return bool(clear[0])
 
     @cached_property
     def laser_point_in_view(self) -> bool:
         """Whether a laser point may lie in a pixel that looks at it, its light coming back within the time window."""
-        lasers, pixels, _ = self.capture.shape
-        sensor, axis = self.capture.sensor, self.capture.time
+        sensor, axis, pixels = self.capture.sensor, self.capture.time, self.capture.shape[1]
         span = self.laser_points.position - sensor.position
-        path = self.laser_points.leg + np.linalg.norm(span, axis=1) if axis.origin == "source" else np.zeros(lasers)
+        reach = np.linalg.norm(span, axis=1)
+        path = self.laser_points.leg + reach if axis.origin == "source" else np.zeros(len(span))
         place = path / float(path_from_time(axis.width_s)) - axis.start_s / axis.width_s
         timely = np.flatnonzero((self.laser_points.part >= 0) & (place > -1) & (place < axis.bins + 1))
         if not len(timely) or len(timely) * pixels > PAIRS_CHECKED:
             return bool(len(timely))
-        planes = PixelCones.of(sensor).planes
+        planes, ahead = PixelCones.of(sensor).planes, span[timely] / reach[timely, None]
         if self.capture.pairing == "confocal":
-            beside = np.einsum("psk,pk->ps", planes[timely], span[timely]).min(axis=1)
+            beside = np.einsum("psk,pk->ps", planes[timely], ahead).min(axis=1)
         else:
-            beside = np.min([np.einsum("pk,lk->lp", planes[:, side], span[timely]) for side in range(4)], axis=0)
-        return bool((beside >= 0).any())
+            beside = np.min([np.einsum("pk,lk->lp", planes[:, side], ahead) for side in range(4)], axis=0)
+        return bool((beside >= ON_THE_EDGE).any())
 
     @property
     def longest_path_m(self) -> float:

@@ -25,9 +25,13 @@ def _measured(given: SceneFigures, component: str, what: str) -> Change:
 
 
 def _direct_return(given: SceneFigures) -> Change:
-    if given.view_is_flush and not given.laser_point_in_view:
-        return Change(0.0, "bound", "no pixel sees a laser point in time, and laser points light nothing in view")
-    return _measured(given, "direct", "direct light")
+    """Nothing but a proof that there is none leaves it out: whoever asks for it wants what few pairs of laser points
+    and pixels have, and a trial run with some of both may miss them all."""
+    if given.laser_point_in_view:
+        return Change(None, "bound", "a pixel looks at a laser point: one bounce returns light")
+    if not given.view_is_flush:
+        return Change(None, "bound", "laser points may light a surface in view: two bounces return light")
+    return Change(0.0, "bound", "no pixel sees a laser point in time, and laser points light nothing in view")
 
 
 def _without_needless_proofs(given: SceneFigures) -> SceneFigures:
@@ -51,7 +55,8 @@ def _without_secondary(given: SceneFigures) -> SceneFigures:
 TRANSPORT_EFFECTS: tuple[Effect[SceneFigures], ...] = (
     Effect(
         "direct_return", "direct return", "transport", "`transport.direct`",
-        "Radiometry of one and two bounces (docs/physics.md); coplanar surfaces do not light each other",
+        "Radiometry of one and two bounces (docs/physics.md): f cosθ A/R² of a laser point in a pixel's cone; "
+        "coplanar surfaces do not light each other",
         0.3, lambda g: g.accuracy.direct, _direct_return, lambda g: g.with_accuracy(direct=False),
     ),
     Effect(

@@ -7,23 +7,26 @@ little beside their preparation. A component x is compared with T, all light of 
 
 where the noise of the runs adds to the numerator and cancels, on average, in the denominator: few samples overrate a
 component, never the whole. The direct return is no part of T, although it is of the transient: it may be 10⁴ times as
-bright as all the rest, which a gate then lets through alone. What the choice of channels leaves uncertain is added as
-three standard errors (jackknife over channels).
+bright as all the rest, which a gate then lets through alone. Nor does a trial run follow it: it comes by few pairs of
+laser points and pixels, and a bound tells (`scene_figures.py`). What the choice of channels (`channels.py`) leaves
+uncertain is added as three standard errors (jackknife over channels).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.effects.channels import trial_channels
 from datagen.records import Accuracy, Capture, Scene
 from datagen.transport import transient_of
 from datagen.transport.cost import BIN, CALL, RAY
 from datagen.transport.raycast import Raycaster
+from datagen.transport.vertices import LaserPoints
 
 SHARE = 0.02
 """Share of the transport's cost that a trial run may take."""
@@ -35,21 +38,27 @@ FEWEST_WALKS, MOST_WALKS = 512, 4096
 """Walks of one of the two runs, all channels together."""
 LASERS, PIXELS = 32, 8
 """Most laser points, and most pixels of each (exhaustive pairing)."""
-COMPONENTS = 4
-"""Direct, primary, secondary and higher light."""
+COMPONENTS = 3
+"""Primary, secondary and higher light."""
 MOST_ORDERS = 8
 """Bounces that count for the cost: of longer paths few are left."""
 BINS = 512
 """Bins, at most, for the norm of the whole: fewer and wider ones make it smaller, never larger."""
 VALUES = 1 << 22
 """Most histogram values of a run."""
+MOST_UNSEEN = 3.0
+"""Paths of a kind that are expected, at most, where none was seen: seeing none of so many has a chance of 5 %."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Two runs: name of a component → (2, channel, bin) photons per emitted photon."""
+    """Two runs: name of a component → (2, channel, bin) photons per emitted photon.
+
+    pixels : channels that share their walks, as all pixels of a laser point do.
+    """
 
     components: Mapping[str, NDArray[np.float64]]
+    pixels: int = 1
 
     @property
     def dark(self) -> bool:
@@ -57,12 +66,15 @@ class Trial:
         return not any(component.any() for component in self.components.values())
 
     def share(self, name: str) -> float | None:
-        """Upper estimate of ‖x‖ / ‖T‖ for a component x, at most 1; None where T is lost in noise."""
+        """Upper estimate of ‖x‖ / ‖T‖ for a component x, at most 1; None where T is lost in noise.
+
+        Of a component that no path was seen of, among n that were, 3/n may still be there: a run that hardly met any
+        light says nothing about the rest.
+        """
         x = self.components.get(name)
-        if x is None or not x.any():
+        if x is None:
             return 0.0
-        indirect = [component for key, component in self.components.items() if key != "direct"]
-        total = sum(indirect, start=np.zeros_like(x))
+        total = sum(self.components.values(), start=np.zeros_like(x))
         wide = -(-total.shape[2] // BINS)
         padded = np.pad(total, ((0, 0), (0, 0), (0, -total.shape[2] % wide)))
         coarse = padded.reshape(*padded.shape[:2], -1, wide).sum(axis=3)
@@ -70,6 +82,8 @@ class Trial:
         below = (coarse[0] * coarse[1]).sum(axis=1) / wide
         if below.sum() <= 0:
             return None
+        if not x.any():
+            return min(MOST_UNSEEN * self.pixels / np.count_nonzero(total), 1.0)
         square = above.sum() / below.sum()
         # Nothing that is left out makes up more than the whole.
         return min(float(np.sqrt(square + 3 * _jackknife(above, below, square))), 1.0)
@@ -130,13 +144,15 @@ class _Size:
 def run_trial(
     scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, caster: Raycaster | None = None
 ) -> Trial:
-    """Simulate a few channels of the capture twice, all bounce orders."""
+    """Simulate a few channels of the capture twice, all bounce orders from the third."""
     budget = MOST_WALKS
     if accuracy.target is None:
         budget = int(SHARE * _cost(capture, accuracy) / (2 * (RAY + min(capture.shape[1], PIXELS))))
     size = _Size.of(capture, int(np.clip(budget, FEWEST_WALKS, MOST_WALKS)))
-    few = few_samples(accuracy, max(size.walks // size.lasers, 1))
-    lasers, pixels = _spread(len(capture.laser.targets), size.lasers), _spread(capture.shape[1], size.pixels)
+    few = replace(few_samples(accuracy, max(size.walks // size.lasers, 1)), direct=False)
+    caster = Raycaster(scene) if caster is None else caster
+    points = LaserPoints.of(caster, scene, capture.laser)
+    lasers, pixels = trial_channels(capture, points, size.lasers, size.pixels)
     copies = 2 if size.at_once else 1
     twice = capture.excerpt(np.tile(lasers, copies), np.tile(pixels, copies))
     made = [transient_of(scene, twice, few, seed=seed, split_parts=False, caster=caster)]
@@ -146,7 +162,7 @@ def run_trial(
         again = (seed + 1) % 2**64
         made.append(transient_of(scene, once, few, seed=again, split_parts=False, caster=caster))
     shape = capture.excerpt(lasers, pixels).shape[:2]
-    return Trial(_paired([run.components for run in made], shape))
+    return Trial(_paired([run.components for run in made], shape), shape[1])
 
 
 def few_samples(accuracy: Accuracy, lookins: int) -> Accuracy:
@@ -171,9 +187,3 @@ def _cost(capture: Capture, accuracy: Accuracy) -> float:
     """Of the transport, in units of a shadow ray, for each order; see `transport.cost`."""
     lasers, pixels = len(capture.laser.targets), capture.shape[1]
     return lasers * accuracy.lookins * (RAY + pixels * accuracy.fov_samples) + CALL * accuracy.replicates
-
-
-def _spread(total: int, count: int) -> NDArray[np.int64]:
-    """`count` different numbers below `total`, evenly spread, or all of them."""
-    count = min(count, total)
-    return ((np.arange(count) + 0.5) * total / count).astype(np.int64)

@@ -1,0 +1,195 @@
+"""No effect is left out by a trial that could not see it: whatever pairs of laser points and pixels have it, on
+floods, arrays, single pixels and sparse scans."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from rooms import furnished_box, square_pixels
+
+from datagen.capture import capture_for
+from datagen.config import load_config
+from datagen.design.light import transport_effects
+from datagen.design.scene_for import scene_for
+from datagen.effects import EFFECTS, EffectDecisions, decide_transport_effects
+from datagen.effects.channels import trial_channels
+from datagen.effects.trial import LASERS, PIXELS, Trial
+from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
+from datagen.transport import simulate
+from datagen.transport.fov import PixelCones
+from datagen.transport.raycast import Raycaster
+from datagen.transport.vertices import LaserPoints
+
+DEVICE = (2.5, 0.05, 1.25)
+AXIS = TimeAxis(96, 0.4e-9, 0.0, "source")
+
+
+def grid(
+    rows: int, columns: int, half_m: float = 0.7, center: tuple[float, float] = (0.0, 1.25)
+) -> list[list[float]]:
+    """Midpoints of rows × columns cells on the relay wall x = 0."""
+    across = (np.arange(columns) + 0.5) / columns * 2 - 1
+    upward = 1 - (np.arange(rows) + 0.5) / rows * 2
+    return [[0.0, center[0] + half_m * y, center[1] + half_m * z] for z in upward for y in across]
+
+
+def zones(rows: int, columns: int, half_m: float = 0.7) -> Sensor:
+    return Sensor.grid(DEVICE, (0, 0, 1.25), (0, half_m, 0), (0, 0, half_m), rows, columns)
+
+
+def exhaustive(targets: list[list[float]], sensor: Sensor, **changes: str) -> Capture:
+    return Capture(Laser(DEVICE, targets), sensor, AXIS, "exhaustive", **changes)  # type: ignore[arg-type]
+
+
+CAPTURES: dict[str, tuple[Capture, bool]] = {
+    "flood of zones, as sensors have": (exhaustive(grid(16, 16), zones(8, 8), illumination="flood"), True),
+    "flood, one point a zone": (exhaustive(grid(8, 8), zones(8, 8), illumination="flood"), True),
+    "array in whose view the scan lies": (exhaustive(grid(3, 3, 0.1), zones(16, 16)), True),
+    "array beside the scan": (exhaustive(grid(3, 3, 0.1, (-1.0, 1.25)), zones(16, 16)), False),
+    "array, one laser point in one pixel of 1024": (exhaustive([[0, 0.31, 1.77]], zones(32, 32)), True),
+    "one small pixel, one of 1024 laser points in it": (
+        exhaustive(grid(32, 32), Sensor(DEVICE, square_pixels([grid(32, 32)[777]], 0.01))), True,
+    ),
+    "sparse: 5 laser points, 6 pixels, one pair": (
+        exhaustive(
+            [[0, y, 1.0] for y in (-0.9, -0.5, -0.1, 0.3, 0.7)],
+            Sensor(DEVICE, square_pixels([(0, y, 1.0) for y in (-0.7, -0.3, 0.1, 0.5, 0.701, 0.9)], 0.03)),
+        ), True,
+    ),
+    "sparse: none of 5 in any of 6": (
+        exhaustive(
+            [[0, y, 1.0] for y in (-0.9, -0.5, -0.1, 0.3, 0.7)],
+            Sensor(DEVICE, square_pixels([(0, y, 1.5) for y in (-0.7, -0.3, 0.1, 0.5, 0.7, 0.9)], 0.03)),
+        ), False,
+    ),
+}  # fmt: skip
+
+
+def direct_decided(scene: Scene, capture: Capture) -> tuple[EffectDecisions, float]:
+    """Decisions about a transport large enough for a trial run, and how much direct light there is."""
+    asked = Accuracy(lookins=8192, fov_samples=2, replicates=2, max_bounces=4, direct=True)
+    few = Accuracy(lookins=64, fov_samples=4, replicates=1, max_bounces=3, direct=True)
+    found = simulate(scene, capture, few, seed=1, split_parts=False).components["direct"]
+    return decide_transport_effects(scene, capture, asked, seed=5), float(found.sum())
+
+
+@pytest.mark.parametrize("how", CAPTURES)
+def test_direct_return_is_simulated_wherever_there_is_some(how: str) -> None:
+    capture, there = CAPTURES[how]
+    decided, light = direct_decided(furnished_box(0.5), capture)
+    assert (light > 0) is there
+    assert decided["direct_return"].simulated is there
+    assert decided["direct_return"].kind == "bound"
+
+
+@pytest.mark.parametrize("width_m", [0.4, 0.03, 0.004])
+def test_direct_return_by_two_bounces_is_seen_however_small_what_returns_it(width_m: float) -> None:
+    """A block on the wall inside the view, between lines of sight: lit from the side, it is seen by the sensor."""
+    wall = trimesh.Trimesh([(0, -2, 0), (0, 2, 0), (0, 2, 2.5), (0, -2, 2.5)], [(0, 1, 2), (0, 2, 3)])
+    at = np.array([0.02, 0.233, 1.117])
+    block = trimesh.creation.box(bounds=[at - [0.0199, width_m / 2, width_m / 2], at + width_m / 2])
+    flat = Scene.from_parts([Part("relay_wall", wall, Lambertian(0.8))])
+    scene = Scene.from_parts([Part("relay_wall", wall, Lambertian(0.8)), Part("block", block, Lambertian(0.5))])
+    capture = exhaustive(grid(3, 3, 0.1, (-1.0, 1.25)), zones(4, 4))
+    assert direct_decided(scene, capture)[0]["direct_return"].simulated
+    decided, light = direct_decided(flat, capture)
+    assert light == 0 and not decided["direct_return"].simulated
+
+
+def test_zone_sensor_has_its_first_return_in_every_scene() -> None:
+    config = load_config("configs/zone_sensor.yaml")
+    for index in range(16):
+        scene = scene_for(config, index)
+        decided = transport_effects(config, scene, capture_for(config, scene, config.seed, index), index)
+        assert decided["direct_return"].simulated
+
+
+@pytest.mark.parametrize("scan", [(16, 16), (8, 8), (12, 20), (32, 32), (1, 64), (64, 1), (1, 1), (5, 7)])
+@pytest.mark.parametrize("view", [(8, 8), (16, 16), (1, 1), (4, 4), (1, 32), (9, 5)])
+def test_trial_channels_reach_everywhere(scan: tuple[int, int], view: tuple[int, int]) -> None:
+    """No laser point and no pixel is farther from a chosen one than twice what as many could do at best, about; and
+    some of the chosen pixels hold chosen laser points."""
+    scene, half_m = furnished_box(0.5), 0.7
+    capture = exhaustive(grid(*scan), zones(*view))
+    points = LaserPoints.of(Raycaster(scene), scene, capture.laser)
+    lit, seen = trial_channels(capture, points, LASERS, PIXELS)
+    assert len(set(lit)) == len(lit) == min(LASERS, scan[0] * scan[1])
+    assert len(set(seen)) == len(seen) == min(PIXELS, view[0] * view[1])
+    middle = capture.sensor.pixels.mean(axis=1)
+    for place, chosen in ((points.position, lit), (middle, seen)):
+        far = np.linalg.norm(place[:, None] - place[chosen], axis=2).min(axis=1).max()
+        # Half of the places are free to spread: n of them in a square of side a leave no gap beyond about 2 a / √n.
+        assert far <= 2 * (2 * half_m) / np.sqrt(max(len(chosen) // 2, 1))
+    planes = PixelCones.of(capture.sensor).planes
+    depth = np.einsum("psk,lk->pls", planes, points.position[lit] - capture.sensor.position).min(axis=2)
+    # A laser point on an edge lies in both pixels.
+    holding = (depth >= -1e-9).any(axis=1)
+    assert holding[seen].sum() >= min(PIXELS // 2, holding.sum())
+    if scan == (16, 16):
+        assert len({int(k) % 16 for k in lit}) > 8
+
+
+def test_trial_channels_leave_out_laser_points_that_are_not_there() -> None:
+    scene = furnished_box(0.5)
+    wall = Scene.from_parts([Part("relay_wall", _plate(0.5), Lambertian(0.8))])
+    capture = exhaustive(grid(16, 16), zones(4, 4))
+    for given, least in ((scene, LASERS), (wall, LASERS)):
+        points = LaserPoints.of(Raycaster(given), given, capture.laser)
+        lit, _ = trial_channels(capture, points, LASERS, PIXELS)
+        assert len(lit) == least and (points.part[lit] >= 0).all()
+    away = Scene.from_parts([Part("relay_wall", _plate(0.5, x=9.0), Lambertian(0.8))])
+    lit, _ = trial_channels(capture, LaserPoints.of(Raycaster(away), away, capture.laser), LASERS, PIXELS)
+    assert len(lit) == LASERS
+
+
+def _plate(half_m: float, x: float = 0.0) -> trimesh.Trimesh:
+    corners = [
+        (x, y, 1.25 + z) for y, z in ((-half_m, -half_m), (half_m, -half_m), (half_m, half_m), (-half_m, half_m))
+    ]
+    return trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)])
+
+
+def test_what_a_trial_met_none_of_may_be_there_by_three_paths_in_all_it_saw() -> None:
+    nothing = np.zeros((2, 4, 16))
+    bright = nothing.copy()
+    bright[:, :, 3:9] = 1.0
+    assert Trial({"primary": bright, "secondary": nothing}).share("secondary") == pytest.approx(3 / 48)
+    assert Trial({"primary": bright, "secondary": nothing}, pixels=4).share("secondary") == pytest.approx(12 / 48)
+    assert Trial({"primary": bright}).share("secondary") == 0.0
+    assert Trial({"primary": nothing, "secondary": nothing}).share("secondary") is None
+    once = nothing.copy()
+    once[0, 1, 2] = 1.0
+    assert Trial({"primary": once, "secondary": nothing}).share("secondary") is None
+
+
+def beside_a_wall(capture_of: str) -> tuple[Scene, Capture]:
+    """A relay wall whose last column of pixels, or laser points, lies at the foot of a bright wall; elsewhere there
+    is but a small box far away. What has four bounces comes by that column."""
+    wall = trimesh.Trimesh([(0, -2, 0), (0, 0.71, 0), (0, 0.71, 2.5), (0, -2, 2.5)], [(0, 1, 2), (0, 2, 3)])
+    side = trimesh.creation.box(bounds=[(0.0, 0.71, 0.5), (0.5, 0.75, 2.0)])
+    roof = trimesh.creation.box(bounds=[(0.0, 0.2, 2.0), (0.5, 0.75, 2.05)])
+    box = trimesh.creation.box(bounds=[(0.8, -1.9, 1.0), (1.1, -1.6, 1.4)])
+    parts = [("relay_wall", wall, 0.8), ("side", side, 0.95), ("roof", roof, 0.95), ("box", box, 0.6)]
+    scene = Scene.from_parts([Part(name, mesh, Lambertian(albedo)) for name, mesh, albedo in parts])
+    sensor = Sensor.grid(DEVICE, (0, 0, 1.25), (0, 0.69, 0), (0, 0, 0.69), 8, 8)
+    how = "flood" if capture_of == "flood" else "scan"
+    return scene, exhaustive(grid(16, 16, 0.69), sensor, illumination=how)
+
+
+@pytest.mark.parametrize("how", ["flood", "array"])
+def test_four_bounces_at_one_edge_of_the_scan_are_seen(how: str) -> None:
+    scene, capture = beside_a_wall(how)
+    plan = decide_transport_effects(scene, capture, Accuracy(lookins=8192, fov_samples=2, max_bounces=4), seed=3)
+    light = simulate(scene, capture, Accuracy(lookins=256, fov_samples=1, max_bounces=4), seed=2, split_parts=False)
+    share = np.linalg.norm(light.components["secondary"]) / np.linalg.norm(light.total)
+    assert share > 0.05
+    decision = plan["secondary_bounce"]
+    assert decision.kind == "trial" and decision.simulated
+    assert decision.estimate is not None and decision.estimate > share / 2
+
+
+def test_every_effect_decided_by_a_trial_or_bound_is_known_here() -> None:
+    """A new one needs a case in this file, or one that shows why it needs none."""
+    asked = {row.name for row in EFFECTS if not isinstance(row.change, str)}
+    assert asked == {"direct_return", "secondary_bounce", "higher_bounces", "attenuation", "timing_response"}
