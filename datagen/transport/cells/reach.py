@@ -239,23 +239,23 @@ def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
 
 @compiled(_nrt=False)
 def _cluster(  # type: ignore[no-untyped-def]
-    at, p, ends, tree, hides, last, listed, kind, values, most, word, drawn, cell, number, k
+    at, p, ends, tree, hides, last, listed, kind, values, word, drawn, cell, number, k
 ):
     """Make one cell k of the triangles of box `at` that end p lights; returns the rays asked.
 
-    Its light, middle, path and normal are means over the light of some of its triangles, one from each of `most`
+    Its light, middle, path and normal are means over the light of some of its triangles, one from each of `DRAWN`
     equal shares of its area, or all where they are fewer, and one by one it is asked what hides them. With Lambert's
     law what leaves towards ω is Σ E n·ω, the same as by the mean normal, as long as all that is lit faces ω.
     """
     corners, normal, area_before = tree.corners, tree.normal, tree.area
     start, end, points = tree.span[at, 0], tree.span[at, 1], ends.part.shape[1]
-    count, rays, found = min(end - start, most), 0, 0
+    count, rays, found = min(end - start, DRAWN), 0, 0
     whole = length = 0.0
     middle = mean = (0.0, 0.0, 0.0)
     x, one = _mean(ends, p)
     for s in range(count):
         f, size = start + s, area_before[start + s + 1] - area_before[start + s]
-        if end - start > most:
+        if end - start > DRAWN:
             f = one_of(start, end, area_before, (2.0**32 * s + np.float64(word)) / count)
             size = (area_before[end] - area_before[start]) / count
         n = get(normal, f, 0)
@@ -388,14 +388,15 @@ def _cut(  # type: ignore[no-untyped-def]
                 if end - start > CLUSTER:
                     centre, radius = ball(around, at)
                     near, size = distance(centre, x) - radius, area_before[end] - area_before[start]
-                    if near <= 0.0 or 2.0 * radius > coarsest * near or size > error * math.pi * near * near:
+                    small = 2.0 * radius <= coarsest * near and size <= error * math.pi * near * near
+                    if near <= 0.0 or narrow[k] or not small:
                         boxes[closed], boxes[closed + 1] = children[at, 0], children[at, 1]
                         closed += 2
                         continue
                     if count == len(cell):
                         return -1
                     rays += _cluster(
-                        at, p, ends, tree, hides, last, listed, kind, values, 1 if narrow[k] else DRAWN,
+                        at, p, ends, tree, hides, last, listed, kind, values,
                         word_of(seed, p, at), drawn, cell, known, count,
                     )  # fmt: skip
                     if known[count, ENERGY] > 0.0:
