@@ -25,8 +25,10 @@ from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
 from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
 from datagen.evidence.stations import stations_of
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
+from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, TimeAxis, Transient
+from datagen.records.sample import SCAN_PLACE
 from datagen.scene import check_scene_config
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport.raycast import Raycaster
@@ -195,6 +197,7 @@ def _parameters(
     return {
         **scene.parameters,
         "scene.part_names": ",".join(scene.part_names),
+        **_label_place(scene, transient),
         **_scalars("detector", asdict(spad)),
         **_scalars("exposure", asdict(exposure)),
         **effects.parameters(),
@@ -208,6 +211,12 @@ def _parameters(
         **evidence_parameters(evidence),
         "histogram.counts": int(counts.sum()),
     }
+
+
+def _label_place(scene: Scene, transient: Transient) -> dict[str, Scalar]:
+    """Where the scan lies on the label images; nothing of a scene that says not where it is seen from."""
+    found = None if scene.hidden_view is None else scan_place(scene.hidden_view, transient.laser_points)
+    return {} if found is None else dict(zip(SCAN_PLACE, found, strict=True))
 
 
 def _scalars(prefix: str, values: Mapping[str, object]) -> dict[str, Scalar]:

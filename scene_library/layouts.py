@@ -217,6 +217,39 @@ def isolated_wall(
     return FloorPlan(np.array(outline), 2, ahead.height_m, ahead.device, (4, 5), open_air=True, screen=screen)
 
 
+SCREEN_BEHIND_M = 0.05
+"""From the device back to the screen behind it. Half as much lets objects stand somewhat nearer to the wall."""
+
+
+def wall_behind_objects(
+    *,
+    relay_distance_m: float,
+    height_m: float,
+    device_height_m: float,
+    wall_width_m: float,
+    beside_m: float,
+    space_depth_m: float,
+) -> FloorPlan:
+    """The bench with the objects in front of the relay wall, in a box as wide and high as the wall.
+
+    The device stands `beside_m` beside the wall's nearer end and `relay_distance_m` before its plane, nearer than any
+    object, so that it sees the wall at a slant and no object is in the way. A screen right behind it, along the wall
+    and no farther than to its nearer end, hides what is farther away from the device, and no part of the wall from
+    the objects.
+    """
+    device = _Approach(relay_distance_m, height_m, device_height_m, 0.0).device
+    near, far = beside_m, beside_m + wall_width_m
+    back = relay_distance_m - space_depth_m
+    if back > -2 * SCREEN_BEHIND_M:
+        raise RoomDoesNotClose(
+            "the space before the wall ends where the device stands: raise space_depth_m or lower relay_distance_m"
+        )
+    right, wall = -0.5, relay_distance_m
+    outline = np.array([(back, right), (wall, right), (wall, near), (wall, far), (back, far)])
+    screen = np.array([(-SCREEN_BEHIND_M, right / 2), (-SCREEN_BEHIND_M, near)])
+    return FloorPlan(outline, 2, height_m, device, (2, 3, 4), open_air=True, screen=screen, all_in_view=True)
+
+
 LAYOUTS: dict[str, Callable[..., FloorPlan]] = {
     function.__name__: function
     for function in (
@@ -224,3 +257,6 @@ LAYOUTS: dict[str, Callable[..., FloorPlan]] = {
     )
 }  # fmt: skip
 """Every kind of layout by name."""
+
+PLANS = LAYOUTS | {"isolated_wall, in_front": wall_behind_objects}
+"""Every floor plan by name: some layouts have several."""

@@ -56,6 +56,8 @@ class FloorPlan:
     doorway : an opening lower than the room, or None.
     open_air : the outline only limits where objects stand; of its edges the relay wall alone is a surface.
     screen : (2, 2) a free-standing upright screen in plan, as high as the room, or None.
+    all_in_view : the device sees the whole relay wall by the way that the plan is made. Rays past its ends, which a
+        device near its plane sees at a slant, would miss some microns of it.
     """
 
     outline: Polygon
@@ -67,6 +69,7 @@ class FloorPlan:
     doorway: Doorway | None = None
     open_air: bool = False
     screen: NDArray[np.float64] | None = None
+    all_in_view: bool = False
 
     @cached_property
     def edges(self) -> NDArray[np.float64]:

@@ -39,6 +39,10 @@ ANY_ANGLE = Uniform(uniform=(0.0, 360.0))
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,40}$")]
 
 
+UNWRITTEN = ("evidence_at_least", "distance_m", "offset_m")
+"""Keys that are no part of a configuration, or of its fingerprint, where they are left out."""
+
+
 class Item(SurfaceMaterial):
     """What all objects share."""
 
@@ -50,6 +54,11 @@ class Item(SurfaceMaterial):
     """Position of the centre within the hidden part: 0 farthest from the relay wall's plane, 1 in it."""
     across: Fraction = Uniform(uniform=(0.0, 1.0))
     """Position of the centre within the hidden part: 0 on the side it is entered from, 1 on the far side."""
+    distance_m: Length | None = None
+    """Distance of the centre from the relay wall's plane, in place of `along`."""
+    offset_m: Annotated[Distribution, within(-1000, 1000)] | None = None
+    """How far the centre lies to the right of the middle of the relay wall, of that part which the device sees, for
+    somebody who faces it, in place of `across`."""
     rotation_deg: Angle = ANY_ANGLE
     """Rotation about the vertical."""
     evidence_at_least: Annotated[float, Field(gt=0, le=1e4)] | None = None
@@ -68,7 +77,16 @@ class Item(SurfaceMaterial):
     @model_serializer(mode="wrap")
     def _as_given(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
         values: dict[str, Any] = written(self)
-        return {k: v for k, v in values.items() if k != "evidence_at_least" or v is not None}
+        return {k: v for k, v in values.items() if k not in UNWRITTEN or v is not None}
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        for share, metres in (("along", "distance_m"), ("across", "offset_m")):
+            # A configuration that was read back has all keys: what is given is what is not the default.
+            given = getattr(self, share) != type(self).model_fields[share].default
+            if getattr(self, metres) is not None and given:
+                raise ValueError(f"{share} and {metres}: both say where the object stands; leave one of them out")
+        return self
 
     @property
     def part_name(self) -> str:

@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, Fraction, Length, Uniform, support, within
@@ -46,6 +46,11 @@ class Layout(Settings):
         """The dimensions to draw, in their declared order."""
         return {name: getattr(self, name) for name in type(self).model_fields if name not in self.choices}
 
+    @property
+    def plan(self) -> str:
+        """Its floor plan's name in `scene_library.layouts.PLANS`."""
+        return str(getattr(self, "kind", ""))
+
     limits: ClassVar[tuple[tuple[str, str, str], ...]] = ()
     """(smaller, larger, reason): pairs of dimensions of which the first has to be below the second."""
     hidden_m: ClassVar[tuple[str, tuple[str, ...]]]
@@ -61,6 +66,10 @@ class Layout(Settings):
 
     @model_validator(mode="after")
     def _within_limits(self) -> Self:
+        self._check_limits()
+        return self
+
+    def _check_limits(self) -> None:
         """Refuse when not even the smallest value of one dimension is below the largest of the other."""
         ceiling = ("device_height_m", "height_m", "no room is higher than the device")
         for small, large, reason in (ceiling, *self.limits):
@@ -69,7 +78,6 @@ class Layout(Settings):
                 raise ValueError(
                     f"{small} ≥ {least:g} with {large} ≤ {most:g}: {reason}; lower the first or raise {large}"
                 )
-        return self
 
 
 class Closed(Layout):
@@ -185,27 +193,92 @@ class DoorwayRoom(Closed):
     )
 
 
+NEAR_THE_WALL = Uniform(uniform=(0.3, 0.5))
+"""How far from the relay wall's plane a device stands that has objects before the wall farther away than itself."""
+BESIDE_ONLY = ("device_offset", "screen_to_wall_m", "screen_offset_m", "space_width_m")
+IN_FRONT_ONLY = ("beside_m", "space_depth_m")
+"""Keys that mean something with one `place` alone; they are no part of a configuration with the other."""
+
+
 class IsolatedWall(Layout):
-    """The classic bench: a relay wall in free space, objects hidden from the device by a screen beside it."""
+    """The classic bench: a relay wall in free space, and objects hidden from the device by a screen: beside the wall,
+    or in front of it."""
 
     kind: Literal["isolated_wall"] = "isolated_wall"
+    place: Literal["beside", "in_front"] = "beside"
+    """`beside`: objects stand beside the wall, and the device before it. `in_front`: objects stand in a box before
+    the wall, as wide and high as it is, and the device beside that box and nearer to the wall than any of them."""
     floor: bool = False
     ceiling: bool = False
     relay_distance_m: Length = Uniform(uniform=(2.5, 4.0))
+    """From the device straight ahead to the plane of the relay wall; in_front, 0.3 to 0.5 m where left out."""
     height_m: Length = Uniform(uniform=(2.0, 2.6))
     device_height_m: Length = Uniform(uniform=(0.8, 1.4))
     wall_width_m: Length = Uniform(uniform=(2.0, 3.0))
     screen_to_wall_m: Length = Uniform(uniform=(1.5, 2.2))
-    """From the relay wall back to the end of the screen."""
+    """From the relay wall back to the end of the screen; beside alone."""
     screen_offset_m: Length = Uniform(uniform=(0.2, 0.5))
-    """From the line of sight to the screen."""
+    """From the line of sight to the screen; beside alone."""
     space_width_m: Length = Uniform(uniform=(2.0, 3.0))
-    """From the screen to the far side of the space that holds the objects."""
+    """From the screen to the far side of the space that holds the objects; beside alone."""
+    beside_m: Length = Uniform(uniform=(0.8, 1.2))
+    """How far to the side of the wall's nearer end the device stands; in_front alone."""
+    space_depth_m: Length = Uniform(uniform=(1.8, 2.4))
+    """From the relay wall to the far side of the box that holds the objects; in_front alone."""
     hidden_m = ("screen_to_wall_m", ("space_width_m",))
     limits = (("screen_to_wall_m", "relay_distance_m", "the screen ends behind the device"),)
 
+    @model_validator(mode="after")
+    def _keys_of_its_place(self) -> Self:
+        for name in self._keys_of_the_other:
+            if name in self.model_fields_set:
+                raise ValueError(f"{name} with place = {self.place!r}: has no meaning there; leave it out")
+        return self
+
+    def _check_limits(self) -> None:
+        """As for every layout; which dimensions bound which follows from the place."""
+        if self.place == "beside":
+            super()._check_limits()
+            return
+        if "relay_distance_m" not in self.model_fields_set:
+            # A default that follows from another key; the model is not handed out yet.
+            object.__setattr__(self, "relay_distance_m", NEAR_THE_WALL)
+        least, most = support(self.relay_distance_m)[0], self._largest("space_depth_m")
+        if least >= most:
+            raise ValueError(
+                f"relay_distance_m ≥ {least:g} with space_depth_m ≤ {most:g}: with place = 'in_front' objects stand "
+                "farther from the wall than the device; lower the first or raise space_depth_m"
+            )
+        if support(self.device_height_m)[0] >= self._largest("height_m"):
+            raise ValueError("device_height_m: no wall is higher than the device; lower it or raise height_m")
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = written(self)
+        dropped = {*self._keys_of_the_other, *(("place",) if self.place == "beside" else ())}
+        return {key: value for key, value in values.items() if key not in dropped}
+
+    @property
+    def _keys_of_the_other(self) -> tuple[str, ...]:
+        return IN_FRONT_ONLY if self.place == "beside" else BESIDE_ONLY
+
+    @property
+    def plan(self) -> str:
+        """As for every layout."""
+        return self.kind if self.place == "beside" else f"{self.kind}, in_front"
+
+    def dimensions(self) -> dict[str, Distribution]:
+        """As for every layout, those of its place."""
+        return {
+            name: value
+            for name, value in super().dimensions().items()
+            if name != "place" and name not in self._keys_of_the_other
+        }
+
     def largest_hidden_m(self) -> tuple[float, float]:
-        """As for every layout; across, the wall may reach further than the space beside the screen."""
+        """As for every layout; beside, the wall may reach further across than the space beside the screen."""
+        if self.place == "in_front":
+            return self._largest("space_depth_m"), self._largest("wall_width_m")
         along, across = super().largest_hidden_m()
         return along, across + self._largest("wall_width_m")
 

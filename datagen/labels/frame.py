@@ -1,8 +1,9 @@
 """The frame of all labels: the rectangle `Scene.hidden_view` and the depth behind it.
 
-An image has row 0 at the top (+up) and column 0 at −right, the way `Sensor.grid` numbers its pixels, so a label image
-lies over the scan. Its values belong to pixel centres. A volume has the axes (depth, row, column): slice `[k]` is an
-image, `k` counts away from the wall.
+An image has row 0 at the top (+up) and column 0 at −right, the way `Sensor.grid` numbers its pixels. It is as wide as
+the hidden part, wherever that is: over the scan where objects stand before it, and beside the scan behind a corner
+(`scan_place` says how far). Its values belong to pixel centres. A volume has the axes (depth, row, column): slice
+`[k]` is an image, `k` counts away from the wall.
 """
 
 from __future__ import annotations
@@ -80,3 +81,16 @@ def image_points(depth: NDArray[Any], mask: Bools, half_width_m: float, half_hei
     right = (2 * (column + 0.5) / columns - 1) * half_width_m
     up = (1 - 2 * (row + 0.5) / rows) * half_height_m
     return np.stack([right, up, depth[row, column].astype(np.float64)], axis=-1)
+
+
+def scan_place(view: Rectangle, laser_points: Floats) -> tuple[float, float] | None:
+    """Metres right and up from the middle of the label images (`Scene.hidden_view`) to the middle of the scan.
+
+    laser_points : (L, 3), NaN for those that there are not; None where there is none at all.
+    """
+    there = laser_points[np.isfinite(laser_points).all(axis=1)]
+    if not len(there):
+        return None
+    in_view = ViewFrame.about(view).to_view(there)
+    right, up = (in_view.min(axis=0) + in_view.max(axis=0))[:2] / 2
+    return float(right), float(up)

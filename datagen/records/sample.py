@@ -18,6 +18,10 @@ Scalar = float | int | str | bool
 _NUMBERS = (int, float, np.integer, np.floating)
 
 
+SCAN_PLACE = ("labels.scan_right_m", "labels.scan_up_m")
+"""Parameters of a sample: metres right and up from the middle of its label images to the middle of its scan."""
+
+
 @dataclass(frozen=True)
 class Spend:
     """Where the work of a transient went.

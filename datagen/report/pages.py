@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ObjectBoxes, ViewFrame
+from datagen.labels.frame import scan_place
+from datagen.records import Scene
 from datagen.report import scan_plots as scans
 from datagen.report import time_plots as times
 from datagen.report.label_plots import draw_boxes, draw_label
@@ -16,6 +18,7 @@ from datagen.report.replay import Replay, StoredScene
 from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.style import captioned
 from datagen.report.time_plots import busy_window, clear_channel
+from datagen.store.labels_told import OVER_M
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,12 +101,26 @@ def histogram_page(stored: StoredScene, again: Replay) -> Figure:
     return figure
 
 
+def _where_the_scan_is(scene: Scene, stored: StoredScene) -> str:
+    """A sentence, with a space behind it: where the scan lies on the label images."""
+    view = scene.hidden_view
+    found = None if view is None else scan_place(view, stored.arrays["laser_points"])
+    if found is None:
+        return ""
+    right, up = found
+    if max(abs(right), abs(up)) <= OVER_M:
+        return "Images lie over the scan. "
+    across = f"{abs(right):.2g} m to the {'right' if right > 0 else 'left'}"
+    upward = f"{abs(up):.2g} m {'above' if up > 0 else 'below'}"
+    return f"The middle of the scan is {across} and {upward} of the images' middle. "
+
+
 def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray[Any]]) -> Figure:
     """Every label there is, two or three in a row."""
     text = (
         "Ground truth, seen from the plane of the relay wall through the green window of the room picture, "
         "orthographically along the wall's normal; up is up, and right is right as seen from the device facing the "
-        "wall, so images lie over the scan. The relay wall itself is taken as a window."
+        f"wall. {_where_the_scan_is(again.scene, stored)}The relay wall itself is taken as a window."
     )
     if "normal" in labels:
         text += " Normals: red grows to the right, green upwards, blue towards the wall."

@@ -11,12 +11,12 @@ from datagen.config.distributions import draw, draw_count
 from datagen.config.scene import SceneConfig
 from datagen.config.scene_contents import Box, Content, Item, Library, Mesh, MeshFolder, MeshItem, Pillar, Standing
 from datagen.config.scene_files import label_of
-from datagen.config.scene_layouts import AnyLayout, Closed
+from datagen.config.scene_layouts import AnyLayout, Closed, IsolatedWall
 from datagen.config.scene_materials import SurfaceMaterial
 from datagen.errors import InputError
 from datagen.records import Lambertian, Material, Scalar
 from datagen.scene.relay_wall import draw_clutter, draw_relay_wall
-from scene_library.layouts import LAYOUTS
+from scene_library.layouts import PLANS
 from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
 from scene_library.objects import build
 from scene_library.placement import Occupied
@@ -137,8 +137,10 @@ def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[FloorPlan, d
     """A plan and the dimensions drawn for it. Raises `scene_library.rooms.RoomDoesNotClose`."""
     dimensions = {name: draw(d, rng) for name, d in layout.dimensions().items()}
     side = ("left", "right")[int(rng.integers(2))] if layout.turn == "random" else layout.turn
-    plan = LAYOUTS[layout.kind](**dimensions)
+    plan = PLANS[layout.plan](**dimensions)
     drawn: dict[str, Scalar] = {**dimensions, "turn": side}
+    if isinstance(layout, IsolatedWall) and layout.place != "beside":
+        drawn["place"] = layout.place
     if isinstance(layout, Closed) and layout.out_of_square_deg != 0:
         groups = wall_groups(plan)
         angles = {wall: draw(layout.out_of_square_deg, rng) for wall in dict.fromkeys(groups)}

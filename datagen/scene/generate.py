@@ -160,7 +160,7 @@ def _furnished(
     space.taken.extend(room.clutter.values())
     for thing in room.things:
         rotation = draw(thing.item.rotation_deg, rng) if rotate_anew else thing.rotation_deg
-        spot = place(thing, rotation, plan, space, rng)
+        spot = place(thing, rotation, plan, view.relay_wall, space, rng)
         surfaces[thing.name] = spot.vertices(thing.solid), thing.solid.triangles
         materials[thing.name] = thing.material
         poses[thing.name] = Pose.upright(thing.label, spot.rotation_deg)
@@ -198,6 +198,8 @@ def _visible_relay_wall(plan: FloorPlan, fan: Floats) -> Rectangle:
     seen = visible_interval(fan, start, end)
     if seen is None or seen[1] - seen[0] < SMALLEST_VIEW_M:
         raise RoomDoesNotClose(f"the device sees less than {SMALLEST_VIEW_M} m of the relay wall: widen the corridor")
+    if plan.all_in_view:
+        return _upright(start, end, plan.visible_top_m)
     unit = (end - start) / length(end - start)
     return _upright(start + seen[0] * unit, start + seen[1] * unit, plan.visible_top_m)
 

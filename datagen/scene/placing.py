@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from datagen.config.distributions import draw
-from datagen.config.scene_contents import Standing
+from datagen.config.scene_contents import Item, Standing
+from datagen.records import Rectangle
 from datagen.records.arrays import Floats
 from datagen.scene.draws import Thing
 from scene_library.placement import FreeSpace, Occupied, WallSpots
 from scene_library.rooms import FloorPlan
+from scene_library.rounding import length
 from scene_library.solids import Solid
 
 POSITIONS_PER_OBJECT = 40
@@ -53,17 +55,24 @@ class Spot:
         return solid.placed(self.x_m, self.y_m, self.z_m, self.rotation_deg)
 
 
-def place(thing: Thing, rotation_deg: float, plan: FloorPlan, space: FreeSpace, rng: np.random.Generator) -> Spot:
-    """Try positions until one is free, and take it. Raises `Unmet` with the commonest obstacle."""
+def place(
+    thing: Thing, rotation_deg: float, plan: FloorPlan, wall: Rectangle, space: FreeSpace, rng: np.random.Generator
+) -> Spot:
+    """Try positions until one is free, and take it. Raises `Unmet` with the commonest obstacle.
+
+    wall : the visible part of the relay wall, about whose middle objects are placed that have an offset from it.
+    """
     where, item, solid = thing.where, thing.item, thing.solid
     placement = item.placement if isinstance(item, Standing) else "floor"
     z = plan.height_m - thing.elevation_m - solid.top_m if placement == "hanging" else thing.elevation_m
     spots = _wall_spots(plan) if placement == "wall" else None
     obstacles: Counter[str] = Counter()
-    only_one = spots is None and isinstance(item.along, float) and isinstance(item.across, float)
+    along = item.along if item.distance_m is None else item.distance_m
+    across = item.across if item.offset_m is None else item.offset_m
+    only_one = spots is None and isinstance(along, float) and isinstance(across, float)
     for _ in range(1 if only_one else POSITIONS_PER_OBJECT):
         if spots is None:
-            spot = _spot(plan, z, rotation_deg, draw(item.along, rng), draw(item.across, rng))
+            spot = _spot(item, plan, wall, z, rotation_deg, draw(along, rng), draw(across, rng))
         else:
             # A hair more than the clearance, which rounding must not eat.
             pose = spots.pose(solid.hull, space.clearance_m * (1 + 1e-6) + 1e-9, rng)
@@ -81,10 +90,19 @@ def place(thing: Thing, rotation_deg: float, plan: FloorPlan, space: FreeSpace, 
     raise Unmet(where, obstacles.most_common(1)[0][0])
 
 
-def _spot(plan: FloorPlan, z: float, rotation_deg: float, along: float, across: float) -> Spot:
+def _spot(
+    item: Item, plan: FloorPlan, wall: Rectangle, z: float, rotation_deg: float, along: float, across: float
+) -> Spot:
+    """Where an object comes to stand; `along` and `across` in metres where its settings are."""
     (x0, y0), (x1, y1) = plan.hidden
-    y = y0 + across * (y1 - y0) if plan.across_from_low else y1 - across * (y1 - y0)
-    return Spot(float(x0 + along * (x1 - x0)), float(y), z, rotation_deg, along, across)
+    x = x0 + along * (x1 - x0) if item.distance_m is None else plan.relay_segment[0, 0] - along
+    if item.offset_m is not None:
+        y = wall.center[1] + across * wall.right[1] / length(wall.right)
+    else:
+        y = y0 + across * (y1 - y0) if plan.across_from_low else y1 - across * (y1 - y0)
+    if item.distance_m is None and item.offset_m is None:
+        return Spot(float(x), float(y), z, rotation_deg, along, across)
+    return _spot_at(plan, z, float(x), float(y), rotation_deg)
 
 
 def _spot_at(plan: FloorPlan, z: float, x: float, y: float, rotation_deg: float) -> Spot:

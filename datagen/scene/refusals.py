@@ -26,7 +26,9 @@ def _line(spec: SceneConfig, where: str, what: str, times: int) -> str:
     i = int(where.removeprefix("contents[").removesuffix("]"))
     item = spec.contents[i]
     sizes = _sizes(i, item)
-    where_to = f"scene.{where}.across ({_range(item.across)}) or along ({_range(item.along)})"
+    across = ("across", item.across) if item.offset_m is None else ("offset_m", item.offset_m)
+    along = ("along", item.along) if item.distance_m is None else ("distance_m", item.distance_m)
+    where_to = f"scene.{where}.{across[0]} ({_range(across[1])}) or {along[0]} ({_range(along[1])})"
     obstacle = {
         "wall": f"did not fit between the walls: lower {sizes}, change {where_to}, or enlarge the hidden part "
         "(scene.layout)",

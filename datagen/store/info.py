@@ -10,6 +10,7 @@ from datagen.errors import InputError, printable
 from datagen.store.card import readable
 from datagen.store.environment import mixed
 from datagen.store.evidence_told import evidence_by_kind, evidence_lines, placed_anew_lines
+from datagen.store.labels_told import label_place_line
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.places import Place, place
 from datagen.store.record import SceneRecord, ShardRecord
@@ -72,7 +73,7 @@ def _told(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
             f"{field.name:22}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
         )
     lines += [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
-    parts = (_times, _accuracy, _evidence, _decisions, _effects, _failures)
+    parts = (_label_place, _times, _accuracy, _evidence, _decisions, _effects, _failures)
     return "\n".join([*lines, "", *(line for part in parts for line in part(records))])
 
 
@@ -97,6 +98,13 @@ def seconds_by_stage(records: Sequence[ShardRecord]) -> dict[str, float]:
     }
     taken["store"] = [record.seconds["store"] / len(record.scenes) for record in records]
     return {stage: statistics.median(values) for stage, values in taken.items() if values}
+
+
+def _label_place(records: Sequence[ShardRecord]) -> Iterator[str]:
+    """Where label images lie."""
+    line = label_place_line(scene.parameters for scene in scenes_made(records))
+    if line:
+        yield from (line, "")
 
 
 def _times(records: Sequence[ShardRecord]) -> Iterator[str]:

@@ -1,0 +1,83 @@
+"""f-k migration: what a confocal grid shows, by resampling its spectrum.
+
+The root of what comes back at each point of the wall is taken for a wave field Ψ(x, y, z = 0, t) that left all
+surfaces at time 0 at half of the speed of light. In free space a wave of wave number (k_x, k_y, k_z), cycles a metre,
+has the frequency f = (c/2) √(k_x² + k_y² + k_z²), so that the field at time 0 has the spectrum (Stolt, Geophysics 43,
+23 (1978); Lindell, Wetzstein & O'Toole, ACM Transactions on Graphics 38, 116 (2019))
+
+    Ψ(k_x, k_y, k_z; t = 0) = (c/2) k_z / √(k_x² + k_y² + k_z²) · Ψ(k_x, k_y, f).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy import fft
+
+from datagen.errors import InputError
+from datagen.records import TimeAxis
+from datagen.records.arrays import Floats
+from datagen.units import path_from_time
+
+
+def migrated(counts: Floats, width_m: float, height_m: float, time: TimeAxis) -> tuple[Floats, Floats]:
+    """Brightness (depth, row, column) over a confocal grid, and the depths of its layers (depth,), metres.
+
+    counts : (row, column, bin) what came back to each point of the grid, row 0 at the top; a transient or counts.
+    width_m, height_m : from the first to the last column, and row.
+    time : of the bins; its origin is the wall.
+
+    Each column of voxels stands before a point of the grid. Places are found as far to the side as the grid reaches.
+
+    Raises
+    ------
+    InputError : a time axis that counts from the laser, or less than two rows or columns.
+    """
+    rows, columns, bins = counts.shape
+    if time.origin != "wall" or time.start_s < 0:
+        raise InputError(
+            f"time: origin = {time.origin!r}, start_s = {time.start_s:g}: f-k migration counts from the wall; set "
+            "capture.time.origin to wall, or take the ways of the devices off"
+        )
+    if min(rows, columns) < 2:
+        raise InputError(f"counts: a grid of {rows} × {columns} points; f-k migration needs two and more each way")
+    bin_m = float(path_from_time(time.width_s))
+    before = round(time.start_s / time.width_s)
+    total = fft.next_fast_len(before + bins, real=False)
+    amplitude = np.zeros((2 * total, 2 * rows, 2 * columns), np.complex64)
+    # By t²: light of a diffuse surface falls off with the fourth power of its distance, its root with the square.
+    middle = (np.arange(bins) + before + 0.5) * bin_m
+    amplitude[before : before + bins, :rows, :columns] = np.moveaxis(
+        np.sqrt(np.maximum(counts, 0.0)) * np.square(middle / middle[-1]), 2, 0
+    )
+    spectrum = fft.fftn(amplitude, overwrite_x=True)
+    step_m = bin_m / 2
+    depth = np.fft.fftfreq(2 * total, step_m)
+    up, right = np.fft.fftfreq(2 * rows, height_m / (rows - 1)), np.fft.fftfreq(2 * columns, width_m / (columns - 1))
+    found = np.zeros_like(spectrum)
+    # Waves that come from the hidden side alone; their time runs against their depth.
+    forward = np.flatnonzero(depth > 0)
+    for i, k_up in enumerate(up):
+        across = np.square(k_up) + np.square(right)
+        number = np.sqrt(np.square(depth[forward, None]) + across)
+        place = number * (2 * total * step_m)
+        below = place.astype(np.int64)
+        share = (place - below).astype(np.float32)
+        inside = below < total - 1
+        below = np.where(inside, below, 0)
+        column = np.arange(len(right))
+        wave = (1 - share) * spectrum[below, i, column] + share * spectrum[below + 1, i, column]
+        found[forward, i] = np.where(inside, wave * (depth[forward, None] / number), 0)
+    volume = np.abs(fft.ifftn(found, overwrite_x=True)[:total, :rows, :columns]) ** 2
+    # A bin's light has arrived by its middle on average.
+    return np.asarray(volume, np.float64), (np.arange(total) + 0.5) * step_m
+
+
+def depth_of_brightest(volume: Floats, depths: Floats) -> Floats:
+    """(row, column) depth of the brightest voxel behind each point, between layers by a parabola, metres."""
+    best = volume.argmax(axis=0).clip(1, len(depths) - 2)
+    low, top, high = (np.take_along_axis(volume, best[None] + k, axis=0)[0] for k in (-1, 0, 1))
+    bend = low - 2 * top + high
+    shift = np.where(bend < 0, 0.5 * (low - high) / np.where(bend < 0, bend, 1.0), 0.0).clip(-0.5, 0.5)
+    return np.asarray(depths[best] + shift * math.fabs(depths[1] - depths[0]))

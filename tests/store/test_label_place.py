@@ -1,0 +1,53 @@
+"""Where label images lie, seen from the scan: stored with each sample, and told by `info` and the card."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import datagen as dg
+from datagen.config import config_from_mapping
+from datagen.labels.frame import ViewFrame, scan_place
+from datagen.records import Rectangle
+from datagen.store.info import info
+from datagen.store.labels_told import label_place_line
+
+
+@pytest.mark.parametrize(
+    ("place", "says"), [("beside", "m beside the scan, middle to"), ("in_front", "lie over the")]
+)
+def test_datasets_say_where_their_labels_lie(tmp_path: Path, place: str, says: str) -> None:
+    config = config_from_mapping(
+        {
+            "scenes": 2,
+            "scene": {"layout": {"kind": "isolated_wall", "place": place}, "contents": [{"kind": "box"}]},
+            "capture": {"scan": {"rows": 3, "columns": 3}, "time": {"bins": 32, "bin_width_ps": 800}},
+            "transport": {"lookins": 32, "fov_samples": 1},
+        }
+    )
+    dg.build(config, tmp_path / "set", progress=False)
+    line = next(line for line in info(tmp_path / "set").splitlines() if line.startswith("Label images"))
+    assert says in line
+    assert line in (tmp_path / "set/README.md").read_text()
+    data = dg.TransientDataset(tmp_path / "set", ("laser_points", "hidden_view"))
+    for k, item in enumerate(data):
+        frame = ViewFrame.about(Rectangle(*item["hidden_view"].numpy().astype(float)))
+        middle = frame.to_view(item["laser_points"].numpy().astype(float)).mean(axis=0)
+        found = [data.parameters(f"labels.scan_{way}_m")[k] for way in ("right", "up")]
+        assert found == pytest.approx(middle[:2], abs=1e-5)
+
+
+def test_laser_points_that_are_not_there_count_for_nothing() -> None:
+    view = Rectangle.of((0, 0, 0), (0, 1, 0), (0, 0, 1))
+    points = np.array([[0, 1.0, 2.0], [0, 3.0, 2.5], [np.nan] * 3])
+    assert scan_place(view, points) == pytest.approx((2.0, 2.25))
+    assert scan_place(view, points[2:]) is None
+
+
+def test_datasets_that_do_not_say_are_told_nothing_of() -> None:
+    assert label_place_line([]) == label_place_line([{"attempts": 1}]) == ""
+    assert "over the scan" in label_place_line([{"labels.scan_right_m": 0.004, "labels.scan_up_m": 0.0}])
+    told = label_place_line([{"labels.scan_right_m": x, "labels.scan_up_m": 0.1} for x in (-1.0, 2.0, 1.5)])
+    assert "lie 1 … 2 m beside the scan" in told and "(median 1.5 m)" in told and "up to 0.1 m above" in told
