@@ -19,7 +19,7 @@ from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
 from datagen.effects import EffectDecisions, decide_detector_effects
 from datagen.errors import InputError
-from datagen.evidence import evidence_image
+from datagen.evidence import evidence_image, light_in_sight
 from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
 from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
@@ -97,7 +97,8 @@ def sample_of(
         # A transient that another simulator made is not split by object.
         parts = scene.objects if given is None else ()
         stations = stations_of(caster, scene, capture) if faded else None
-        evidence, gain = evidence_and_gain(transient, used, conditions, parts, stations)
+        plain = light_in_sight(light.scene, capture, light.accuracy, light.seed, caster) if parts else {}
+        evidence, gain = evidence_and_gain(transient, used, conditions, parts, stations, plain)
         evidence = evidence if given is None else dict.fromkeys(scene.objects, UNKNOWN)
         image = {} if surface is None else {"evidence": evidence_image(caster, surface, capture, stations, gain)}
     presence = dict[str, Presence]()

@@ -1,4 +1,4 @@
-"""The evidence of each object: its own light of three bounces against all that is detected."""
+"""The evidence of each object: its own light against all that is detected."""
 
 from __future__ import annotations
 
@@ -41,8 +41,9 @@ UNKNOWN = Evidence(np.nan, np.nan, np.nan)
 
 
 def own_evidence(
-    transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None
-) -> dict[str, Evidence]:
+    transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None, *,
+    in_sight: Mapping[str, Floats] | None = None,
+) -> dict[str, Evidence]:  # fmt: skip
     """The evidence that a detector gives of each part's own light, that of three bounces by way of it.
 
     Significance is √Σ s²/b over all bins, with s the expected detections of the part's photons and b those of
@@ -53,6 +54,8 @@ def own_evidence(
     transient : of `simulate`, with its `parts`. Where the primary was sampled, its noise adds to the significance.
     spad, exposure : as of `detect`.
     parts : names of parts; left out, all of them.
+    in_sight : of `datagen.evidence.light_in_sight`: light of one to three bounces that parts in plain sight have
+        besides. Left out, none: right where everything is hidden around the corner.
 
     Raises
     ------
@@ -71,12 +74,12 @@ def own_evidence(
     >>> round(found.detections), round(found.significance, 2)
     (1000, 10.0)
     """
-    return evidence_and_gain(transient, spad, exposure, parts)[0]
+    return evidence_and_gain(transient, spad, exposure, parts, in_sight=in_sight)[0]
 
 
 def evidence_and_gain(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None,
-    stations: Stations | None = None,
+    stations: Stations | None = None, in_sight: Mapping[str, Floats] | None = None,
 ) -> tuple[dict[str, Evidence], Floats]:  # fmt: skip
     """What `own_evidence` gives and, of the histograms of stations, (S, bin) `detections_per_photon`: the law of the
     detector's dead time is solved once for both."""
@@ -90,7 +93,9 @@ def evidence_and_gain(
     gain = np.empty((len(laser), transient.time.bins))
     if not names and not len(laser):
         return {}, gain
-    for found in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):
+    besides = {} if in_sight is None else in_sight
+    lights = [transient.parts[n] + besides[n] if n in besides else transient.parts[n] for n in names]
+    for found in own_light(transient.total, lights, transient.time, spad, exposure):
         here = (found.first <= laser) & (laser < found.first + len(found.armed))
         if here.any():
             armed = found.armed[laser[here] - found.first, pixel[here]]
