@@ -83,6 +83,8 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
 
         options["scene_seconds"] = scene_limit(options["scene_seconds"], settings)
     result = build_dataset(settings, out, progress=not quiet, **options)
+    if quiet and result.noisy:
+        click.echo(result.noisy, err=True)
     click.echo(result.summary())
 
 

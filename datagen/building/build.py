@@ -7,7 +7,10 @@ workers, any engine, and any number of interruptions.
 
 from __future__ import annotations
 
+import math
 import os
+import statistics
+import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
@@ -36,6 +39,10 @@ SampleFunction = Callable[[DatasetConfig, int], Sample]
 
 DEATHS_ALLOWED = 2
 """A scene over which this many worker processes died is given up."""
+NOISY = 0.2
+"""Median relative error of a dataset's transients from which on a build says that they are noise: of data that are a
+fifth noise of the simulation, photon noise of an ordinary exposure is no longer the larger part. Half as much would
+speak up about what many a quick trial is made with."""
 HOPELESS = 8
 """A build whose first so many scenes all failed stops: the rest would fail likewise."""
 
@@ -51,6 +58,7 @@ class BuildResult:
     built, kept : shards made now, and found committed.
     complete : whether every shard is there.
     told : of scenes whose objects were placed anew for the evidence asked of them; "" where none is asked.
+    noisy : that the simulated light is more than a fifth noise, and what to change; "" where it is not.
     """
 
     path: Path | str
@@ -60,6 +68,7 @@ class BuildResult:
     complete: bool
     seconds: float
     told: str = ""
+    noisy: str = ""
 
     def summary(self) -> str:
         """One line for people."""
@@ -112,7 +121,7 @@ def build(
     >>> import datagen as dg, tempfile
     >>> from datagen.config import config_from_mapping
     >>> config = config_from_mapping({
-    ...     "scenes": 2, "transport": {"lookins": 64, "fov_samples": 1},
+    ...     "scenes": 2, "transport": {"target": 0.1},
     ...     "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 800}}})
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     result = dg.build(config, f"{folder}/small.zarr", workers=1, progress=False)
@@ -174,7 +183,30 @@ def build(
         )
     where = root if bucket is None else str(bucket)
     told = " ".join(placed_anew_lines(scene.parameters for record in records for scene in record.scenes))
-    return BuildResult(where, schema.scenes, len(wanted) - kept, kept, complete, time.monotonic() - began, told)
+    noisy = _noise_line(config, records)
+    if noisy and progress:
+        print(noisy, file=sys.stderr, flush=True)
+    seconds = time.monotonic() - began
+    return BuildResult(where, schema.scenes, len(wanted) - kept, kept, complete, seconds, told, noisy)
+
+
+def _noise_line(config: DatasetConfig, records: Iterable[store.ShardRecord]) -> str:
+    """What to say of transients that are `NOISY` in the median of all scenes there are; "" of others, and of those
+    whose error nobody knows."""
+    stated = [scene.parameters.get("transient.relative_error") for of in records for scene in of.scenes]
+    errors = [float(error) for error in stated if isinstance(error, int | float) and math.isfinite(error)]
+    if not errors or (median := statistics.median(errors)) <= NOISY:
+        return ""
+    accuracy = config.transport
+    if accuracy.target is None:
+        remedy = f"ask for an error, transport: {{target: 0.05}}, or raise transport.lookins ({accuracy.lookins})"
+    else:
+        remedy = f"lower transport.target ({accuracy.target:g})"
+    scenes = "1 scene" if len(errors) == 1 else f"{len(errors)} scenes"
+    return (
+        f"noise: the simulated light is {median:.0%} off in the median of {scenes} (relative L2 over all bins), "
+        f"photon noise apart; {remedy}"
+    )
 
 
 def _with_exposure(root: Path, config: DatasetConfig) -> DatasetConfig:

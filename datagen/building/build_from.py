@@ -63,9 +63,9 @@ def build_from(
     >>> laser = dg.Laser((3, -1, 0), [(0.05, 0, 0.2), (0.05, 0, -0.2)])
     >>> sensor = dg.Sensor.grid((3, -1, 0), (0.05, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, cols=2)
     >>> capture = dg.Capture(laser, sensor, dg.TimeAxis(bins=64, width_s=4e-10, origin="wall"))
-    >>> quick = {"transport": {"lookins": 64, "fov_samples": 1}}
+    >>> given = {"transport": {"target": 0.1}}
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     result = dg.build_from(map(room, (1.0, 1.5)), f"{folder}/mine", capture, settings=quick, progress=False)
+    ...     result = dg.build_from(map(room, (1.0, 1.5)), f"{folder}/mine", capture, settings=given, progress=False)
     ...     data = dg.TransientDataset(f"{folder}/mine", fields=("histogram",))
     ...     data.shape("histogram"), data.parameters("x_m").tolist()
     ((2, 2, 64), [1.0, 1.5])

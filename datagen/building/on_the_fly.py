@@ -40,7 +40,7 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
     >>> import datagen as dg
     >>> from datagen.config import config_from_mapping
     >>> config = config_from_mapping({
-    ...     "scenes": 2, "transport": {"lookins": 64, "fov_samples": 1},
+    ...     "scenes": 2, "transport": {"target": 0.1},
     ...     "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 800}}})
     >>> [tuple(item["histogram"].shape) for item in dg.GeneratedDataset(config, ("histogram",))]
     [(4, 1, 64), (4, 1, 64)]
