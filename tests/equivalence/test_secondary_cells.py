@@ -22,6 +22,8 @@ from datagen.transport.fov import PixelCones
 from datagen.transport.primary import pairs_of
 from datagen.transport.secondary_cells import Secondary, secondary_by_cells
 from datagen.transport.solver import prepared
+from datagen.transport.target.adaptive import _sampled
+from datagen.transport.target.strategies import ForecastWalk
 
 RUNS, LEVEL, OWN = 8, 1e-3, 0.04
 DEVICE = (1.5, 0.1, 1.3)
@@ -54,6 +56,22 @@ def scan(
     return Capture(Laser(DEVICE, SPOTS), sensor, replace(TIME, origin=origin), pairing)  # type: ignore[arg-type]
 
 
+def with_meshes(times: int = 0) -> Scene:
+    """The box with a ball of 1280 triangles and a ring of 2304, that stand free, each cut into four so many times."""
+    room = furnished_box()
+    ball = trimesh.creation.icosphere(3, radius=0.3)
+    ball.apply_translation((1.2, 0.5, 0.9))
+    ring = trimesh.creation.torus(0.3, 0.1, major_sections=48, minor_sections=24)
+    ring.apply_translation((1.4, -0.5, 1.7))
+    for _ in range(times):
+        ball, ring = ball.subdivide(), ring.subdivide()
+    shell = [
+        Part(name, trimesh.Trimesh(room.vertices, room.triangles[room.faces_of(name)], process=False), material, role)
+        for name, material, role in zip(room.part_names, room.materials, room.roles, strict=True)
+    ]
+    return Scene.from_parts([*shell, Part("ball", ball, Lambertian(0.6)), Part("ring", ring, Lambertian(0.6))])
+
+
 @pytest.mark.parametrize(
     ("scene", "capture", "occlusion"),
     [
@@ -61,8 +79,9 @@ def scan(
         (furnished_box(), scan("confocal", 0.2, "source"), "auto"),
         (furnished_box(), scan("exhaustive", 0.05, "source"), "auto"),
         (replace(furnished_box(), attenuation_per_m=0.3), scan("exhaustive", 0.02, "source"), "auto"),
+        (with_meshes(), scan("confocal", 5e-4), "auto"),
     ],
-    ids=["confocal points", "confocal 0.4 m", "exhaustive", "attenuation"],
+    ids=["confocal points", "confocal 0.4 m", "exhaustive", "attenuation", "meshes"],
 )
 def test_the_walk_gives_the_same(scene: Scene, capture: Capture, occlusion: str) -> None:
     cells = of_cells(scene, capture, occlusion=occlusion)
@@ -128,6 +147,36 @@ def test_errors_fall_from_level_to_level_as_two_of_them_foretell() -> None:
     for k in range(1, 4):
         # What two levels say of the coarser one, against the finest of all.
         assert errors[k - 1] < secondary_cells._still(runs[: k + 1])[-1] / norm
+
+
+def test_small_triangles_are_taken_together() -> None:
+    """Meshes whose triangles are each cut into sixteen take no more pairs of cells, and give the same light but for
+    what chance makes of which triangles stand for the others."""
+    found, capture = [], scan("exhaustive", 5e-4)
+    for times in (0, 2):
+        task = prepared(with_meshes(times), capture, Accuracy(target=0.02, max_bounces=4), 0, split_parts=False)
+        cells, pairs = secondary_cells._Scan.of(Gathering.of(task)), pairs_of(task)
+        scale = (rough := cells.light(pairs, 0, 0, np.inf)).photons.sum() / rough.gain
+        allowed = secondary_cells.PAIR * secondary_cells.FINER * scale
+        found.append(cells.light(pairs, 1, 0, allowed))
+    coarse, fine = found
+    assert fine.pairs < 1.1 * coarse.pairs
+    assert np.linalg.norm(fine.histogram - coarse.histogram) < OWN * np.linalg.norm(coarse.histogram)
+    assert fine.photons.sum() == pytest.approx(coarse.photons.sum(), rel=0.01)
+
+
+def test_a_walk_costs_about_what_is_forecast() -> None:
+    """By a first round, a walk for the secondary to 5 % costs what one takes that meets it, within a factor of four:
+    the rounds are powers of two, and a first round knows the variance to some ten per cent."""
+    asked = Accuracy(target=0.05, max_bounces=4)
+    task = prepared(with_meshes(), scan("exhaustive", 5e-4), asked, 0, split_parts=False)
+    alone = replace(task, splits=replace(task.splits, components=("secondary",), parts=()))
+    walked = _sampled(alone, None)
+    forecast = ForecastWalk(alone, 0.05 * float(np.linalg.norm(walked.components["secondary"])))
+    assert walked.met_target and set(walked.spend.way.values()) == {"walk"}
+    assert walked.spend.cost / 4 < forecast.cost < 4 * walked.spend.cost
+    assert forecast.costs_less_than(1.01 * forecast.cost)
+    assert not forecast.costs_less_than(0.99 * forecast.cost)
 
 
 def test_light_goes_either_way() -> None:

@@ -35,6 +35,7 @@ from datagen.transport.cells.reach import (
     PATH,
     SIZE,
     SPAN,
+    TURNED,
     WEIGHT,
     condense,
     lit,
@@ -67,12 +68,16 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     n1, n2 = get(one, i, NORMAL), get(two, j, NORMAL)
     y1, y2, share = _facing(one, i, two, j)
     d = less(y2, y1)
-    up, down = dot(d, n1), -dot(d, n2)
-    if not share > 0.0 or up <= 0.0 or down <= 0.0:
-        return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, y1, y2
     square = dot(d, d)
     r = math.sqrt(square)
-    per = 1.0 / r
+    per = 1.0 / r if r > 0.0 else 0.0
+    up, down = dot(d, n1), -dot(d, n2)
+    if one[i, CLUSTERED] > 0.0:
+        up = r * _positive(per * up, one[i, TURNED], two, j, per, n1)
+    if two[j, CLUSTERED] > 0.0:
+        down = r * _positive(per * down, two[j, TURNED], one, i, per, n2)
+    if not share > 0.0 or up <= 0.0 or down <= 0.0:
+        return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, y1, y2
     w, back = (d[0] * per, d[1] * per, d[2] * per), (-d[0] * per, -d[1] * per, -d[2] * per)
     f1 = evaluate(kind[part1], values[part1], n1, get(one, i, BACK), w)
     f2 = evaluate(kind[part2], values[part2], n2, back, get(two, j, BACK))
@@ -110,6 +115,17 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     return all_but_f * f1 * f2, all_but_f * f_most, r, path, variance, share, y1, y2
 
 
+@compiled()
+def _positive(cosine, turned, other, k, per, n):  # type: ignore[no-untyped-def]
+    """Mean of the positive part of the cosine between a cluster's normals, whose mean is n, and the directions to
+    another cell's points: taken as evenly spread with the variance of both."""
+    p, q = dot(n, get(other, k, SPAN)), dot(n, get(other, k, SPAN + 3))
+    most = math.sqrt(3.0 * (turned * max(1.0 - cosine * cosine, 0.0) + per * per * (p * p + q * q)))
+    if cosine >= most:
+        return cosine
+    return (cosine + most) * (cosine + most) / (4.0 * most) if cosine > -most else 0.0
+
+
 @compiled(forceinline=True)
 def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
     """Middles of what each of two cells has above the other's plane, and the share of the two that this is.
@@ -124,7 +140,8 @@ def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
     along_p, along_q, along_s, along_t = dot(n2, p), dot(n2, q), dot(n1, s), dot(n1, t)
     square1, square2 = along_p * along_p + along_q * along_q, along_s * along_s + along_t * along_t
     share = 1.0
-    if down * down < 3.0 * square1 or down < 0.0:
+    # A cluster has no plane: `_positive` counts what faces of it.
+    if two[j, CLUSTERED] == 0.0 and (down * down < 3.0 * square1 or down < 0.0):
         most = math.sqrt(3.0 * square1)
         share = 0.5 * (down + most) / most if square1 > 0.0 else 0.0
         by = 0.5 * (most - down) / square1 if share > 0.0 else 0.0
@@ -133,7 +150,7 @@ def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
             y1[0] + along_p * p[0] + along_q * q[0], y1[1] + along_p * p[1] + along_q * q[1],
             y1[2] + along_p * p[2] + along_q * q[2],
         )  # fmt: skip
-    if up * up < 3.0 * square2 or up < 0.0:
+    if one[i, CLUSTERED] == 0.0 and (up * up < 3.0 * square2 or up < 0.0):
         most = math.sqrt(3.0 * square2)
         share *= 0.5 * (up + most) / most if square2 > 0.0 and up > -most else 0.0
         by = 0.5 * (most - up) / square2 if share > 0.0 else 0.0

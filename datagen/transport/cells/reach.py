@@ -39,11 +39,14 @@ a mean normal: a different one for each end is right on average."""
 WEIGHT, PATH, SIZE, COLUMNS = 9, 12, 15, 18
 """Columns of a cell: nine coordinates of its vertices, w and path there, and the area of it that is not hidden. Of a
 cluster: three points on its triangles, and from `WEIGHT` on the normals there."""
-NORMAL, ENERGY, LENGTH, SPAN, ALONG, LONG, BACK, BLUR, CLUSTERED, NUMBERS = 3, 6, 7, 8, 14, 16, 17, 20, 21, 22
+NORMAL, ENERGY, LENGTH, SPAN, ALONG, LONG, BACK, BLUR, CLUSTERED, TURNED, NUMBERS = (
+    3, 6, 7, 8, 14, 16, 17, 20, 21, 22, 23,
+)  # fmt: skip
 """By what others know it: the middle of its light, its normal towards the end, its light, the path to its middle,
 two vectors whose squared products with a slope of the path add up to the variance that this gives, these products for
-the path to the end, its longest side, the direction to the end, the variance over its points of the path, and 1 for a
-cluster, 0 for a triangle."""
+the path to the end, its longest side, the direction to the end, the variance over its points of the path, 1 for a
+cluster and 0 for a triangle, and of a cluster the variance of its normals along a direction across their mean,
+relative to the square of that mean."""
 
 
 UPWARD, TO_DEVICE, SHARE, LONGER = 3, 6, 9, 10
@@ -292,6 +295,7 @@ def _cluster(  # type: ignore[no-untyped-def]
     per = 1.0 / number[k, ENERGY]
     put(number, k, 0, y)
     put(number, k, NORMAL, (mean[0] * per, mean[1] * per, mean[2] * per))
+    number[k, TURNED] = 0.5 * max((whole * per) ** 2 - 1.0, 0.0)
     number[k, LENGTH], number[k, CLUSTERED] = length, 1.0
     back = distance(x, y)
     put(number, k, BACK, ((x[0] - y[0]) / back, (x[1] - y[1]) / back, (x[2] - y[2]) / back))
