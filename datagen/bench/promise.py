@@ -22,6 +22,7 @@ import click
 import numpy as np
 from scipy import stats
 
+from datagen.bench.foreign_promise import hold_foreign
 from datagen.bench.measuring import machine, markdown, processor_seconds
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, load_config
@@ -189,21 +190,33 @@ def _told(one: Held) -> str:
 
 @click.command()
 @click.argument("out")
-@click.argument("configs", nargs=-1, required=True)
+@click.argument("configs", nargs=-1)
 @click.option("--scenes", type=int, default=8, show_default=True, help="How many scenes of each configuration.")
 @click.option("--first", type=int, default=0, show_default=True, help="Number of the first.")
 @click.option("--points", type=int, default=POINTS, show_default=True, help="Laser points or pixels of each.")
 @click.option("--target", "targets", type=float, multiple=True, default=TARGETS, show_default=True)
+@click.option("--foreign", type=int, help="Instead: how many scenes that no configuration would draw.")
+@click.option("--meshes", type=click.Path(path_type=Path), help="Folder of meshes that foreign scenes may have, too.")
 def main(
-    out: str, configs: tuple[str, ...], scenes: int, first: int, points: int, targets: tuple[float, ...]
-) -> None:
+    out: str, configs: tuple[str, ...], scenes: int, first: int, points: int, targets: tuple[float, ...],
+    foreign: int | None, meshes: Path | None,
+) -> None:  # fmt: skip
     """Hold scenes of CONFIGS, and each of their objects, against the truth; table and JSON in the folder OUT.
 
     Running it again goes on with the scenes that OUT does not have yet. Configurations without a target, whose counts
     are fixed, promise nothing and are passed over.
+
+    With --foreign N no CONFIGS are wanted: N scenes of random shapes (and meshes), BRDFs, devices and scans are held
+    against the definition of the transient.
     """
-    if scenes < 1 or points < 1:
-        raise InputError(f"--scenes {scenes} --points {points}: must be ≥ 1")
+    if scenes < 1 or points < 1 or first < 0:
+        raise InputError(f"--scenes {scenes} --points {points} --first {first}: must be ≥ 1, and first ≥ 0")
+    if foreign is not None:
+        if foreign < 1 or configs:
+            raise InputError(f"--foreign {foreign}: must be ≥ 1, and stand without configurations")
+        return hold_foreign(Path(out), range(first, first + foreign), targets, meshes)
+    if meshes is not None or not configs:
+        raise InputError("datagen bench promise: name configurations, or --foreign N, if wanted with --meshes FOLDER")
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     kept = folder / "promise.json"

@@ -44,6 +44,7 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, SIN_LOBE, MaterialTable, evaluate, pdf, sample
 from datagen.transport.fov import PixelCones
 from datagen.transport.raycast import Hits, Raycaster
+from datagen.transport.reference_aim import Aim, Ends, aim
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
 from datagen.units import time_from_path
 
@@ -172,13 +173,7 @@ class _Tracer:
         self.has_lobe = ~np.isin(materials.kind, (LAMBERTIAN, OREN_NAYAR, SIN_LOBE))
         self.per_photon = 1.0 / samples
         self.lasers, self.of_sample = self.laser_points()
-        # Small parts more often for their area, as rays seldom meet them; none that no laser point lights.
-        area = np.bincount(scene.face_part, caster.face_area_m2, len(scene.part_names))
-        lit = self.before_laser_points() & (area > 0)
-        lit = lit if lit.any() else area > 0
-        chance = np.where(lit, 1.0 / np.sqrt(np.where(lit, area, 1.0)), 0.0)
-        self.area_density = (chance / chance.sum() / np.where(lit, area, 1.0))[scene.face_part]
-        self.cumulative = np.cumsum(self.area_density * caster.face_area_m2)
+        self.aim = self.aimed(pairs)
 
     def air(self, metres: Floats) -> Floats:
         return np.exp(-self.scene.attenuation_per_m * metres)
@@ -216,24 +211,24 @@ class _Tracer:
         number[points.sample] = np.arange(len(points))
         return points, number[of_sample]
 
-    def before_laser_points(self) -> Bools:
-        """(K,) parts of which a corner of the box about them lies before the tangent plane of a laser point."""
-        x = self.lasers
-        low, high = np.empty((2, len(self.scene.part_names), 3))
-        for part in range(len(low)):
-            corners = self.caster.corners[self.scene.face_part == part].reshape(-1, 3)
-            low[part], high[part] = corners.min(axis=0), corners.max(axis=0)
-        boxes = np.stack([low, high], axis=1)
-        highest = ((boxes[:, None] - x.position[:, None]) * x.normal[:, None]).max(axis=2).sum(axis=2)
-        return np.asarray((highest > self.caster.offset_m).any(axis=1))
+    def aimed(self, pairs: Ints) -> Aim:
+        """Where x₂ is drawn by area, which changes nothing but the variance."""
+        lasers, number = self.lasers, self.of_sample[:: self.samples]
+        seen, gain = self.fov_points(pairs[:, 1], np.full((len(pairs), 2), 0.5))
+        half = 0.5 * np.sqrt(self.solid_angle[pairs[:, 1]]) * seen.path
+        lit = lasers.take(np.maximum(number, 0)) if len(lasers) else seen
+        x = Ends(lit.position, lit.normal, lit.back, np.where(number < 0, -1, lit.part), half)
+        v = Ends(seen.position, seen.normal, seen.back, np.where(gain > 0, seen.part, -1), half)
+        planes = np.column_stack([lasers.position, lasers.normal])
+        return aim(self.caster, self.scene, self.materials, planes, x, v, len(self.pixel))
 
-    def fov_points(self, uv: Floats) -> tuple[_Vertices, Floats]:
+    def fov_points(self, pixel: Ints, uv: Floats) -> tuple[_Vertices, Floats]:
         """v of every sample, and the photons that it gives for each unit of f E there: A dΩ/(du dv); 0 without a v.
 
         A point uniform on the pixel's quadrilateral q(u, v), as seen from the sensor, stands for the solid angle
         dΩ/(du dv) = |q · (∂q/∂u × ∂q/∂v)| / |q|³.
         """
-        a, b, c, d = (self.capture.sensor.pixels[self.pixel, k] - self.capture.sensor.position for k in range(4))
+        a, b, c, d = (self.capture.sensor.pixels[pixel, k] - self.capture.sensor.position for k in range(4))
         u, v = uv[:, :1], uv[:, 1:]
         q = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
         along_u, along_v = (1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b)
@@ -258,8 +253,7 @@ class _Tracer:
     def second(self, b: _Vertices, numbers: Floats) -> _Vertices:
         """x₂ seen from the laser points b: by area or by the BRDF, as the first of three numbers says."""
         by_area = numbers[:, 0] < BY_AREA
-        pick = np.minimum(numbers[:, 0] / BY_AREA, 1.0) * self.cumulative[-1]
-        face = np.minimum(np.searchsorted(self.cumulative, pick, side="right"), len(self.cumulative) - 1)
+        face = self.aim.drawn(b.sample // self.samples, numbers[:, 0] / BY_AREA)
         root, other = np.sqrt(numbers[:, 1]), numbers[:, 2]
         weights = np.stack([1 - root, root * (1 - other), root * other], axis=1)
         place = np.einsum("nk,nkj->nj", weights, self.caster.corners[face])
@@ -288,7 +282,7 @@ class _Tracer:
         """1/m², with which the way from the laser draws the vertices x of `order`."""
         if order > 2:
             return by_brdf
-        return np.asarray((1 - BY_AREA) * by_brdf + BY_AREA * self.area_density[x.face])
+        return np.asarray((1 - BY_AREA) * by_brdf + BY_AREA * self.aim.at(x.sample // self.samples, x.face))
 
     def join(self, x: _Vertices, fov: _Vertices, gain: Floats, order: int) -> Paths:
         """Paths of `order` bounces from vertices x to the FoV points drawn from the pixel."""
@@ -392,7 +386,7 @@ def sample_paths(
     later = np.random.default_rng([LATER_STREAM, seed])
     lit = np.flatnonzero(t.of_sample >= 0)
     x = replace(t.lasers.take(t.of_sample[lit]), sample=lit)
-    fov, gain = t.fov_points(numbers[:, :2])
+    fov, gain = t.fov_points(t.pixel, numbers[:, :2])
     beside = t.beside(fov, gain, numbers[:, 5:7]) if occlusion else None
     found = [t.one_bounce(x if direct else x.take(np.empty(0, np.int64)))]
     order, b = 2, x

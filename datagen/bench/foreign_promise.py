@@ -1,0 +1,335 @@
+"""`datagen bench promise OUT --foreign N`: scenes that no configuration would draw, held against the definition.
+
+Each scene (`foreign_scenes.py`) is simulated to a target; the error of the whole and of each object's own light is
+then measured against independent runs X₁ … X_K of `transport/reference.py`, which knows of no cells. With
+dₖ = ours − Xₖ,
+
+    Σ_{j≠k} dⱼ·dₖ / (K (K − 1))    has the mean    ‖ours − true‖²,
+
+whatever the runs' own noise, which is different in each and therefore multiplies to 0 on average. How well that is
+known is found by leaving out one run after the other. Samples are added until every error is known well enough to say
+whether it is within what was asked, up to `MOST_SAMPLES`: what is then not known is *undecided*, and counted apart.
+
+The same is asked of histograms in windows of `WINDOW_S`, which hold more light each and so have less noise: there an
+error of all bins in one direction, such as light that is missing, stands out.
+
+*A check of the truth itself*: the energy of a few walks, which share only rays and BRDFs with the reference.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import click
+import numpy as np
+from scipy import stats
+
+from datagen.bench.foreign_scenes import ForeignScene, foreign_scene
+from datagen.bench.measuring import machine, markdown, processor_seconds
+from datagen.records import Accuracy, Transient
+from datagen.records.arrays import Floats
+from datagen.transport.raycast import Raycaster
+from datagen.transport.reference import pairs_of, reference
+from datagen.transport.solver import simulate
+
+WHOLE = "whole"
+RUNS = 8
+FIRST_SAMPLES, GROWTH, MOST_SAMPLES = 1 << 19, 4, 1 << 23
+"""Samples of all runs and pairs together, in the first round, growing from one to the next, and in the last: some 12
+processor seconds. A quarter of them leaves errors four times as large undecided."""
+WELL_KNOWN = 0.25
+"""Largest standard error of a squared error, relative to the square of what was asked, that decides a case alone."""
+SURE = 3.0
+"""Standard errors from what was asked that decide a case otherwise."""
+DISPUTED = 5.0
+WINDOW_S = 1e-9
+MOST_LOOKINS = 1 << 19
+"""Rays for each laser point after which a simulation may give up, which it then says: of lobes a degree wide it would
+else take minutes."""
+WALKS, WALKED = 4, 1 << 13
+
+
+@dataclass(frozen=True)
+class ForeignHeld:
+    """The whole of a scene, or one of its objects, at one target.
+
+    Attributes
+    ----------
+    what, shape, brdf, way : "whole" or the object; of an object its shape and BRDF; how its light was found.
+    asked, claimed : relative L2 error asked for, and claimed by the run.
+    square, known : squared relative error as found, and its standard error.
+    coarse, coarse_known : the same of histograms in windows of `WINDOW_S`.
+    energy, energy_known : photons of the run over those of the truth, and the standard error.
+    walk_off : of the whole: energy of walks over that of the truth, less 1, in standard errors.
+    samples : of the truth, of each pair. seconds, truth_seconds : processor seconds.
+    """
+
+    scene: int
+    meshes: str
+    target: float
+    what: str
+    shape: str
+    brdf: str
+    way: str
+    scan: str
+    surroundings: str
+    bounces: int
+    asked: float
+    claimed: float
+    square: float
+    known: float
+    coarse: float
+    coarse_known: float
+    energy: float
+    energy_known: float
+    walk_off: float
+    samples: int
+    seconds: float
+    truth_seconds: float
+
+    @property
+    def promised(self) -> bool:
+        """Whether the run said that what was asked is met."""
+        return self.claimed <= self.asked
+
+    @property
+    def decided(self) -> bool:
+        """Whether it is known on which side of what was asked the error is."""
+        return decided(self.square, self.known, self.asked)
+
+    @property
+    def within(self) -> bool:
+        """Whether the true error is at most what was asked."""
+        return self.square <= self.asked**2
+
+    @property
+    def error(self) -> float:
+        """The relative error as found; 0 where noise makes its square negative."""
+        return math.sqrt(max(self.square, 0.0))
+
+    @property
+    def overclaimed(self) -> bool:
+        """Whether the error is beyond twice what the run claimed, surely."""
+        return self.square - SURE * self.known > (2 * self.claimed) ** 2
+
+    @property
+    def disputed(self) -> bool:
+        """Whether walks say that the truth is another."""
+        return abs(self.walk_off) > DISPUTED
+
+
+def decided(square: float, known: float, asked: float) -> bool:
+    """Whether a squared error, known to one standard error, is surely within what was asked, or surely beyond it."""
+    return known <= WELL_KNOWN * asked**2 or abs(square - asked**2) > SURE * known
+
+
+def off_square(ours: Floats, runs: Floats) -> tuple[float, float]:
+    """‖ours − true‖² without the noise of the independent runs (K, n), and its standard error.
+
+    The jackknife over runs counts twice what only products of noise with noise bring; the scatter of the products is
+    all of that, and little of the rest. Of few runs the larger of the two is a fifth too much.
+    """
+    d = ours - runs
+    gram, count = d @ d.T, len(runs)
+    pairs = count * (count - 1) / 2
+    products = gram[np.triu_indices(count, 1)]
+    # Without run k all products go that it takes part in.
+    left = (products.sum() - gram.sum(axis=1) + np.diag(gram)) / (pairs - count + 1)
+    jackknife = (count - 1) / count * float(((left - left.mean()) ** 2).sum())
+    scatter = float(products.var(ddof=1)) / pairs
+    return float(products.mean()), math.sqrt(max(jackknife - scatter, scatter))
+
+
+class Truth:
+    """Independent runs of the reference for one scene, to which more samples can be added."""
+
+    def __init__(self, foreign: ForeignScene, seed: int) -> None:
+        self.foreign, self.seed, self.samples, self.seconds = foreign, seed, 0, 0.0
+        self.caster = Raycaster(foreign.scene)
+        self.light: dict[str, Floats] = {}
+
+    @property
+    def pairs(self) -> int:
+        """Histograms."""
+        return len(pairs_of(self.foreign.capture))
+
+    def add(self, samples: int) -> None:
+        """So many samples more for each pair of laser point and pixel, over all runs."""
+        each = max(samples // RUNS, 1)
+
+        def draw() -> dict[str, Floats]:
+            runs = [
+                reference(
+                    self.foreign.scene, self.foreign.capture, samples=each, replicates=1, seed=seed,
+                    max_bounces=self.foreign.max_bounces, caster=self.caster,
+                )
+                for seed in range(first, first + RUNS)
+            ]  # fmt: skip
+            return {name: np.array([lights(run)[name] for run in runs]) for name in lights(runs[0])}
+
+        first = self.seed + 1000 * self.samples
+        found, seconds = processor_seconds(draw)
+        share = each * RUNS / (self.samples + each * RUNS)
+        for name, runs in found.items():
+            self.light[name] = runs if name not in self.light else self.light[name] * (1 - share) + runs * share
+        self.samples += each * RUNS
+        self.seconds += seconds
+
+
+def lights(run: Transient) -> dict[str, Floats]:
+    """Flat histograms of the whole and of the primary of each part."""
+    return {WHOLE: run.total.ravel()} | {name: light.ravel() for name, light in run.parts.items()}
+
+
+def coarsened(light: Floats, bins: int, width_s: float) -> Floats:
+    """Histograms (…, n · bins) in windows of `WINDOW_S`, or of a bin if that is longer."""
+    along = min(max(round(WINDOW_S / width_s), 1), bins)
+    shape = light.reshape(*light.shape[:-1], -1, bins)
+    missing = -bins % along
+    padded = np.concatenate([shape, np.zeros((*shape.shape[:-1], missing))], axis=-1)
+    return np.asarray(padded.reshape(*shape.shape[:-1], -1, along).sum(axis=-1).reshape(*light.shape[:-1], -1))
+
+
+def held_foreign(index: int, targets: Sequence[float], meshes: Path | None = None) -> list[ForeignHeld]:
+    """Foreign scene `index`, simulated to each target and held against one truth."""
+    foreign = foreign_scene(index, meshes)
+    runs = []
+    for target in targets:
+        accuracy = Accuracy(target=target, max_bounces=foreign.max_bounces, max_lookins=MOST_LOOKINS)
+        runs.append(processor_seconds(lambda asked=accuracy: _simulated(foreign, asked, index)))  # type: ignore[misc]
+    truth = Truth(foreign, seed=index)
+    samples = FIRST_SAMPLES
+    while True:
+        truth.add(max(samples // truth.pairs, RUNS))
+        found = [
+            one
+            for target, (run, seconds) in zip(targets, runs, strict=True)
+            for one in _compared(index, meshes, foreign, truth, target, run, seconds)
+        ]
+        samples *= GROWTH
+        if samples > MOST_SAMPLES or all(one.decided or not one.promised or _hopeless(one, truth) for one in found):
+            break
+    walk_off = _walk_off(foreign, truth)
+    return [replace(one, walk_off=walk_off) if one.what == WHOLE else one for one in found]
+
+
+def _hopeless(one: ForeignHeld, truth: Truth) -> bool:
+    """Whether not even the last round would decide: the noise of products falls with the number of samples."""
+    growth = 2 * MOST_SAMPLES / (one.samples * truth.pairs)
+    return one.known > growth * WELL_KNOWN * one.asked**2
+
+
+def _simulated(foreign: ForeignScene, accuracy: Accuracy, seed: int) -> Transient:
+    return simulate(foreign.scene, foreign.capture, accuracy, seed=seed)
+
+
+def _compared(
+    index: int, meshes: Path | None, foreign: ForeignScene, truth: Truth, target: float, run: Transient,
+    seconds: float,
+) -> list[ForeignHeld]:  # fmt: skip
+    claimed = {WHOLE: run.error_bound or 0.0} | {name: error for name, error in run.part_errors.items() if error > 0}
+    each_part = Accuracy(target=target).each_part
+    axis, light, found = foreign.capture.time, lights(run), []
+    assert run.spend is not None
+    for name, claim in claimed.items():
+        ours, runs = light[name], truth.light[name]
+        norm, _ = off_square(np.zeros_like(ours), runs)
+        norm = max(norm, 1e-3 * float((runs.mean(axis=0) ** 2).sum())) or 1.0
+        square, known = (of / norm for of in off_square(ours, runs))
+        wide, wide_runs = (coarsened(of, axis.bins, axis.width_s) for of in (ours, runs))
+        wide_norm = max(off_square(np.zeros_like(wide), wide_runs)[0], 1e-3 * (wide_runs.mean(axis=0) ** 2).sum())
+        coarse, coarse_known = (of / (wide_norm or 1.0) for of in off_square(wide, wide_runs))
+        energies = runs.sum(axis=1)
+        energy = ours.sum() / energies.mean() if energies.mean() > 0 else float(ours.any())
+        energy_known = stats.sem(energies) / energies.mean() if energies.mean() > 0 else 0.0
+        ways = {component: way for component, way in run.spend.way.items() if name == WHOLE or component == "primary"}
+        case = ForeignHeld(
+            index, "" if meshes is None else meshes.name, target, name, foreign.shapes.get(name, ""),
+            foreign.brdfs.get(name, ""), ", ".join(f"{c} {w}" for c, w in sorted(ways.items())), foreign.scan,
+            foreign.surroundings, foreign.max_bounces, target if name == WHOLE else each_part, claim, square, known,
+            coarse, coarse_known, float(energy), float(energy_known), 0.0, truth.samples, seconds, truth.seconds,
+        )  # fmt: skip
+        found.append(case)
+    return found
+
+
+def _walk_off(foreign: ForeignScene, truth: Truth) -> float:
+    """How far the energy of walks is off that of the truth, in standard errors of their difference."""
+    accuracy = Accuracy(lookins=WALKED, fov_samples=4, replicates=1, max_bounces=foreign.max_bounces)
+    walks = np.array([_simulated(foreign, accuracy, seed).total.sum() for seed in range(WALKS)])
+    energies = truth.light[WHOLE].sum(axis=1)
+    noise = math.hypot(float(stats.sem(walks)), float(stats.sem(energies)))
+    return float((walks.mean() - energies.mean()) / noise) if noise > 0 else 0.0
+
+
+def table(found: Sequence[ForeignHeld]) -> str:
+    """Markdown: a line for wholes and objects at each target, then by way, BRDF, shape and scan."""
+    head = ["of", "target", "cases", "undecided", "not promised", "within", "exact 95 % interval",
+            "true / asked: median", "95th", "worst", "beyond twice its claim"]  # fmt: skip
+    wholes, objects = ([one for one in found if (one.what == WHOLE) == whole] for whole in (True, False))
+    groups: list[tuple[Sequence[ForeignHeld], str, Callable[[ForeignHeld], str]]] = [
+        (wholes, "whole", lambda one: ""), (objects, "objects", lambda one: ""),
+        (wholes, "whole, ", lambda one: one.way), (wholes, "whole, ", lambda one: one.scan),
+        (wholes, "whole, ", lambda one: one.surroundings), (objects, "objects, ", lambda one: one.brdf),
+        (objects, "objects, ", lambda one: one.shape),
+    ]  # fmt: skip
+    rows = []
+    for cases, kind, name in groups:
+        for group in sorted({(name(one), one.target) for one in cases}):
+            some = [one for one in cases if (name(one), one.target) == group]
+            rows.append([f"{kind}{group[0]}", f"{group[1]:g}", *_row(some)])
+    return markdown(head, rows, words=1)
+
+
+def _row(cases: Sequence[ForeignHeld]) -> list[str]:
+    promised = [one for one in cases if one.promised]
+    known = [one for one in promised if one.decided]
+    counts = [str(len(cases)), str(len(promised) - len(known)), str(len(cases) - len(promised))]
+    overclaimed = str(sum(one.overclaimed for one in promised))
+    if not known:
+        return [*counts, "", "", "", "", "", overclaimed]
+    good = sum(one.within for one in known)
+    interval = stats.binomtest(good, len(known)).proportion_ci(0.95, "exact")
+    share = np.array([one.error / one.asked for one in known])
+    figures = (np.median(share), np.quantile(share, 0.95), share.max())
+    return [*counts, f"{good / len(known):.1%}", f"{interval.low:.1%} … {interval.high:.1%}",
+            *(f"{x:.2f}" for x in figures), overclaimed]  # fmt: skip
+
+
+def told(one: ForeignHeld) -> str:
+    """A case in one line, with what it takes to run it again."""
+    what = one.what if one.what == WHOLE else f"{one.what} ({one.shape}, {one.brdf})"
+    meshes = f" --meshes …/{one.meshes}" if one.meshes else ""
+    return (
+        f"--foreign 1 --first {one.scene} --target {one.target:g}{meshes}: {what}, {one.scan}, {one.surroundings}, "
+        f"{one.bounces} bounces, {one.way}: true {one.error:.4f} (square {one.square:.1e} ± {one.known:.0e}), asked "
+        f"{one.asked:g}, claimed {one.claimed:.4f}; in windows {math.sqrt(max(one.coarse, 0.0)):.4f}; energy "
+        f"{one.energy:.4f} ± {one.energy_known:.4f}; walks {one.walk_off:+.1f} σ"
+    )
+
+
+def hold_foreign(folder: Path, scenes: range, targets: Sequence[float], meshes: Path | None) -> None:
+    """Hold some foreign scenes; table and cases in a folder, where those that it has already are kept."""
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = folder / "foreign.json"
+    found = [ForeignHeld(**one) for one in json.loads(kept.read_text())] if kept.exists() else []
+    of = "" if meshes is None else meshes.name
+    done = {(one.scene, one.meshes, one.target) for one in found}
+    for index in scenes:
+        missing = [target for target in targets if (index, of, target) not in done]
+        if missing:
+            found += held_foreign(index, missing, meshes)
+            kept.write_text(json.dumps([asdict(one) for one in found], indent=1))
+    count = len({(one.scene, one.meshes) for one in found})
+    seconds = sum({(one.scene, one.meshes, one.target): one.seconds for one in found}.values())
+    text = f"{count} foreign scenes, simulated in {seconds:.0f} processor seconds; {machine()}\n\n{table(found)}\n"
+    (folder / "foreign.md").write_text(text, encoding="utf-8")
+    click.echo(text)
+    for one in sorted(found, key=lambda one: one.error / one.asked, reverse=True):
+        missed = one.promised and one.decided and not one.within
+        if missed or one.overclaimed or one.disputed:
+            click.echo(told(one))

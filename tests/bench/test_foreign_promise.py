@@ -1,0 +1,124 @@
+"""Foreign scenes are a function of their number; their truth has no bias; a transient that is wrong is found out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from datagen.bench import foreign_promise
+from datagen.bench.foreign_promise import WHOLE, coarsened, held_foreign, hold_foreign, off_square, told
+from datagen.bench.foreign_scenes import foreign_scene, mesh_files
+from datagen.cli import run as run_command
+from datagen.errors import InputError
+from datagen.records import Transient
+
+SIMPLE = 3
+"""A scene of a few histograms whose light 2¹⁶ samples tell well."""
+
+
+def test_a_scene_is_a_function_of_its_number() -> None:
+    one, again, other = foreign_scene(5), foreign_scene(5), foreign_scene(6)
+    assert np.array_equal(one.scene.vertices, again.scene.vertices) and one.scene.materials == again.scene.materials
+    assert np.array_equal(one.capture.sensor.pixels, again.capture.sensor.pixels)
+    assert one.scene.vertices.shape != other.scene.vertices.shape or one.scene.materials != other.scene.materials
+
+
+def test_what_is_drawn_is_what_is_said() -> None:
+    """200 scenes have every BRDF, shape, scan and surrounding, pixels of 2 mm to 20 cm and bins of 20 to 300 ps."""
+    drawn = [foreign_scene(index) for index in range(200)]
+    assert {one.scan for one in drawn} == {"confocal", "exhaustive", "array"}
+    assert {one.surroundings for one in drawn} == {"open", "floor", "room"}
+    assert {one.max_bounces for one in drawn} == {3, 4}
+    assert len({brdf for one in drawn for brdf in one.brdfs.values()}) == 6
+    assert len({shape for one in drawn for shape in one.shapes.values()}) == 11
+    sides = [np.ptp(one.capture.sensor.pixels[0], axis=0).max() for one in drawn]
+    assert 0.0019 < min(sides) < 0.01 and 0.1 < max(sides) < 0.21
+    widths = [one.capture.time.width_s for one in drawn]
+    assert 20e-12 <= min(widths) < 30e-12 and 200e-12 < max(widths) <= 300e-12
+
+
+def test_meshes_of_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--meshes .*: no \.obj"):
+        mesh_files(tmp_path)
+    trimesh.creation.capsule().export(tmp_path / "mine.stl")
+    drawn = [foreign_scene(index, tmp_path) for index in range(20)]
+    assert 5 < sum("mine.stl" in one.shapes.values() for one in drawn) < 20
+    for one in drawn:
+        for name, shape in one.shapes.items():
+            side = np.ptp(one.scene.vertices[one.scene.triangles[one.scene.faces_of(name)]].reshape(-1, 3), axis=0)
+            assert shape and 0.05 < side.max() < 0.8 * np.sqrt(3)
+
+
+def test_the_square_of_an_error_has_no_bias() -> None:
+    """Runs with noise of half or ten times the error: the mean of 400 trials is its square (level 10⁻³), and the
+    standard error that is said is that of the trials."""
+    rng, bins, runs = np.random.default_rng(1), 500, 8
+    true = rng.uniform(0, 1, bins)
+    ours = true + 0.1
+    for noise in (0.05, 1.0):
+        trials = np.array([off_square(ours, true + rng.normal(0, noise, (runs, bins))) for _ in range(400)])
+        square, known = trials[:, 0], trials[:, 1]
+        assert abs(square.mean() - 0.01 * bins) < 3.3 * square.std(ddof=1) / 20
+        assert np.sqrt((known**2).mean()) == pytest.approx(square.std(ddof=1), rel=0.3)
+
+
+def test_windows_keep_all_light() -> None:
+    light = np.random.default_rng(0).uniform(size=(3, 2 * 37))
+    wide = coarsened(light, 37, 0.3e-9)
+    assert wide.shape == (3, 2 * 13) and wide.sum(axis=1) == pytest.approx(light.sum(axis=1))
+    assert np.array_equal(coarsened(light, 37, 5e-9), light)
+
+
+@pytest.fixture
+def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, small in (("FIRST_SAMPLES", 1 << 17), ("MOST_SAMPLES", 1 << 20), ("WALKED", 256)):
+        monkeypatch.setattr(foreign_promise, name, small)
+
+
+@pytest.mark.usefixtures("few_samples")
+def test_a_wrong_transient_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some of the light missing, or all of it a bin late, under a claim of 5 %; as it is, it is within."""
+    plainly = foreign_promise._simulated
+    (right,) = [one for one in held_foreign(SIMPLE, [0.05]) if one.what == WHOLE]
+    assert right.decided and right.within and right.promised and not right.overclaimed
+    assert right.energy == pytest.approx(1, abs=0.02)
+
+    def dim(run: Transient) -> Transient:
+        return replace(run, components={name: 0.85 * light for name, light in run.components.items()})
+
+    def late(run: Transient) -> Transient:
+        return replace(run, components={name: np.roll(light, 1, axis=2) for name, light in run.components.items()})
+
+    for spoil in (dim, late):
+        monkeypatch.setattr(
+            foreign_promise,
+            "_simulated",
+            lambda *of, spoil=spoil: spoil(plainly(*of)) if of[1].target else plainly(*of),
+        )
+        (wrong,) = [one for one in held_foreign(SIMPLE, [0.05]) if one.what == WHOLE]
+        assert wrong.promised and wrong.decided and not wrong.within
+        assert f"--first {SIMPLE} --target 0.05" in told(wrong)
+    assert wrong.overclaimed
+
+
+@pytest.mark.usefixtures("few_samples")
+def test_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["bench", "promise", str(tmp_path), "--foreign", "1", "--first", str(SIMPLE), "--target", "0.1"]
+    printed = []
+    for _ in range(2):
+        assert run_command(arguments) == 0
+        printed.append(capsys.readouterr().out)
+    assert printed[0] == printed[1] and "1 foreign scenes" in printed[0], "kept, not measured again"
+    assert (tmp_path / "foreign.md").read_text().startswith("1 foreign scenes")
+    hold_foreign(tmp_path, range(SIMPLE, SIMPLE + 2), [0.1], None)
+    assert "2 foreign scenes" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("wrong", [["--foreign", "0"], ["--foreign", "1", "a.yaml"], ["--meshes", "x"], []])
+def test_bad_calls(wrong: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["bench", "promise", str(tmp_path), *wrong]) == 2
+    assert "--foreign" in capsys.readouterr().err
