@@ -36,7 +36,7 @@ def test_the_example_learns_and_is_drawn(
         made["main"]()
     finally:
         torch.set_num_threads(threads)
-    *epochs, by_heart, mean = capsys.readouterr().out.splitlines()
+    *epochs, by_heart, always, mean = capsys.readouterr().out.splitlines()
     errors = [float(line.split()[2]) for line in epochs]
     assert len(errors) == 10 and all(0.1 < error < 3 for error in errors)
     assert (tmp_path / "picture.png").stat().st_size > 10_000
@@ -44,7 +44,9 @@ def test_the_example_learns_and_is_drawn(
     train, test = (datagen.TransientDataset(tmp_path / "set", ("depth",), split=of) for of in ("train", "test"))
     depths = [np.stack([data[k]["depth"].numpy() for k in range(len(data))]) for data in (train, test)]
     blind = np.sqrt(np.mean((depths[0].mean(axis=0) - depths[1]) ** 2))
-    assert mean == f"mean depth {blind:.3f} m"
+    assert mean == f"mean depth image {blind:.3f} m"
+    constant = np.sqrt(np.mean((depths[0].mean() - depths[1]) ** 2))
+    assert float(always.split()[-2]) == pytest.approx(constant, abs=0.002)
     # Few rooms can be learnt by heart, which shows that the lines train what they are to train.
     assert float(by_heart.split()[-2]) < 0.95 * np.sqrt(np.mean((depths[0].mean(axis=0) - depths[0]) ** 2))
 
