@@ -104,7 +104,8 @@ def histogram_page(stored: StoredScene, again: Replay) -> Figure:
 def _where_the_scan_is(scene: Scene, stored: StoredScene) -> str:
     """A sentence, with a space behind it: where the scan lies on the label images."""
     view = scene.hidden_view
-    found = None if view is None else scan_place(view, stored.arrays["laser_points"])
+    points = stored.arrays.get("laser_points")
+    found = None if view is None or points is None else scan_place(view, points)
     if found is None:
         return ""
     right, up = found

@@ -32,6 +32,9 @@ SETTLED = 0.3
 """Share of the error to be met, for each of K parts over √K, under which a part is not cut further for the whole."""
 UNSEEN = 1e-4
 """Norm that a part is taken to have at least, relative to the whole, when it is cut."""
+NEGLIGIBLE = 1e-9
+"""Norm of a part, relative to the whole, up to which nothing is claimed of its own light: the finest of `LEVELS`
+cuttings does not resolve it, and a cutting that changes nothing agrees with itself."""
 LOOKED_AT, EVENLY = 6, 0.25
 """Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
 HELPS = 0.1
@@ -199,7 +202,7 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         whole, own = _norm(runs[-1]), _norms(runs[-1])
         if whole == 0.0:
             return None
-        held = asked.objects & (own > 0) & (trial.energy(runs[-1]) >= asked.faint)
+        held = asked.objects & (own > NEGLIGIBLE * whole) & (trial.energy(runs[-1]) >= asked.faint)
         limit = np.where(held & ~dear, asked.part_target * own, np.inf)
         still, last = _still(runs, finest), len(runs) > LEVELS
         seen_through = GROWN * np.array(cells[:-1]) <= cells[-1]

@@ -24,6 +24,7 @@ import numpy as np
 from scipy import stats
 
 from datagen.records.arrays import Bools, Floats, Ints
+from datagen.transport.coincidence import lit_in_one_place
 from datagen.transport.cost import SAMPLE
 from datagen.transport.reference import pairs_of, sample_paths
 from datagen.transport.sampling import stream_seeds
@@ -70,6 +71,7 @@ class Opinion:
     off : how much more energy was found in its worst window than samples have, relative to all of its energy.
     known : one standard error of that. sigmas : by how many of these it exceeds what is claimed; negative if it does
         not. samples : how many were drawn, over all looks.
+    undecided : whether they disagree where parts lie in one place, of which cells see another than rays do.
     """
 
     agrees: bool
@@ -78,9 +80,11 @@ class Opinion:
     known: float
     sigmas: float
     samples: int
+    undecided: bool = False
 
     def __str__(self) -> str:
         verdict = "agrees" if self.agrees else "disagrees"
+        verdict = "undecided, for parts lie in one place" if self.undecided else verdict
         return f"{verdict}: of {self.samples} samples, farthest off {self.worst}, {self.off:+.1%} ± {self.known:.1%}"
 
 
@@ -98,7 +102,14 @@ def second_opinion(task: WalkTask, claims: Mapping[str, Claim], cost: float = 0.
     second = _look(task, claims, max(MORE * PAIRS[0], 4 * count), order, 2 * turn + 1)
     tests = (WINDOWS + 1) * len(claims)
     agrees = second.sigmas <= float(stats.norm.isf(LEVEL / (2 * tests)))
-    return replace(second, agrees=agrees, samples=first.samples + second.samples)
+    undecided = not agrees and lit_in_one_place(task.scene, task.caster, _lifted(task))
+    return replace(second, agrees=agrees or undecided, undecided=undecided, samples=first.samples + second.samples)
+
+
+def _lifted(task: WalkTask) -> Floats:
+    """(n, 3) laser points that lie on a surface, a little above it."""
+    lit = task.points.part >= 0
+    return task.points.position[lit] + task.caster.offset_m * task.points.normal[lit]
 
 
 def _look(task: WalkTask, claims: Mapping[str, Claim], count: int, last_order: int, look: int) -> Opinion:
