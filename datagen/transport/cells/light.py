@@ -38,7 +38,7 @@ from datagen.transport.cells.waiting import (
 from datagen.transport.cells.weights import brightest, judged, outside, smear, weight
 from datagen.transport.sampling import word_of
 
-PARTLY, UNFOUND = 0.5, 0.05
+PARTLY, UNFOUND = 0.1, 0.03
 """Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
 STILL_UNFOUND = 0.5
 """What the latter is multiplied with for each larger cell about it of which no ray found anything either: what lies
@@ -291,8 +291,8 @@ def gather(  # type: ignore[no-untyped-def]
                     if not (quarter or over > 0.0):
                         continue
                     # Seen or not, it can make no larger error than it may.
-                    visible, faint = 1.0, (PARTLY if alone else 1.0) * over <= allowed[k]
-                    if alone and not (quarter or cut) and proofs and first < last < enough:
+                    faint = unseen or PARTLY * over <= allowed[k]
+                    if alone and not (quarter or cut or faint) and proofs and first < last < enough:
                         first, middle, last = narrowed_to_box_for_both(
                             x, z, around, at, own, first, middle, last, hides, listed
                         )  # fmt: skip
@@ -311,26 +311,20 @@ def gather(  # type: ignore[no-untyped-def]
                             if not _seen(y, x, z, f, first, middle, last, hides, listed):
                                 continue
                         elif not cut:
-                            seen, visible, of_all = 0, 0.0, 0.0
+                            seen = 0
                             for j in range(3):
                                 rays += 1
-                                y, part = half(m, vertex_of(cell, top, j)), 1.0
+                                y = half(m, vertex_of(cell, top, j))
                                 if alone:
                                     low, high = start + j * (end - start) // 3, start + (j + 1) * (end - start) // 3
                                     word = word_of(seed, row[pair], 8 * at + j + 1)
                                     f, y = anywhere(low, high, area_before, corners, word)
-                                    facing = dot(less(y, x), get(normal, f, 0)) * dot(less(y, z), get(normal, f, 0))
-                                    part = (area_before[high] - area_before[low]) * max(facing, 0.0)
-                                of_all += part
-                                if inner and _inner_side(x, z, f, normal, corners, solid, solid_box):
-                                    continue
-                                if _seen(y, x, z, f, first, middle, last, hides, listed):
-                                    seen += 1
-                                    visible += part
-                            visible = visible / of_all if of_all > 0.0 else seen / 3
+                                if not (inner and _inner_side(x, z, f, normal, corners, solid, solid_box)):
+                                    seen += _seen(y, x, z, f, first, middle, last, hides, listed)
+                                if 0 < seen <= j:
+                                    break
                             # What three rays do not find may still be there: it is cut a little less eagerly.
-                            cut = seen < 3 and (PARTLY if seen > 0 else cell[top, 17]) * over > allowed[k]
-                            cut &= not unseen
+                            cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * over > allowed[k])
                             if seen == 0 and (
                                 not cut
                                 or (not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed))
@@ -384,7 +378,7 @@ def gather(  # type: ignore[no-untyped-def]
                     top = push_halves(tag, cell, top, side, y, w, r1 + r3, CELL, f, q, first, middle, last)
                     continue
                 wa, wb, wc = cell[top, 3], cell[top, 8], cell[top, 13]
-                energy = visible * gain * cell[top, 15] * (0.75 * wm + 0.25 * (wa + wb + wc) / 3)
+                energy = gain * cell[top, 15] * (0.75 * wm + 0.25 * (wa + wb + wc) / 3)
                 cells += 1
                 zero = (device - 0.75 * bend) * per_metre - start_bin
                 at_a, at_b, at_c = (
