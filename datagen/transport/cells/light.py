@@ -16,7 +16,7 @@ from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.cells.arrival import spread, widened
 from datagen.transport.cells.clear import put_clear, room_for_clear, spread_clear
-from datagen.transport.cells.clusters import anywhere, as_one, is_small
+from datagen.transport.cells.clusters import anywhere, as_one, facing_at_most, is_small
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST
 from datagen.transport.cells.occlusion import LISTED, RING, hidden, lists, narrowed, narrowed_to_box_for_both, shaded
@@ -200,7 +200,8 @@ def gather(  # type: ignore[no-untyped-def]
                         continue
                 device = leg1[i] + leg3[p, q] if clock.device else 0.0
                 if what == BOX and not quarter:
-                    if above(around, at, x, n1) <= 0.0 or (above(around, at, z, n3) <= 0.0 and size <= 0.0):
+                    rise1, rise3 = above(around, at, x, n1), above(around, at, z, n3)
+                    if rise1 <= 0.0 or (rise3 <= 0.0 and size <= 0.0):
                         continue
                     start, end = span[at, 0], span[at, 1]
                     many, area = end - start > CLUSTER, area_before[end] - area_before[start]
@@ -220,6 +221,8 @@ def gather(  # type: ignore[no-untyped-def]
                         alone = alone and dot(less(m, x), n1) > h and dot(less(m, z), n3) > h
                     if many and not alone:
                         at_most = gain * peak[k1] * peak[k] * peak[k3] * area
+                        at_most *= facing_at_most(m, h, axis, cosine, sine, x, rise1)
+                        at_most *= facing_at_most(m, h + size, axis, cosine, sine, z, rise3 + size)
                         small, near3 = is_small(around, at, x, z, at_most, allowed[k], attenuation)
                         quarter = small and quarters and size > 0.3 * near3
                         if small and not quarter:
