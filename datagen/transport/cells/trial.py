@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from datagen.records.arrays import Bools, Floats, Ints, l2_norm
-from datagen.transport.cells.gathering import Gathered, Gathering, Seen
+from datagen.transport.cells.gathering import EDGE_LEVELS, Gathered, Gathering, Seen
 
 TRIALS, MOST_TRIED = (12, 48), 1 << 23
 """Fewest and most pairs of laser point and pixel on which the cutting is chosen, one in twenty in between; and values
@@ -33,7 +33,7 @@ SETTLED = 0.3
 """Share of the error to be met, for each of G groups over √G, under which one is not cut further for the whole."""
 UNSEEN = 1e-4
 """Norm that a group is taken to have at least, relative to the whole, when it is cut."""
-LOOKED_AT, EVENLY = 6, 0.25
+LOOKED_AT, EVENLY = 24, 0.25
 """Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
 HELPS = 0.1
 """Share of the error to be met, for each of G groups over G, under which cutting one does not help the whole."""
@@ -117,7 +117,7 @@ class Trial:
         )  # fmt: skip
         if len(looked) <= wanted:
             return rough
-        seen = rough.gathered(np.full(groups, COARSE), 0).histogram
+        seen = rough.gathered(np.full(groups, COARSE), 0, EDGE_LEVELS[0]).histogram
         whole, own = (seen.sum(axis=1) ** 2).sum(axis=1), (seen**2).sum(axis=2)
         places, stands_for = by_light(np.sqrt(np.column_stack([whole, own[:, 1:]])), wanted)
         of_all, of_these = own.sum(axis=0), stands_for @ own[places]
