@@ -4,9 +4,10 @@ What a pixel receives by way of the hidden surface is an integral over that surf
 wherever nothing hides it. So it is not sampled: each triangle is halved until a cell is small against its distance
 from the laser point and the pixel, and until the error that it can still make in the histogram is small
 (`cells/light.py`); cells that are partly hidden are halved further. How large a cell may be is one number for each
-object and one for all else, the L2 error that it may make, and these numbers are what an accuracy target chooses: some laser points are
-gathered with ever smaller ones, until the difference that this makes is small in the whole and in each object's own
-light (`cells/trial.py`). The error of what is chosen is thus known without noise, a function of the scene alone.
+object and one for all else, the L2 error that it may make, and these numbers are what an accuracy target chooses:
+some laser points are gathered with ever smaller ones, until the difference that this makes is small in the whole and
+in each object's own light (`cells/trial.py`). The error of what is chosen is thus known without noise, a function of
+the scene alone.
 
 Clusters of small triangles, whose light would be lost in the rest, are seen through one random point each.
 """

@@ -19,7 +19,7 @@ from datagen.transport.cells.clear import put_clear, room_for_clear, spread_clea
 from datagen.transport.cells.clusters import anywhere, as_one, facing_at_most, is_small
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST
-from datagen.transport.cells.occlusion import LISTED, RING, hidden, lists, narrowed, narrowed_to_box_for_both, shaded
+from datagen.transport.cells.occlusion import LISTED, RING, hidden, lists, narrowed, shaded
 from datagen.transport.cells.solids import inner_side, seen_from_outside, side_turned
 from datagen.transport.cells.waiting import (
     BOX,
@@ -295,10 +295,6 @@ def gather(  # type: ignore[no-untyped-def]
                         continue
                     # Seen or not, it can make no larger error than it may.
                     faint = unseen or PARTLY * over <= allowed[k]
-                    if alone and not (quarter or cut or faint) and proofs and first < last < enough:
-                        first, middle, last = narrowed_to_box_for_both(
-                            x, z, around, at, own, first, middle, last, hides, listed
-                        )  # fmt: skip
                     inner = alone and proofs and own >= 0 and sides == 0
                     if not quarter and (first < last or inner):
                         if cut and not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed):
@@ -357,10 +353,6 @@ def gather(  # type: ignore[no-untyped-def]
                         top = push(tag, top, kept, at, quarters3[q, j], first, middle, last)
                     continue
                 if what == BOX and (cut or not alone):
-                    if proofs and first < last < enough:
-                        first, middle, last = narrowed_to_box_for_both(
-                            x, z, around, at, own, first, middle, last, hides, listed
-                        )  # fmt: skip
                     if many:
                         top = push_boxes(tag, cell, top, children[at], q, first, middle, last)
                         continue

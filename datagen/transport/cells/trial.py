@@ -2,8 +2,9 @@
 
 Objects, each for itself, and all else together are cut ever more finely until what that changes is small in the whole
 and in each object's own light. What is no object has one error that a cell may make: where it is the same everywhere,
-cells bring the whole nearest to the truth for their number. A change tells of the error only where it was one: small triangles stay as they are over many steps and agree with
-themselves, so that a cutting is believed once a finer one, which agrees with it, took markedly more work.
+cells bring the whole nearest to the truth for their number. A change tells of the error only where it was one: small
+triangles stay as they are over many steps and agree with themselves, so that a cutting is believed once a finer one,
+which agrees with it, took markedly more work.
 """
 
 from __future__ import annotations
