@@ -41,9 +41,9 @@ HELPS = 0.1
 TOO_DEAR = 1 << 16
 """Cells and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
 hidden may take any number of rays for light that is a millionth of the whole."""
-WITHIN, WITHIN_PARTS, SPARE = 0.75, 0.65, 0.05
+WITHIN, SPARE = 0.8, 0.05
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
-others may be worse; and how much of the first is kept for cutting objects no finer than they need."""
+others may be worse; and how much of it is kept for cutting objects no finer than they need."""
 MOST_PATCHES, MOST_PATCHES_TRIED = 1 << 22, 1 << 18
 """Patches of all pixels at most, and points of those of the trial that are at edges."""
 PATCHES_SHARE = 0.2
@@ -211,7 +211,7 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         still, last = _still(runs, finest), len(runs) > LEVELS
         seen_through = GROWN * np.array(cells[:-1]) <= cells[-1]
         known = seen_through | ~((held & ~dear) | (own > asked.target * whole)) | last
-        does = (still <= WITHIN_PARTS * limit) & known & ~(held & dear)
+        does = (still <= WITHIN * limit) & known & ~(held & dear)
         level = np.argmax(np.vstack([does, np.ones(groups, np.bool_)]), axis=0)
         # The finest that is known to have been too dear, or nearly.
         level = np.where(held & dear, finest - 1, level)
@@ -229,7 +229,7 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
             tried, left = np.array(cuttings), still[level, every]
             most = WITHIN * asked.target * whole
             spare = max(most - error, SPARE * most) / max(int(held.sum()), 1)
-            coarser, enough_of_part = _between(tried, still, level, np.minimum(WITHIN_PARTS * limit, left + spare))
+            coarser, enough_of_part = _between(tried, still, level, np.minimum(WITHIN * limit, left + spare))
             error += float((enough_of_part - left).sum())
             return Choice(coarser, tried[level, every], level, error, whole, enough_of_part, own, held, limit, chosen)
         work = trial.work.cells + trial.work.rays
