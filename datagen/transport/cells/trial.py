@@ -34,7 +34,7 @@ SETTLED = 0.3
 """Share of the error to be met, for each of G groups over √G, under which one is not cut further for the whole."""
 UNSEEN = 1e-4
 """Norm that a group is taken to have at least, relative to the whole, when it is cut."""
-LOOKED_AT, EVENLY = 24, 0.25
+LOOKED_AT, EVENLY = 12, 0.25
 """Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
 HELPS = 0.1
 """Share of the error to be met, for each of G groups over G, under which cutting one does not help the whole."""
