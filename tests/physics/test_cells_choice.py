@@ -74,16 +74,17 @@ def scan_with_few_low_points(order: int) -> Capture:
 
 @pytest.mark.parametrize("order", range(6))
 def test_all_light_is_in_the_trial(order: int) -> None:
-    """The pairs that a cutting is tried on stand for each part's light within a factor of two: a rough look at half
-    of all points tells no more of what six of them have."""
+    """The pairs that a cutting is tried on stand for the light of each object, and of all else, within a factor of
+    two: a rough look at half of all points tells no more of what six of them have."""
     scene, capture = furnished_box(), scan_with_few_low_points(order)
     gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.02), order, split_parts=True))
     pairs, parts = pairs_of(gathering.task), len(scene.part_names)
     asked = Asked(0.02, 0.05, 0.0, np.array([role == "object" for role in scene.roles]))
     trial = Trial.of(gathering, pairs, asked)
-    rows, cutting = np.arange(parts), np.full(parts, COARSE)
-    every = gathering.gathered(pairs, gathering.seen(pairs, trial.levels), cutting, rows).histogram
-    rough, own = (np.linalg.norm(found, axis=(0, 2)) for found in (trial.gathered(cutting, 0).histogram, every))
+    seen, cutting = gathering.seen(pairs, trial.levels), np.full(parts, COARSE)
+    every = gathering.gathered(pairs, seen, cutting, asked.group).histogram
+    tried = trial.gathered(cutting[: len(trial.scale)], 0).histogram
+    rough, own = (np.linalg.norm(found, axis=(0, 2)) for found in (tried, every))
     assert (np.abs(np.log2(rough[own > 0] / own[own > 0])) < 1).all()
 
 

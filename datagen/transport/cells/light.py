@@ -35,7 +35,7 @@ from datagen.transport.cells.waiting import (
     put_vertex,
     vertex_of,
 )
-from datagen.transport.cells.weights import brightest, judged, outside, smear, weight
+from datagen.transport.cells.weights import OUTSIDE, brightest, judged, outside, smear, weight
 from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 0.1, 0.03
@@ -293,8 +293,9 @@ def gather(  # type: ignore[no-untyped-def]
                         quarter = True
                     if not (quarter or over > 0.0):
                         continue
-                    # Seen or not, it can make no larger error than it may.
-                    faint = unseen or PARTLY * over <= allowed[k]
+                    # What one ray may be wrong by, where only some of it is seen, is no larger error than it may make.
+                    at_stake = OUTSIDE * over if unseen else over
+                    faint = PARTLY * at_stake <= allowed[k]
                     inner = alone and proofs and own >= 0 and sides == 0
                     if not quarter and (first < last or inner):
                         if cut and not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed):
@@ -323,7 +324,7 @@ def gather(  # type: ignore[no-untyped-def]
                                 if 0 < seen <= j:
                                     break
                             # What three rays do not find may still be there: it is cut a little less eagerly.
-                            cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * over > allowed[k])
+                            cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > allowed[k])
                             if seen == 0 and (
                                 not cut
                                 or (not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed))
