@@ -39,7 +39,9 @@ from datagen.transport.cells.weights import OUTSIDE, brightest, judged, outside,
 from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 0.1, 0.03
-"""Error of a cell that is partly seen, and of one of which three rays found nothing, relative to its light."""
+"""Error of a cell that one ray stands for, and of one of which three rays found nothing, relative to its light. Few
+cells are partly seen, for those at shadows' edges are cut: with twice or half the first, the same error takes a fifth
+more rays."""
 STILL_UNFOUND = 0.5
 """What the latter is multiplied with for each larger cell about it of which no ray found anything either: what lies
 deep behind a mesh cannot be proven hidden, and is not searched as finely as an edge."""
@@ -293,7 +295,7 @@ def gather(  # type: ignore[no-untyped-def]
                         quarter = True
                     if not (quarter or over > 0.0):
                         continue
-                    # What one ray may be wrong by, where only some of it is seen, is no larger error than it may make.
+                    # One ray tells enough of what is partly seen, if that makes no larger error than it may.
                     at_stake = OUTSIDE * over if unseen else over
                     faint = PARTLY * at_stake <= allowed[k]
                     inner = alone and proofs and own >= 0 and sides == 0
