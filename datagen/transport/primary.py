@@ -3,10 +3,11 @@
 What a pixel receives by way of the hidden surface is an integral over that surface, and one whose integrand is smooth
 wherever nothing hides it. So it is not sampled: each triangle is halved until a cell is small against its distance
 from the laser point and the pixel, and until the error that it can still make in the histogram is small
-(`cells/light.py`); cells that are partly hidden are halved further. What large a cell may be is one number for each
-part, the L2 error that it may make, and these numbers are what an accuracy target chooses: some laser points are
-gathered with ever smaller ones, until the difference that this makes is small in the whole and in each object's own
-light (`cells/trial.py`). The error of what is chosen is thus known without noise, a function of the scene alone.
+(`cells/light.py`); cells that are partly hidden are halved further. How large a cell may be is one number for each
+object and one for all else, the L2 error that it may make, and these numbers are what an accuracy target chooses:
+some laser points are gathered with ever smaller ones, until the difference that this makes is small in the whole and
+in each object's own light (`cells/trial.py`). The error of what is chosen is thus known without noise, a function of
+the scene alone.
 
 Clusters of small triangles, whose light would be lost in the rest, are seen through one random point each.
 """
@@ -61,16 +62,17 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
     quartering = None if choice is None else quarter(trial, choice, asked, len(pairs))
     if choice is None or quartering is None:
         return None
-    rows = np.arange(len(choice.cutting)) if task.splits.parts else np.zeros(len(choice.cutting), np.int64)
+    cutting, parts = choice.cutting[trial.group], len(asked.objects)
+    rows = np.arange(parts) if task.splits.parts else np.zeros(parts, np.int64)
     seen = gathering.seen(pairs, quartering.levels, quartering.edge_levels)
-    found = gathering.gathered(pairs, seen, choice.cutting, rows)
+    found = gathering.gathered(pairs, seen, cutting, rows)
     shape, names = task.capture.shape, task.scene.part_names
     # Those of cells and of patches have nothing to do with each other.
     errors = np.hypot(choice.still, quartering.of_parts) / np.where(choice.held, choice.own, 1.0)
     return Primary(
         [np.ascontiguousarray(found.histogram[:, k]).reshape(shape) for k in range(rows.max() + 1)],
         found.overflow.reshape(shape[:2]), math.hypot(choice.error, quartering.error) / choice.whole,
-        {names[k]: float(errors[k]) for k in np.flatnonzero(choice.held)},
+        {names[k]: float(errors[g]) for k, g in enumerate(trial.group) if choice.held[g]},
         trial.work.cells + int(found.cells.sum()), trial.work.rays + int(found.rays.sum()),
     )  # fmt: skip
 

@@ -38,6 +38,22 @@ def is_small(around, at, x, z, most, allowed, attenuation):  # type: ignore[no-u
 
 
 @compiled()
+def facing_at_most(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-untyped-def]
+    """Product of the cosines at x and at a box's surface on any line between them, at most.
+
+    m, radius : of the ball round the box. axis, cosine, sine : the cone of its normals. rise : of the box above the
+    plane through x. Normals within an angle α of the axis have at most |axis · d| + |d × axis| sin α along d.
+    """
+    d = less(m, x)
+    square, along = dot(d, d), abs(dot(d, axis))
+    near = math.sqrt(square) - radius
+    if near <= 0.0:
+        return 1.0
+    across = math.sqrt(max(square - along * along, 0.0)) * (sine if cosine > 0.0 else 1.0)
+    return min(1.0, rise / near) * min(1.0, (along + across + radius) / near)
+
+
+@compiled()
 def as_one(moment, k, x, z, sides, diffuse, keen, per_metre):  # type: ignore[no-untyped-def]
     """A cluster as one cell, all of it at the middle of its light.
 

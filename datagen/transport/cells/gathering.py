@@ -25,7 +25,7 @@ LEVELS, SIZED, TINY = (1, 5), 64, 1e-4
 """How often even pixels are quartered, if at all; how many of them are measured for that; and their size, relative to
 the scene and to the narrowest lobe, up to which they are points."""
 PATCHES_AT_ONCE = 1 << 17
-EDGE_LEVELS, MOST_AT_EDGES = range(2, 7), 1 << 14
+EDGE_LEVELS, MOST_AT_EDGES = range(2, 6), 1 << 14
 """How often pixels that see more than one surface are quartered: as often as leaves no more than so many patches of
 all of them, for what one has too much others lack."""
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot
-from datagen.transport.cells.geometry import above, ball, cross, distance, get, half, less
+from datagen.transport.cells.geometry import above, cross, get, half, less
 from datagen.transport.cells.occluders import (
     CONVEX,
     COSINE,
@@ -28,7 +28,7 @@ from datagen.transport.cells.occluders import (
     WHOLE,
     C,
 )
-from datagen.transport.cells.solids import SEVERAL, encloses, side_turned
+from datagen.transport.cells.solids import encloses, side_turned
 
 TINY = 1e-300
 TOUCHING = 1e-9
@@ -160,73 +160,6 @@ def _hides_none_of(own, x, k, row):  # type: ignore[no-untyped-def]
         return False
     of_solid = int(row[HEAD, SOLIDS]) + own
     return row[of_solid, CONVEX] > 0.0 or (_turned(x, k, row) > 0 and not encloses(row, of_solid, x))
-
-
-@compiled(forceinline=True)
-def _is_behind(own, x, low, high, k, row):  # type: ignore[no-untyped-def]
-    """Whether all of candidate k is of a solid other than `own`, which does not enclose x, and turns inner sides to
-    x: outer ones hide as much (`solids.py`). What touches the box low … high about what is seen may lie on it."""
-    s = _solid_of(k, row)
-    if s < 0 or s == own or own == SEVERAL or _turned(x, k, row) >= 0:
-        return False
-    apart = False
-    for j in range(3):
-        if k < 0:
-            one, two, three = row[-k, j], row[-k, 3 + j], row[1 - k, C + j]
-            apart |= (min(one, two, three) > high[j]) | (max(one, two, three) < low[j])
-        else:
-            apart |= (row[k, j] > high[j]) | (row[k, 3 + j] < low[j])
-    return apart and not encloses(row, int(row[HEAD, SOLIDS]) + s, x)
-
-
-@compiled()
-def narrowed_to_box(x, around, at, own, first, last, free, row, listed):  # type: ignore[no-untyped-def]
-    """Those of the candidates first … last that may stand between x and some point of the box `around[at]`, whose
-    triangles are of solid `own`; as `narrowed`, but of boxes, by their shadows on the axes and by the cone over the
-    ball round the box."""
-    middle, radius = ball(around, at)
-    axis, far = less(middle, x), distance(middle, x)
-    sine = min(radius / far, 1.0)
-    square, turned = 1.0 - sine * sine, int(row[HEAD, TURNED])
-    flat = row[HEAD, FLAT]
-    least = (around[at, 0] - flat, around[at, 1] - flat, around[at, 2] - flat)
-    most = (around[at, 3] + flat, around[at, 4] + flat, around[at, 5] + flat)
-    low = (min(x[0], around[at, 0]), min(x[1], around[at, 1]), min(x[2], around[at, 2]))
-    high = (max(x[0], around[at, 3]), max(x[1], around[at, 4]), max(x[2], around[at, 5]))
-    head, tail, end = 0, _waiting(listed, first, last), free
-    while head < tail:
-        k = listed[head & RING]
-        head += 1
-        if k >= 0:
-            apart = False
-            for j in range(3):
-                apart |= (row[k, j] > high[j]) | (row[k, 3 + j] < low[j])
-            if apart:
-                continue
-            d = less(half(get(row, k, 0), get(row, k, 3)), x)
-            along = dot(d, axis) / far
-            # Beyond the cone: farther from its axis than its side is there, by more than the ball's radius.
-            beyond = row[turned + k, RADIUS] * (1.0 + 1e-6) + along * sine
-            if sine < 1.0 and (beyond < 0.0 or (dot(d, d) - along * along) * square > beyond * beyond):
-                continue
-        if _hides_none_of(own, x, k, row) or _is_behind(own, x, least, most, k, row):
-            continue
-        if k >= 0 and row[k, LINK] > 0.0 and end - free + tail - head < MOST:
-            one = int(row[k, LINK])
-            listed[tail & RING], listed[(tail + 1) & RING] = one, one + 1
-            tail += 2
-            continue
-        listed[end] = k
-        end += 1
-    return end
-
-
-@compiled()
-def narrowed_to_box_for_both(x, z, around, at, own, first, middle, last, row, listed):  # type: ignore[no-untyped-def]
-    """`narrowed_to_box` of the candidates first … middle towards x and of middle … last towards z, behind the last;
-    returns where they are then."""
-    half_way = narrowed_to_box(x, around, at, own, first, middle, last, row, listed)
-    return last, half_way, narrowed_to_box(z, around, at, own, middle, last, half_way, row, listed)
 
 
 @compiled()

@@ -1,8 +1,10 @@
 """How finely surfaces and pixels are cut, found on some pairs of laser point and pixel that stand for all.
 
-Every part is cut ever more finely until what that changes is small in the whole and in each object's own light. A
-change tells of the error only where it was one: small triangles stay as they are over many steps and agree with
-themselves, so that a cutting is believed once a finer one, which agrees with it, took markedly more work.
+Objects, each for itself, and all else together are cut ever more finely until what that changes is small in the whole
+and in each object's own light. What is no object has one error that a cell may make: where it is the same everywhere,
+cells bring the whole nearest to the truth for their number. A change tells of the error only where it was one: small
+triangles stay as they are over many steps and agree with themselves, so that a cutting is believed once a finer one,
+which agrees with it, took markedly more work.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from datagen.records.arrays import Bools, Floats, Ints, l2_norm
-from datagen.transport.cells.gathering import Gathered, Gathering, Seen
+from datagen.transport.cells.gathering import EDGE_LEVELS, Gathered, Gathering, Seen
 
 TRIALS, MOST_TRIED = (12, 48), 1 << 23
 """Fewest and most pairs of laser point and pixel on which the cutting is chosen, one in twenty in between; and values
@@ -21,7 +23,7 @@ of their histograms at most."""
 COARSE = 1e300
 """An error that every cell may make: surfaces are cut by distance alone."""
 FIRST, FINER, LEVELS = 0.03, 0.25, 12
-"""Error that a cell may make, relative to the norm of its part, after the coarsest cutting; what it is multiplied
+"""Error that a cell may make, relative to the norm of its group, after the coarsest cutting; what it is multiplied
 with from one cutting to the next, finer one; and the number of cuttings at most."""
 GROWN = 1.5
 """Cells of a cutting that is finer in fact, relative to the one that it is compared with."""
@@ -29,22 +31,22 @@ REST = 1.6
 """Error of a cutting, relative to its difference from the next: errors fall to about four tenths, and
 1 + 0.4 + 0.16 + … is this."""
 SETTLED = 0.3
-"""Share of the error to be met, for each of K parts over √K, under which a part is not cut further for the whole."""
+"""Share of the error to be met, for each of G groups over √G, under which one is not cut further for the whole."""
 UNSEEN = 1e-4
-"""Norm that a part is taken to have at least, relative to the whole, when it is cut."""
+"""Norm that a group is taken to have at least, relative to the whole, when it is cut."""
 NEGLIGIBLE = 1e-9
 """Norm of a part, relative to the whole, up to which nothing is claimed of its own light: the finest of `LEVELS`
 cuttings does not resolve it, and a cutting that changes nothing agrees with itself."""
-LOOKED_AT, EVENLY = 6, 0.25
+LOOKED_AT, EVENLY = 12, 0.25
 """Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
 HELPS = 0.1
-"""Share of the error to be met, for each of K parts over K, under which cutting a part does not help the whole."""
+"""Share of the error to be met, for each of G groups over G, under which cutting one does not help the whole."""
 TOO_DEAR = 1 << 16
 """Cells and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
 hidden may take any number of rays for light that is a millionth of the whole."""
-WITHIN, WITHIN_PARTS, SPARE = 0.75, 0.65, 0.05
+WITHIN, SPARE = 0.8, 0.05
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
-others may be worse; and how much of the first is kept for cutting objects no finer than they need."""
+others may be worse; and how much of it is kept for cutting objects no finer than they need."""
 MOST_PATCHES, MOST_PATCHES_TRIED = 1 << 22, 1 << 18
 """Patches of all pixels at most, and points of those of the trial that are at edges."""
 PATCHES_SHARE = 0.2
@@ -59,7 +61,7 @@ beside an edge; and that difference, relative to the one before it, at least: it
 
 @dataclass(frozen=True)
 class Asked:
-    """The errors asked for, and which parts (K,) are objects.
+    """The errors asked for, and which parts (K,) are objects; the others are one group, the first of G.
 
     faint : photons, per emitted photon and over all histograms, under which an object is not held to `part_target`.
     """
@@ -68,6 +70,11 @@ class Asked:
     part_target: float
     faint: float
     objects: Bools
+
+    @property
+    def group(self) -> Ints:
+        """(K,) the group of each part."""
+        return np.where(self.objects, np.cumsum(self.objects), 0)
 
 
 @dataclass
@@ -86,13 +93,15 @@ class Trial:
     ----------
     pairs : (n, 2).
     weight : (n,) how many of all pairs each stands for.
-    scale : (K,) by how much each part is brighter in all pairs than these stand for, as far as a rough look tells.
+    group : (K,) of each part, as `Asked` has it.
+    scale : (G,) by how much each group is brighter in all pairs than these stand for, as far as a rough look tells.
     levels : how often their pixels are quartered at most, to begin with.
     """
 
     gathering: Gathering
     pairs: Ints
     weight: Floats
+    group: Ints
     scale: Floats
     levels: int
     work: Work
@@ -100,27 +109,28 @@ class Trial:
 
     @classmethod
     def of(cls, gathering: Gathering, lit: Ints, asked: Asked) -> Trial:
-        """Drawn by what a rough look finds of the whole, which counts for half, and of each part that is held to an
-        error or could make one of the whole: few points may have all the light of a floor, and all its error."""
-        task, parts = gathering.task, len(asked.objects)
-        wanted = _trials(len(lit), parts * task.capture.time.bins)
+        """Drawn by what a rough look finds of the whole, which counts for half, and of each object: few points may
+        have all the light of one, and all its error."""
+        task, group = gathering.task, asked.group
+        groups = 1 + int(group.max())
+        wanted = _trials(len(lit), groups * task.capture.time.bins)
         looked = lit[spread_evenly(len(lit), LOOKED_AT * wanted)]
         rough = cls(
-            gathering, looked, np.full(len(looked), len(lit) / max(len(looked), 1)), np.ones(parts),
+            gathering, looked, np.full(len(looked), len(lit) / max(len(looked), 1)), group, np.ones(groups),
             gathering.levels(), Work(),
         )  # fmt: skip
         if len(looked) <= wanted:
             return rough
-        seen = rough.gathered(np.full(parts, COARSE), 0).histogram
+        seen = rough.gathered(np.full(groups, COARSE), 0, EDGE_LEVELS[0]).histogram
         if rough.gathering.lobed:
             # Coarse cells may miss lobes, and with them the pairs that have most of the light.
-            seen = seen + rough.gathered(np.full(parts, COARSE), 0, matt=True).histogram
+            seen = seen + rough.gathered(np.full(groups, COARSE), 0, EDGE_LEVELS[0], matt=True).histogram
         whole, own = (seen.sum(axis=1) ** 2).sum(axis=1), (seen**2).sum(axis=2)
-        matters = asked.objects | (own.sum(axis=0) > asked.target**2 * whole.sum())
-        places, stands_for = by_light(np.sqrt(np.column_stack([whole, own[:, matters]])), wanted)
+        places, stands_for = by_light(np.sqrt(np.column_stack([whole, own[:, 1:]])), wanted)
         of_all, of_these = own.sum(axis=0), stands_for @ own[places]
-        scale = np.sqrt(np.divide(of_all, of_these, where=of_these > 0, out=np.ones(parts)))
-        return cls(gathering, looked[places], stands_for * len(lit) / len(looked), scale, rough.levels, rough.work)
+        scale = np.sqrt(np.divide(of_all, of_these, where=of_these > 0, out=np.ones(groups)))
+        weight = stands_for * len(lit) / len(looked)
+        return cls(gathering, looked[places], weight, group, scale, rough.levels, rough.work)
 
     def some(self, which: Bools) -> Trial:
         """Only some of the pairs."""
@@ -130,32 +140,38 @@ class Trial:
         self, cutting: Floats, levels: int, edge_levels: int | None = None, draw: Ints | None = None,
         matt: bool = False,
     ) -> Gathered:  # fmt: skip
-        """Their histograms with each part apart, such that squares add up to those of all pairs."""
+        """Their histograms with each group apart, such that squares add up to those of all pairs, and its cells and
+        rays. `cutting` and `draw` are (G,)."""
         asked = levels, edge_levels
         if asked not in self.seen:
             self.seen[asked] = list(self.gathering.seen(self.pairs, levels, edge_levels))
-        found = self.gathering.gathered(self.pairs, self.seen[asked], cutting, np.arange(len(cutting)), draw, matt)
-        self.work.cells += int(found.cells.sum())
-        self.work.rays += int(found.rays.sum())
-        return replace(found, histogram=found.histogram * np.sqrt(self.weight)[:, None, None] * self.scale[:, None])
+        draw = None if draw is None else draw[self.group]
+        found = self.gathering.gathered(self.pairs, self.seen[asked], cutting[self.group], self.group, draw, matt)
+        cells, rays = (
+            np.bincount(self.group, work, len(cutting)).astype(np.int64) for work in (found.cells, found.rays)
+        )
+        self.work.cells += int(cells.sum())
+        self.work.rays += int(rays.sum())
+        histogram = found.histogram * np.sqrt(self.weight)[:, None, None] * self.scale[:, None]
+        return Gathered(histogram, found.overflow, cells, rays)
 
     def energy(self, histogram: Floats) -> Floats:
-        """(K,) photons of each part in all pairs."""
+        """(G,) photons of each group in all pairs."""
         return np.asarray(np.einsum("nkt,n->k", histogram, np.sqrt(self.weight)) / self.scale)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The error that a cell of each part may make, and what that leaves.
+    """The error that a cell of each group may make, and what that leaves.
 
     Attributes
     ----------
-    cutting : (K,) L2 error of a cell. tried, draw : (K,) the finer one of the trial's `histogram`, and its draw.
+    cutting : (G,) L2 error of a cell. tried, draw : (G,) the finer one of the trial's `histogram`, and its draw.
     error, whole : L2 error and norm of the whole.
-    still, own : (K,) of each part.
-    held : (K,) which are held to an error of their own, or would be but for `TOO_DEAR`.
-    limit : (K,) that error, infinite for the others.
-    histogram : (n, K, T) of the pairs tried.
+    still, own : (G,) of each group.
+    held : (G,) which are held to an error of their own, or would be but for `TOO_DEAR`.
+    limit : (G,) that error, infinite for the others.
+    histogram : (n, G, T) of the pairs tried.
     """
 
     cutting: Floats
@@ -171,27 +187,27 @@ class Choice:
 
 
 def choose(trial: Trial, asked: Asked) -> Choice | None:
-    """The coarsest cutting of each part that does, found with ever finer ones; None where none does within
+    """The coarsest cutting of each group that does, found with ever finer ones; None where none does within
     `max_lookins`, and where there is no light, which must be looked for harder."""
-    parts = len(asked.objects)
-    every, settled = np.arange(parts), np.zeros(parts, np.bool_)
-    found = trial.gathered(np.full(parts, COARSE), trial.levels)
-    runs, cuttings, cells = [found.histogram], [np.full(parts, COARSE)], [found.cells]
+    groups = 1 + int(trial.group.max())
+    every, objects, settled = np.arange(groups), np.arange(groups) > 0, np.zeros(groups, np.bool_)
+    found = trial.gathered(np.full(groups, COARSE), trial.levels)
+    runs, cuttings, cells = [found.histogram], [np.full(groups, COARSE)], [found.cells]
     scale = runs[0]
     if trial.gathering.lobed:
         # What coarse cells find of lobes may be a millionth of their light, and no measure of how fine to begin.
-        matt = trial.gathered(np.full(parts, COARSE), trial.levels, matt=True).histogram
+        matt = trial.gathered(np.full(groups, COARSE), trial.levels, matt=True).histogram
         scale = np.maximum(scale, matt)
     whole, own = _norm(scale), _norms(scale)
     if whole == 0.0:
         return None
     cutting = FIRST / FINER * np.maximum(own, UNSEEN * whole) / math.sqrt(trial.weight.sum())
-    finest, dear = np.zeros(parts, np.int64), np.zeros(parts, np.bool_)
+    finest, dear = np.zeros(groups, np.int64), np.zeros(groups, np.bool_)
     while True:
         cutting = FINER * cutting
         before = trial.work.cells + trial.work.rays
         # Points drawn anew: where clusters stay as they are, runs would else agree in what chance made of them.
-        draw = np.full(parts, len(runs))
+        draw = np.full(groups, len(runs))
         found = trial.gathered(np.where(settled, np.inf, cutting), trial.levels, draw=draw)
         found.histogram[:, settled] = runs[-1][:, settled]
         runs.append(found.histogram)
@@ -202,20 +218,20 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         whole, own = _norm(runs[-1]), _norms(runs[-1])
         if whole == 0.0:
             return None
-        held = asked.objects & (own > NEGLIGIBLE * whole) & (trial.energy(runs[-1]) >= asked.faint)
+        held = objects & (own > NEGLIGIBLE * whole) & (trial.energy(runs[-1]) >= asked.faint)
         limit = np.where(held & ~dear, asked.part_target * own, np.inf)
         still, last = _still(runs, finest), len(runs) > LEVELS
         seen_through = GROWN * np.array(cells[:-1]) <= cells[-1]
         known = seen_through | ~((held & ~dear) | (own > asked.target * whole)) | last
-        does = (still <= WITHIN_PARTS * limit) & known & ~(held & dear)
-        level = np.argmax(np.vstack([does, np.ones(parts, np.bool_)]), axis=0)
+        does = (still <= WITHIN * limit) & known & ~(held & dear)
+        level = np.argmax(np.vstack([does, np.ones(groups, np.bool_)]), axis=0)
         # The finest that is known to have been too dear, or nearly.
         level = np.where(held & dear, finest - 1, level)
         error = _whole_error(runs, level, finest)
         highest = np.where(settled, finest - 1, finest)
         while error > WITHIN * asked.target * whole:
             left = np.where(level < highest, still[np.minimum(level, len(still) - 1), every], 0.0)
-            if parts * left.max() <= HELPS * WITHIN * asked.target * whole:
+            if groups * left.max() <= HELPS * WITHIN * asked.target * whole:
                 break
             level[np.argmax(left)] += 1
             error = _whole_error(runs, level, finest)
@@ -225,7 +241,7 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
             tried, left = np.array(cuttings), still[level, every]
             most = WITHIN * asked.target * whole
             spare = max(most - error, SPARE * most) / max(int(held.sum()), 1)
-            coarser, enough_of_part = _between(tried, still, level, np.minimum(WITHIN_PARTS * limit, left + spare))
+            coarser, enough_of_part = _between(tried, still, level, np.minimum(WITHIN * limit, left + spare))
             error += float((enough_of_part - left).sum())
             return Choice(coarser, tried[level, every], level, error, whole, enough_of_part, own, held, limit, chosen)
         work = trial.work.cells + trial.work.rays
@@ -233,7 +249,7 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         if last or beyond:
             return None
         # What does already is not cut further, unless the whole still wants it.
-        waits = math.sqrt(parts) * still[finest - 1, every] > SETTLED * asked.target * whole
+        waits = math.sqrt(groups) * still[finest - 1, every] > SETTLED * asked.target * whole
         settled |= (level < finest) & (enough | ~waits)
         settled &= not settled.all()
 
@@ -241,7 +257,7 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
 @dataclass(frozen=True)
 class Quartering:
     """How often even pixels are quartered, and those at edges; and the L2 error of the patches of the ones and the
-    points of the others, in the whole and (K,) in each part."""
+    points of the others, in the whole and (G,) in each group."""
 
     levels: int
     edge_levels: int
@@ -302,7 +318,7 @@ def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tupl
 
 
 def _between(cuttings: Floats, still: Floats, level: Ints, wanted: Floats) -> tuple[Floats, Floats]:
-    """(K,) cuttings between the one of a level and the coarser one before it that leave errors of `wanted`, and what
+    """(G,) cuttings between the one of a level and the coarser one before it that leave errors of `wanted`, and what
     they leave; the level's own where `wanted` is not between theirs. Errors go with a power of the cutting."""
     every = np.arange(cuttings.shape[1])
     fine, left = cuttings[level, every], still[level, every]
@@ -317,7 +333,7 @@ def _between(cuttings: Floats, still: Floats, level: Ints, wanted: Floats) -> tu
 
 
 def _still(runs: list[Floats], finest: Ints) -> Floats:
-    """(n − 1, K) L2 error that each part still has in each run, whose finest one for a part is number `finest`."""
+    """(n − 1, K) L2 error that each group still has in each run, whose finest one for a group is number `finest`."""
     every = np.arange(len(finest))
     last = runs[-1]
     still = np.array([_norms(run - last) for run in runs[:-1]])
@@ -325,7 +341,7 @@ def _still(runs: list[Floats], finest: Ints) -> Floats:
 
 
 def _whole_error(runs: list[Floats], level: Ints, finest: Ints) -> float:
-    """L2 error of the sum over parts, each as it is in the run of its level."""
+    """L2 error of the sum over groups, each as it is in the run of its level."""
     last = runs[-1].sum(axis=1)
     chosen = sum(runs[n][:, k] for k, n in enumerate(level))
     before = sum(runs[n - 1][:, k] for k, n in enumerate(finest))
@@ -333,12 +349,12 @@ def _whole_error(runs: list[Floats], level: Ints, finest: Ints) -> float:
 
 
 def _norm(histograms: Floats) -> float:
-    """L2 norm of the sum over parts of (n, K, T)."""
+    """L2 norm of the sum over groups of (n, G, T)."""
     return l2_norm(histograms.sum(axis=1))
 
 
 def _norms(histograms: Floats) -> Floats:
-    """(K,) L2 norm over laser points, pixels and bins of (n, K, T)."""
+    """(G,) L2 norm over laser points, pixels and bins of (n, G, T)."""
     return np.asarray(np.sqrt((histograms**2).sum(axis=(0, 2))))
 
 
