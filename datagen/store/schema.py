@@ -42,7 +42,8 @@ SCHEMA_VERSIONS = {
     "its errors; transport.spend.cost is less, by rays",
     12: "datagen 0.13: transport.spend.cost is less where surfaces lie on each other, by rays; nothing else differs",
     13: "datagen 0.14: columns labels.scan_right_m, labels.scan_up_m; the direct return is there wherever it is "
-    "asked for and not proven to be none; evidence of objects in plain sight counts all their light",
+    "asked for and not proven to be none; evidence of objects in plain sight counts all their light; with a target a "
+    "seed yields other light, all of it where surfaces have lobes; column transport.spend.second_opinion",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
