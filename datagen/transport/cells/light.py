@@ -40,8 +40,7 @@ from datagen.transport.sampling import word_of
 
 PARTLY, UNFOUND = 0.1, 0.03
 """Error of a cell that one ray stands for, and of one of which three rays found nothing, relative to its light. Few
-cells are partly seen, for those at shadows' edges are cut: with twice or half the first, the same error takes a fifth
-more rays."""
+cells are partly seen: with 0.25 for the first the same error takes a third more rays, and with 0.05 as many."""
 STILL_UNFOUND = 0.5
 """What the latter is multiplied with for each larger cell about it of which no ray found anything either: what lies
 deep behind a mesh cannot be proven hidden, and is not searched as finely as an edge."""
