@@ -69,7 +69,7 @@ class Aim:
 def aim(
     caster: Raycaster, scene: Scene, materials: MaterialTable, planes: Floats, x: Ends, v: Ends, samples: int
 ) -> Aim:
-    """Where samples aim, for pairs of ends x and v. planes : (L, 6) positions and normals of laser points."""
+    """For pairs of ends x, v and so many samples in all. planes : (L, 6) positions and normals of laser points."""
     area = np.bincount(scene.face_part, caster.face_area_m2, len(scene.part_names))
     drawn = _lit(caster, scene, planes) & (area > 0)
     drawn = drawn if drawn.any() else area > 0

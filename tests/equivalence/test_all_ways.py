@@ -212,20 +212,24 @@ def hold(way: str, material: str, shape: str, capture: str) -> None:
 
 
 CASES = [(material, shape, capture) for material in MATERIALS for shape in SHAPES for capture in CAPTURES]
-BY_DAY = 36
+ONCE_WRONG = [
+    ("phong 2", "ball", "confocal", "cells"), ("phong 60", "ball", "confocal", "cells"),
+    ("retroreflector 0.12", "touching", "confocal", "cells"), ("phong 10", "open_mesh", "confocal", "pairs of cells"),
+]  # fmt: skip
+"""Ways that lost light, or had too much, when this test was written."""
 
 
-def spread_share() -> list[tuple[str, str, str]]:
-    """Every BRDF on every shape, with each set of parameters twice."""
-    materials, shapes, captures = list(MATERIALS), list(SHAPES), list(CAPTURES)
+def spread_share() -> list[tuple[str, str, str, str]]:
+    """Every BRDF on every shape, each set of parameters twice, with two of the ways one time and the others then."""
+    materials, shapes, captures, ways = list(MATERIALS), list(SHAPES), list(CAPTURES), list(WAYS)
     return [
-        (materials[k % 18], shapes[(k % 3 + k // 3 + 3 * (k // 18)) % 6], captures[(k + k // 4) % 4])
-        for k in range(BY_DAY)
+        (materials[k % 18], shapes[(k % 3 + k // 3 + 3 * (k // 18)) % 6], captures[(k + k // 4) % 4], way)
+        for k in range(36)
+        for way in (ways[::2] if (k + k // 18) % 2 else ways[1::2])
     ]
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize(("material", "shape", "capture"), spread_share())
+@pytest.mark.parametrize(("material", "shape", "capture", "way"), [*spread_share(), *ONCE_WRONG])
 def test_some_cases(material: str, shape: str, capture: str, way: str) -> None:
     hold(way, material, shape, capture)
 

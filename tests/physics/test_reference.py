@@ -70,10 +70,8 @@ def test_the_direct_return_and_fog(origin: str) -> None:
 
 
 def test_laser_point_and_pixel_may_change_places() -> None:
-    """What goes from the laser point to a small pixel is what goes back, order by order.
-
-    The device's legs apart: here both are as far from the device and as oblique.
-    """
+    """What goes from the laser point to a small pixel is what goes back, order by order, device legs apart: here
+    both are as far from the device and as oblique."""
     places, device = [(0, -0.4, 1.2), (0, 0.4, 1.2)], (1.5, 0.0, 1.2)
     box = trimesh.creation.box(bounds=[(0.9, -1.2, 0.4), (1.3, -0.6, 1.3)])
     wall = Part("wall", rectangle((0, 0, 1.2), (0, 1.5, 0), (0, 0, 1.2)), Lambertian(0.8), "relay_wall")
