@@ -39,7 +39,8 @@ def numbers(found: Transient) -> NDArray[np.float64]:
 WALK = Accuracy(4096, 4, replicates=1)
 
 
-def same_light(scene: Scene, capture: Capture, walk: Accuracy = WALK) -> Transient:
+def same_light(scene: Scene, capture: Capture, walk: Accuracy = WALK, faint: float = 0.1) -> Transient:
+    """faint : numbers smaller than this share of the largest may be off by as much as that would."""
     asked = Accuracy(target=ASKED, part_target=ASKED, occlusion=walk.occlusion)
     cells = simulate(scene, capture, asked, seed=1)
     assert cells.spend is not None and cells.spend.way["primary"] == "cells"
@@ -47,7 +48,7 @@ def same_light(scene: Scene, capture: Capture, walk: Accuracy = WALK) -> Transie
     ours = numbers(cells)
     off = np.abs(ours - runs.mean(axis=0))
     # What the cells may be off by: their error, and in the middle of steep flanks that of neighbouring bins.
-    own = ASKED * np.maximum(ours, 0.1 * ours.max())
+    own = ASKED * np.maximum(ours, faint * ours.max())
     allowed = stats.t.isf(LEVEL / 2 / len(ours), RUNS - 1) * stats.sem(runs, axis=0) + own
     assert ours.max() > 0
     assert (off <= allowed).all(), np.column_stack([ours, runs.mean(axis=0), allowed])[off > allowed]
@@ -114,7 +115,8 @@ def test_every_brdf_that_varies_slowly(material: Material) -> None:
     room = furnished_box()
     materials = tuple(material if name in ("box", "floor", "relay_wall") else old
                       for name, old in zip(room.part_names, room.materials, strict=True))  # fmt: skip
-    same_light(replace(room, materials=materials), several("confocal"))
+    # Small triangles with lobes are stood for by points at random, whose noise faint bins show.
+    same_light(replace(room, materials=materials), several("confocal"), faint=0.2)
 
 
 def test_attenuation_and_windows() -> None:

@@ -317,7 +317,8 @@ def test_one_bin_and_a_hundred_thousand(bins: int, width_m: float) -> None:
     assert everything(found) == pytest.approx(everything(plain), rel=0.02)
     assert found.overflow.sum() == 0
     late = cells(room, one_point_capture(half_side_m=0.02, time=bins_of_path(20, 0.1, 4.0)))
-    assert everything(late) == pytest.approx(everything(plain), rel=6e-3)
+    # Of two cuttings, each to 2 %.
+    assert everything(late) == pytest.approx(everything(plain), rel=0.01)
     assert np.linalg.norm(late.total - plain.total[..., 40:60]) < 0.015 * np.linalg.norm(plain.total[..., 40:60])
 
 

@@ -44,7 +44,7 @@ HELPS = 0.1
 TOO_DEAR = 1 << 16
 """Cells and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
 hidden may take any number of rays for light that is a millionth of the whole."""
-WITHIN, SPARE = 0.8, 0.05
+WITHIN, SPARE = 0.7, 0.05
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
 others may be worse; and how much of it is kept for cutting objects no finer than they need."""
 MOST_PATCHES, MOST_PATCHES_TRIED = 1 << 22, 1 << 18

@@ -42,6 +42,7 @@ SECONDARY_OWN = 2.0
 TRIES = (1.0, 0.25)
 """Errors that the primary from cells is tried with, relative to those asked for: where unbiased samples disagree with
 the one, finer cells get a chance before all is sampled."""
+DISPUTED = "target not met: other samples found bright paths that these have missed"
 LEAST_LEFT = 0.1
 """Share of the square of the target that is left to components still to be found at least."""
 
@@ -62,7 +63,7 @@ def meet_target(task: WalkTask) -> Estimate:
     gathering, share = Gathering.of(task), math.sqrt(CHEAP / (CHEAP + others))
     primary, opinions = _agreed_primary(gathering, share)
     if primary is None:
-        return _with_opinions(_sampled(task, None), opinions)
+        return _confirmed(task, _sampled(task, None), (), opinions)
     found = {"primary": _of_primary(primary)}
     if "secondary" in splits.components and accuracy.strongest is None:
         asked, own = accuracy.target * l2_norm(found["primary"].light), min(SECONDARY_OWN * accuracy.each_part, 1.0)
@@ -88,7 +89,7 @@ def meet_target(task: WalkTask) -> Estimate:
         met = error <= accuracy.target
         spend = Spend({}, {}, {}, {}, 1, 0.0, "target met" if met else "target not met by cells")
         rest = Estimate({}, {}, np.zeros(task.capture.shape), np.zeros(task.capture.shape[:2]), spend, error, met)
-    return _with_opinions(_joined(task, found, primary, rest), opinions)
+    return _confirmed(task, _joined(task, found, primary, rest), tuple(found), opinions)
 
 
 def _agreed_primary(gathering: Gathering, share: float) -> tuple[Primary | None, list[Opinion]]:
@@ -121,8 +122,28 @@ def _claims(task: WalkTask, primary: Primary) -> dict[str, Claim]:
     return claims
 
 
-def _with_opinions(estimate: Estimate, opinions: list[Opinion]) -> Estimate:
-    """The same estimate, its record saying what the second opinions were."""
+def _confirmed(task: WalkTask, estimate: Estimate, by_cells: tuple[str, ...], opinions: list[Opinion]) -> Estimate:
+    """The same estimate, its record saying what all second opinions were, the one on what was sampled with them.
+
+    The bound of sampled light knows nothing of paths so rare that no replicate met them. Where other samples did, the
+    claim is raised to what they say is missing, and the target is not met.
+    """
+    claims, bound = {}, estimate.error_bound or 0.0
+    for order, name in ((3, "primary"), (4, "secondary")):
+        light = estimate.components.get(name)
+        if light is not None and name not in by_cells and light.any() and task.accuracy.strongest is None:
+            whole = l2_norm(reduce(np.add, estimate.components.values()))
+            claims[name] = Claim(light, min(bound * whole / l2_norm(light), 1.0), order)
+    if claims:
+        opinions = [*opinions, second_opinion(task, claims, estimate.spend.cost, len(opinions))]
+        if not opinions[-1].agrees:
+            share = float(
+                estimate.components[opinions[-1].worst].sum() / sum(map(np.sum, estimate.components.values()))
+            )
+            estimate = replace(
+                estimate, error_bound=max(bound, abs(opinions[-1].off) * share, 1.01 * (task.accuracy.target or 0.0)),
+                met_target=False, spend=replace(estimate.spend, outcome=DISPUTED),
+            )  # fmt: skip
     return replace(estimate, spend=replace(estimate.spend, second_opinion="; ".join(map(str, opinions))))
 
 
