@@ -33,7 +33,7 @@ from datagen.records import Accuracy, Capture, Laser, Rectangle, Sensor, TimeAxi
 from datagen.records.arrays import l2_norm
 from datagen.transport import simulate
 from datagen.transport.cells.gathering import Gathering
-from datagen.transport.primary import pairs_of
+from datagen.transport.reference import pairs_of
 from datagen.transport.solver import prepared
 from datagen.units import time_from_path
 
@@ -172,7 +172,7 @@ def error_against_cell_size() -> str:
     points = grid_points(WALL, 4, 4)
     capture = point_capture(WALL, points, DEVICE, points, path_axis(512, 0.03, 0.0), confocal=True)
     gathering = Gathering.of(prepared(empty_room(), capture, Accuracy(), 0, split_parts=False))
-    pairs, parts = pairs_of(gathering.task), len(gathering.peak)
+    pairs, parts = pairs_of(gathering.task.capture), len(gathering.peak)
     cells, found = list[int](), list[NDArray[np.float64]]()
     for size in (*CELL_SIZES, CELL_SIZES[-1] / 2):
         sized = replace(gathering, coarsest=size)

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Floats
 from datagen.transport.cells.gathering import Gathering
 from datagen.transport.cells.trial import Asked, Trial, choose, quarter
-from datagen.transport.walk import WalkTask
+from datagen.transport.reference import pairs_of
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
     faint : photons, per emitted photon and over all histograms, under which an object's light is not held to that.
     """
     task = gathering.task
-    pairs = pairs_of(task)
+    pairs = pairs_of(task.capture)
     asked = Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
     trial = Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
     choice = choose(trial, asked)
@@ -75,11 +75,3 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
         {names[k]: float(errors[g]) for k, g in enumerate(trial.group) if choice.held[g]},
         trial.work.cells + int(found.cells.sum()), trial.work.rays + int(found.rays.sum()),
     )  # fmt: skip
-
-
-def pairs_of(task: WalkTask) -> Ints:
-    """(n, 2) laser point and pixel of each histogram, in their order; laser rays that met nothing with them."""
-    lasers, pixels, _ = task.capture.shape
-    if task.capture.pairing == "confocal":
-        return np.stack([np.arange(lasers), np.arange(lasers)], axis=1)
-    return np.stack(np.divmod(np.arange(lasers * pixels), pixels), axis=1)

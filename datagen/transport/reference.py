@@ -171,7 +171,6 @@ class _Tracer:
         cones = PixelCones.of(capture.sensor)
         self.planes, self.solid_angle = cones.planes, cones.solid_angle
         self.has_lobe = ~np.isin(materials.kind, (LAMBERTIAN, OREN_NAYAR, SIN_LOBE))
-        self.per_photon = 1.0 / samples
         self.lasers, self.of_sample = self.laser_points()
         self.aim = self.aimed(pairs)
 

@@ -26,7 +26,7 @@ from datagen.transport.cells.pairs import arrive, join, room_for
 from datagen.transport.cells.reach import SHARE, TO_DEVICE, UPWARD, Ends, reach_of
 from datagen.transport.cells.trial import by_light, spread_evenly
 from datagen.transport.cost import CELL_PAIR, PAIR_RAY
-from datagen.transport.primary import pairs_of
+from datagen.transport.reference import pairs_of
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.walk import WalkTask
 from datagen.units import path_from_time
@@ -91,7 +91,7 @@ def secondary_by_cells(
     too_dear : whether a cost, in the units of `cost.py`, is too much.
     """
     scan, task = _Scan.of(gathering), gathering.task
-    pairs = pairs_of(task)
+    pairs = pairs_of(task.capture)
     lit = pairs[task.points.part[pairs[:, 0]] >= 0]
     patches, most = scan.patches_to_begin, _Most(len(lit), too_dear)
     if len(lit) == 0 or most.exceeded(scan.light(lit[:1], 0, patches, np.inf).cost):

@@ -18,7 +18,7 @@ from datagen.transport.cells.hierarchy import Hierarchy
 from datagen.transport.cells.occluders import Occluders
 from datagen.transport.cells.occlusion import LISTED, SUSPECT, hidden, lists, narrowed
 from datagen.transport.cells.solids import inner_side
-from datagen.transport.primary import pairs_of
+from datagen.transport.reference import pairs_of
 from datagen.transport.solver import prepared
 
 
@@ -102,7 +102,7 @@ def test_candidates_hide_what_all_triangles_do() -> None:
 def histograms(scene: Scene, capture: Capture, occlusion: str, error: float) -> tuple[np.ndarray, int, int]:
     accuracy = Accuracy(target=0.02, occlusion=occlusion)  # type: ignore[arg-type]
     gathering = Gathering.of(prepared(scene, capture, accuracy, 0, split_parts=True))
-    pairs, parts = pairs_of(gathering.task), len(scene.part_names)
+    pairs, parts = pairs_of(gathering.task.capture), len(scene.part_names)
     seen = list(gathering.seen(pairs, 1))
     coarse = gathering.gathered(pairs, seen, np.full(parts, 1e300), np.arange(parts)).histogram
     allowed = error * np.maximum(np.linalg.norm(coarse, axis=(0, 2)), 1e-3 * np.linalg.norm(coarse))
@@ -211,7 +211,7 @@ def test_a_tent_is_the_integral_of_its_light(seed: int) -> None:
 def test_a_part_whose_error_is_boundless_is_left_out() -> None:
     task = prepared(furnished_box(), one_point_capture(), Accuracy(target=0.02), 0, split_parts=True)
     gathering = Gathering.of(task)
-    pairs, parts = pairs_of(task), len(task.scene.part_names)
+    pairs, parts = pairs_of(task.capture), len(task.scene.part_names)
     error = np.full(parts, 1e300)
     error[0] = np.inf
     found = gathering.gathered(pairs, gathering.seen(pairs, 0), error, np.arange(parts))

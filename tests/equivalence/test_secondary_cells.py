@@ -19,7 +19,7 @@ from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Scene, Sens
 from datagen.transport import secondary_cells
 from datagen.transport.cells.gathering import Gathering
 from datagen.transport.fov import PixelCones
-from datagen.transport.primary import pairs_of
+from datagen.transport.reference import pairs_of
 from datagen.transport.secondary_cells import Secondary, secondary_by_cells
 from datagen.transport.solver import prepared
 from datagen.transport.target.adaptive import _sampled
@@ -135,7 +135,7 @@ def test_in_a_sphere_each_bounce_multiplies_by_the_albedo(albedo: float) -> None
 def test_errors_fall_from_level_to_level_as_two_of_them_foretell() -> None:
     capture = scan("exhaustive", 5e-4)
     task = prepared(furnished_box(), capture, Accuracy(target=0.02, max_bounces=4), 0, split_parts=False)
-    found, pairs = secondary_cells._Scan.of(Gathering.of(task)), pairs_of(task)
+    found, pairs = secondary_cells._Scan.of(Gathering.of(task)), pairs_of(task.capture)
     scale = (of_all := found.light(pairs, 0, 0, np.inf)).photons.sum() / of_all.gain
     runs = [
         found.light(pairs, k, 0, secondary_cells.PAIR * secondary_cells.FINER**k * scale).histogram for k in range(6)
@@ -155,7 +155,7 @@ def test_small_triangles_are_taken_together() -> None:
     found, capture = [], scan("exhaustive", 5e-4)
     for times in (0, 2):
         task = prepared(with_meshes(times), capture, Accuracy(target=0.02, max_bounces=4), 0, split_parts=False)
-        cells, pairs = secondary_cells._Scan.of(Gathering.of(task)), pairs_of(task)
+        cells, pairs = secondary_cells._Scan.of(Gathering.of(task)), pairs_of(task.capture)
         scale = (rough := cells.light(pairs, 0, 0, np.inf)).photons.sum() / rough.gain
         allowed = secondary_cells.PAIR * secondary_cells.FINER * scale
         found.append(cells.light(pairs, 1, 0, allowed))

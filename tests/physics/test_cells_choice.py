@@ -12,7 +12,7 @@ from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, squ
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.transport.cells.gathering import Gathering
 from datagen.transport.cells.trial import COARSE, MOST_LEVELS, PATCHES_SHARE, Asked, Trial, by_light, choose, quarter
-from datagen.transport.primary import pairs_of
+from datagen.transport.reference import pairs_of
 from datagen.transport.solver import prepared
 
 DEVICE = np.array([1.5, 0.1, 1.3])
@@ -48,7 +48,7 @@ def test_patches_are_as_fine_as_a_close_surface_needs(gap: float) -> None:
         Laser(DEVICE, points), Sensor(DEVICE, square_pixels(points, HALF_M)), bins_of_path(40, 0.04, 0.0), "confocal"
     )
     gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.02), 0, split_parts=True))
-    pairs, asked = pairs_of(gathering.task), Asked(0.02, 0.05, 0.0, np.array([False, True]))
+    pairs, asked = pairs_of(gathering.task.capture), Asked(0.02, 0.05, 0.0, np.array([False, True]))
     trial = Trial.of(gathering, pairs, asked)
     choice = choose(trial, asked)
     assert choice is not None
@@ -78,7 +78,7 @@ def test_all_light_is_in_the_trial(order: int) -> None:
     three: of the coarsest cells one ray each tells what is seen, and six points have all the light of the floor."""
     scene, capture = furnished_box(), scan_with_few_low_points(order)
     gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.02), order, split_parts=True))
-    pairs = pairs_of(gathering.task)
+    pairs = pairs_of(gathering.task.capture)
     asked = Asked(0.02, 0.05, 0.0, np.array([role == "object" for role in scene.roles]))
     trial = Trial.of(gathering, pairs, asked)
     # Finer than the look: of the coarsest cells one ray each says whether they are seen.
@@ -104,7 +104,7 @@ def test_pixels_at_edges_get_as_many_points_as_they_need() -> None:
     scene = wall_and(Part("board", board, Lambertian(ALBEDO)))
     gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.02), 3, split_parts=True))
     assert gathering.at_edge.all()
-    pairs, asked = pairs_of(gathering.task), Asked(0.02, 0.02, 0.0, np.array([False, True]))
+    pairs, asked = pairs_of(gathering.task.capture), Asked(0.02, 0.02, 0.0, np.array([False, True]))
     trial = Trial.of(gathering, pairs, asked)
     choice = choose(trial, asked)
     assert choice is not None
@@ -137,7 +137,7 @@ def test_each_run_of_a_trial_draws_its_points_anew(monkeypatch: pytest.MonkeyPat
     plate = rectangle((0.8, 0.3, 1.2), (0, 0.2, 0), (0, 0, 0.2))
     scene = wall_and(Part("ball", ball, Lambertian(ALBEDO)), Part("plate", plate, Lambertian(ALBEDO)))
     gathering = Gathering.of(prepared(scene, scan_with_few_low_points(0), Accuracy(target=0.02), 0, split_parts=True))
-    pairs, asked = pairs_of(gathering.task), Asked(0.2, 0.5, 0.0, np.array([False, True, True]))
+    pairs, asked = pairs_of(gathering.task.capture), Asked(0.2, 0.5, 0.0, np.array([False, True, True]))
     trial, draws = Trial.of(gathering, pairs, asked), []
     some, again, other = (
         trial.gathered(np.full(3, COARSE), 0, draw=np.full(3, k)).histogram[:, 1] for k in (1, 1, 2)
