@@ -131,12 +131,12 @@ def gather(  # type: ignore[no-untyped-def]
         patches.position, patches.normal, patches.to_sensor, patches.part, patches.weight, patches.footprint
     )  # fmt: skip
     most3, leg3, size3, across3 = patches.most, patches.leg, patches.size, patches.across
-    uneven3, quarters3 = patches.uneven, patches.quarters
+    uneven3, quarters3, share3 = patches.uneven, patches.quarters, patches.share
     allowed, sharp, peak = cutting.error, cutting.sharp, cutting.peak
     limit, last_leg, proofs = cutting.coarsest, cutting.rays_on_last_leg, cutting.proofs
     per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
     opens, closes = clock.opens, clock.closes
-    enough = len(listed) - 4 * RING
+    enough, patches_each = len(listed) - 4 * RING, len(quarters3)
     some, strongest = min(occluders.triangles, 1), 0.0
     to_z = LISTED + some
     free = to_z + some
@@ -179,6 +179,8 @@ def gather(  # type: ignore[no-untyped-def]
                 seen_from = (z, n3, corner(to_sensor3, p, q), kind[k3], values[k3])
                 keen, tilt = max(sharp[k1], sharp[k], sharp[k3]), 0.0
                 share, size, footprint = cell[top, 16], size3[p, q], footprint3[p, q]
+                # What a cell is wrong by for one patch it is for the next, but for what chance makes of either.
+                may, alike = allowed[k] * math.sqrt(share * share3[q]), allowed[k] * share * share3[q]
                 gain = lit * weight3[p, q] * share
                 few = halve = alone = cut = False
                 if quarter:
@@ -235,17 +237,17 @@ def gather(  # type: ignore[no-untyped-def]
                         at_most = gain * peak[k1] * peak[k] * peak[k3] * area
                         at_most *= facing_at_most(m, h, axis, cosine, sine, x, rise1)
                         at_most *= facing_at_most(m, h + size, axis, cosine, sine, z, rise3 + size)
-                        small, near3 = is_small(around, at, x, z, at_most, allowed[k], attenuation)
+                        small, near3 = is_small(around, at, x, z, at_most, may, attenuation)
                         if sides > 0 and not small:
                             tilt = math.acos(max(cosine, -1.0))
                             at_most = gain * area * weight_at_most(
                                 m, axis, kind2, values2, lit_from, seen_from, footprint, attenuation, 2.0 * h, size,
                                 tilt,
                             )  # fmt: skip
-                            small = at_most <= allowed[k] and 2.0 * h <= COARSEST * near3
+                            small = at_most <= may and 2.0 * h <= COARSEST * near3
                         quarter = small and quarters and size > 0.3 * near3
                         if small and not quarter:
-                            word = word_of(seed, row[pair], 8 * at)
+                            word = word_of(seed, row[pair], 8 * (at * patches_each + q))
                             f, y = anywhere(start, end, area_before, corners, word)
                             n = get(normal, f, 0)
                             w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
@@ -305,12 +307,12 @@ def gather(  # type: ignore[no-untyped-def]
                         ))  # fmt: skip
                     unseen = outside(cell[top, 4], cell[top, 9], cell[top, 14], r1 + r3, device, size, opens, closes)
                     cut, quarter, over, bend = judged(
-                        cell, top, h, bright, r1, r3, gain, footprint, size, limit, keen, allowed[k], quarters,
+                        cell, top, h, bright, r1, r3, gain, footprint, size, limit, keen, alike, quarters,
                         per_metre, attenuation, unseen,
                     )  # fmt: skip
                     if alone:
                         # What is cut once need not be cut again for each quarter of the pixel.
-                        cut |= (over * unlike > allowed[k] and not unseen) or (quarter and h > 2.0 * size)
+                        cut |= (over * unlike > alike and not unseen) or (quarter and h > 2.0 * size)
                         quarter &= not cut
                     if height1 * height3 <= 0.0 or abs(height3) < flat:
                         # This side does not light the patch's middle; it may light parts of a large one.
@@ -321,7 +323,7 @@ def gather(  # type: ignore[no-untyped-def]
                         continue
                     # One ray tells enough of what is partly seen, if that makes no larger error than it may.
                     at_stake = OUTSIDE * over if unseen else over
-                    faint = PARTLY * at_stake <= allowed[k]
+                    faint = PARTLY * at_stake <= may
                     inner = alone and proofs and own >= 0 and sides == 0
                     if not quarter and (first < last or inner):
                         if cut and not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed):
@@ -330,7 +332,7 @@ def gather(  # type: ignore[no-untyped-def]
                             rays += 1
                             y = m
                             if alone:
-                                word = word_of(seed, row[pair], 8 * at)
+                                word = word_of(seed, row[pair], 8 * (at * patches_each + q))
                                 f, y = anywhere(start, end, area_before, corners, word)
                                 if inner and _inner_side(x, z, f, normal, corners, solid, solid_box):
                                     continue
@@ -343,14 +345,14 @@ def gather(  # type: ignore[no-untyped-def]
                                 y = half(m, vertex_of(cell, top, j))
                                 if alone:
                                     low, high = start + j * (end - start) // 3, start + (j + 1) * (end - start) // 3
-                                    word = word_of(seed, row[pair], 8 * at + j + 1)
+                                    word = word_of(seed, row[pair], 8 * (at * patches_each + q) + j + 1)
                                     f, y = anywhere(low, high, area_before, corners, word)
                                 if not (inner and _inner_side(x, z, f, normal, corners, solid, solid_box)):
                                     seen += _seen(y, x, z, f, first, middle, last, hides, listed)
                                 if 0 < seen <= j:
                                     break
                             # What three rays do not find may still be there: it is cut a little less eagerly.
-                            cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > allowed[k])
+                            cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > may)
                             if seen == 0 and (
                                 not cut
                                 or (not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed))

@@ -43,6 +43,8 @@ class Patches(NamedTuple):
     across : (P, Q, 2, 3) from side to side of it, along the pixel's two directions, m.
     uneven : (P, Q) whether its quarters lie on other surfaces than its middle.
     quarters : (Q, 4) patches, −1 for the finest.
+    share : (Q,) of its pixel, 4^−level: how much of the error that a cell may make it may make seen from there, for
+        what it is wrong by for one patch it is wrong by for the next.
     """
 
     position: Floats
@@ -57,6 +59,7 @@ class Patches(NamedTuple):
     across: Floats
     uneven: Bools
     quarters: Ints
+    share: Floats
 
     @classmethod
     def of(
@@ -77,7 +80,7 @@ class Patches(NamedTuple):
         at_edges = np.flatnonzero(patches.uneven[:, 0])
         if len(at_edges):
             several = at(pixels[at_edges], _net(levels, stream_seeds(seed, PATCH_STREAM, pixels[at_edges])))
-            for ours, theirs in zip(patches[:-1], several[:-1], strict=True):
+            for ours, theirs in zip(patches[:-2], several[:-2], strict=True):
                 ours[at_edges] = theirs
         return patches
 
@@ -110,7 +113,10 @@ class Patches(NamedTuple):
         # A patch that is even but whose quarters are not, is not; level by level, the last first.
         for level in reversed(by_level):
             uneven[:, level] |= uneven[:, quarters[level]].any(axis=2)
-        return cls(position, normal, to_sensor, part, weight, most, footprint, leg, size, across, uneven, quarters)
+        share = np.repeat([4.0**-level for level in range(len(pools))], [pool.part.shape[1] for pool in pools])
+        return cls(
+            position, normal, to_sensor, part, weight, most, footprint, leg, size, across, uneven, quarters, share
+        )
 
 
 def at_edges(caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones) -> Bools:

@@ -195,16 +195,18 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
     runs, cuttings, cells = [found.histogram], [np.full(groups, COARSE)], [found.cells]
     scale = runs[0]
     if trial.gathering.lobed:
-        # What coarse cells find of lobes may be a millionth of their light, and no measure of how fine to begin.
+        # What coarse cells find of lobes may be a millionth of their light, and no measure of how fine to begin; nor is
+        # what matt surfaces would bring: it may be a million times as much.
         matt = trial.gathered(np.full(groups, COARSE), trial.levels, matt=True).histogram
         scale = np.maximum(scale, matt)
     whole, own = _norm(scale), _norms(scale)
     if whole == 0.0:
         return None
-    cutting = FIRST / FINER * np.maximum(own, UNSEEN * whole) / math.sqrt(trial.weight.sum())
+    share = FIRST / math.sqrt(trial.weight.sum())
+    cutting = share / FINER * np.maximum(own, UNSEEN * whole)
     finest, dear = np.zeros(groups, np.int64), np.zeros(groups, np.bool_)
     while True:
-        cutting = FINER * cutting
+        cutting = np.minimum(FINER * cutting, share * np.maximum(own, UNSEEN * whole))
         before = trial.work.cells + trial.work.rays
         # Points drawn anew: where clusters stay as they are, runs would else agree in what chance made of them.
         draw = np.full(groups, len(runs))
@@ -221,7 +223,9 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         held = objects & (own > NEGLIGIBLE * whole) & (trial.energy(runs[-1]) >= asked.faint)
         limit = np.where(held & ~dear, asked.part_target * own, np.inf)
         still, last = _still(runs, finest), len(runs) > LEVELS
-        seen_through = GROWN * np.array(cells[:-1]) <= cells[-1]
+        # Cells that may each be wrong by more than there is agree whatever they miss.
+        in_scale = cuttings[-1] <= share / FINER * np.maximum(own, UNSEEN * whole)
+        seen_through = (GROWN * np.array(cells[:-1]) <= cells[-1]) & in_scale
         known = seen_through | ~((held & ~dear) | (own > asked.target * whole)) | last
         does = (still <= WITHIN * limit) & known & ~(held & dear)
         level = np.argmax(np.vstack([does, np.ones(groups, np.bool_)]), axis=0)
@@ -319,12 +323,13 @@ def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tupl
 
 def _between(cuttings: Floats, still: Floats, level: Ints, wanted: Floats) -> tuple[Floats, Floats]:
     """(G,) cuttings between the one of a level and the coarser one before it that leave errors of `wanted`, and what
-    they leave; the level's own where `wanted` is not between theirs. Errors go with a power of the cutting."""
+    they leave; the level's own where `wanted` is not between theirs, or they are more than a step apart. Errors go with
+    a power of the cutting."""
     every = np.arange(cuttings.shape[1])
     fine, left = cuttings[level, every], still[level, every]
     before = np.maximum(level - 1, 0)
     coarse, more = cuttings[before, every], still[before, every]
-    between = (left > 0) & (left < wanted) & (wanted < more) & (fine < coarse) & (coarse < COARSE)
+    between = (left > 0) & (left < wanted) & (wanted < more) & (fine < coarse) & (0.9 * FINER * coarse < fine)
     fine, left = fine.copy(), left.copy()
     steps = np.log(wanted[between] / left[between]) / np.log(more[between] / left[between])
     fine[between] *= (coarse[between] / fine[between]) ** steps
