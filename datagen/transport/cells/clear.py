@@ -32,11 +32,11 @@ MOST_QUARTERED = 256
 # product of the BRDFs; the triangle's normal, the patch's place, normal and footprint; a point, and w, R₁ and R₂
 # there; the longest side and which it is; what the patch makes of light, its size, whether it has quarters, the legs
 # to the device if they count, the sides of the patch and its direction to the device; verdict and bend; the
-# energy, and the seven numbers of its tent; and the share of the pixel that the patch stands for.
+# energy, and the seven numbers of its tent.
 AREA, OF, PATCH, SHARE, BRDF, STACKED = 15, 16, 17, 18, 19, 20
 NORMAL, SEEN_FROM, NORMAL3, FOOTPRINT, POINT, LIGHT, LONG = 20, 23, 26, 29, 30, 33, 36
 GAIN, SIZE, QUARTERS, LEGS, ACROSS, TO_SENSOR, VERDICT, BEND = 38, 39, 40, 41, 42, 48, 51, 52
-ENERGY, TENT, OF_PIXEL, NUMBERS = 53, 54, 61, 62
+ENERGY, TENT, NUMBERS = 53, 54, 61
 DROPPED, SPREAD, CUT, QUARTERED = 0.0, 1.0, 2.0, 3.0
 
 
@@ -124,8 +124,8 @@ def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-un
         cut, quarter, over, bend = verdict(
             batch[4 * WIDE + j], batch[9 * WIDE + j], batch[14 * WIDE + j], batch[AREA * WIDE + j], w,
             batch[LONG * WIDE + j], batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j],
-            batch[GAIN * WIDE + j], batch[FOOTPRINT * WIDE + j], batch[SIZE * WIDE + j], limit, 1.0,
-            allowed * batch[OF_PIXEL * WIDE + j], batch[QUARTERS * WIDE + j] > 0.0, per_metre, attenuation, unseen,
+            batch[GAIN * WIDE + j], batch[FOOTPRINT * WIDE + j], batch[SIZE * WIDE + j], limit, 1.0, allowed,
+            batch[QUARTERS * WIDE + j] > 0.0, per_metre, attenuation, unseen,
         )  # fmt: skip
         becomes = CUT if cut else SPREAD
         becomes = QUARTERED if quarter else becomes
@@ -161,8 +161,8 @@ def _tents(batch, count, per_metre, start, at_once):  # type: ignore[no-untyped-
 def _taken(clear, first, count, batch, normal, p, lit, leg1, device, patches):  # type: ignore[no-untyped-def]
     """Take cells from the stack, `first` and those behind, into a batch."""
     position3, normal3, to_sensor3, across3 = patches.position, patches.normal, patches.to_sensor, patches.across
-    weight3, footprint3, size3, leg3, quarters3, share3 = (
-        patches.weight, patches.footprint, patches.size, patches.leg, patches.quarters, patches.share
+    weight3, footprint3, size3, leg3, quarters3 = (
+        patches.weight, patches.footprint, patches.size, patches.leg, patches.quarters
     )  # fmt: skip
     for j in range(min(count, WIDE)):
         for i in range(STACKED):
@@ -178,7 +178,6 @@ def _taken(clear, first, count, batch, normal, p, lit, leg1, device, patches):  
             batch[(TO_SENSOR + i) * WIDE + j] = to_sensor3[p, q, i] if device else 0.0
         batch[FOOTPRINT * WIDE + j], batch[SIZE * WIDE + j] = footprint3[p, q], size3[p, q]
         batch[GAIN * WIDE + j] = lit * weight3[p, q] * clear[first + j, SHARE]
-        batch[OF_PIXEL * WIDE + j] = share3[q] * clear[first + j, SHARE]
         batch[QUARTERS * WIDE + j] = 1.0 if quarters3[q, 0] >= 0 else 0.0
         batch[LEGS * WIDE + j] = leg1 + leg3[p, q] if device else 0.0
 

@@ -21,7 +21,7 @@ from datagen.transport.walk import WalkTask
 from datagen.units import path_from_time
 
 CLUSTER_STREAM = 64
-LEVELS, SIZED, TINY = (1, 3), 64, 1e-4
+LEVELS, SIZED, TINY = (1, 5), 64, 1e-4
 """How often even pixels are quartered, if at all; how many of them are measured for that; and their size, relative to
 the scene and to the narrowest lobe, up to which they are points."""
 PATCHES_AT_ONCE = 1 << 17
