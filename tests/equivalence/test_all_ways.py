@@ -142,8 +142,11 @@ def claims(run: Transient, kind: str) -> NDArray[np.float64]:
     lit = run.total > 0
     whole = run.error_bound * np.linalg.norm(run.total)
     if kind.endswith("by part"):
-        errors = [run.part_errors.get(name, run.error_bound) for name in run.parts]
-        return np.array(errors) * [of.sum() for of in run.parts.values()]
+        # Of what is no object nothing is claimed but what it makes of the whole.
+        return np.array([
+            run.part_errors[name] * of.sum() if name in run.part_errors else whole * np.sqrt((of > 0).sum())
+            for name, of in run.parts.items()
+        ])  # fmt: skip
     bins = lit.sum(axis=2).ravel() if kind.endswith("histogram") else lit.sum(axis=(0, 1)).reshape(-1, WINDOW).sum(1)
     return np.asarray(whole * np.sqrt(bins))
 
