@@ -1,0 +1,63 @@
+"""Lobes seen by pixels that have a size: quartering them must not make light worse, and how finely to cut must be
+measured by the light that there is."""
+
+import numpy as np
+import pytest
+
+from datagen import Accuracy, simulate
+from datagen.bench.foreign_promise import WHOLE, Truth, lights, off_square
+from datagen.bench.foreign_scenes import ForeignScene, foreign_scene
+from datagen.records.arrays import Floats
+from datagen.transport.cells.gathering import Gathering
+from datagen.transport.reference import pairs_of
+from datagen.transport.solver import prepared
+
+SAMPLES = 1 << 21
+"""Of the truth, over all pairs: some two seconds."""
+
+
+def off(ours: Floats, truth: Floats) -> float:
+    """Relative L2 error, the truth's noise taken out; `truth` (K, n) independent runs."""
+    norm, _ = off_square(np.zeros(truth.shape[1]), truth)
+    return float(np.sqrt(max(off_square(ours.ravel(), truth)[0], 0.0) / norm))
+
+
+def truth_of(foreign: ForeignScene, what: str) -> Floats:
+    truth = Truth(foreign, seed=1)
+    truth.add(SAMPLES // truth.pairs)
+    return truth.light[what]
+
+
+def test_quartering_pixels_does_not_make_lobes_worse() -> None:
+    """A glossy box. Patches that may each err by as much as their pixel err by 2^levels together."""
+    foreign, part = foreign_scene(19), "object 0"
+    true = truth_of(foreign, part)
+    gathering = Gathering.of(prepared(foreign.scene, foreign.capture, Accuracy(target=0.02), 1, split_parts=True))
+    pairs, parts = pairs_of(foreign.capture), len(foreign.scene.part_names)
+    may = np.full(parts, np.inf)
+    may[foreign.scene.part_names.index(part)] = 0.01 * np.sqrt(off_square(np.zeros(true.shape[1]), true)[0])
+    rows = np.zeros(parts, np.int64)
+    found = [
+        off(gathering.gathered(pairs, gathering.seen(pairs, level, max(level, 1)), may, rows).histogram, true)
+        for level in range(5)
+    ]
+    assert max(found) < 0.02, found
+
+
+@pytest.mark.parametrize(("scene", "part"), [(6, "object 0"), (17, "object 2")])
+def test_lobes_narrower_than_pixels_keep_their_claim(scene: int, part: str) -> None:
+    """A ball of facets that mirror in 1 degree, and a box that sends light back in 11."""
+    foreign = foreign_scene(scene)
+    run = simulate(foreign.scene, foreign.capture, Accuracy(target=0.02, max_bounces=3), seed=1)
+    assert off(lights(run)[part], truth_of(foreign, part)) < max(2.0 * run.part_errors[part], 0.03)
+
+
+@pytest.mark.parametrize("target", [0.05, 0.02])
+def test_how_finely_to_cut_is_measured_by_the_light_there_is(target: float) -> None:
+    """A wall with a narrow lobe, a device low above the floor: were all matt there would be a million times the light,
+    and cells that may be wrong by a thousandth of that agree whatever they miss."""
+    foreign = foreign_scene(45)
+    run = simulate(foreign.scene, foreign.capture, Accuracy(target=target, max_bounces=3), seed=1)
+    true = truth_of(foreign, WHOLE)
+    assert run.met_target and run.spend is not None and run.spend.way["primary"] == "cells"
+    assert off(lights(run)[WHOLE], true) < max(target, 0.03)
