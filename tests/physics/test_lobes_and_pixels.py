@@ -54,7 +54,7 @@ def test_lobes_narrower_than_pixels_keep_their_claim(scene: int, part: str) -> N
 
 @pytest.mark.parametrize("target", [0.05, 0.02])
 def test_how_finely_to_cut_is_measured_by_the_light_there_is(target: float) -> None:
-    """A wall with a narrow lobe, a device low above the floor: were all matt there would be a million times the light,
+    """A wall with a narrow lobe, a device low above the floor: were all matt there would be a million times as much,
     and cells that may be wrong by a thousandth of that agree whatever they miss."""
     foreign = foreign_scene(45)
     run = simulate(foreign.scene, foreign.capture, Accuracy(target=target, max_bounces=3), seed=1)
