@@ -61,3 +61,12 @@ def test_how_finely_to_cut_is_measured_by_the_light_there_is(target: float) -> N
     true = truth_of(foreign, WHOLE)
     assert run.met_target and run.spend is not None and run.spend.way["primary"] == "cells"
     assert off(lights(run)[WHOLE], true) < max(target, 0.03)
+
+
+def test_a_pixel_on_both_sides_of_a_plates_plane_has_its_light() -> None:
+    """A plate that sends light back in 1.5 degrees, whose plane crosses a pixel: its one side lights a part of it."""
+    foreign, part = foreign_scene(35), "object 2"
+    run = simulate(foreign.scene, foreign.capture, Accuracy(target=0.02, max_bounces=3), seed=1)
+    crossed = 1
+    true = truth_of(foreign, part).reshape(-1, *run.parts[part].shape)[:, crossed].sum(axis=(1, 2)).mean()
+    assert run.parts[part][crossed].sum() == pytest.approx(true, rel=0.02)

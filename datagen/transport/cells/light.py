@@ -316,8 +316,16 @@ def gather(  # type: ignore[no-untyped-def]
                         cut |= (over * unlike > alike and not unseen) or (quarter and h > 2.0 * size)
                         quarter &= not cut
                     if height1 * height3 <= 0.0 or abs(height3) < flat:
-                        # This side does not light the patch's middle; it may light parts of a large one.
-                        if not (quarters and abs(height3) < size and size > 0.1 * r3):
+                        # This side does not light the patch's middle; it may light parts of it, as it does what lies
+                        # so far above it.
+                        if not (quarters and abs(height3) < size):
+                            continue
+                        rise = math.copysign(size, height1)
+                        z_lit = (z[0] + rise * n[0], z[1] + rise * n[1], z[2] + rise * n[2])
+                        lit_part = (z_lit, n3, seen_from[2], kind[k3], values[k3])
+                        if gain * cell[top, 15] * weight_at_most(
+                            m, n, kind2, values2, lit_from, lit_part, footprint, attenuation, h, size, tilt
+                        ) <= alike:  # fmt: skip
                             continue
                         quarter = True
                     if not (quarter or over > 0.0):
