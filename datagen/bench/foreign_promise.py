@@ -1,7 +1,7 @@
 """`datagen bench promise OUT --foreign N`: scenes that no configuration would draw, held against the definition.
 
 Each scene (`foreign_scenes.py`) is simulated to a target; the error of the whole and of each object's own light is
-then measured against independent runs X₁ … X_K of `transport/reference.py`, which knows of no cells. With
+then measured against independent runs X₁ … X_K of `transport/sampled_paths.py`, which knows of no cells. With
 dₖ = ours − Xₖ,
 
     Σ_{j≠k} dⱼ·dₖ / (K (K − 1))    has the mean    ‖ours − true‖²,
@@ -34,6 +34,7 @@ from datagen.records import Accuracy, Transient
 from datagen.records.arrays import Floats
 from datagen.transport.raycast import Raycaster
 from datagen.transport.reference import pairs_of, reference
+from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.solver import simulate
 
 WHOLE = "whole"
@@ -165,7 +166,7 @@ class Truth:
             runs = [
                 reference(
                     self.foreign.scene, self.foreign.capture, samples=each, replicates=1, seed=seed,
-                    max_bounces=self.foreign.max_bounces, caster=self.caster,
+                    max_bounces=self.foreign.max_bounces, caster=self.caster, draw=sample_paths,
                 )
                 for seed in range(first, first + RUNS)
             ]  # fmt: skip

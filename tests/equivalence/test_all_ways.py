@@ -1,5 +1,7 @@
 """Every way of computing light equals the definition (`transport/reference.py`): for every BRDF, shape and scan.
 
+The truth are sampled paths, which `test_sampled_paths.py` holds against the definition itself.
+
 Compared are energies: of each part's primary, of each histogram, and of windows of time; of the primary and of the
 secondary each. The reference and the walk are known from `RUNS` independent runs, so a difference is held against
 Student's t at a family-wise level of `LEVEL` over all numbers of a case. What a way claims of its own error comes on
@@ -22,6 +24,7 @@ from scipy import stats
 from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Phong, Scene, Sensor, simulate
 from datagen.records import Material, OrenNayar, Retroreflector, SinLobe, Transient
 from datagen.transport.reference import reference
+from datagen.transport.sampled_paths import sample_paths
 
 RUNS, LEVEL = 8, 1e-4
 """Level for each case: of 432 nightly cases with four ways each, one in six nights would fail by chance."""
@@ -164,7 +167,10 @@ def of_runs(runs: list[Numbers]) -> tuple[Numbers, Numbers]:
 @lru_cache(maxsize=1)
 def truth(material: str, shape: str, capture: str) -> tuple[Numbers, Numbers]:
     scene, seen = scene_of(material, shape), CAPTURES[capture]()
-    runs = [reference(scene, seen, samples=SAMPLES, replicates=1, max_bounces=4, seed=seed) for seed in range(RUNS)]
+    runs = [
+        reference(scene, seen, samples=SAMPLES, replicates=1, max_bounces=4, seed=seed, draw=sample_paths)
+        for seed in range(RUNS)
+    ]
     assert not sum(run.overflow.sum() for run in runs)
     return of_runs([energies(run, shape) for run in runs])
 

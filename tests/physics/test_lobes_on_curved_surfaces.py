@@ -14,7 +14,7 @@ import trimesh
 import datagen as dg
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.raycast import Raycaster
-from datagen.transport.reference import _brdf
+from datagen.transport.reference import brdf
 from tests.rooms import bins_of_path, rectangle, square_pixels
 
 MESHES = Path(__file__).parents[3] / "shared" / "meshes"
@@ -73,7 +73,7 @@ def facet_sum(scene: dg.Scene, body: trimesh.Trimesh, times: int) -> np.ndarray:
         up, side = w[:, 0], -np.einsum("nk,nk->n", w, normal)
         outward = normal * np.sign(side)[:, None]
         hidden = caster.occluded(x + caster.offset_m * np.array([1.0, 0, 0]), middle + caster.offset_m * outward)
-        f, _ = _brdf(table.kind, table.values, part, outward, -w, -w)
+        f = brdf(table.kind, table.values, part, outward, -w, -w)
         each = (ALBEDO / np.pi) ** 2 * up**2 * side**2 * f / r**4 * length / 2
         to_device = DEVICE - x
         leg = np.linalg.norm(to_device)

@@ -1,4 +1,5 @@
-"""The definition of the transient against laws: spheres, the direct return, fog, reciprocity, nothing."""
+"""Sampled paths of light against laws: spheres, the direct return, fog, reciprocity, nothing. That they are those of
+the definition, `tests/equivalence/test_sampled_paths.py` holds."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ from datagen import Accuracy, Capture, Lambertian, Laser, Part, Phong, Scene, Se
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fov import PixelCones
 from datagen.transport.raycast import Raycaster
-from datagen.transport.reference import pairs_of, reference, sample_paths
+from datagen.transport.reference import pairs_of, reference
+from datagen.transport.sampled_paths import sample_paths
 
 APERTURE_M2 = np.pi * 0.02**2
 
@@ -29,12 +31,14 @@ def test_inside_of_a_sphere(albedo: float) -> None:
     scene = Scene.from_parts([Part("sphere", ball, Lambertian(albedo), "structure")])
     capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(100, 0.1, 0.0))
     primary = albedo**3 / np.pi / (4 * np.pi) * APERTURE_M2 * PixelCones.of(capture.sensor).solid_angle[0]
-    found = reference(scene, capture, samples=1 << 14, replicates=2, max_bounces=6, seed=1)
+    found = reference(scene, capture, draw=sample_paths, samples=1 << 14, replicates=2, max_bounces=6, seed=1)
     by_order = [found.components["primary"].sum(), found.components["secondary"].sum()]
     assert by_order == pytest.approx([primary, primary * albedo], rel=2e-3)
     assert found.components["higher"].sum() == pytest.approx(primary * (albedo**2 + albedo**3), rel=4e-3)
     if albedo < 1:
-        everything = reference(scene, capture, samples=1 << 12, replicates=8, max_bounces=None, seed=1)
+        everything = reference(
+            scene, capture, draw=sample_paths, samples=1 << 12, replicates=8, max_bounces=None, seed=1
+        )
         assert everything.total.sum() == pytest.approx(primary / (1 - albedo), rel=1e-2)
 
 
@@ -44,7 +48,12 @@ def test_paths_in_a_sphere_arrive_when_chords_say() -> None:
     ball.apply_scale(np.sqrt(4 * np.pi / ball.area))
     scene = Scene.from_parts([Part("sphere", ball, Lambertian(0.8), "structure")])
     capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(BINS, WIDTH_M, 0.0))
-    runs = np.array([reference(scene, capture, samples=4096, replicates=1, seed=s).total[0, 0] for s in range(16)])
+    runs = np.array(
+        [
+            reference(scene, capture, draw=sample_paths, samples=4096, replicates=1, seed=s).total[0, 0]
+            for s in range(16)
+        ]
+    )
     primary = 0.8**3 / np.pi / (4 * np.pi) * APERTURE_M2 * PixelCones.of(capture.sensor).solid_angle[0]
     share, error = stored().of(3)
     measured, stderr = runs.mean(axis=0), runs.std(axis=0, ddof=1) / 4
@@ -61,7 +70,7 @@ def test_the_direct_return_and_fog(origin: str) -> None:
     scene = replace(furnished_box(), attenuation_per_m=0.3)
     capture = one_point_capture((0, 1.3, 1.2), (0, 1.4, 1.2), 0.15)
     capture = replace(capture, time=replace(capture.time, origin=origin))
-    found = reference(scene, capture, samples=1 << 14, replicates=8, direct=True, seed=1)
+    found = reference(scene, capture, draw=sample_paths, samples=1 << 14, replicates=8, direct=True, seed=1)
     walk = simulate(scene, capture, Accuracy(1 << 14, 4, 3, 8, direct=True), seed=1)
     for name in ("direct", "primary"):
         ours, theirs = found.components[name][0, 0], walk.components[name][0, 0]
@@ -81,7 +90,9 @@ def test_laser_point_and_pixel_may_change_places() -> None:
     runs = []
     for a, b in (places, places[::-1]):
         capture = Capture(Laser(device, [a]), Sensor(device, square_pixels([b], 1e-4)), time)
-        runs.append(reference(scene, capture, samples=1 << 13, replicates=8, max_bounces=4, seed=len(runs)))
+        runs.append(
+            reference(scene, capture, draw=sample_paths, samples=1 << 13, replicates=8, max_bounces=4, seed=len(runs))
+        )
     for name in ("primary", "secondary"):
         there, back = (run.components[name].sum() for run in runs)
         assert there > 0
@@ -95,7 +106,7 @@ def test_where_there_is_no_light() -> None:
     alone = Scene.from_parts([wall])
     for laser, seen in (((0, 0.2, 1), (0, -0.2, 1)), ((0, 5.0, 1), (0, 0, 1)), ((0, 0, 1), (0, 5.0, 1))):
         capture = one_point_capture(laser, seen, 0.05)
-        found = reference(alone, capture, samples=256, max_bounces=4)
+        found = reference(alone, capture, draw=sample_paths, samples=256, max_bounces=4)
         assert not found.total.any() and not found.overflow.any()
         assert found.total.shape == capture.shape
 

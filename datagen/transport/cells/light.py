@@ -179,7 +179,7 @@ def gather(  # type: ignore[no-untyped-def]
                 seen_from = (z, n3, corner(to_sensor3, p, q), kind[k3], values[k3])
                 keen, tilt = max(sharp[k1], sharp[k], sharp[k3]), 0.0
                 share, size, footprint = cell[top, 16], size3[p, q], footprint3[p, q]
-                # What a lobe makes of a cell for one patch it makes for the next, but for what chance makes of either.
+                # What a lobe makes of a cell for one patch it makes for the next, unless chance does.
                 of_pixel = share * share3[q] if keen > 1.0 else 1.0
                 may, alike = allowed[k] * math.sqrt(of_pixel), allowed[k] * of_pixel
                 gain = lit * weight3[p, q] * share

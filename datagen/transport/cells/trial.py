@@ -195,8 +195,8 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
     runs, cuttings, cells = [found.histogram], [np.full(groups, COARSE)], [found.cells]
     scale = runs[0]
     if trial.gathering.lobed:
-        # What coarse cells find of lobes may be a millionth of their light, and no measure of how fine to begin; nor is
-        # what matt surfaces would bring: it may be a million times as much.
+        # What coarse cells find of lobes may be a millionth of their light, and no measure of how fine to begin;
+        # nor is what matt surfaces would bring: it may be a million times as much.
         matt = trial.gathered(np.full(groups, COARSE), trial.levels, matt=True).histogram
         scale = np.maximum(scale, matt)
     whole, own = _norm(scale), _norms(scale)
@@ -323,8 +323,8 @@ def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tupl
 
 def _between(cuttings: Floats, still: Floats, level: Ints, wanted: Floats) -> tuple[Floats, Floats]:
     """(G,) cuttings between the one of a level and the coarser one before it that leave errors of `wanted`, and what
-    they leave; the level's own where `wanted` is not between theirs, or they are more than a step apart. Errors go with
-    a power of the cutting."""
+    they leave; the level's own where `wanted` is not between theirs, or they are more than a step apart. Errors go
+    with a power of the cutting."""
     every = np.arange(cuttings.shape[1])
     fine, left = cuttings[level, every], still[level, every]
     before = np.maximum(level - 1, 0)

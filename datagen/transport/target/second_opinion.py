@@ -1,9 +1,9 @@
 """A second opinion on light that was found by cells: a few unbiased samples of its energy, by part and time window.
 
 Differences between two cuttings of one method tell of discretisation and nothing of what both miss. So some pairs of
-laser point and pixel are drawn at random, and paths of light (`reference.py`, which knows of no cells) say how much
-more or less energy they bring than was found there, by part and in coarse windows of time. With chance q to draw a
-pair, x its sampled energy and m the one found,
+laser point and pixel are drawn at random, and paths of light (`sampled_paths.py`, which knows of no cells) say how
+much more or less energy they bring than was found there, by part and in coarse windows of time. With chance q to draw
+a pair, x its sampled energy and m the one found,
 
     D = ⟨(x − m)/q⟩     has the mean  Σ over all pairs of (truth − found),
 
@@ -26,7 +26,8 @@ from scipy import stats
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.coincidence import lit_in_one_place
 from datagen.transport.cost import SAMPLE
-from datagen.transport.reference import pairs_of, sample_paths
+from datagen.transport.reference import pairs_of
+from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.walk import WalkTask
 from datagen.units import time_from_path
@@ -44,8 +45,8 @@ LOOK_AGAIN = 1.75
 LEVEL = 1e-4
 """Chance that a second look calls light wrong that is right, over all its parts and windows."""
 ENOUGH = 64
-"""Independent bright samples, (Σx)²/Σx², from which samples may say that there is less light than was found: in every
-window that any came to."""
+"""Independent bright samples, (Σx)²/Σx², from which samples may say that there is less light than was found: in a window,
+and in all of them together."""
 EVENLY = 0.25
 """Weight of drawing pairs evenly, beside that of all claims' light."""
 
@@ -184,6 +185,5 @@ def _compared(sampled: Floats, expected: Floats) -> tuple[Floats, Floats, Bools]
     sigma = apart.std(axis=0, ddof=1) / np.sqrt(len(apart))
     squares = (sampled**2).sum(axis=0)
     effective = np.divide(sampled.sum(axis=0) ** 2, squares, out=np.zeros_like(squares), where=squares > 0)
-    # A rare bright path in one window tells that there are more of them, in the other windows, too.
-    few = (effective > 0) & (effective < ENOUGH)
-    return apart.mean(axis=0), sigma, np.asarray((effective >= ENOUGH) & ~few.any())
+    # The last is all windows' sum. Where it hangs on a few bright paths, there are more of them, in any window.
+    return apart.mean(axis=0), sigma, np.asarray(np.minimum(effective, effective[-1]) >= ENOUGH)

@@ -1,4 +1,4 @@
-"""Where the reference looks for hidden vertices by area: a matter of its variance, never of its mean.
+"""Where `sampled_paths.py` looks for hidden vertices by area: a matter of its variance, never of its mean.
 
 Small parts get more points for their area, as rays seldom meet them, and parts that no laser point can light get
 none. Within a part its triangles get points by a guess, for each pair of laser point and pixel: the integrand at
