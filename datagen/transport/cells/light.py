@@ -136,7 +136,7 @@ def gather(  # type: ignore[no-untyped-def]
     limit, last_leg, proofs = cutting.coarsest, cutting.rays_on_last_leg, cutting.proofs
     per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
     opens, closes = clock.opens, clock.closes
-    enough, patches_each = len(listed) - 4 * RING, len(quarters3)
+    enough, boxes = len(listed) - 4 * RING, len(span)
     some, strongest = min(occluders.triangles, 1), 0.0
     to_z = LISTED + some
     free = to_z + some
@@ -248,7 +248,7 @@ def gather(  # type: ignore[no-untyped-def]
                             small = at_most <= may and 2.0 * h <= COARSEST * near3
                         quarter = small and quarters and size > 0.3 * near3
                         if small and not quarter:
-                            word = word_of(seed, row[pair], 8 * (at * patches_each + q))
+                            word = word_of(seed, row[pair], 8 * (q * boxes + at))
                             f, y = anywhere(start, end, area_before, corners, word)
                             n = get(normal, f, 0)
                             w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
@@ -341,7 +341,7 @@ def gather(  # type: ignore[no-untyped-def]
                             rays += 1
                             y = m
                             if alone:
-                                word = word_of(seed, row[pair], 8 * (at * patches_each + q))
+                                word = word_of(seed, row[pair], 8 * (q * boxes + at))
                                 f, y = anywhere(start, end, area_before, corners, word)
                                 if inner and _inner_side(x, z, f, normal, corners, solid, solid_box):
                                     continue
@@ -354,7 +354,7 @@ def gather(  # type: ignore[no-untyped-def]
                                 y = half(m, vertex_of(cell, top, j))
                                 if alone:
                                     low, high = start + j * (end - start) // 3, start + (j + 1) * (end - start) // 3
-                                    word = word_of(seed, row[pair], 8 * (at * patches_each + q) + j + 1)
+                                    word = word_of(seed, row[pair], 8 * (q * boxes + at) + j + 1)
                                     f, y = anywhere(low, high, area_before, corners, word)
                                 if not (inner and _inner_side(x, z, f, normal, corners, solid, solid_box)):
                                     seen += _seen(y, x, z, f, first, middle, last, hides, listed)
