@@ -48,7 +48,7 @@ SURE = 3.0
 """Standard errors from what was asked that decide a case otherwise."""
 DISPUTED = 5.0
 WINDOW_S = 1e-9
-MOST_LOOKINS = 1 << 19
+MOST_LOOKINS = 1 << 21
 """Rays for each laser point after which a simulation may give up, which it then says: of lobes a degree wide it would
 else take minutes."""
 WALKS, WALKED = 4, 1 << 13
