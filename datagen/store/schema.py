@@ -44,6 +44,7 @@ SCHEMA_VERSIONS = {
     13: "datagen 0.14: columns labels.scan_right_m, labels.scan_up_m; the direct return is there wherever it is "
     "asked for and not proven to be none; evidence of objects in plain sight counts all their light; with a target a "
     "seed yields other light, all of it where surfaces have lobes; column transport.spend.second_opinion",
+    14: "datagen 0.15: with a target a seed yields other light, most of it where pixels see lobes",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
