@@ -23,7 +23,7 @@ from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.transport.brdf.table import LAMBERTIAN, OREN_NAYAR
 from datagen.transport.cells.gathering import Gathering, patches_of
 from datagen.transport.cells.pairs import arrive, join, room_for
-from datagen.transport.cells.reach import SHARE, TO_DEVICE, UPWARD, Ends, reach_of
+from datagen.transport.cells.reach import ENERGY, SHARE, TO_DEVICE, UPWARD, Ends, reach_of
 from datagen.transport.cells.trial import by_light, spread_evenly
 from datagen.transport.cost import CELL_PAIR, PAIR_RAY
 from datagen.transport.reference import pairs_of
@@ -105,9 +105,13 @@ def secondary_by_cells(
         rough = replace(
             rough, histogram=rough.histogram + matt.histogram, photons=np.maximum(rough.photons, matt.photons)
         )
-    scale = float(rough.photons.sum() / max(rough.gain, 1e-300))
+    gain = max(rough.gain, 1e-300)
+    scale = float(rough.photons.sum() / gain)
     if scale == 0.0:
         return None
+    scan = replace(scan, caught=rough.caught)
+    # Where far less is asked than of its own light, coarser pairs will do: lobes bring next to nothing at any price.
+    scale = max(scale, limit / math.sqrt(len(lit)) * len(looked) / gain)
     tried, stands_for = by_light(np.linalg.norm(rough.histogram, axis=1, keepdims=True), wanted)
     tried, weight = looked[tried], stands_for * len(lit) / len(looked)
     level = _level(scan, tried, weight, patches, scale, limit, own, faint, most)
@@ -234,11 +238,13 @@ def _still(histograms: list[Floats]) -> Floats:
 
 @dataclass(frozen=True)
 class _Light:
-    """Histograms (n, T) and all photons (n,) of pairs; the sum of their gains; pairs of cells and rays."""
+    """Histograms (n, T) and all photons (n,) of pairs; the sum of their gains; the mean share of an end's light that
+    its cells catch; pairs of cells looked at, and rays."""
 
     histogram: Floats
     photons: Floats
     gain: float
+    caught: float
     pairs: int
     rays: int
 
@@ -256,6 +262,8 @@ class _Scan:
     extended: bool
     """Whether some pixel is larger than a point."""
     patches_to_begin: int
+    caught: float = 1.0
+    """Mean share of an end's light that surfaces catch: in the open the rest flies off."""
     room: tuple[tuple[Floats, ...], tuple[Floats, Ints], tuple[Singles, Singles]] = field(
         default_factory=lambda: room_for(PAIRS_AT_ONCE)
     )
@@ -278,23 +286,25 @@ class _Scan:
         """
         bins = self.task.capture.time.bins
         knots, photons = np.zeros((len(pairs), bins + 3)), np.zeros(len(pairs))
-        gain, count, rays = 0.0, 0, 0
+        gain, caught, count, rays = 0.0, 0.0, 0, 0
         at_once = CONFOCAL_AT_ONCE if self.task.capture.pairing == "confocal" else EXHAUSTIVE_AT_ONCE
         for start in range(0, len(pairs), at_once):
             run = slice(start, start + at_once)
-            of_run, joined, asked = self._add(
-                pairs[run], start, LIGHT * LIGHT_FINER**level, patches, allowed, matt, knots, photons
+            of_run, share, joined, asked = self._add(
+                pairs[run], start, LIGHT * LIGHT_FINER**level * self.caught, patches, allowed, matt, knots, photons
             )
-            gain, count, rays = gain + of_run, count + joined, rays + asked
+            gain, caught = gain + of_run, caught + share * len(pairs[run]) / len(pairs)
+            count, rays = count + joined, rays + asked
         histogram = np.cumsum(np.cumsum(knots, axis=1), axis=1)[:, :bins]
         histogram[histogram < ROUNDING * histogram.max(axis=1, initial=0.0, keepdims=True)] = 0.0
-        return _Light(histogram, photons, gain, count, rays)
+        return _Light(histogram, photons, gain, caught, count, rays)
 
     def _add(
         self, pairs: Ints, first: int, error: float, patches: int, allowed: float, matt: bool, knots: Floats,
         photons: Floats,
-    ) -> tuple[float, int, int]:  # fmt: skip
-        """Add the knots of a run of pairs; returns the sum of their gains, pairs of cells and rays."""
+    ) -> tuple[float, float, int, int]:  # fmt: skip
+        """Add the knots of a run of pairs; returns the sum of their gains, the share of their light that is caught,
+        pairs of cells looked at, and rays."""
         task, axis, air = self.task, self.task.capture.time, self.task.scene.attenuation_per_m
         tree, occluders, width = self.gathering.tree, self.gathering.occluders, self.gathering.width
         device, asked = axis.origin == "source", task.accuracy.occlusion != "off"
@@ -324,20 +334,21 @@ class _Scan:
         row = first + np.arange(len(pairs))
         at, cell, count = 0, -1, 0
         while at < len(pairs):
-            at, cell, found = join(  # type: ignore[call-arg]
+            at, cell, found, looked_at = join(  # type: ignore[call-arg]
                 at, cell, local, 2.0 * gain if same else gain, zero, row, lit, ones.first, ones.cell, ones.number,
                 ones.part, seen, twos.first, twos.cell, twos.number, twos.part, same, materials.kind,
                 materials.values, sharp, allowed, air, per_metre, caster.offset_m, scale, *waiting, figures, rows,
-                origin, span,
+                origin, span, PAIRS_AT_ONCE,
             )  # fmt: skip
-            count += found
+            count += looked_at
             if asked and occluders.any:
                 hidden = caster.occluded_scaled(origin[:found], span[:found])
                 rays += found
             else:
                 hidden = np.zeros(found, np.bool_)
             arrive(found, figures, rows, hidden, knots, photons)
-        return float(gain.sum()), count, rays
+        caught = (ones.number[:, ENERGY].sum() + twos.number[:, ENERGY].sum()) / (len(lasers) + len(pixels))
+        return float(gain.sum()), float(caught), count, rays
 
     def _same(self, lit: Ends, seen: Ends, pairs: Ints) -> bool:
         """Whether each laser point is its own pixel, so that light may go round either way."""

@@ -242,7 +242,7 @@ def room_for(count):  # type: ignore[no-untyped-def]
 def join(  # type: ignore[no-untyped-def]
     begin, begin_cell, pairs, gain, zero, row, ends1, first1, cell1, number1, part1, ends2, first2, cell2, number2,
     part2, same, kind, values, sharp, allowed, attenuation, per_metre, offset, scale, near1, known1, near2, known2,
-    figures, rows, origin, span,
+    figures, rows, origin, span, most_looked_at,
 ):  # fmt: skip
     """Pairs of cells of ends that are lit and ends that see, from pair of ends `begin` on, while there is room.
 
@@ -250,19 +250,21 @@ def join(  # type: ignore[no-untyped-def]
     zero : (n,) bins before those of the path between the ends. same : whether the two ends of each pair are one, so
         that each pair of cells stands for itself and its reverse. sharp : (K,) 1/width² of each part's BRDF.
     allowed : L2 error that a pair of cells may make, for a gain of one.
-    Returns where it stopped, and how many pairs of cells were found.
+    most_looked_at : pairs of cells after which it stops, as it does where there is no more room.
+    Returns where it stopped, how many pairs of cells were found, and how many were looked at to find them.
     """
-    count = 0
+    count = looked_at = 0
     last, haze = len(rows), attenuation / per_metre
     for k in range(begin, len(pairs)):
         p, q = pairs[k, 0], pairs[k, 1]
         for i in range(begin_cell if k == begin and begin_cell >= 0 else first1[p], first1[p + 1]):
             # Half of the room is for what this cell alone may be cut into.
-            if 2 * count > last:
-                return k, i, count
+            if 2 * count > last or looked_at > most_looked_at:
+                return k, i, count, looked_at
             a = part1[i]
             for j in range(i + 1 if same else first2[q], first2[q + 1]):
                 b = part2[j]
+                looked_at += 1
                 keen = max(sharp[a], sharp[b])
                 energy, most, r, path, variance, share, y1, y2 = _joined(number1, i, number2, j, a, b, kind, values)
                 if not most > 0.0:
@@ -290,6 +292,7 @@ def join(  # type: ignore[no-untyped-def]
                 top, left = 1, last - count - (first2[q + 1] - j)
                 while top > 0:
                     top -= 1
+                    looked_at += 1
                     energy, most, r, path, variance, share, y1, y2 = _joined(
                         known1, top, known2, top, a, b, kind, values
                     )
@@ -324,7 +327,7 @@ def join(  # type: ignore[no-untyped-def]
                     )  # fmt: skip
                     count += 1
                     left -= 1
-    return len(pairs), -1, count
+    return len(pairs), -1, count, looked_at
 
 
 @compiled()
