@@ -33,7 +33,7 @@ NOISE_AT_MOST = 0.9
 NOTHING_AFTER = 1 << 16
 """Lookins in all after which a component without any light is taken for dark."""
 SEARCH_GROWTH = 8
-CHEAP = 0.25
+CHEAP = 4.0
 """Share of the square of the target for the primary from cells, relative to that of each other component. Errors of
 different light add up as squares, and all of it costs least where each has a share as its cost times the power by
 which that falls with its error: about two for pairs of cells and samples, and a half for the primary's cells."""
