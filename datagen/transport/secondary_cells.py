@@ -178,7 +178,9 @@ def _level(
             )
             if patches < 0:
                 return None
-        still = _still(histograms) + of_patches
+        # What clusters give to cells beside them is wrong alike at all levels.
+        doubt = [run.doubt * l2_norm(histogram) for run, histogram in zip(runs, histograms, strict=True)]
+        still = _still(histograms) + of_patches + doubt[:-1]
         costs = [run.cost for run in runs]
         # The error of its own light is given up where that costs too much, and where no level is left.
         for goal in (wanted, limit):
@@ -189,7 +191,7 @@ def _level(
             return None
         if number > n - 1:
             continue
-        left = (REST - 1) * l2_norm(histograms[-1] - histograms[-2]) + of_patches
+        left = (REST - 1) * l2_norm(histograms[-1] - histograms[-2]) + of_patches + doubt[-1]
         return _Level(
             number, patches, error, runs[-1], left, sum(run.pairs for run in runs), sum(run.rays for run in runs)
         )
@@ -239,14 +241,20 @@ def _still(histograms: list[Floats]) -> Floats:
 @dataclass(frozen=True)
 class _Light:
     """Histograms (n, T) and all photons (n,) of pairs; the sum of their gains; the mean share of an end's light that
-    its cells catch; pairs of cells looked at, and rays."""
+    its cells catch; photons of clusters that are too near to other cells; pairs of cells looked at, and rays."""
 
     histogram: Floats
     photons: Floats
     gain: float
     caught: float
+    near: float
     pairs: int
     rays: int
+
+    @property
+    def doubt(self) -> float:
+        """Share of the light that is not known."""
+        return self.near / max(float(self.photons.sum()), self.near, 1e-300)
 
     @property
     def cost(self) -> float:
@@ -286,25 +294,25 @@ class _Scan:
         """
         bins = self.task.capture.time.bins
         knots, photons = np.zeros((len(pairs), bins + 3)), np.zeros(len(pairs))
-        gain, caught, count, rays = 0.0, 0.0, 0, 0
+        gain, caught, near, count, rays = 0.0, 0.0, 0.0, 0, 0
         at_once = CONFOCAL_AT_ONCE if self.task.capture.pairing == "confocal" else EXHAUSTIVE_AT_ONCE
         for start in range(0, len(pairs), at_once):
             run = slice(start, start + at_once)
-            of_run, share, joined, asked = self._add(
+            of_run, share, doubt, joined, asked = self._add(
                 pairs[run], start, LIGHT * LIGHT_FINER**level * self.caught, patches, allowed, matt, knots, photons
             )
-            gain, caught = gain + of_run, caught + share * len(pairs[run]) / len(pairs)
+            gain, caught, near = gain + of_run, caught + share * len(pairs[run]) / len(pairs), near + doubt
             count, rays = count + joined, rays + asked
         histogram = np.cumsum(np.cumsum(knots, axis=1), axis=1)[:, :bins]
         histogram[histogram < ROUNDING * histogram.max(axis=1, initial=0.0, keepdims=True)] = 0.0
-        return _Light(histogram, photons, gain, caught, count, rays)
+        return _Light(histogram, photons, gain, caught, near, count, rays)
 
     def _add(
         self, pairs: Ints, first: int, error: float, patches: int, allowed: float, matt: bool, knots: Floats,
         photons: Floats,
-    ) -> tuple[float, float, int, int]:  # fmt: skip
+    ) -> tuple[float, float, float, int, int]:  # fmt: skip
         """Add the knots of a run of pairs; returns the sum of their gains, the share of their light that is caught,
-        pairs of cells looked at, and rays."""
+        photons of clusters too near to other cells, pairs of cells looked at, and rays."""
         task, axis, air = self.task, self.task.capture.time, self.task.scene.attenuation_per_m
         tree, occluders, width = self.gathering.tree, self.gathering.occluders, self.gathering.width
         device, asked = axis.origin == "source", task.accuracy.occlusion != "off"
@@ -332,15 +340,15 @@ class _Scan:
         waiting, (figures, rows), (origin, span) = self.room
         local = np.stack([i.reshape(-1), p.reshape(-1)], axis=1)
         row = first + np.arange(len(pairs))
-        at, cell, count = 0, -1, 0
+        at, cell, count, near = 0, -1, 0, 0.0
         while at < len(pairs):
-            at, cell, found, looked_at = join(  # type: ignore[call-arg]
+            at, cell, found, looked_at, doubt = join(  # type: ignore[call-arg]
                 at, cell, local, 2.0 * gain if same else gain, zero, row, lit, ones.first, ones.cell, ones.number,
                 ones.part, seen, twos.first, twos.cell, twos.number, twos.part, same, materials.kind,
                 materials.values, sharp, allowed, air, per_metre, caster.offset_m, scale, *waiting, figures, rows,
                 origin, span, PAIRS_AT_ONCE,
             )  # fmt: skip
-            count += looked_at
+            count, near = count + looked_at, near + doubt
             if asked and occluders.any:
                 hidden = caster.occluded_scaled(origin[:found], span[:found])
                 rays += found
@@ -348,7 +356,7 @@ class _Scan:
                 hidden = np.zeros(found, np.bool_)
             arrive(found, figures, rows, hidden, knots, photons)
         caught = (ones.number[:, ENERGY].sum() + twos.number[:, ENERGY].sum()) / (len(lasers) + len(pixels))
-        return float(gain.sum()), float(caught), count, rays
+        return float(gain.sum()), float(caught), near, count, rays
 
     def _same(self, lit: Ends, seen: Ends, pairs: Ints) -> bool:
         """Whether each laser point is its own pixel, so that light may go round either way."""
