@@ -173,8 +173,10 @@ def _level(
             continue
         if n == 1:
             # Not with the coarsest cells: how those are cut changes with the patches, too.
+            number, _ = _to_reach(_still(histograms), WITHIN * limit)
+            least = _cost_at([run.cost for run in runs], number) / runs[1].cost
             patches, of_patches = _patches_for(
-                scan, tried, root, patches, histograms[1], PAIR * FINER * scale, wanted
+                scan, tried, root, patches, runs[1], histograms[1], PAIR * FINER * scale, wanted, least, most
             )
             if patches < 0:
                 return None
@@ -218,13 +220,22 @@ def _cost_at(costs: list[float], level: float) -> float:
 
 
 def _patches_for(
-    scan: _Scan, pairs: Ints, root: Floats, level: int, coarse: Floats, allowed: float, wanted: float
-) -> tuple[int, float]:
-    """How often pixels have to be quartered, −1 for too often, and the L2 error that this leaves."""
-    if not scan.extended:
-        return level, 0.0
-    while level < PATCH_LEVELS:
-        finer = root * scan.light(pairs, 1, level + 1, allowed).histogram
+    scan: _Scan, pairs: Ints, root: Floats, level: int, run: _Light, coarse: Floats, allowed: float, wanted: float,
+    least: float, most: _Most,
+) -> tuple[int, float]:  # fmt: skip
+    """How often pixels have to be quartered, −1 for too often or where all would cost too much, and the L2 error that
+    this leaves.
+
+    run, coarse : with the pixels as they are, and its weighted histograms. least : cost of the coarsest cells that
+    will do, relative to those of the run.
+    """
+    while not most.exceeded(least * run.cost):
+        if not scan.extended:
+            return level, 0.0
+        if level == PATCH_LEVELS:
+            break
+        run = scan.light(pairs, 1, level + 1, allowed)
+        finer = root * run.histogram
         off = FROM_QUARTERS * l2_norm(finer - coarse)
         if off <= PATCHES_SHARE * wanted:
             return level, off
