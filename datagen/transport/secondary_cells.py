@@ -90,7 +90,21 @@ def secondary_by_cells(
     faint : photons, per emitted photon and over all histograms, under which it is not held to the second.
     too_dear : whether a cost, in the units of `cost.py`, is too much.
     """
-    scan, task = _Scan.of(gathering), gathering.task
+    try:
+        return _secondary(gathering, limit, own, faint, too_dear)
+    except _TooDear:
+        return None
+
+
+class _TooDear(Exception):
+    """Cells took far more pairs than were foretold, or than anything foretold: narrow lobes are searched for."""
+
+
+def _secondary(
+    gathering: Gathering, limit: float, own: float, faint: float, too_dear: Callable[[float], bool]
+) -> Secondary | None:
+    """As `secondary_by_cells`, but that `_TooDear` is raised."""
+    scan, task = replace(_Scan.of(gathering), too_dear=too_dear), gathering.task
     pairs = pairs_of(task.capture)
     lit = pairs[task.points.part[pairs[:, 0]] >= 0]
     patches, most = scan.patches_to_begin, _Most(len(lit), too_dear)
@@ -110,8 +124,9 @@ def secondary_by_cells(
     if scale == 0.0:
         return None
     scan = replace(scan, caught=rough.caught)
-    # Where far less is asked than of its own light, coarser pairs will do: lobes bring next to nothing at any price.
-    scale = max(scale, limit / math.sqrt(len(lit)) * len(looked) / gain)
+    if math.isfinite(limit):
+        # Where far less is asked than of its own light, coarser pairs will do: some lobes bring nothing at any price.
+        scale = max(scale, limit / math.sqrt(len(lit)) * len(looked) / gain)
     tried, stands_for = by_light(np.linalg.norm(rough.histogram, axis=1, keepdims=True), wanted)
     tried, weight = looked[tried], stands_for * len(lit) / len(looked)
     level = _level(scan, tried, weight, patches, scale, limit, own, faint, most)
@@ -283,6 +298,8 @@ class _Scan:
     patches_to_begin: int
     caught: float = 1.0
     """Mean share of an end's light that surfaces catch: in the open the rest flies off."""
+    too_dear: Callable[[float], bool] = lambda cost: False
+    """Whether a cost is too much: twice that ends the search for pairs."""
     room: tuple[tuple[Floats, ...], tuple[Floats, Ints], tuple[Singles, Singles]] = field(
         default_factory=lambda: room_for(PAIRS_AT_ONCE)
     )
@@ -366,6 +383,8 @@ class _Scan:
             else:
                 hidden = np.zeros(found, np.bool_)
             arrive(found, figures, rows, hidden, knots, photons)
+            if self.too_dear(0.5 * (CELL_PAIR * count + PAIR_RAY * rays)):
+                raise _TooDear
         caught = (ones.number[:, ENERGY].sum() + twos.number[:, ENERGY].sum()) / (len(lasers) + len(pixels))
         return float(gain.sum()), float(caught), near, count, rays
 
