@@ -33,8 +33,8 @@ NOISE_AT_MOST = 0.9
 NOTHING_AFTER = 1 << 16
 """Lookins in all after which a component without any light is taken for dark."""
 DARK = 1e-200
-"""Σ of squared photons per emitted photon up to which nothing is seen: the tail of a narrow lobe may bring e⁻⁵⁰⁰, whose
-square is no number to divide by."""
+"""Σ of squared photons per emitted photon up to which nothing is seen: the tail of a narrow lobe may bring e⁻⁵⁰⁰,
+whose square is no number to divide by."""
 SEARCH_GROWTH = 8
 SECONDARY_OWN = 2.0
 """The error of the secondary's own light, which comes when the primary's is past, relative to that of an object's."""
