@@ -22,8 +22,8 @@ OBSERVED_RAY = 1.7
 """A ray from a lookin to an observed point, or a shadow ray from there to a laser point."""
 CELL, CELL_RAY = 2.0, 3.0
 """A cell spread over its arrival times, and a ray of it in the hierarchy."""
-CELL_PAIR, PAIR_RAY = 4.0, 2.0
-"""A pair of cells, cut and spread over its arrival times, and the ray between them."""
+CELL_PAIR, PAIR_RAY = 2.3, 2.0
+"""A pair of cells, looked at, cut or spread over its arrival times, and the ray between two cells."""
 SAMPLE = 20.0
 """A path of the reference, by all its ways of finding one."""
 TERM, TERM_EACH = 0.001, 0.03

@@ -23,7 +23,7 @@ from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.transport.brdf.table import LAMBERTIAN, OREN_NAYAR
 from datagen.transport.cells.gathering import Gathering, patches_of
 from datagen.transport.cells.pairs import arrive, join, room_for
-from datagen.transport.cells.reach import SHARE, TO_DEVICE, UPWARD, Ends, reach_of
+from datagen.transport.cells.reach import ENERGY, SHARE, TO_DEVICE, UPWARD, Ends, reach_of
 from datagen.transport.cells.trial import by_light, spread_evenly
 from datagen.transport.cost import CELL_PAIR, PAIR_RAY
 from datagen.transport.reference import pairs_of
@@ -90,7 +90,21 @@ def secondary_by_cells(
     faint : photons, per emitted photon and over all histograms, under which it is not held to the second.
     too_dear : whether a cost, in the units of `cost.py`, is too much.
     """
-    scan, task = _Scan.of(gathering), gathering.task
+    try:
+        return _secondary(gathering, limit, own, faint, too_dear)
+    except _TooDear:
+        return None
+
+
+class _TooDear(Exception):
+    """Cells took far more pairs than were foretold, or than anything foretold: narrow lobes are searched for."""
+
+
+def _secondary(
+    gathering: Gathering, limit: float, own: float, faint: float, too_dear: Callable[[float], bool]
+) -> Secondary | None:
+    """As `secondary_by_cells`, but that `_TooDear` is raised."""
+    scan, task = replace(_Scan.of(gathering), too_dear=too_dear), gathering.task
     pairs = pairs_of(task.capture)
     lit = pairs[task.points.part[pairs[:, 0]] >= 0]
     patches, most = scan.patches_to_begin, _Most(len(lit), too_dear)
@@ -105,9 +119,14 @@ def secondary_by_cells(
         rough = replace(
             rough, histogram=rough.histogram + matt.histogram, photons=np.maximum(rough.photons, matt.photons)
         )
-    scale = float(rough.photons.sum() / max(rough.gain, 1e-300))
+    gain = max(rough.gain, 1e-300)
+    scale = float(rough.photons.sum() / gain)
     if scale == 0.0:
         return None
+    scan = replace(scan, caught=rough.caught)
+    if math.isfinite(limit):
+        # Where far less is asked than of its own light, coarser pairs will do: some lobes bring nothing at any price.
+        scale = max(scale, limit / math.sqrt(len(lit)) * len(looked) / gain)
     tried, stands_for = by_light(np.linalg.norm(rough.histogram, axis=1, keepdims=True), wanted)
     tried, weight = looked[tried], stands_for * len(lit) / len(looked)
     level = _level(scan, tried, weight, patches, scale, limit, own, faint, most)
@@ -169,12 +188,16 @@ def _level(
             continue
         if n == 1:
             # Not with the coarsest cells: how those are cut changes with the patches, too.
+            number, _ = _to_reach(_still(histograms), WITHIN * limit)
+            least = _cost_at([run.cost for run in runs], number) / runs[1].cost
             patches, of_patches = _patches_for(
-                scan, tried, root, patches, histograms[1], PAIR * FINER * scale, wanted
+                scan, tried, root, patches, runs[1], histograms[1], PAIR * FINER * scale, wanted, least, most
             )
             if patches < 0:
                 return None
-        still = _still(histograms) + of_patches
+        # What clusters give to cells beside them is wrong alike at all levels.
+        doubt = [run.doubt * l2_norm(histogram) for run, histogram in zip(runs, histograms, strict=True)]
+        still = _still(histograms) + of_patches + doubt[:-1]
         costs = [run.cost for run in runs]
         # The error of its own light is given up where that costs too much, and where no level is left.
         for goal in (wanted, limit):
@@ -185,7 +208,7 @@ def _level(
             return None
         if number > n - 1:
             continue
-        left = (REST - 1) * l2_norm(histograms[-1] - histograms[-2]) + of_patches
+        left = (REST - 1) * l2_norm(histograms[-1] - histograms[-2]) + of_patches + doubt[-1]
         return _Level(
             number, patches, error, runs[-1], left, sum(run.pairs for run in runs), sum(run.rays for run in runs)
         )
@@ -212,13 +235,22 @@ def _cost_at(costs: list[float], level: float) -> float:
 
 
 def _patches_for(
-    scan: _Scan, pairs: Ints, root: Floats, level: int, coarse: Floats, allowed: float, wanted: float
-) -> tuple[int, float]:
-    """How often pixels have to be quartered, −1 for too often, and the L2 error that this leaves."""
-    if not scan.extended:
-        return level, 0.0
-    while level < PATCH_LEVELS:
-        finer = root * scan.light(pairs, 1, level + 1, allowed).histogram
+    scan: _Scan, pairs: Ints, root: Floats, level: int, run: _Light, coarse: Floats, allowed: float, wanted: float,
+    least: float, most: _Most,
+) -> tuple[int, float]:  # fmt: skip
+    """How often pixels have to be quartered, −1 for too often or where all would cost too much, and the L2 error that
+    this leaves.
+
+    run, coarse : with the pixels as they are, and its weighted histograms. least : cost of the coarsest cells that
+    will do, relative to those of the run.
+    """
+    while not most.exceeded(least * run.cost):
+        if not scan.extended:
+            return level, 0.0
+        if level == PATCH_LEVELS:
+            break
+        run = scan.light(pairs, 1, level + 1, allowed)
+        finer = root * run.histogram
         off = FROM_QUARTERS * l2_norm(finer - coarse)
         if off <= PATCHES_SHARE * wanted:
             return level, off
@@ -234,13 +266,21 @@ def _still(histograms: list[Floats]) -> Floats:
 
 @dataclass(frozen=True)
 class _Light:
-    """Histograms (n, T) and all photons (n,) of pairs; the sum of their gains; pairs of cells and rays."""
+    """Histograms (n, T) and all photons (n,) of pairs; the sum of their gains; the mean share of an end's light that
+    its cells catch; photons of clusters that are too near to other cells; pairs of cells looked at, and rays."""
 
     histogram: Floats
     photons: Floats
     gain: float
+    caught: float
+    near: float
     pairs: int
     rays: int
+
+    @property
+    def doubt(self) -> float:
+        """Share of the light that is not known."""
+        return self.near / max(float(self.photons.sum()), self.near, 1e-300)
 
     @property
     def cost(self) -> float:
@@ -256,6 +296,10 @@ class _Scan:
     extended: bool
     """Whether some pixel is larger than a point."""
     patches_to_begin: int
+    caught: float = 1.0
+    """Mean share of an end's light that surfaces catch: in the open the rest flies off."""
+    too_dear: Callable[[float], bool] = lambda cost: False
+    """Whether a cost is too much: twice that ends the search for pairs."""
     room: tuple[tuple[Floats, ...], tuple[Floats, Ints], tuple[Singles, Singles]] = field(
         default_factory=lambda: room_for(PAIRS_AT_ONCE)
     )
@@ -278,23 +322,25 @@ class _Scan:
         """
         bins = self.task.capture.time.bins
         knots, photons = np.zeros((len(pairs), bins + 3)), np.zeros(len(pairs))
-        gain, count, rays = 0.0, 0, 0
+        gain, caught, near, count, rays = 0.0, 0.0, 0.0, 0, 0
         at_once = CONFOCAL_AT_ONCE if self.task.capture.pairing == "confocal" else EXHAUSTIVE_AT_ONCE
         for start in range(0, len(pairs), at_once):
             run = slice(start, start + at_once)
-            of_run, joined, asked = self._add(
-                pairs[run], start, LIGHT * LIGHT_FINER**level, patches, allowed, matt, knots, photons
+            of_run, share, doubt, joined, asked = self._add(
+                pairs[run], start, LIGHT * LIGHT_FINER**level * self.caught, patches, allowed, matt, knots, photons
             )
-            gain, count, rays = gain + of_run, count + joined, rays + asked
+            gain, caught, near = gain + of_run, caught + share * len(pairs[run]) / len(pairs), near + doubt
+            count, rays = count + joined, rays + asked
         histogram = np.cumsum(np.cumsum(knots, axis=1), axis=1)[:, :bins]
         histogram[histogram < ROUNDING * histogram.max(axis=1, initial=0.0, keepdims=True)] = 0.0
-        return _Light(histogram, photons, gain, count, rays)
+        return _Light(histogram, photons, gain, caught, near, count, rays)
 
     def _add(
         self, pairs: Ints, first: int, error: float, patches: int, allowed: float, matt: bool, knots: Floats,
         photons: Floats,
-    ) -> tuple[float, int, int]:  # fmt: skip
-        """Add the knots of a run of pairs; returns the sum of their gains, pairs of cells and rays."""
+    ) -> tuple[float, float, float, int, int]:  # fmt: skip
+        """Add the knots of a run of pairs; returns the sum of their gains, the share of their light that is caught,
+        photons of clusters too near to other cells, pairs of cells looked at, and rays."""
         task, axis, air = self.task, self.task.capture.time, self.task.scene.attenuation_per_m
         tree, occluders, width = self.gathering.tree, self.gathering.occluders, self.gathering.width
         device, asked = axis.origin == "source", task.accuracy.occlusion != "off"
@@ -322,22 +368,25 @@ class _Scan:
         waiting, (figures, rows), (origin, span) = self.room
         local = np.stack([i.reshape(-1), p.reshape(-1)], axis=1)
         row = first + np.arange(len(pairs))
-        at, cell, count = 0, -1, 0
+        at, cell, count, near = 0, -1, 0, 0.0
         while at < len(pairs):
-            at, cell, found = join(  # type: ignore[call-arg]
+            at, cell, found, looked_at, doubt = join(  # type: ignore[call-arg]
                 at, cell, local, 2.0 * gain if same else gain, zero, row, lit, ones.first, ones.cell, ones.number,
                 ones.part, seen, twos.first, twos.cell, twos.number, twos.part, same, materials.kind,
                 materials.values, sharp, allowed, air, per_metre, caster.offset_m, scale, *waiting, figures, rows,
-                origin, span,
+                origin, span, PAIRS_AT_ONCE,
             )  # fmt: skip
-            count += found
+            count, near = count + looked_at, near + doubt
             if asked and occluders.any:
                 hidden = caster.occluded_scaled(origin[:found], span[:found])
                 rays += found
             else:
                 hidden = np.zeros(found, np.bool_)
             arrive(found, figures, rows, hidden, knots, photons)
-        return float(gain.sum()), count, rays
+            if self.too_dear(0.5 * (CELL_PAIR * count + PAIR_RAY * rays)):
+                raise _TooDear
+        caught = (ones.number[:, ENERGY].sum() + twos.number[:, ENERGY].sum()) / (len(lasers) + len(pixels))
+        return float(gain.sum()), float(caught), near, count, rays
 
     def _same(self, lit: Ends, seen: Ends, pairs: Ints) -> bool:
         """Whether each laser point is its own pixel, so that light may go round either way."""

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from rooms import bins_of_path, furnished_box, square_pixels
 from scipy import stats
 
-from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Retroreflector, Scene, Sensor, simulate
+from datagen.bench.foreign_scenes import foreign_scene
 from datagen.transport import secondary_cells
 from datagen.transport.cells.gathering import Gathering
 from datagen.transport.fov import PixelCones
-from datagen.transport.reference import pairs_of
+from datagen.transport.reference import pairs_of, reference
 from datagen.transport.secondary_cells import Secondary, secondary_by_cells
 from datagen.transport.solver import prepared
 from datagen.transport.target.adaptive import _sampled
@@ -177,6 +178,69 @@ def test_a_walk_costs_about_what_is_forecast() -> None:
     assert walked.spend.cost / 4 < forecast.cost < 4 * walked.spend.cost
     assert forecast.costs_less_than(1.01 * forecast.cost)
     assert not forecast.costs_less_than(0.99 * forecast.cost)
+
+
+def wall_and(*others: Part) -> Scene:
+    wall = trimesh.Trimesh([(0, -1.5, 0), (0, 1.5, 0), (0, 1.5, 2.2), (0, -1.5, 2.2)], [(0, 1, 2), (0, 2, 3)])
+    return Scene.from_parts([Part("relay_wall", wall, Lambertian(0.7), "relay_wall"), *others])
+
+
+def ball_at(place: tuple[float, float, float], radius: float) -> trimesh.Trimesh:
+    ball = trimesh.creation.icosphere(4, radius=radius)
+    return ball.apply_translation(np.array(place) - [0, 0, ball.bounds[0, 2] + radius])
+
+
+def truth_of(scene: Scene, capture: Capture) -> tuple[float, float]:
+    """Energy of the secondary by the reference, and what chance allows it to be off at `LEVEL`."""
+    runs = [
+        reference(scene, capture, samples=1 << 12, replicates=1, max_bounces=4, seed=seed)
+        .components["secondary"].sum()
+        for seed in range(RUNS)
+    ]  # fmt: skip
+    return float(np.mean(runs)), float(stats.t.isf(LEVEL / 2, RUNS - 1) * stats.sem(runs))
+
+
+def test_in_the_open_what_is_small_beside_the_sky_is_cut_too() -> None:
+    """Three objects in the open that catch 4 in 1000 of the light: none of two that are one cluster each, and give
+    each other nothing as such, until cells are as fine as what is caught asks."""
+    foreign = foreign_scene(43)
+    true, chance = truth_of(foreign.scene, foreign.capture)
+    found = of_cells(foreign.scene, foreign.capture, own=0.3)
+    assert chance < 0.3 * true
+    assert abs(found.histogram.sum() - true) < 0.4 * true + chance
+
+
+def test_what_touches_is_claimed_as_far_as_it_is_not_known() -> None:
+    """A ball of 5120 triangles, far from the wall a few clusters: what it gives to a floor that it stands on is
+    claimed as unknown however many levels agree, and high above the floor is not."""
+    floor = trimesh.Trimesh([(0, -1.5, 0), (2.5, -1.5, 0), (2.5, 1.5, 0), (0, 1.5, 0)], [(0, 1, 2), (0, 2, 3)])
+    for height, low, high in ((0.13, 0.1, 0.3), (1.5, 0.0, 0.06)):
+        ball = Part("ball", ball_at((2.0, 0.9, height), 0.13), Lambertian(0.8))
+        scene = wall_and(Part("floor", floor, Lambertian(0.7), "structure"), ball)
+        found = of_cells(scene, scan("exhaustive", 5e-4))
+        assert low <= found.error / np.linalg.norm(found.histogram) < high
+
+
+def test_pairs_looked_at_in_vain_are_paid_for() -> None:
+    """A lobe of a third of a degree is searched for in millions of pairs that bring nothing: they count, and the
+    search ends where it is too dear."""
+    floor = trimesh.Trimesh([(0, -1.5, 0), (2.5, -1.5, 0), (2.5, 1.5, 0), (0, 1.5, 0)], [(0, 1, 2), (0, 2, 3)])
+    ball = trimesh.creation.icosphere(2, radius=0.3).apply_translation((1.2, 0.2, 0.8))
+    scene = wall_and(
+        Part("floor", floor, Lambertian(0.7), "structure"),
+        Part("ball", ball, Retroreflector(0.8, half_width_rad=0.005)),
+    )
+    task = prepared(scene, scan("exhaustive", 5e-4), Accuracy(target=0.02, max_bounces=4), 0, split_parts=False)
+    cells, pairs = secondary_cells._Scan.of(Gathering.of(task)), pairs_of(task.capture)
+    most = 20 * len(pairs) * cells.light(pairs, 0, 0, np.inf).cost
+    asked = list[float]()
+
+    def too_dear(cost: float) -> bool:
+        asked.append(cost)
+        return cost > most
+
+    assert secondary_by_cells(Gathering.of(task), np.inf, OWN, too_dear=too_dear) is None
+    assert most < max(asked) < 2 * most
 
 
 def test_light_goes_either_way() -> None:

@@ -6,10 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+import trimesh
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
 
-from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Retroreflector, Scene, Sensor, TimeAxis, simulate
 from datagen.bench.target import Outcome, outcomes, table
 from datagen.errors import InputError
 from datagen.records import Transient
@@ -254,3 +255,19 @@ def test_a_pixel_at_the_foot_of_a_wall_gets_the_light_from_beside_it(half_side_m
 
 def test_a_pixel_at_the_foot_of_a_wall_keeps_the_promise_in_all_its_light() -> None:
     assert beyond(held_at_the_foot(0.025), 0.05) <= beyond_at_most(RUNS)
+
+
+def test_light_whose_square_is_too_small_for_a_number_is_no_error() -> None:
+    """A plate 21° beside the device, before a wall that sends light straight back, at both ends of the path: e⁻⁴⁰⁰ of
+    the light, all there is."""
+    wall = trimesh.Trimesh([(0, -1.5, 0), (0, 1.5, 0), (0, 1.5, 2), (0, -1.5, 2)], [(0, 1, 2), (0, 2, 3)])
+    plate = trimesh.creation.box(bounds=[(1.5, 0.5, 0.9), (1.52, 0.7, 1.1)])
+    scene = Scene.from_parts([
+        Part("relay_wall", wall, Retroreflector(0.9, half_width_rad=0.018), "relay_wall"),
+        Part("plate", plate, Lambertian(0.6)),
+    ])  # fmt: skip
+    device, corners = (1.5, 0.0, 1.0), [(0, -1, -1), (0, 1, -1), (0, 1, 1), (0, -1, 1)]
+    pixel = np.array([0.0, 0.0, 1.0]) + 1e-3 * np.array(corners)
+    capture = Capture(Laser(device, [(0, 0, 1.0)]), Sensor(device, pixel[None], 0.02), TimeAxis(400, 1e-10))
+    found = simulate(scene, capture, Accuracy(target=0.05, max_bounces=4, max_lookins=1 << 14), seed=0)
+    assert 0.0 < found.total.sum() < 1e-150

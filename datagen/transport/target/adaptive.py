@@ -32,11 +32,10 @@ NOISE_AT_MOST = 0.9
 """Share of ‖mean‖² that may be noise when ‖truth‖² is estimated from it, so that the estimate stays positive."""
 NOTHING_AFTER = 1 << 16
 """Lookins in all after which a component without any light is taken for dark."""
+DARK = 1e-200
+"""Σ of squared photons per emitted photon up to which nothing is seen: the tail of a narrow lobe may bring e⁻⁵⁰⁰,
+whose square is no number to divide by."""
 SEARCH_GROWTH = 8
-CHEAP = 0.25
-"""Share of the square of the target for the primary from cells, relative to that of each other component. Errors of
-different light add up as squares, and all of it costs least where each has a share as its cost times the power by
-which that falls with its error: about two for pairs of cells and samples, and a half for the primary's cells."""
 SECONDARY_OWN = 2.0
 """The error of the secondary's own light, which comes when the primary's is past, relative to that of an object's."""
 TRIES = (1.0, 0.25)
@@ -60,7 +59,9 @@ def meet_target(task: WalkTask) -> Estimate:
     if not (task.points.part >= 0).any():
         return _nothing(task)
     others = len(splits.others)
-    gathering, share = Gathering.of(task), math.sqrt(CHEAP / (CHEAP + others))
+    # Errors of different light add up as squares, and the primary takes an equal share: its cells, pairs of cells and
+    # samples all cost about as their error squared. What it leaves of its own is the others'.
+    gathering, share = Gathering.of(task), math.sqrt(1 / (1 + others))
     primary, opinions = _agreed_primary(gathering, share)
     if primary is None:
         return _confirmed(task, _sampled(task, None), (), opinions)
@@ -130,10 +131,12 @@ def _confirmed(task: WalkTask, estimate: Estimate, by_cells: tuple[str, ...], op
     """
     claims, bound = {}, estimate.error_bound or 0.0
     for order, name in ((3, "primary"), (4, "secondary")):
-        light = estimate.components.get(name)
-        if light is not None and name not in by_cells and light.any() and task.accuracy.strongest is None:
-            whole = l2_norm(reduce(np.add, estimate.components.values()))
-            claims[name] = Claim(light, min(bound * whole / l2_norm(light), 1.0), order)
+        if name not in estimate.components or name in by_cells or task.accuracy.strongest is not None:
+            continue
+        light, whole = estimate.components[name], l2_norm(reduce(np.add, estimate.components.values()))
+        # The square of what the tail of a lobe brings may be too small for a number.
+        if (norm := l2_norm(light)) > 0.0:
+            claims[name] = Claim(light, min(bound * whole / norm, 1.0), order)
     if claims:
         opinions = [*opinions, second_opinion(task, claims, estimate.spend.cost, len(opinions))]
         if not opinions[-1].agrees:
@@ -218,7 +221,7 @@ def _sampled(task: WalkTask, known: Known | None) -> Estimate:
     while not outcome:
         variance, factor, factor_to_come = _uncertainty(strata)
         seen = square_norm(strata, known)
-        if seen == 0.0:
+        if seen <= DARK:
             bound = 0.0
             outcome = _search(strata, seeds, budget)
             rounds += not outcome
