@@ -42,28 +42,60 @@ class Ends(NamedTuple):
 
 @dataclass(frozen=True)
 class Aim:
-    """How points are drawn by area: (1, F) for all pairs, or (n, F) for each.
+    """How points are drawn by area for n pairs: on each part as often for all of them, and within the parts for whose
+    G triangles there are guesses by those of each pair. The other triangles have none, and no row for each pair.
 
-    density : 1/m², of a point on each triangle. cumulative : the running share of triangles, one more in each row.
+    Attributes
+    ----------
+    density : (F,) 1/m², of a point on each triangle, where there is no guess.
+    guessed : (n, G) 1/m², where there is one.
+    column : (F,) that of a triangle in `guessed`, −1 for those without a guess.
+    faces, others : (G,) triangles with a guess; those without.
+    share : of all points, those that fall on triangles with a guess.
+    cumulative : (n · G,) running share of these in each row, one more in each row; and of the others.
     """
 
     density: Floats
-    cumulative: Floats
+    guessed: Floats
+    column: Ints
+    faces: Ints
+    others: Ints
+    share: float
+    cumulative: tuple[Floats, Floats]
 
-    def row(self, pair: Ints) -> Ints:
-        """The row of each of some pairs."""
-        return pair if len(self.density) > 1 else np.zeros_like(pair)
+    @classmethod
+    def of(cls, density: Floats, area: Floats, faces: Ints, guessed: Floats) -> Aim:
+        """From densities on all triangles (F,), their areas, and densities (n, G) on those `faces` with a guess."""
+        column = np.full(len(area), -1)
+        column[faces] = np.arange(len(faces))
+        others = np.flatnonzero(column < 0)
+        share = float(density[faces] @ area[faces])
+        of_guessed, of_others = np.cumsum(guessed * area[faces], axis=1), np.cumsum(density[others] * area[others])
+        of_guessed /= of_guessed[:, -1:] if len(faces) else 1.0
+        rows = of_guessed + np.arange(len(guessed))[:, None]
+        share = share / (share + of_others[-1]) if len(others) else 1.0
+        running = of_others / (of_others[-1] or 1.0) if len(others) else of_others
+        return cls(density, guessed, column, faces, others, share, (rows.ravel(), running))
 
     def drawn(self, pair: Ints, number: Floats) -> Ints:
         """(m,) a triangle for each pair and number in 0 … 1."""
-        row, faces = self.row(pair), self.density.shape[1]
+        found, first = np.empty(len(number), np.int64), (number < self.share) | (len(self.others) == 0)
+        rows, running = self.cumulative
         # Kept off its ends, where rounding would fall into a neighbouring row.
-        found = np.searchsorted(self.cumulative.ravel(), row + np.clip(number, 1e-12, 1 - 1e-12), side="right")
-        return np.asarray(np.clip(found - row * faces, 0, faces - 1))
+        within = np.clip(number[first] / (self.share or 1.0), 1e-12, 1 - 1e-12)
+        at = np.searchsorted(rows, pair[first] + within, side="right") - pair[first] * len(self.faces)
+        found[first] = self.faces[np.clip(at, 0, len(self.faces) - 1)]
+        beyond = (number[~first] - self.share) / max(1.0 - self.share, 1e-300)
+        at = np.searchsorted(running, np.clip(beyond, 1e-12, 1 - 1e-12), side="right")
+        found[~first] = self.others[np.minimum(at, len(self.others) - 1)]
+        return found
 
     def at(self, pair: Ints, face: Ints) -> Floats:
         """(m,) the density, 1/m², of points of some pairs on some triangles."""
-        return np.asarray(self.density[self.row(pair), face])
+        column, density = self.column[face], self.density[face]
+        known = column >= 0
+        density[known] = self.guessed[pair[known], column[known]]
+        return density
 
 
 def aim(
@@ -75,24 +107,19 @@ def aim(
     drawn = drawn if drawn.any() else area > 0
     chance = np.where(drawn, 1.0 / np.sqrt(np.where(drawn, area, 1.0)), 0.0)
     per_area = chance / chance.sum() / np.where(drawn, area, 1.0)
-    density = per_area[scene.face_part][None]
-    guessed = _guessed(scene, drawn, GUESSES_PER_SAMPLE * samples // max(len(x.part), 1))
-    faces = np.flatnonzero(guessed[scene.face_part])
-    if len(faces):
-        density = np.repeat(density, len(x.part), axis=0)
-        middle = caster.corners[faces].mean(axis=1)
-        radius = np.linalg.norm(caster.corners[faces] - middle[:, None], axis=2).max(axis=1)
-        part = scene.face_part[faces].astype(np.int64)
-        guess = _guesses(materials.kind, materials.values, part, caster.face_normal[faces], middle, radius, x, v)
-        for own in np.flatnonzero(guessed):
-            of = np.flatnonzero(part == own)
-            found = guess[:, of] @ caster.face_area_m2[faces[of]]
-            share = guess[:, of] * np.divide(area[own], found, out=np.zeros_like(found), where=found > 0)[:, None]
-            evenly = np.where(found > 0, EVENLY, 1.0)[:, None]
-            density[:, faces[of]] = per_area[own] * (evenly + (1 - EVENLY) * share)
-    cumulative = np.cumsum(density * caster.face_area_m2, axis=1)
-    cumulative /= cumulative[:, -1:]
-    return Aim(density, cumulative + np.arange(len(density))[:, None])
+    has_guess = _guessed(scene, drawn, GUESSES_PER_SAMPLE * samples // max(len(x.part), 1))
+    faces = np.flatnonzero(has_guess[scene.face_part])
+    middle = caster.corners[faces].mean(axis=1)
+    radius = np.linalg.norm(caster.corners[faces] - middle[:, None], axis=2).max(axis=1)
+    part = scene.face_part[faces].astype(np.int64)
+    guess = _guesses(materials.kind, materials.values, part, caster.face_normal[faces], middle, radius, x, v)
+    for own in np.flatnonzero(has_guess):
+        of = np.flatnonzero(part == own)
+        found = guess[:, of] @ caster.face_area_m2[faces[of]]
+        share = guess[:, of] * np.divide(area[own], found, out=np.zeros_like(found), where=found > 0)[:, None]
+        evenly = np.where(found > 0, EVENLY, 1.0)[:, None]
+        guess[:, of] = per_area[own] * (evenly + (1 - EVENLY) * share)
+    return Aim.of(per_area[scene.face_part], caster.face_area_m2, faces, guess)
 
 
 def _guessed(scene: Scene, drawn: Bools, most: int) -> Bools:

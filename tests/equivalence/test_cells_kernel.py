@@ -143,7 +143,7 @@ def bumpy() -> Scene:
 
 @pytest.mark.parametrize(
     ("scene", "share"),
-    [(cluttered, 0.75), (furnished_box, 0.8), (within_a_ring, 1.0), (touching, 0.8), (bumpy, 0.55)],
+    [(cluttered, 0.75), (furnished_box, 0.8), (within_a_ring, 1.0), (touching, 0.8), (bumpy, 0.6)],
     ids=lambda given: getattr(given, "__name__", "of rays"),
 )  # fmt: skip
 @pytest.mark.parametrize("half_side_m", [1e-3, 0.2])

@@ -11,7 +11,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot
-from datagen.transport.cells.geometry import air, ball, distance, get, less, unit
+from datagen.transport.cells.geometry import air, ball, corner, distance, get, less, unit
 from datagen.transport.cells.hierarchy import one_of
 from datagen.transport.sampling import mix
 
@@ -19,6 +19,8 @@ COARSEST = 0.8
 """Largest cell or patch, relative to its distance."""
 CLUTTERED = 0.5
 """Error of a cluster whose normals go everywhere, relative to its light: of that much it may hide itself."""
+DRAWS = 8
+"""Points drawn at most for one that is bright. With half as many meshes lose half as much light again."""
 UNLIKE = 0.05
 """Error of arrival times, relative to the light, if they are known by their mean and variance alone."""
 
@@ -123,19 +125,32 @@ def _quadratic(moment, k, j, u, v):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def anywhere(first, last, area_before, corners, word):  # type: ignore[no-untyped-def]
-    """A point drawn uniformly on the triangles first … last, and which it lies on."""
-    u = math.sqrt((np.float64(mix(word, np.uint64(1))) + 0.5) * 2.0**-32)
-    v = (np.float64(mix(word, np.uint64(2))) + 0.5) * 2.0**-32
-    f = one_of(first, last, area_before, word)
-    return f, _on(corners, f, 1 - u, u * (1 - v), u * v)
+def facing(first, last, area_before, corners, normal, x, z, word):  # type: ignore[no-untyped-def]
+    """A point on the triangles first … last, and which it lies on, drawn by the light that x and z make of it.
+
+    What faces away, or is seen from its edge, is hidden more often than what is bright, and stands for less.
+    """
+    for turn in range(DRAWS):
+        f, y = anywhere(first, last, area_before, corners, word)
+        n, d1, d3 = get(normal, f, 0), less(y, x), less(y, z)
+        chance = (np.float64(mix(word, np.uint64(3))) + 0.5) * 2.0**-32
+        if dot(n, d1) * dot(n, d3) > chance * math.sqrt(dot(d1, d1) * dot(d3, d3)):
+            break
+        word = mix(word, np.uint64(4 + turn))
+    return f, y
 
 
 @compiled()
-def _on(corners, f, r, s, t):  # type: ignore[no-untyped-def]
-    """The point of triangle f with barycentric coordinates r, s, t."""
-    return (
-        r * corners[f, 0, 0] + s * corners[f, 1, 0] + t * corners[f, 2, 0],
-        r * corners[f, 0, 1] + s * corners[f, 1, 1] + t * corners[f, 2, 1],
-        r * corners[f, 0, 2] + s * corners[f, 1, 2] + t * corners[f, 2, 2],
-    )
+def anywhere(first, last, area_before, corners, word):  # type: ignore[no-untyped-def]
+    """A point drawn uniformly on the triangles first … last, and which it lies on."""
+    f = one_of(first, last, area_before, word)
+    return f, somewhere(corner(corners, f, 0), corner(corners, f, 1), corner(corners, f, 2), word)
+
+
+@compiled()
+def somewhere(a, b, c, word):  # type: ignore[no-untyped-def]
+    """A point drawn uniformly on a triangle."""
+    u = math.sqrt((np.float64(mix(word, np.uint64(1))) + 0.5) * 2.0**-32)
+    v = (np.float64(mix(word, np.uint64(2))) + 0.5) * 2.0**-32
+    r, s, t = 1 - u, u * (1 - v), u * v
+    return (r * a[0] + s * b[0] + t * c[0], r * a[1] + s * b[1] + t * c[1], r * a[2] + s * b[2] + t * c[2])

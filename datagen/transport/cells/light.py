@@ -16,7 +16,7 @@ from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, dot
 from datagen.transport.cells.arrival import spread, widened
 from datagen.transport.cells.clear import put_clear, room_for_clear, spread_clear
-from datagen.transport.cells.clusters import COARSEST, anywhere, as_one, facing_at_most, is_small
+from datagen.transport.cells.clusters import COARSEST, anywhere, as_one, facing, facing_at_most, is_small, somewhere
 from datagen.transport.cells.geometry import above, ball, corner, distance, get, half, less
 from datagen.transport.cells.hierarchy import CLUSTER, SMALLEST
 from datagen.transport.cells.occlusion import LISTED, RING, hidden, lists, narrowed, shaded
@@ -44,15 +44,18 @@ from datagen.transport.cells.weights import (
     weight,
     weight_at_most,
 )
-from datagen.transport.sampling import word_of
+from datagen.transport.sampling import mix, word_of
 
-PARTLY, UNFOUND = 0.5, 0.05
-"""Error of a cell that one ray stands for, and of one of which three rays found nothing, relative to its light. Few
-cells are partly seen. With a fifth of the first half the rays do, but a box that others shade lost 3 % under a claim
-of 1.6 %, for cells along an edge err to one side."""
+PARTLY, UNFOUND, MESH = (0.5, 0.05), 0.05, 256
+"""Error of a cell that one ray stands for, on a part of up to `MESH` triangles and on one of more, and of a cell of
+which three rays found nothing, relative to its light. Of large faces few cells are partly seen, and they are found
+by what is proven clear. Of a mesh nothing is proven, few cells are partly seen all the same, and they err to both
+sides, for rays go to random points: with twice the second up to a third more rays are asked, with half about as many."""
 STILL_UNFOUND = 0.5
 """What the latter is multiplied with for each larger cell about it of which no ray found anything either: what lies
 deep behind a mesh cannot be proven hidden, and is not searched as finely as an edge."""
+PLACES = 2.0**20
+"""Places along the scene whose cells have random points of their own."""
 AT_ONCE = 0.01
 """Size of a patch, in bins, up to which all of it is reached at once."""
 TURNS, FEWEST = 16, 1 / 64
@@ -67,6 +70,17 @@ def _digit(turn, share):  # type: ignore[no-untyped-def]
         turn >>= 2
         share *= 0.25
     return turn & 3
+
+
+@compiled()
+def _word_at(seed, row, q, y, extent):  # type: ignore[no-untyped-def]
+    """The word of a place y beside the laser point, seen from patch q, in a row of a stream: neither where the scene
+    lies nor in which order its triangles are changes it."""
+    word, per = mix(mix(np.uint64(seed), np.uint64(row)), np.uint64(q)), PLACES / extent
+    for j in range(3):
+        # Off the middle, as what lies level with the laser point would else be rounded to either side.
+        word = mix(word, np.uint64(np.int64(math.floor(y[j] * per + 0.382))))
+    return word
 
 
 @compiled()
@@ -95,9 +109,7 @@ def _inner_side(x, z, f, normal, corners, solid, solid_box):  # type: ignore[no-
 def room_to_gather() -> tuple[Ints, Floats, Ints, Floats, Floats, Floats]:
     """What `gather` works in: tags and cells that wait, lists of candidates, and `room_for_clear`.
 
-    What waits has its kind, number, patch and candidates; and of cells three vertices with w and path, and the area;
-    how many times as large as itself a patch is that it stands for; and how much of it may be seen though no ray
-    found anything.
+    What waits has its kind, number, patch and candidates, and a row of `waiting`.
     """
     return np.empty((1024, 6), np.int64), np.empty((1024, 18)), lists(1 << 14), *room_for_clear()
 
@@ -136,7 +148,7 @@ def gather(  # type: ignore[no-untyped-def]
     limit, last_leg, proofs = cutting.coarsest, cutting.rays_on_last_leg, cutting.proofs
     per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
     opens, closes = clock.opens, clock.closes
-    enough, boxes = len(listed) - 4 * RING, len(span)
+    enough = len(listed) - 4 * RING
     some, strongest = min(occluders.triangles, 1), 0.0
     to_z = LISTED + some
     free = to_z + some
@@ -155,6 +167,7 @@ def gather(  # type: ignore[no-untyped-def]
                 continue
             into, kind2, values2, seed = row[pair] + row_of_part[k], kind[k], values[k], cutting.seed[k]
             word = word_of(seed, row[pair], k)
+            partly = PARTLY[1] if span[roots[k], 1] - span[roots[k], 0] > MESH else PARTLY[0]
             most, turn, cells, rays = np.inf, np.int64(word >> np.uint64(8)), 0, 0
             cell[0, 16], cell[0, 17] = 1.0, UNFOUND
             top = push(tag, 0, BOX, roots[k], 0, LISTED, to_z, free if two_legs else to_z)
@@ -248,7 +261,7 @@ def gather(  # type: ignore[no-untyped-def]
                             small = at_most <= may and 2.0 * h <= COARSEST * near3
                         quarter = small and quarters and size > 0.3 * near3
                         if small and not quarter:
-                            word = word_of(seed, row[pair], 8 * (q * boxes + at))
+                            word = _word_at(seed, row[pair], q, less(m, x), extent)
                             f, y = anywhere(start, end, area_before, corners, word)
                             n = get(normal, f, 0)
                             w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
@@ -268,7 +281,7 @@ def gather(  # type: ignore[no-untyped-def]
                             continue
                 if not quarter and (alone or what != BOX):
                     if alone:
-                        m, n, facing, unlike, h, longer, apart = as_one(
+                        m, n, tilted, unlike, h, longer, apart = as_one(
                             moment, cluster[at], x, z, sides, diffuse, keen, per_metre
                         )
                         f, side, a, b, c, height1, height3 = at, 0, m, m, m, 1.0, 1.0
@@ -296,7 +309,7 @@ def gather(  # type: ignore[no-untyped-def]
                         m, side, h = middle_of(cell, top)
                     wm, r1, r3 = weight(m, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
                     if alone:
-                        wm *= facing
+                        wm *= tilted
                         cell[top, 15] = area
                         for j in range(3):
                             put_vertex(cell, top, j, m, wm, r1 + r3 + 4.0 * longer + (j - 1.0) * apart)
@@ -332,30 +345,34 @@ def gather(  # type: ignore[no-untyped-def]
                         continue
                     # One ray tells enough of what is partly seen, if that makes no larger error than it may.
                     at_stake = OUTSIDE * over if unseen else over
-                    faint = PARTLY * at_stake <= may
+                    faint = partly * at_stake <= may
                     inner = alone and proofs and own >= 0 and sides == 0
                     if not quarter and (first < last or inner):
                         if cut and not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed):
                             continue
                         if faint and not cut:
                             rays += 1
-                            y = m
+                            word = _word_at(seed, row[pair], q, less(m, x), extent)
                             if alone:
-                                word = word_of(seed, row[pair], 8 * (q * boxes + at))
-                                f, y = anywhere(start, end, area_before, corners, word)
+                                f, y = facing(start, end, area_before, corners, normal, x, z, word)
                                 if inner and _inner_side(x, z, f, normal, corners, solid, solid_box):
                                     continue
+                            else:
+                                y = somewhere(a, b, c, word)
                             if not _seen(y, x, z, f, first, middle, last, hides, listed):
                                 continue
                         elif not cut:
                             seen = 0
                             for j in range(3):
                                 rays += 1
-                                y = half(m, vertex_of(cell, top, j))
+                                word = mix(_word_at(seed, row[pair], q, less(m, x), extent), np.uint64(j))
                                 if alone:
                                     low, high = start + j * (end - start) // 3, start + (j + 1) * (end - start) // 3
-                                    word = word_of(seed, row[pair], 8 * (q * boxes + at) + j + 1)
-                                    f, y = anywhere(low, high, area_before, corners, word)
+                                    f, y = facing(low, high, area_before, corners, normal, x, z, word)
+                                else:
+                                    # One in each of the triangles that the middle makes with the sides.
+                                    one, other = vertex_of(cell, top, j), vertex_of(cell, top, (j + 1) % 3)
+                                    y = somewhere(m, one, other, word)
                                 if not (inner and _inner_side(x, z, f, normal, corners, solid, solid_box)):
                                     seen += _seen(y, x, z, f, first, middle, last, hides, listed)
                                 if 0 < seen <= j:

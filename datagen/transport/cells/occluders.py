@@ -21,8 +21,10 @@ MANY_WALLS = 1024
 """Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""
 LINK, FIRST, NUMBER, C, NORMAL, SOLID, COLUMNS = 6, 7, 6, 0, 3, 6, 8
 """Columns of `Occluders.row`: those of a box, of a triangle's first row and of its second."""
-HEAD, TURNED, SOLIDS, FLAT = 1, 0, 1, 2
+HEAD, TURNED, SOLIDS, FLAT, WIDE = 1, 0, 1, 2, 3
 """The row that says where others are, and its columns."""
+AT_ONCE, WIDE_ROWS = 8, 7
+"""Boxes that a line is held against at once, and rows that they fill: six bounds of each, and what they hold."""
 COSINE, SINE, RADIUS, WHOLE = 3, 4, 5, 6
 """Columns of what else is known of a box."""
 CONVEX = 6
@@ -46,6 +48,9 @@ class Occluders(NamedTuple):
         Row `HEAD` has `flat` and the numbers of two rows. `TURNED` + k has of the triangles in box k the mean normal
         (0–2), the cosine and the sine of the largest angle of a normal with it (`COSINE`, `SINE`), the radius of the
         ball round the box, metres (`RADIUS`), and the solid that all of them bound, −1 if there is none (`WHOLE`);
+        `WIDE` + 7 k has up to eight boxes that together hold what box k does, one in each column: their lowest and
+        highest corners in six rows, and what is in them in the seventh: the number of a box, or of one that holds its
+        triangles itself −(4 times the first of them + their number), or 0 where there is none.
         `SOLIDS` + s has the box of solid s, as the `Hierarchy` has it, and whether that is convex (`CONVEX`).
     triangles : F.
     flat : distance from a plane within which a point lies on it, metres.
@@ -67,9 +72,10 @@ class Occluders(NamedTuple):
         at[0] = 0
         first = (at[-1] + 2) & ~1
         turned = first + 2 * len(number)
-        solids, flat = turned + first, ON_PLANE * tree.extent
+        wide, flat = turned + first, ON_PLANE * tree.extent
+        solids = wide + WIDE_ROWS * first
         row = _in_lines(solids + len(tree.solid_box))
-        row[HEAD, [TURNED, SOLIDS, FLAT]] = turned, solids, flat
+        row[HEAD, [TURNED, SOLIDS, FLAT, WIDE]] = turned, solids, flat, wide
         row[at, :LINK] = box
         row[at, LINK] = np.where(link[:, 0] < 0, link[:, 1] - link[:, 2], link[:, 0] + 1)
         row[at, FIRST] = first + 2 * link[:, 1]
@@ -78,6 +84,7 @@ class Occluders(NamedTuple):
         seconds[:, C:NORMAL], seconds[:, NORMAL:SOLID] = corners[:, 2], tree.normal[number]
         seconds[:, SOLID] = tree.solid[number]
         row[turned + at] = _cones(box, link, tree.normal[number], tree.solid[number])
+        _widen(row, at, wide)
         row[solids:, :6], row[solids:, CONVEX] = tree.solid_box, tree.convex
         return cls(row, len(number), flat)
 
@@ -139,6 +146,34 @@ def _cones(box, link, normal, solid):  # type: ignore[no-untyped-def]
             found[k, j] = axis[j]
         found[k, COSINE], found[k, SINE] = cosine, np.sqrt(max(1.0 - cosine * cosine, 0.0))
     return found
+
+
+@compiled()
+def _widen(row, boxes, wide):  # type: ignore[no-untyped-def]
+    """Fill the rows `WIDE` … of some boxes: of those within, the largest are opened first."""
+    within = np.empty(AT_ONCE, np.int64)
+    for k in boxes:
+        if row[k, LINK] <= 0.0:
+            continue
+        within[0], count = k, 1
+        while count < AT_ONCE:
+            most, largest = -1, -1.0
+            for j in range(count):
+                m = within[j]
+                a, b, c = row[m, 3] - row[m, 0], row[m, 4] - row[m, 1], row[m, 5] - row[m, 2]
+                if row[m, LINK] > 0.0 and a * b + b * c + c * a > largest:
+                    most, largest = j, a * b + b * c + c * a
+            if most < 0:
+                break
+            first = int(row[within[most], LINK])
+            within[most], within[count] = first, first + 1
+            count += 1
+        at = wide + WIDE_ROWS * k
+        for j in range(count):
+            m = within[j]
+            for i in range(6):
+                row[at + i, j] = row[m, i]
+            row[at + 6, j] = m if row[m, LINK] > 0.0 else 4.0 * -row[m, FIRST] + row[m, LINK]
 
 
 @compiled()

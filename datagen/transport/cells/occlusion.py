@@ -12,6 +12,7 @@ from datagen.compiled import compiled
 from datagen.transport.brdf import dot
 from datagen.transport.cells.geometry import above, cross, get, half, less
 from datagen.transport.cells.occluders import (
+    AT_ONCE,
     CONVEX,
     COSINE,
     FIRST,
@@ -26,6 +27,8 @@ from datagen.transport.cells.occluders import (
     SOLIDS,
     TURNED,
     WHOLE,
+    WIDE,
+    WIDE_ROWS,
     C,
 )
 from datagen.transport.cells.solids import encloses, side_turned
@@ -81,8 +84,11 @@ def hidden(x, y, of, first, last, row, listed):  # type: ignore[no-untyped-def]
     if suspect > 0 and _stands_between(x, d, of, suspect, row):
         return suspect
     slope = (1.0 / (d[0] or TINY), 1.0 / (d[1] or TINY), 1.0 / (d[2] or TINY))
+    wide = int(row[HEAD, WIDE])
     for i in range(first, last):
         listed[0], top = listed[i], 1
+        if listed[0] >= 0 and row[listed[0], LINK] <= 0.0:
+            top = _opened(listed, 0, row, listed[0])
         while top > 0:
             top -= 1
             k = listed[top]
@@ -91,13 +97,41 @@ def hidden(x, y, of, first, last, row, listed):  # type: ignore[no-untyped-def]
                     listed[SUSPECT] = -k
                     return -k
                 continue
-            enter, leave = 0.0, 1.0 + TOUCHING
-            for j in range(3):
-                one, other = (row[k, j] - x[j]) * slope[j], (row[k, 3 + j] - x[j]) * slope[j]
-                enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
-            if enter <= leave * (1.0 + 1e-12):
-                top = _opened(listed, top, row, k)
+            top = _met(x, slope, wide + WIDE_ROWS * k, row, listed, top)
     return 0
+
+
+LOWEST = np.array([(k & -k).bit_length() - 1 for k in range(1 << AT_ONCE)])
+"""Number of the lowest bit that is set in a number; −1 in 0."""
+
+
+@compiled(forceinline=True)
+def _met(x, slope, at, row, listed, top):  # type: ignore[no-untyped-def]
+    """Put what a line meets of the boxes in rows `at` … behind the first `top` entries; returns how many there are
+    then. slope : 1 over each component of the line."""
+    # Without branches, and with as many turns as rows have columns, which compilers do not unroll but make one turn
+    # of vector instructions of: all boxes are held against the line at once, and each that it meets sets a bit.
+    met = np.int64(0)
+    for j in range(row.shape[1]):
+        a, b = (row[at, j] - x[0]) * slope[0], (row[at + 3, j] - x[0]) * slope[0]
+        enter, leave = min(a, b), max(a, b)
+        a, b = (row[at + 1, j] - x[1]) * slope[1], (row[at + 4, j] - x[1]) * slope[1]
+        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+        a, b = (row[at + 2, j] - x[2]) * slope[2], (row[at + 5, j] - x[2]) * slope[2]
+        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+        met |= np.int64(max(enter, 0.0) <= min(leave, 1.0 + TOUCHING) * (1.0 + 1e-12)) << j
+    while met > 0:
+        k = int(row[at + 6, LOWEST[met]])
+        met &= met - 1
+        if k > 0:
+            listed[top] = k
+            top += 1
+        else:
+            inside = -k >> 2
+            for m in range(-k & 3):
+                listed[top + m] = -(inside + 2 * m)
+            top += -k & 3
+    return top
 
 
 @compiled(forceinline=True)

@@ -16,6 +16,7 @@ import numpy as np
 
 from datagen.records.arrays import Bools, Floats, Ints, l2_norm
 from datagen.transport.cells.gathering import EDGE_LEVELS, Gathered, Gathering, Seen
+from datagen.transport.cost import CELL, CELL_RAY
 
 TRIALS, MOST_TRIED = (12, 48), 1 << 23
 """Fewest and most pairs of laser point and pixel on which the cutting is chosen, one in twenty in between; and values
@@ -27,9 +28,14 @@ FIRST, FINER, LEVELS = 0.03, 0.25, 12
 with from one cutting to the next, finer one; and the number of cuttings at most."""
 GROWN = 1.5
 """Cells of a cutting that is finer in fact, relative to the one that it is compared with."""
+SURE = 3
+"""Cuttings after the coarsest from which on they are believed: the first ones lack the same light, and where all is
+in one bin two of them may agree by chance."""
 REST = 1.6
 """Error of a cutting, relative to its difference from the next: errors fall to about four tenths, and
 1 + 0.4 + 0.16 + … is this."""
+LOOKS = 4
+"""Coarsest cuttings, each with other rays, in which a group is looked for that has no light."""
 SETTLED = 0.3
 """Share of the error to be met, for each of G groups over √G, under which one is not cut further for the whole."""
 UNSEEN = 1e-4
@@ -44,9 +50,12 @@ HELPS = 0.1
 TOO_DEAR = 1 << 16
 """Cells and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
 hidden may take any number of rays for light that is a millionth of the whole."""
-WITHIN, SPARE = 0.7, 0.05
+WITHIN = 0.7
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
-others may be worse; and how much of it is kept for cutting objects no finer than they need."""
+others may be worse."""
+BETWEEN, HALVINGS, WIDELY, TINY = 8, 60, 60.0, 1e-150
+"""Cuttings looked at from one that was tried to the next; how often the range of prices is halved that errors may
+have, and how far it reaches, by powers of e; and what is too small to divide by."""
 MOST_PATCHES, MOST_PATCHES_TRIED = 1 << 22, 1 << 18
 """Patches of all pixels at most, and points of those of the trial that are at edges."""
 PATCHES_SHARE = 0.2
@@ -193,7 +202,12 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
     every, objects, settled = np.arange(groups), np.arange(groups) > 0, np.zeros(groups, np.bool_)
     found = trial.gathered(np.full(groups, COARSE), trial.levels)
     runs, cuttings, cells = [found.histogram], [np.full(groups, COARSE)], [found.cells]
-    scale = runs[0]
+    costs = [CELL * found.cells + CELL_RAY * found.rays]
+    scale, draw = runs[0], np.ones(groups, np.int64)
+    # One ray for a whole face may miss what it sees of it.
+    while draw[0] < LOOKS and not _norms(scale).all():
+        scale = np.maximum(scale, trial.gathered(np.full(groups, COARSE), trial.levels, draw=draw).histogram)
+        draw += 1
     if trial.gathering.lobed:
         # What coarse cells find of lobes may be a millionth of their light, and no measure of how fine to begin;
         # nor is what matt surfaces would bring: it may be a million times as much.
@@ -215,6 +229,7 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         runs.append(found.histogram)
         cuttings.append(np.where(settled, cuttings[-1], cutting))
         cells.append(np.where(settled, cells[-1], found.cells))
+        costs.append(np.where(settled, costs[-1], CELL * found.cells + CELL_RAY * found.rays))
         dear |= found.cells + found.rays > TOO_DEAR * len(trial.pairs)
         finest[~settled] = len(runs) - 1
         whole, own = _norm(runs[-1]), _norms(runs[-1])
@@ -224,37 +239,37 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         limit = np.where(held & ~dear, asked.part_target * own, np.inf)
         still, last = _still(runs, finest), len(runs) > LEVELS
         # Cells that may each be wrong by more than there is agree whatever they miss.
-        in_scale = cuttings[-1] <= share / FINER * np.maximum(own, UNSEEN * whole)
-        seen_through = (GROWN * np.array(cells[:-1]) <= cells[-1]) & in_scale
+        in_scale = (finest >= SURE) & (cuttings[-1] <= share / FINER * np.maximum(own, UNSEEN * whole))
+        grown = GROWN * np.array(cells[:-1]) <= cells[-1]
+        seen_through = grown[np.minimum(np.arange(len(runs))[:, None], finest - 1), every] & in_scale
         known = seen_through | ~((held & ~dear) | (own > asked.target * whole)) | last
         does = (still <= WITHIN * limit) & known & ~(held & dear)
-        level = np.argmax(np.vstack([does, np.ones(groups, np.bool_)]), axis=0)
+        # One beyond the finest that was tried: none does.
+        level = np.minimum(np.argmax(np.vstack([does, np.ones(groups, np.bool_)]), axis=0), finest + ~settled)
         # The finest that is known to have been too dear, or nearly.
         level = np.where(held & dear, finest - 1, level)
         error = _whole_error(runs, level, finest)
-        highest = np.where(settled, finest - 1, finest)
         while error > WITHIN * asked.target * whole:
-            left = np.where(level < highest, still[np.minimum(level, len(still) - 1), every], 0.0)
+            left = np.where(level < finest + ~settled, still[np.minimum(level, finest), every], 0.0)
             if groups * left.max() <= HELPS * WITHIN * asked.target * whole:
                 break
             level[np.argmax(left)] += 1
             error = _whole_error(runs, level, finest)
         enough = error <= WITHIN * asked.target * whole
-        if enough and (level < finest).all():
+        if enough and (level <= finest).all():
             chosen = np.stack([runs[n][:, k] for k, n in enumerate(level)], axis=1)
-            tried, left = np.array(cuttings), still[level, every]
-            most = WITHIN * asked.target * whole
-            spare = max(most - error, SPARE * most) / max(int(held.sum()), 1)
-            coarser, enough_of_part = _between(tried, still, level, np.minimum(WITHIN * limit, left + spare))
-            error += float((enough_of_part - left).sum())
-            return Choice(coarser, tried[level, every], level, error, whole, enough_of_part, own, held, limit, chosen)
+            tried = np.array(cuttings)
+            most = max(WITHIN * asked.target * whole / max(error, TINY) * l2_norm(still[level, every]), TINY)
+            coarser, left = _cheapest(tried, still, np.array(costs), level, finest, WITHIN * limit, most)
+            error *= l2_norm(left) / max(l2_norm(still[level, every]), TINY)
+            return Choice(coarser, tried[level, every], level, error, whole, left, own, held, limit, chosen)
         work = trial.work.cells + trial.work.rays
         beyond = work + (work - before) / FINER > trial.gathering.task.accuracy.max_lookins * len(trial.pairs)
         if last or beyond:
             return None
         # What does already is not cut further, unless the whole still wants it.
-        waits = math.sqrt(groups) * still[finest - 1, every] > SETTLED * asked.target * whole
-        settled |= (level < finest) & (enough | ~waits)
+        waits = math.sqrt(groups) * still[finest, every] > SETTLED * asked.target * whole
+        settled |= (level <= finest) & (enough | ~waits)
         settled &= not settled.all()
 
 
@@ -321,34 +336,50 @@ def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tupl
         coarser, finer = finer, edges.gathered(choice.tried, 0, level, choice.draw).histogram
 
 
-def _between(cuttings: Floats, still: Floats, level: Ints, wanted: Floats) -> tuple[Floats, Floats]:
-    """(G,) cuttings between the one of a level and the coarser one before it that leave errors of `wanted`, and what
-    they leave; the level's own where `wanted` is not between theirs, or they are more than a step apart. Errors go
-    with a power of the cutting."""
-    every = np.arange(cuttings.shape[1])
-    fine, left = cuttings[level, every], still[level, every]
-    before = np.maximum(level - 1, 0)
-    coarse, more = cuttings[before, every], still[before, every]
-    between = (left > 0) & (left < wanted) & (wanted < more) & (fine < coarse) & (0.9 * FINER * coarse < fine)
-    fine, left = fine.copy(), left.copy()
-    steps = np.log(wanted[between] / left[between]) / np.log(more[between] / left[between])
-    fine[between] *= (coarse[between] / fine[between]) ** steps
-    left[between] = wanted[between]
-    return fine, left
+def _cheapest(
+    cuttings: Floats, still: Floats, costs: Floats, level: Ints, finest: Ints, limit: Floats, most: float
+) -> tuple[Floats, Floats]:
+    """(G,) cuttings that cost least while the errors (G,) that they leave, which come second, are each within `limit`
+    and together, added as squares, within `most`.
+
+    They lie between those tried, where errors and costs go with powers of the cutting. Those of `level` do, and
+    remain where nothing else is known.
+    """
+    steps, groups = np.arange(len(still) * BETWEEN) / BETWEEN, len(level)
+    cutting, error, cost = (np.empty((len(steps), groups)) for _ in range(3))
+    for g in range(groups):
+        # The last ones, each a step finer than the one before: nothing is known of what lies in a jump.
+        jumps = cuttings[1 : finest[g] + 1, g] < 0.9 * FINER * cuttings[: finest[g], g]
+        first = 1 + np.flatnonzero(jumps).max(initial=-1)
+        known = np.arange(first, finest[g] + 1) if level[g] >= first else level[g : g + 1]
+        # What is cut more finely is never taken to be more wrong.
+        errors = np.maximum.accumulate(np.maximum(still[known, g], TINY)[::-1])[::-1]
+        at = np.clip(steps, known[0], known[-1])
+        for found, values in ((cutting, cuttings[known, g]), (error, errors), (cost, np.maximum(costs[known, g], 1))):
+            found[:, g] = np.exp(np.interp(at, known, np.log(values)))
+        cost[error[:, g] > max(limit[g], still[level[g], g]), g] = np.inf
+    every, some = np.arange(groups), cost[np.isfinite(cost)]
+    low, high = math.log(some.min() / most**2) - WIDELY, math.log(some.max() / most**2) + WIDELY
+    for _ in range(HALVINGS):
+        price = 0.5 * (low + high)
+        which = np.argmin(cost + np.exp(price) * error**2, axis=0)
+        low, high = (price, high) if l2_norm(error[which, every]) > most else (low, price)
+    which = np.argmin(cost + np.exp(high) * error**2, axis=0)
+    return cutting[which, every], error[which, every]
 
 
 def _still(runs: list[Floats], finest: Ints) -> Floats:
-    """(n − 1, K) L2 error that each group still has in each run, whose finest one for a group is number `finest`."""
+    """(n, K) L2 error that each group still has in each run, whose finest one for a group is number `finest`."""
     every = np.arange(len(finest))
     last = runs[-1]
-    still = np.array([_norms(run - last) for run in runs[:-1]])
+    still = np.array([_norms(run - last) for run in runs])
     return np.asarray(still + (REST - 1) * still[finest - 1, every])
 
 
 def _whole_error(runs: list[Floats], level: Ints, finest: Ints) -> float:
     """L2 error of the sum over groups, each as it is in the run of its level."""
     last = runs[-1].sum(axis=1)
-    chosen = sum(runs[n][:, k] for k, n in enumerate(level))
+    chosen = sum(runs[min(n, len(runs) - 1)][:, k] for k, n in enumerate(level))
     before = sum(runs[n - 1][:, k] for k, n in enumerate(finest))
     return l2_norm(chosen - last) + (REST - 1) * l2_norm(before - last)
 

@@ -45,8 +45,8 @@ LOOK_AGAIN = 1.75
 LEVEL = 1e-4
 """Chance that a second look calls light wrong that is right, over all its parts and windows."""
 ENOUGH = 64
-"""Independent bright samples, (Σx)²/Σx², from which samples may say that there is less light than was found: in a window,
-and in all of them together."""
+"""Independent bright samples, (Σx)²/Σx², from which samples may say that there is less light than was found: in a
+window, and in all of them together."""
 EVENLY = 0.25
 """Weight of drawing pairs evenly, beside that of all claims' light."""
 
