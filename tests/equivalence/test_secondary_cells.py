@@ -21,6 +21,7 @@ from datagen.transport import secondary_cells
 from datagen.transport.cells.gathering import Gathering
 from datagen.transport.fov import PixelCones
 from datagen.transport.reference import pairs_of, reference
+from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.secondary_cells import Secondary, secondary_by_cells
 from datagen.transport.solver import prepared
 from datagen.transport.target.adaptive import _sampled
@@ -193,7 +194,7 @@ def ball_at(place: tuple[float, float, float], radius: float) -> trimesh.Trimesh
 def truth_of(scene: Scene, capture: Capture) -> tuple[float, float]:
     """Energy of the secondary by the reference, and what chance allows it to be off at `LEVEL`."""
     runs = [
-        reference(scene, capture, samples=1 << 12, replicates=1, max_bounces=4, seed=seed)
+        reference(scene, capture, samples=1 << 12, replicates=1, max_bounces=4, seed=seed, draw=sample_paths)
         .components["secondary"].sum()
         for seed in range(RUNS)
     ]  # fmt: skip

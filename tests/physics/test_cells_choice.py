@@ -74,8 +74,8 @@ def scan_with_few_low_points(order: int) -> Capture:
 
 @pytest.mark.parametrize("order", range(6))
 def test_all_light_is_in_the_trial(order: int) -> None:
-    """The pairs that a cutting is tried on stand for the light of each object, and of all else, within a factor of
-    three: of the coarsest cells one ray each tells what is seen, and six points have all the light of the floor."""
+    """The pairs that a cutting is tried on stand for the light of each object, and of all else, within half of it:
+    of the coarsest cells one ray each tells what is seen, and six points have all the light of the floor."""
     scene, capture = furnished_box(), scan_with_few_low_points(order)
     gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.02), order, split_parts=True))
     pairs = pairs_of(gathering.task.capture)
@@ -88,7 +88,9 @@ def test_all_light_is_in_the_trial(order: int) -> None:
     every = gathering.gathered(pairs, seen, cutting[asked.group], asked.group).histogram
     tried = trial.gathered(cutting, 0).histogram
     rough, own = (np.linalg.norm(found, axis=(0, 2)) for found in (tried, every))
-    assert (np.abs(np.log(rough[own > 0] / own[own > 0])) < np.log(3)).all()
+    off = np.abs(np.log(rough[own > 0] / own[own > 0]))
+    # Of what is faint fewer cells were looked at, and its error counts for as little in the whole.
+    assert (off < np.log(np.where(own[own > 0] > 0.01 * own.max(), 1.5, 5.0))).all()
 
 
 def test_pixels_at_edges_get_as_many_points_as_they_need() -> None:
