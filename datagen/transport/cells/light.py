@@ -50,7 +50,7 @@ PARTLY, UNFOUND, MESH = (0.5, 0.05), 0.05, 256
 """Error of a cell that one ray stands for, on a part of up to `MESH` triangles and on one of more, and of a cell of
 which three rays found nothing, relative to its light. Of large faces few cells are partly seen, and they are found
 by what is proven clear. Of a mesh nothing is proven, few cells are partly seen all the same, and they err to both
-sides, for rays go to random points: with twice the second up to a third more rays are asked, with half about as many."""
+sides, for rays go to random points: twice the second asks up to a third more rays, half of it about as many."""
 STILL_UNFOUND = 0.5
 """What the latter is multiplied with for each larger cell about it of which no ray found anything either: what lies
 deep behind a mesh cannot be proven hidden, and is not searched as finely as an edge."""
