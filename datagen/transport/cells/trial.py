@@ -31,6 +31,9 @@ GROWN = 1.5
 SURE = 3
 """Cuttings after the coarsest from which on they are believed: the first ones lack the same light, and where all is
 in one bin two of them may agree by chance."""
+FALLS = 0.55
+"""How much smaller the last difference has to be than the one before it, where the finest cutting tried is taken
+itself: else nothing tells how much of it is left."""
 REST = 1.6
 """Error of a cutting, relative to its difference from the next: errors fall to about four tenths, and
 1 + 0.4 + 0.16 + … is this."""
@@ -242,7 +245,8 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
         in_scale = (finest >= SURE) & (cuttings[-1] <= share / FINER * np.maximum(own, UNSEEN * whole))
         grown = GROWN * np.array(cells[:-1]) <= cells[-1]
         seen_through = grown[np.minimum(np.arange(len(runs))[:, None], finest - 1), every] & in_scale
-        known = seen_through | ~((held & ~dear) | (own > asked.target * whole)) | last
+        counts = (held & ~dear) | (own > asked.target * whole)
+        known = seen_through | ~counts | last
         does = (still <= WITHIN * limit) & known & ~(held & dear)
         # One beyond the finest that was tried: none does.
         level = np.minimum(np.argmax(np.vstack([does, np.ones(groups, np.bool_)]), axis=0), finest + ~settled)
@@ -255,6 +259,7 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
                 break
             level[np.argmax(left)] += 1
             error = _whole_error(runs, level, finest)
+        level = np.where((level == finest) & counts & ~settled & ~_falls(runs, finest), finest + 1, level)
         enough = error <= WITHIN * asked.target * whole
         if enough and (level <= finest).all():
             chosen = np.stack([runs[n][:, k] for k, n in enumerate(level)], axis=1)
@@ -374,6 +379,13 @@ def _still(runs: list[Floats], finest: Ints) -> Floats:
     last = runs[-1]
     still = np.array([_norms(run - last) for run in runs])
     return np.asarray(still + (REST - 1) * still[finest - 1, every])
+
+
+def _falls(runs: list[Floats], finest: Ints) -> Bools:
+    """(K,) whether the last difference of each group is by `FALLS` smaller than the one before."""
+    last = [np.linalg.norm(runs[n][:, k] - runs[n - 1][:, k]) for k, n in enumerate(finest)]
+    before = [np.linalg.norm(runs[n - 1][:, k] - runs[max(n - 2, 0)][:, k]) for k, n in enumerate(finest)]
+    return np.array(last) <= FALLS * np.array(before)
 
 
 def _whole_error(runs: list[Floats], level: Ints, finest: Ints) -> float:
