@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,10 +58,16 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
     pairs = pairs_of(task.capture)
     asked = Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
     trial = Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
-    choice = choose(trial, asked)
-    quartering = None if choice is None else quarter(trial, choice, asked, len(pairs))
-    if choice is None or quartering is None:
-        return None
+    while True:
+        choice = choose(trial, asked)
+        quartering = None if choice is None else quarter(trial, choice, asked, len(pairs))
+        if choice is None or quartering is None:
+            return None
+        if quartering.levels <= trial.levels or quartering.gain <= asked.target * choice.whole:
+            break
+        # Smaller patches see light that those of the trial missed (a narrow lobe passes between their points): how
+        # finely its cells have to be cut is not known yet.
+        trial = replace(trial, levels=quartering.levels, seen={})
     cutting, parts = choice.cutting[trial.group], len(asked.objects)
     rows = np.arange(parts) if task.splits.parts else np.zeros(parts, np.int64)
     seen = gathering.seen(pairs, quartering.levels, quartering.edge_levels)

@@ -89,7 +89,18 @@ def test_a_scene_whose_light_is_disputed_is_sampled_and_says_so(monkeypatch):
     assert disputed.spend.parameters()["second_opinion"] == disputed.spend.second_opinion
 
 
+def test_light_of_which_samples_met_nothing_is_missed(found):
+    """A walk that meets no path of four bounces knows no error of them; its claim is one on the whole."""
+    task, claims = found
+    dark = np.zeros_like(claims["primary"].light)
+    whole = float(claims["primary"].light.sum())
+    opinions = [second_opinion(task, {"secondary": Claim(dark, 0.02 * whole, 4)}, turn=seed) for seed in SEEDS]
+    assert not any(opinion.agrees for opinion in opinions)
+    # What is missing is a large share of the light: so the claim, raised to it, says.
+    assert min(opinion.missing for opinion in opinions) > 0.1 * whole
+
+
 def test_no_light_is_no_dispute(found):
     task, claims = found
-    nothing = {"primary": Claim(np.zeros_like(claims["primary"].light), 0.02, 3, part=0)}
+    nothing = {"primary": Claim(np.zeros_like(claims["primary"].light), 0.0, 3, part=0)}
     assert second_opinion(task, nothing).samples > 0

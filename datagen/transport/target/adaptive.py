@@ -75,7 +75,8 @@ def meet_target(task: WalkTask) -> Estimate:
         secondary = secondary_by_cells(gathering, limit, own, accuracy.faint_part, walk.costs_less_than)
         if secondary is not None:
             of_cells = _of_secondary(secondary)
-            claim = Claim(of_cells.light, of_cells.error / (l2_norm(of_cells.light) or 1.0), order=4)
+            error = of_cells.error / (l2_norm(of_cells.light) or 1.0)
+            claim = Claim(of_cells.light, error * float(of_cells.light.sum()), order=4)
             opinions.append(second_opinion(task, {"secondary": claim}, of_cells.cost, len(opinions)))
             if opinions[-1].agrees:
                 found["secondary"] = of_cells
@@ -115,11 +116,13 @@ def _claims(task: WalkTask, primary: Primary) -> dict[str, Claim]:
     The light of a part that is held to no error of its own may be wrong by as much as the whole.
     """
     whole = reduce(np.add, primary.rows)
-    claims, error = {"primary": Claim(whole, primary.error, order=3)}, primary.error * l2_norm(whole)
+    claims = {"primary": Claim(whole, primary.error * float(whole.sum()), order=3)}
+    error = primary.error * l2_norm(whole)
     for k, name in enumerate(task.splits.parts):
         norm = l2_norm(primary.rows[k])
         if norm > 0.0:
-            claims[name] = Claim(primary.rows[k], primary.part_errors.get(name, min(error / norm, 1.0)), 3, k)
+            relative = primary.part_errors.get(name, min(error / norm, 1.0))
+            claims[name] = Claim(primary.rows[k], relative * float(primary.rows[k].sum()), 3, k)
     return claims
 
 
@@ -130,21 +133,18 @@ def _confirmed(task: WalkTask, estimate: Estimate, by_cells: tuple[str, ...], op
     claim is raised to what they say is missing, and the target is not met.
     """
     claims, bound = {}, estimate.error_bound or 0.0
+    whole = float(sum(map(np.sum, estimate.components.values())))
     for order, name in ((3, "primary"), (4, "secondary")):
         if name not in estimate.components or name in by_cells or task.accuracy.strongest is not None:
             continue
-        light, whole = estimate.components[name], l2_norm(reduce(np.add, estimate.components.values()))
-        # The square of what the tail of a lobe brings may be too small for a number.
-        if (norm := l2_norm(light)) > 0.0:
-            claims[name] = Claim(light, min(bound * whole / norm, 1.0), order)
+        # The bound is one on the whole, of which this may be little or, so far, nothing.
+        claims[name] = Claim(estimate.components[name], bound * whole, order)
     if claims:
         opinions = [*opinions, second_opinion(task, claims, estimate.spend.cost, len(opinions))]
         if not opinions[-1].agrees:
-            share = float(
-                estimate.components[opinions[-1].worst].sum() / sum(map(np.sum, estimate.components.values()))
-            )
+            missing = abs(opinions[-1].missing) / max(whole, 1e-300)
             estimate = replace(
-                estimate, error_bound=max(bound, abs(opinions[-1].off) * share, 1.01 * (task.accuracy.target or 0.0)),
+                estimate, error_bound=max(bound, missing, 1.01 * (task.accuracy.target or 0.0)),
                 met_target=False, spend=replace(estimate.spend, outcome=DISPUTED),
             )  # fmt: skip
     return replace(estimate, spend=replace(estimate.spend, second_opinion="; ".join(map(str, opinions))))

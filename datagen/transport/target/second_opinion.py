@@ -55,7 +55,7 @@ EVENLY = 0.25
 class Claim:
     """Light that was found, and how wrong it may be.
 
-    light : (L, P, T) photons. error : L2 error that is claimed, relative to the light's norm.
+    light : (L, P, T) photons. error : photons, over all of them, by which it is claimed to be wrong at most.
     order : bounces of its paths. part : index of the part that it comes from last, −1 for all.
     """
 
@@ -72,7 +72,8 @@ class Opinion:
     agrees : whether all light is as claimed, as far as chance allows. worst : name of the claim that is farthest off.
     off : how much more energy was found in its worst window than samples have, relative to all of its energy.
     known : one standard error of that. sigmas : by how many of these it exceeds what is claimed; negative if it does
-        not. samples : how many were drawn, over all looks.
+        not. missing : photons that samples have and the light found has not, in that window. samples : how many were
+        drawn, over all looks.
     undecided : whether they disagree where parts lie in one place, of which cells see another than rays do.
     """
 
@@ -83,6 +84,7 @@ class Opinion:
     sigmas: float
     samples: int
     undecided: bool = False
+    missing: float = 0.0
 
     def __str__(self) -> str:
         verdict = "agrees" if self.agrees else "disagrees"
@@ -140,12 +142,18 @@ def _look(task: WalkTask, claims: Mapping[str, Claim], count: int, last_order: i
         missing, sigma, enough = _compared(_with_sum(sampled), _with_sum(expected))
         energy = max(float(expected.mean(axis=0).sum()), float(sampled.mean(axis=0).sum()), 1e-300)
         known = (sigma > 0) & ((missing > 0) | enough)
-        beyond = np.abs(missing) - claim.error * energy
+        beyond = np.abs(missing) - claim.error
         sigmas = np.divide(beyond, sigma, out=np.full_like(beyond, -np.inf), where=known)
         k = int(np.argmax(sigmas))
         if sigmas[k] > worst.sigmas:
             worst = Opinion(
-                True, name, float(-missing[k] / energy), float(sigma[k] / energy), float(sigmas[k]), count * SAMPLES
+                True,
+                name,
+                float(-missing[k] / energy),
+                float(sigma[k] / energy),
+                float(sigmas[k]),
+                count * SAMPLES,
+                missing=float(missing[k]),
             )
     return worst
 
