@@ -45,6 +45,7 @@ SCHEMA_VERSIONS = {
     "asked for and not proven to be none; evidence of objects in plain sight counts all their light; with a target a "
     "seed yields other light, all of it where surfaces have lobes; column transport.spend.second_opinion",
     14: "datagen 0.15: with a target a seed yields other light, most of it where pixels see lobes",
+    15: "datagen 0.16: with a target a seed yields other light in some scenes",
 }
 """What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
 or what a seed yields changes, so that a dataset never mixes two."""
