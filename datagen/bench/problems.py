@@ -21,17 +21,6 @@ def rectangle(name: str, surface: Rectangle, albedo: float, role: Role = "struct
     return Part(name, mesh, Lambertian(albedo), role)
 
 
-def empty_room() -> Scene:
-    """The room with nothing in it, so that nothing hides anything."""
-    room = furnished_room()
-    kept = [k for k, role in enumerate(room.roles) if role != "object"]
-    faces = [room.triangles[room.faces_of(room.part_names[k])] for k in kept]
-    meshes = [trimesh.Trimesh(room.vertices, some, process=False) for some in faces]
-    return Scene.from_parts(
-        Part(room.part_names[k], mesh, room.materials[k], room.roles[k]) for k, mesh in zip(kept, meshes, strict=True)
-    )
-
-
 def furnished_room(subdivisions: int = 0, more: Sequence[Part] = ()) -> Scene:
     """The room, of 36 triangles, each cut into four `subdivisions` times, and more that stands in it."""
     shell = trimesh.creation.box((4, 3, 2.5))
