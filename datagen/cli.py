@@ -174,7 +174,7 @@ def sheet(configs: tuple[str, ...], out: str, rooms: int, labels: int | None) ->
 @click.option("--quick", is_flag=True, help="Few rays and pixels: seconds instead of minutes.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def reproduce(out: str, config: str | None, quick: bool, quiet: bool) -> None:
-    """Compute the paper's figures, as printed and radiometrically, into the folder OUT, and say what of it holds."""
+    """Compute the paper's figures, as printed and radiometrically, into the folder OUT: a page and all numbers."""
     from datagen.paper.reproduce import reproduce as write
 
     click.echo(
