@@ -41,11 +41,6 @@ def furnished_room(subdivisions: int = 0, more: Sequence[Part] = ()) -> Scene:
     return Scene.from_parts([*cut, *more])
 
 
-def two_meshes() -> list[Part]:
-    """Of 972 and 5 808 triangles, standing free in the room."""
-    return [lump("small mesh", (1.4, 0.6, 0.9), 0.25, 9), lump("large mesh", (1.6, -0.2, 1.7), 0.35, 22)]
-
-
 def lump(name: str, center: tuple[float, float, float], radius_m: float, quads: int) -> Part:
     """A ball with bumps of a tenth of its radius, 12 quads² triangles: a cube's faces blown up to a sphere."""
     side = np.linspace(-1, 1, quads + 1)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ObjectBoxes, ViewFrame
+from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS
 from datagen.labels.frame import scan_place
 from datagen.records import Scene
 from datagen.report import scan_plots as scans
 from datagen.report import time_plots as times
-from datagen.report.label_plots import draw_boxes, draw_label
+from datagen.report.label_plots import draw_label, labels_figure
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.style import captioned
@@ -129,23 +129,10 @@ def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray
         text += " Signed distance: seen from above, the black line is the objects' surface."
     if "shaded" in labels:
         text += " Shaded view: lit by the part of the relay wall that the device sees, with shadows."
-    boxes = boxes_of(stored)
     absent = [name for name in labels if name not in stored.arrays]
     if absent:
         text += f" Not stored in this dataset, computed for this picture: {', '.join(absent)}."
-    panels = len(labels) + (boxes is not None)
-    columns = min(3, panels)
-    rows = -(-panels // columns)
-    width = 4.6 * columns if columns > 1 else 7.0
-    frame = ViewFrame.of(again.scene)
-    high = float(np.clip(0.7 * width / columns * frame.half_height_m / frame.half_width_m, 1.5, 5.0)) + 1.0
-    figure, grid = captioned(width, [high] * rows, text, f"{stored.title}: labels", columns)
-    for number, (field, values) in enumerate(labels.items()):
-        draw_label(figure, figure.add_subplot(grid[divmod(number, columns)]), again.scene, field, values)
-    if boxes is not None:
-        axes = figure.add_subplot(grid[divmod(len(labels), columns)])
-        draw_boxes(axes, again.scene, boxes, stored.classes, labels.get("depth"))
-    return figure
+    return labels_figure(stored, again.scene, labels, text)
 
 
 def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
@@ -234,13 +221,6 @@ def _draw_room(plan: Axes, opened: Axes, room: RoomPicture) -> None:
 def _legend_in(again: Replay, columns: int) -> float:
     """Inches of a legend of all parts and four marks."""
     return 0.2 * float(np.ceil((len(again.scene.part_names) + 4) / columns)) + 0.1
-
-
-def boxes_of(stored: StoredScene) -> ObjectBoxes | None:
-    """The stored boxes of the objects, if there are any."""
-    if OBJECT_TABLES[0] not in stored.arrays:
-        return None
-    return ObjectBoxes.from_tables({name: stored.arrays[name] for name in OBJECT_TABLES})
 
 
 def labels_of(stored: StoredScene) -> list[str]:

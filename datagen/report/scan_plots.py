@@ -62,6 +62,11 @@ def raster_of(capture: Capture, channel: tuple[int, int], frame: ViewFrame | Non
     return None
 
 
+def numbered(count: int) -> Raster:
+    """One row of so many channels without a place, in the order of their numbers."""
+    return Raster(np.zeros((1, count, 2), np.int64), np.arange(count, dtype=np.float64), np.zeros(1), "laser points")
+
+
 def _columns(places: NDArray[np.float64]) -> int | None:
     """Length of the rows of a regular grid listed row by row, or None."""
     steps = np.diff(places, axis=0)
@@ -170,8 +175,7 @@ def listed_page(
     )
     figure, grid = captioned(14, [4.6], text, f"{title}: the scan", 3)
     _draw_places(figure.add_subplot(grid[0, 0]), wall, capture.laser.targets, frame)
-    number = np.arange(count)
-    raster = Raster(np.zeros((1, count, 2), np.int64), number.astype(np.float64), np.zeros(1), "laser points")
+    raster = numbered(count)
     scans = [values.sum(axis=1)[None] for values in (whole, objects)]
     limits = time_limits(scans[0], scans[1], capture.time)
     for column, (what, scan) in enumerate(zip(("all light", "objects only"), scans, strict=True)):

@@ -21,9 +21,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
-from datagen.bench.measuring import machine, markdown, processor_seconds
+from datagen.bench.measuring import KEPT, machine, markdown, processor_seconds, promises_kept
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.design.scene_for import scene_for
@@ -199,20 +198,15 @@ def _cost(run: Transient) -> float:
 
 def table(found: Sequence[Outcome]) -> str:
     """Markdown, a line for each target."""
-    head = ["target", "scenes", "within", "exact 95 % interval", "true / target: median", "95th", "worst",
-            "cost / fixed counts: median", "95th", f"over {FAIR:g}", "CPU s: median"]  # fmt: skip
+    head = ["target", "scenes", *KEPT, "cost / fixed counts: median", "95th", f"over {FAIR:g}", "CPU s: median"]
     rows = []
     for target in sorted({one.target for one in found}, reverse=True):
         some = [one for one in found if one.target == target]
-        good = sum(one.within for one in some)
-        interval = stats.binomtest(good, len(some)).proportion_ci(0.95, "exact")
-        share = np.array([one.error for one in some]) / target
+        kept = promises_kept([one.error / target for one in some], [one.within for one in some])
         ratio = np.array([one.cost / one.fixed_cost for one in some if one.fixed_cost > 0] or [math.nan])
-        within = f"{good / len(some):.1%}", f"{interval.low:.1%} … {interval.high:.1%}"
-        errors = [f"{x:.2f}" for x in (np.median(share), np.quantile(share, 0.95), share.max())]
         costs = f"{np.median(ratio):.2f}", f"{np.quantile(ratio, 0.95):.2f}", f"{(ratio > FAIR).mean():.1%}"
         seconds = f"{np.median([one.seconds for one in some]):.2f}"
-        rows.append([f"{target:g}", str(len(some)), *within, *errors, *costs, seconds])
+        rows.append([f"{target:g}", str(len(some)), *kept, *costs, seconds])
     return markdown(head, rows, words=0)
 
 
