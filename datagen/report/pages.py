@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.effects import decision_lines
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS
 from datagen.labels.frame import scan_place
 from datagen.records import Scene
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 UNDIVIDED = "all light"
 """Stands for the parts where light is not split by part."""
 _MOMENTS = 4
+_EFFECT_LETTERS, _EFFECT_LINE_IN = 180, 0.17
 
 
 def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
@@ -208,6 +211,30 @@ def overview_page(
         depth.set_axis_off()
     # The colour bar stands beside the picture, and the room for it at the right of the column.
     depth.set_anchor("W")
+    return figure
+
+
+def effects_page(stored: StoredScene, again: Replay) -> Figure | None:
+    """A line for each effect; None where nothing was decided."""
+    if not again.effects.decisions:
+        return None
+    text = (
+        "What of this scene was simulated. An effect is left out if that changes the light of three bounces and more "
+        "(or, for the detector, the expected histogram) by less than its share of the tolerance, relative L2 over "
+        f"the whole scan: together at most {again.effects.tolerance:g}. “change” is how much leaving it out could "
+        "change: a bound is proven, a trial run measures with few samples. Effects that were switched on or off, and "
+        "those that cost no time, are not estimated."
+    )
+    indent = " " * decision_lines(again.effects)[0].index("why")
+    lines = [
+        piece
+        for line in decision_lines(again.effects)
+        for piece in textwrap.wrap(line.replace("`", ""), _EFFECT_LETTERS, subsequent_indent=indent)
+    ]
+    figure, grid = captioned(13, [_EFFECT_LINE_IN * len(lines) + 0.3], text, f"{stored.title}: effects")
+    axes = figure.add_subplot(grid[0])
+    axes.set_axis_off()
+    axes.text(0.0, 1.0, "\n".join(lines), family="DejaVu Sans Mono", fontsize=7.5, linespacing=1.3, va="top")
     return figure
 
 

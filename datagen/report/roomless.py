@@ -137,11 +137,7 @@ def _draw_places(
         scans.draw_moment(axes, total[..., None], slice(0, 1), raster)
         return
     points = capture.laser.targets if len(capture.laser.targets) > 1 else capture.sensor.pixels.mean(axis=1)
-    x, y = (points - points.mean(axis=0) if frame is None else frame.to_view(points))[:, :2].T
-    colors = total.ravel() if total.size == len(points) else None
-    axes.scatter(x, y, s=16, c=colors, cmap="magma" if colors is not None else None)
-    axes.set(xlabel="right (m)", ylabel="up (m)")
-    axes.set_aspect("equal", adjustable="datalim")
+    scans.draw_places(axes, points, frame, values=total.ravel() if total.size == len(points) else None)
 
 
 def _listed(values: NDArray[np.float64]) -> tuple[str, NDArray[np.float64]]:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from datagen.labels import make_labels
 from datagen.report import pages as drawn
-from datagen.report.effects_page import effects_page
 from datagen.report.evidence_pictures import evidence_page
 from datagen.report.label_plots import boxes_of
 from datagen.report.replay import Replay, StoredScene, read_scene, replay
@@ -77,7 +76,7 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
         "evidence": lambda: evidence_page(stored, again),
         "labels": lambda: drawn.labels_page(stored, again, labels),
         "scan": lambda: drawn.scan_page(stored, again),
-        "effects": lambda: effects_page(stored, again),
+        "effects": lambda: drawn.effects_page(stored, again),
     }
     for name in names:
         figure = makers[name]()
