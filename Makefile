@@ -15,7 +15,8 @@ CONFIG ?= configs/quickstart.yaml
 OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
-.PHONY: help setup demo test tests check lint types format schema fuzz nightly cpu-types digests hard-cases bench peers wheel clean
+.PHONY: help setup demo test tests check lint types format schema fuzz nightly cpu-types digests hard-cases bench bench-scaling \
+	bench-detector bench-loaders bench-forecasts bench-evidence bench-targets peers wheel clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
@@ -25,7 +26,8 @@ help:
 	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  the table of docs/hard_cases.md"
 	@echo "make nightly the long statistical runs (hours);  make cpu-types  the tests as on older processors"
 	@echo "make docs    docs/api.md from the docstrings;  make wheel   a wheel in dist/;  make clean   remove what was made"
-	@echo "make bench   the tables of docs/figures.md;  make peers   compare with mitransient (needs LLVM 16 or newer)"
+	@echo "make bench   the tables of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
+	@echo "             -forecasts, -evidence, -targets;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 
 setup: $(STAMP)
 
@@ -96,15 +98,31 @@ digests: setup
 hard-cases: setup
 	$(BIN)/python tests/stability/hard_case_table.py
 
-bench: setup
+bench: setup bench-scaling bench-detector bench-loaders bench-forecasts bench-evidence bench-targets
 	$(BIN)/datagen bench stages $(CONFIG)
 	$(BIN)/datagen bench peers out/peers
-	$(BIN)/datagen bench scaling
-	$(BIN)/datagen bench detector
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
-	$(BIN)/datagen bench plan configs/*.yaml
-	$(BIN)/datagen bench loaders
-	$(BIN)/python -m datagen.report.pileup configs/demonstration_room.yaml
+	$(BIN)/datagen bench promise out/promise configs/*.yaml
+
+bench-scaling: setup
+	$(BIN)/python tests/benchmarks/scaling.py
+
+bench-detector: setup
+	$(BIN)/python tests/benchmarks/detector.py
+	$(BIN)/python tests/benchmarks/pileup.py configs/demonstration_room.yaml
+
+bench-loaders: setup
+	$(BIN)/python tests/benchmarks/loaders.py
+
+bench-forecasts: setup
+	$(BIN)/python tests/benchmarks/forecasts.py 4 9 configs/quickstart.yaml configs/own_mesh.yaml
+	$(BIN)/python tests/benchmarks/forecasts.py 4 40 configs/furnished_rooms.yaml configs/spad_array.yaml
+
+bench-evidence: setup
+	$(BIN)/python tests/benchmarks/evidence.py 100 0.1 configs/*.yaml
+
+bench-targets: setup
+	$(BIN)/python tests/benchmarks/targets.py 100 500 2e6
 
 peers: setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[tests,peers]'

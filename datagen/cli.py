@@ -174,7 +174,7 @@ def sheet(configs: tuple[str, ...], out: str, rooms: int, labels: int | None) ->
 @click.option("--quick", is_flag=True, help="Few rays and pixels: seconds instead of minutes.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def reproduce(out: str, config: str | None, quick: bool, quiet: bool) -> None:
-    """Compute the paper's figures, as printed and radiometrically, into the folder OUT, and say what of it holds."""
+    """Compute the paper's figures, as printed and radiometrically, into the folder OUT: a page and all numbers."""
     from datagen.paper.reproduce import reproduce as write
 
     click.echo(
@@ -268,15 +268,9 @@ class _Benches(click.Group):
 
     MODULES: ClassVar[dict[str, str]] = {
         "accuracy": "What accuracy costs in time: error against seconds for everything that can be chosen.",
-        "target": "Whether accuracy targets are met on random scenes, and at what cost beside fixed counts.",
         "peers": "Error against processor seconds, beside mitransient and plain quadrature.",
         "stages": "Where a build's time goes, and scenes per second on 1 and 2 workers.",
-        "scaling": "Cost and memory against every size.",
-        "detector": "Milliseconds per histogram of every sampler, beside a photon-by-photon simulation.",
-        "loaders": "Samples a second of our loader beside zarr, tensorstore, WebDataset and others.",
         "promise": "Scenes simulated to their targets, held against the truth, object by object.",
-        "evidence": "How far objects stand out of the noise, kind by kind, in the first scenes.",
-        "plan": "Predicted beside actual: seconds, error and bytes of small builds.",
     }
 
     def list_commands(self, ctx: click.Context) -> list[str]:

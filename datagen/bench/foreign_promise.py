@@ -18,10 +18,9 @@ error of all bins in one direction, such as light that is missing, stands out.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
@@ -29,7 +28,7 @@ import numpy as np
 from scipy import stats
 
 from datagen.bench.foreign_scenes import ForeignScene, foreign_scene
-from datagen.bench.measuring import machine, markdown, processor_seconds
+from datagen.bench.measuring import KEPT, continued, machine, markdown, processor_seconds, promises_kept
 from datagen.records import Accuracy, Transient
 from datagen.records.arrays import Floats
 from datagen.transport.raycast import Raycaster
@@ -269,8 +268,7 @@ def _walk_off(foreign: ForeignScene, truth: Truth) -> float:
 
 def table(found: Sequence[ForeignHeld]) -> str:
     """Markdown: a line for wholes and objects at each target, then by way, BRDF, shape and scan."""
-    head = ["of", "target", "cases", "undecided", "not promised", "within", "exact 95 % interval",
-            "true / asked: median", "95th", "worst", "beyond twice its claim"]  # fmt: skip
+    head = ["of", "target", "cases", "undecided", "not promised", *KEPT, "beyond twice its claim"]
     wholes, objects = ([one for one in found if (one.what == WHOLE) == whole] for whole in (True, False))
     groups: list[tuple[Sequence[ForeignHeld], str, Callable[[ForeignHeld], str]]] = [
         (wholes, "whole", lambda one: ""), (objects, "objects", lambda one: ""),
@@ -292,13 +290,9 @@ def _row(cases: Sequence[ForeignHeld]) -> list[str]:
     counts = [str(len(cases)), str(len(promised) - len(known)), str(len(cases) - len(promised))]
     overclaimed = str(sum(one.overclaimed for one in promised))
     if not known:
-        return [*counts, "", "", "", "", "", overclaimed]
-    good = sum(one.within for one in known)
-    interval = stats.binomtest(good, len(known)).proportion_ci(0.95, "exact")
-    share = np.array([one.error / one.asked for one in known])
-    figures = (np.median(share), np.quantile(share, 0.95), share.max())
-    return [*counts, f"{good / len(known):.1%}", f"{interval.low:.1%} … {interval.high:.1%}",
-            *(f"{x:.2f}" for x in figures), overclaimed]  # fmt: skip
+        return [*counts, *[""] * len(KEPT), overclaimed]
+    kept = promises_kept([one.error / one.asked for one in known], [one.within for one in known])
+    return [*counts, *kept, overclaimed]
 
 
 def told(one: ForeignHeld) -> str:
@@ -315,16 +309,14 @@ def told(one: ForeignHeld) -> str:
 
 def hold_foreign(folder: Path, scenes: range, targets: Sequence[float], meshes: Path | None) -> None:
     """Hold some foreign scenes; table and cases in a folder, where those that it has already are kept."""
-    folder.mkdir(parents=True, exist_ok=True)
-    kept = folder / "foreign.json"
-    found = [ForeignHeld(**one) for one in json.loads(kept.read_text())] if kept.exists() else []
     of = "" if meshes is None else meshes.name
-    done = {(one.scene, one.meshes, one.target) for one in found}
-    for index in scenes:
-        missing = [target for target in targets if (index, of, target) not in done]
-        if missing:
-            found += held_foreign(index, missing, meshes)
-            kept.write_text(json.dumps([asdict(one) for one in found], indent=1))
+    found = continued(
+        folder / "foreign.json",
+        ForeignHeld,
+        lambda one: (one.scene, one.meshes, one.target),
+        lambda missing: held_foreign(missing[0][0], [target for *_, target in missing], meshes),
+        [[(index, of, target) for target in targets] for index in scenes],
+    )
     count = len({(one.scene, one.meshes) for one in found})
     seconds = sum({(one.scene, one.meshes, one.target): one.seconds for one in found}.values())
     text = f"{count} foreign scenes, simulated in {seconds:.0f} processor seconds; {machine()}\n\n{table(found)}\n"

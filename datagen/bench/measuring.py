@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Iterable, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy import stats
 
 from datagen.store.environment import cores, processor
 
 T = TypeVar("T")
+Key = TypeVar("Key", bound=Hashable)
 
 
 def machine() -> str:
@@ -32,3 +39,41 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1)
 def percent(share: float) -> str:
     """`12 %`, `3.4 %`, `0.56 %`."""
     return f"{100 * share:.0f} %" if share >= 0.0995 else f"{100 * share:.2g} %"
+
+
+def continued(
+    file: Path,
+    kind: type[T],
+    key: Callable[[T], Key],
+    measure: Callable[[list[Key]], list[T]],
+    jobs: Iterable[Sequence[Key]],
+) -> list[T]:
+    """All cases of a benchmark: those that a JSON file keeps, and those that it has not yet.
+
+    kind : the record of a case. key : what tells cases apart. jobs : keys that are measured together; of each job
+    `measure` gets those that are missing. Cases are kept as soon as they are known, so that a benchmark can be
+    stopped and go on.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    found = [kind(**one) for one in json.loads(file.read_text())] if file.exists() else []
+    done = {key(one) for one in found}
+    for keys in jobs:
+        missing = [one for one in keys if one not in done]
+        if missing:
+            found += measure(missing)
+            content: list[dict[str, Any]] = [asdict(one) for one in found]  # type: ignore[call-overload]
+            file.write_text(json.dumps(content, indent=1))
+    return found
+
+
+KEPT = ("within", "exact 95 % interval", "true / asked: median", "95th", "worst")
+"""Headings of the cells of `promises_kept`."""
+
+
+def promises_kept(shares: Sequence[float], within: Sequence[bool]) -> list[str]:
+    """How many of some cases are within what was asked, with Clopper and Pearson's interval, and the distribution of
+    true over asked error."""
+    interval = stats.binomtest(sum(within), len(within)).proportion_ci(0.95, "exact")
+    spread = np.median(shares), np.quantile(shares, 0.95), np.max(shares)
+    kept = f"{sum(within) / len(within):.1%}", f"{interval.low:.1%} … {interval.high:.1%}"
+    return [*kept, *(f"{x:.2f}" for x in spread)]

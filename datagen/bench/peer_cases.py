@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from datagen.bench import other_renderers as others
 from datagen.bench.measuring import percent
 from datagen.bench.other_renderers import MitransientPeer, grid_points, missing_for_mitransient
-from datagen.bench.problems import DEVICE, WALL, furnished_room, lump, rectangle, two_meshes
+from datagen.bench.problems import DEVICE, WALL, furnished_room, lump, rectangle
 from datagen.records import Accuracy, Capture, Rectangle, Scene, TimeAxis
 from datagen.records.arrays import l2_norm
 from datagen.transport import simulate
-from datagen.units import time_from_path
+from datagen.units import path_from_time, time_from_path
 
 Array = NDArray[np.float64]
 LATE_S = 10e-9
@@ -78,7 +78,7 @@ def ours(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, objects:
     return np.stack([others.photons_to_radiance(row, capture).reshape(-1, capture.time.bins) for row in rows])
 
 
-def by_cells(scene: Scene, capture: Capture, bounces: int, objects: bool = False) -> Callable[[int, int], Array]:
+def to_target(scene: Scene, capture: Capture, bounces: int, objects: bool = False) -> Callable[[int, int], Array]:
     """Ours as a user asks for it, to an error of one in so many."""
     return lambda one_in, seed: ours(scene, capture, Accuracy(target=1 / one_in, max_bounces=bounces), seed, objects)
 
@@ -88,17 +88,8 @@ def by_walk(scene: Scene, capture: Capture, bounces: int) -> Callable[[int, int]
     return lambda lookins, seed: ours(scene, capture, Accuracy(lookins, 1, bounces, replicates=1), seed)
 
 
-def by_peer(scene: Scene, sides: tuple[int, int], axis: TimeAxis, bounces: int, lasers: Array | None = None) -> (
-    Callable[[int, int], Array]
-):  # fmt: skip
-    """mitransient's of a room: confocal, or one laser point after the other."""
-    each = [None] if lasers is None else list(lasers)
-    peers = [MitransientPeer(scene, "relay_wall", WALL, DEVICE, at, *sides, axis, bounces=bounces) for at in each]
-
-    def run(paths: int, seed: int) -> Array:
-        return np.concatenate([peer.render(paths, seed * len(peers) + k) for k, peer in enumerate(peers)])[None]
-
-    return run
+COUNTS = (10, 50, 200), (), (1 << 12, 1 << 14, 1 << 16)
+"""Errors asked of ours (one in so many), lookins of our walk, and paths of mitransient."""
 
 
 def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
@@ -116,7 +107,7 @@ def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
     capture = others.point_capture(scan, points, device, points, axis, confocal=True)
     truth = quadrature(reference_knots, 0)
     contenders = [
-        Contender("ours, cells", "", by_cells(scene, capture, 3), (10, 50, 100, 200), truth, asks=True),
+        Contender("ours, cells", "", to_target(scene, capture, 3), (10, 50, 100, 200), truth, asks=True),
         Contender("ours, walk", "lookins a point", by_walk(scene, capture, 3), (1 << 11, 1 << 13, 1 << 15), truth),
         Contender("plain quadrature (numba)", "knots a side", quadrature, (32, 64, 128, 192), truth),
     ]
@@ -129,66 +120,56 @@ def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
     return Case(title, 1, 0.01, tuple(contenders))
 
 
-def scan(
-    scene: Scene, what: str, points_a_side: int = 16, bounces: int = 3, *, reference_one_in: int = 1000,
-    objects: bool = False, asked: tuple[int, ...] = (10, 50, 200), walks: tuple[int, ...] = (),
-    peer_paths: tuple[int, ...] = (1 << 12, 1 << 14, 1 << 16), most: int = 100,
+def in_room(
+    what: str, scene: Scene, points_a_side: int = 16, lasers: Array | None = None, bounces: int = 3, *,
+    axis: TimeAxis | None = None, reference: int = 1000, by_walks: bool = False, objects: bool = False,
+    counts: tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]] = COUNTS, most: int = 100,
 ) -> Case:  # fmt: skip
-    """A confocal scan of a room: the main job."""
-    axis, sides = path_axis(512, 0.03, 0.0), (points_a_side, points_a_side)
+    """A square grid of points on the wall of a room: a confocal scan, or each seen from every laser point.
+
+    axis : 512 bins of 3 cm if left out. reference : the truth is ours to an error of one in so many; `by_walks`: of
+    so many walks. counts : of ours to a target (one in so many), of ours by the walk, and of mitransient.
+    """
+    axis, sides = axis or path_axis(512, 0.03, 0.0), (points_a_side, points_a_side)
+    asked, walks, paths = counts
     points = grid_points(WALL, *sides)
-    capture = others.point_capture(WALL, points, DEVICE, points, axis, confocal=True)
-    cells = by_cells(scene, capture, bounces, objects)
-    truth = cells(reference_one_in, 1000)
-    contenders = [Contender("ours, cells", "", cells, asked, truth, asks=True)]
+    lit = points if lasers is None else lasers
+    capture = others.point_capture(WALL, points, DEVICE, lit, axis, confocal=lasers is None)
+    cells, walk = to_target(scene, capture, bounces, objects), by_walk(scene, capture, bounces)
+    if by_walks:
+        halves = [walk(reference // 2, 1000 + k) for k in range(2)]
+        truth = (halves[0] + halves[1]) / 2
+        uncertain = float(np.linalg.norm(halves[0] - halves[1]) / 2 / np.linalg.norm(truth))
+        known = f"{reference} walks of ours, uncertain by {percent(uncertain)}"
+    else:
+        truth, known = cells(reference, 1000), f"cells to 1/{reference}"
+    contenders = [Contender("ours, by target" if by_walks else "ours, cells", "", cells, asked, truth, asks=True)]
     if walks:
-        contenders.append(Contender("ours, walk", "lookins a point", by_walk(scene, capture, bounces), walks, truth))
-    if peer_paths and missing_for_mitransient() is None:
-        peer = by_peer(scene, sides, axis, bounces)
-        contenders.append(Contender(PEER, "paths a point", peer, peer_paths, truth))
-    title = (
-        f"{what}, {points_a_side}² confocal points, 512 bins of 3 cm, {_orders(bounces)} (reference: cells to "
-        f"1/{reference_one_in})"
-    )
-    return Case(title, 2, 0.02, tuple(contenders), _late(axis) if bounces > 3 else None, most)
-
-
-def exhaustive(reference_one_in: int = 100) -> Case:
-    """Every pair of 3 × 3 laser points and 8 × 8 pixels."""
-    scene, axis = furnished_room(), path_axis(512, 0.03, 0.0)
-    lasers, points = grid_points(WALL, 3, 3), grid_points(WALL, 8, 8)
-    cells = by_cells(scene, others.point_capture(WALL, points, DEVICE, lasers, axis), 4)
-    truth = cells(reference_one_in, 1000)
-    contenders = [Contender("ours, cells", "", cells, (50,), truth, asks=True)]
+        contenders.append(Contender("ours, walk", "lookins a laser point", walk, walks, truth))
     if missing_for_mitransient() is None:
-        peer = by_peer(scene, (8, 8), axis, 4, lasers)
-        contenders.append(Contender(PEER, "paths a pair", peer, (1 << 12, 1 << 14, 1 << 16), truth))
-    title = f"Furnished room, 3² laser points × 8² pixels, 512 bins of 3 cm, {_orders(4)} (reference: cells to "
-    return Case(f"{title}1/{reference_one_in})", 2, 0.02, tuple(contenders), _late(axis), most=1)
+        each = [None] if lasers is None else list(lasers)
+        peers = [MitransientPeer(scene, "relay_wall", WALL, DEVICE, at, *sides, axis, bounces=bounces) for at in each]
+
+        def render(count: int, seed: int) -> Array:
+            return np.concatenate([peer.render(count, seed * len(peers) + k) for k, peer in enumerate(peers)])[None]
+
+        contenders.append(Contender(PEER, "paths a point", render, paths, truth))
+    orders = "3 bounces" if bounces == 3 else "3 + 4 bounces"
+    seen = f"{points_a_side}² " + ("confocal points" if lasers is None else f"pixels × {len(lit)} laser point(s)")
+    width_cm = 100 * float(path_from_time(axis.width_s))
+    title = f"{what}, {seen}, {axis.bins} bins of {width_cm:.0f} cm, {orders} (reference: {known})"
+    late = int(np.searchsorted(axis.centers_s, LATE_S)) if bounces > 3 and not by_walks else None
+    return Case(title, 2, 0.02, tuple(contenders), late, most)
 
 
-def room(points_a_side: int, reference_walks: int = 1 << 20) -> Case:
+def one_laser_point(points_a_side: int) -> Case:
     """One laser point, points on the relay wall, three and four bounces in bins of 10 cm."""
-    scene, laser_point = furnished_room(), np.array([0, -0.8, 1.4])
-    axis, sides = path_axis(170, 0.1, 0.0), (points_a_side, points_a_side)
-    capture = others.point_capture(WALL, grid_points(WALL, *sides), DEVICE, laser_point[None], axis)
-    walk = by_walk(scene, capture, 4)
-    halves = [walk(reference_walks // 2, 1000 + k) for k in range(2)]
-    truth = (halves[0] + halves[1]) / 2
-    uncertain = float(np.linalg.norm(halves[0] - halves[1]) / 2 / np.linalg.norm(truth))
-    contenders = [
-        Contender("ours, by target", "", by_cells(scene, capture, 4), (10, 50, 100), truth, asks=True),
-        Contender("ours, walk", "lookins", walk, (1 << 12, 1 << 14, 1 << 16), truth),
-    ]
-    if missing_for_mitransient() is None:
-        most = (1 << 20) // points_a_side**2
-        peer = by_peer(scene, sides, axis, 4, laser_point[None])
-        contenders.append(Contender(PEER, "paths a point", peer, (most // 16, most // 4, most), truth))
-    title = (
-        f"Furnished room, 1 laser point, {points_a_side}² points, 170 bins of 10 cm, {_orders(4)} (reference: "
-        f"{reference_walks} walks of ours, uncertain by {percent(uncertain)})"
-    )
-    return Case(title, 2, 0.02, tuple(contenders))
+    most = (1 << 20) // points_a_side**2
+    counts = (10, 50, 100), (1 << 12, 1 << 14, 1 << 16), (most // 16, most // 4, most)
+    return in_room(
+        ROOM, furnished_room(), points_a_side, np.array([[0, -0.8, 1.4]]), 4, axis=path_axis(170, 0.1, 0.0),
+        reference=1 << 20, by_walks=True, counts=counts,
+    )  # fmt: skip
 
 
 def path_axis(bins: int, width_m: float, start_m: float) -> TimeAxis:
@@ -196,40 +177,29 @@ def path_axis(bins: int, width_m: float, start_m: float) -> TimeAxis:
     return TimeAxis(bins, time_from_path(width_m), time_from_path(start_m), "wall")
 
 
-def _late(axis: TimeAxis) -> int:
-    return int(np.searchsorted(axis.centers_s, LATE_S))
+def meshed() -> Scene:
+    """The room with two meshes that stand free in it."""
+    return furnished_room(more=[lump("small mesh", (1.4, 0.6, 0.9), 0.25, 9), lump(*LARGE, 22)])
 
 
-def _orders(bounces: int) -> str:
-    return "3 bounces" if bounces == 3 else "3 + 4 bounces"
-
-
-def _meshed() -> Scene:
-    return furnished_room(more=two_meshes())
-
-
-def _million() -> Scene:
-    return furnished_room(more=[lump("mesh", (1.6, -0.2, 1.7), 0.35, 289)])
-
-
+ROOM, MESHED = "Furnished room", "Furnished room with meshes of 972 and 5 808 triangles"
+LARGE = "large mesh", (1.6, -0.2, 1.7), 0.35
 CASES: dict[str, Callable[[], Case]] = {
     "plate": bare_plate,
-    "scan": lambda: scan(furnished_room(), "Furnished room", walks=(1 << 9, 1 << 11, 1 << 13)),
-    "scan, meshes": lambda: scan(
-        _meshed(), "Furnished room with meshes of 972 and 5 808 triangles", reference_one_in=400, objects=True
-    ),
-    "scan, 3 + 4 bounces": lambda: scan(furnished_room(), "Furnished room", 8, 4, reference_one_in=200),
-    "room, 1 point": lambda: room(1),
-    "room, 4 × 4 points": lambda: room(4),
+    "scan": lambda: in_room(ROOM, furnished_room(), counts=(COUNTS[0], (1 << 9, 1 << 11, 1 << 13), COUNTS[2])),
+    "scan, meshes": lambda: in_room(MESHED, meshed(), reference=400, objects=True),
+    "scan, 3 + 4 bounces": lambda: in_room(ROOM, furnished_room(), 8, bounces=4, reference=200),
+    "room, 1 point": lambda: one_laser_point(1),
+    "room, 4 × 4 points": lambda: one_laser_point(4),
 }
 DEAR: dict[str, Callable[[], Case]] = {
-    "scan, meshes, 3 + 4 bounces": lambda: scan(
-        _meshed(), "Furnished room with meshes of 972 and 5 808 triangles", 8, 4, reference_one_in=100, most=1
+    "scan, meshes, 3 + 4 bounces": lambda: in_room(MESHED, meshed(), 8, bounces=4, reference=100, most=1),
+    "exhaustive": lambda: in_room(
+        ROOM, furnished_room(), 8, grid_points(WALL, 3, 3), 4, reference=100, counts=((50,), *COUNTS[1:]), most=1
     ),
-    "exhaustive": exhaustive,
-    "scan, a million triangles": lambda: scan(
-        _million(), "Furnished room with a mesh of 1 002 252 triangles", 32, asked=(50,), reference_one_in=100,
-        peer_paths=(1 << 10, 1 << 12), most=1,
+    "scan, a million triangles": lambda: in_room(
+        f"{ROOM} with a mesh of 1 002 252 triangles", furnished_room(more=[lump(*LARGE, 289)]), 32, reference=100,
+        counts=((50,), (), (1 << 10, 1 << 12)), most=1,
     ),
 }  # fmt: skip
 """Cases that take minutes."""

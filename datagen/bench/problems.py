@@ -21,17 +21,6 @@ def rectangle(name: str, surface: Rectangle, albedo: float, role: Role = "struct
     return Part(name, mesh, Lambertian(albedo), role)
 
 
-def empty_room() -> Scene:
-    """The room with nothing in it, so that nothing hides anything."""
-    room = furnished_room()
-    kept = [k for k, role in enumerate(room.roles) if role != "object"]
-    faces = [room.triangles[room.faces_of(room.part_names[k])] for k in kept]
-    meshes = [trimesh.Trimesh(room.vertices, some, process=False) for some in faces]
-    return Scene.from_parts(
-        Part(room.part_names[k], mesh, room.materials[k], room.roles[k]) for k, mesh in zip(kept, meshes, strict=True)
-    )
-
-
 def furnished_room(subdivisions: int = 0, more: Sequence[Part] = ()) -> Scene:
     """The room, of 36 triangles, each cut into four `subdivisions` times, and more that stands in it."""
     shell = trimesh.creation.box((4, 3, 2.5))
@@ -50,11 +39,6 @@ def furnished_room(subdivisions: int = 0, more: Sequence[Part] = ()) -> Scene:
     ]
     cut = [Part(p.name, _cut(p.mesh, subdivisions), p.material, p.role) for p in parts]
     return Scene.from_parts([*cut, *more])
-
-
-def two_meshes() -> list[Part]:
-    """Of 972 and 5 808 triangles, standing free in the room."""
-    return [lump("small mesh", (1.4, 0.6, 0.9), 0.25, 9), lump("large mesh", (1.6, -0.2, 1.7), 0.35, 22)]
 
 
 def lump(name: str, center: tuple[float, float, float], radius_m: float, quads: int) -> Part:

@@ -12,18 +12,16 @@ over all.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
 import numpy as np
-from scipy import stats
 
 from datagen.bench.foreign_promise import hold_foreign
-from datagen.bench.measuring import machine, markdown, processor_seconds
+from datagen.bench.measuring import KEPT, continued, machine, markdown, processor_seconds, promises_kept
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, load_config
 from datagen.design.light import Light, light_of, transport_effects
@@ -108,21 +106,8 @@ def held(config: DatasetConfig, index: int, target: float, points: int = POINTS)
         known = math.sqrt(float((weight**2 * noise.sum(axis=1)).sum())) / square
         asked = target if name == WHOLE else replace(light.accuracy, target=target).each_part
         itself = (truth.error_bound if name == WHOLE else truth.part_errors.get(name)) or 0.0
-        found.append(
-            Held(
-                config.name,
-                index,
-                target,
-                name,
-                math.sqrt(off),
-                error,
-                asked,
-                itself,
-                float(each.sum()),
-                known,
-                seconds,
-            )
-        )
+        errors = math.sqrt(off), error, asked, itself, float(each.sum()), known
+        found.append(Held(config.name, index, target, name, *errors, seconds))
     return found
 
 
@@ -155,8 +140,8 @@ def _parts(run: Transient, names: Mapping[str, float]) -> dict[str, Floats]:
 
 def table(found: Sequence[Held]) -> str:
     """Markdown, a line for each target and kind."""
-    head = ["target", "of", "cases", "not promised", "within", "exact 95 % interval", "true / asked: median", "95th",
-            "worst", "claimed / true: median", "truth by walks: median", "beyond 4 σ"]  # fmt: skip
+    head = ["target", "of", "cases", "not promised", *KEPT, "claimed / true: median", "truth by walks: median",
+            "beyond 4 σ"]  # fmt: skip
     rows = []
     for target in sorted({one.target for one in found}):
         for kind in (WHOLE, "each object"):
@@ -164,18 +149,12 @@ def table(found: Sequence[Held]) -> str:
             some = [one for one in every if one.promised]
             if not some:
                 continue
-            good = sum(one.within for one in some)
-            interval = stats.binomtest(good, len(some)).proportion_ci(0.95, "exact")
-            share = np.array([one.error / one.asked for one in some])
-            claimed = np.array([one.claimed / max(one.error, 1e-9) for one in some])
-            off = np.array([one.truth_off for one in some])
-            beyond = np.array([one.disputed for one in some])
-            rows.append([
-                f"{target:g}", kind, str(len(some)), str(len(every) - len(some)), f"{good / len(some):.1%}",
-                f"{interval.low:.1%} … {interval.high:.1%}",
-                *(f"{x:.2f}" for x in (np.median(share), np.quantile(share, 0.95), share.max(), np.median(claimed))),
-                f"{math.sqrt(max(float(np.median(off)), 0.0)):.2%}", str(int(beyond.sum())),
-            ])  # fmt: skip
+            kept = promises_kept([one.error / one.asked for one in some], [one.within for one in some])
+            claimed = np.median([one.claimed / max(one.error, 1e-9) for one in some])
+            off = math.sqrt(max(float(np.median([one.truth_off for one in some])), 0.0))
+            counts = str(len(some)), str(len(every) - len(some))
+            beyond = str(sum(one.disputed for one in some))
+            rows.append([f"{target:g}", kind, *counts, *kept, f"{claimed:.2f}", f"{off:.2%}", beyond])
     return markdown(head, rows, words=2)
 
 
@@ -217,25 +196,21 @@ def main(
         return hold_foreign(Path(out), range(first, first + foreign), targets, meshes)
     if meshes is not None or not configs:
         raise InputError("datagen bench promise: name configurations, or --foreign N, if wanted with --meshes FOLDER")
-    folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    kept = folder / "promise.json"
-    found = [Held(**one) for one in json.loads(kept.read_text())] if kept.exists() else []
-    done = {(one.config, one.scene, one.target) for one in found}
-    ready = [config for config in map(load_config, configs) if config.transport.target is not None]
-    for index in range(first, first + scenes):
-        for target in targets:
-            for config in ready:
-                if (config.name, index, target) not in done:
-                    found += held(config, index, target, points)
-                    kept.write_text(json.dumps([asdict(one) for one in found], indent=1))
+    ready = {one.name: one for one in map(load_config, configs) if one.transport.target is not None}
+
+    def measure(missing: list[tuple[str, int, float]]) -> list[Held]:
+        return [one for name, index, target in missing for one in held(ready[name], index, target, points)]
+
+    jobs = [[(name, index, target)] for index in range(first, first + scenes) for target in targets for name in ready]
+    file = Path(out) / "promise.json"
+    found = continued(file, Held, lambda one: (one.config, one.scene, one.target), measure, jobs)
     if not found:
         raise InputError("datagen bench promise: none of the configurations has a target; name others")
     cases = {(one.config, one.scene) for one in found}
     text = (
         f"{len(cases)} scenes of {len({name for name, _ in cases})} configurations; {machine()}\n\n{table(found)}\n"
     )
-    (folder / "promise.md").write_text(text, encoding="utf-8")
+    (Path(out) / "promise.md").write_text(text, encoding="utf-8")
     click.echo(text)
     for one in found:
         if one.disputed or (one.promised and not one.within):

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.errors import InputError
-from datagen.paper.as_printed_paths import Lighting, PrintedRoom, arriving, leaving, lighting, observe, place_lookins
-from datagen.paper.as_printed_sampling import Grid, half_cube, ray_grid
+from datagen.paper.printed_paths import Grid, Lighting, PrintedRoom, arriving, half_cube, leaving, lighting, ray_grid
 from datagen.records import Capture, Scene, Transient
 from datagen.records.checks import check_kind
 from datagen.transport.binning import put
@@ -165,15 +164,15 @@ def _add_laser_point(
     before = room.points.leg[laser] if capture.time.origin == "source" else 0.0
     start = float(room.bins(np.array(before))) - capture.time.start_s / capture.time.width_s
     camera = half_cube(settings.pixels)
-    lookins = place_lookins(room, laser, ray_grid(settings.rays, settings.grid))
+    lookins = room.lookins(laser, ray_grid(settings.rays, settings.grid))
     sums = Sums(np.zeros((count, bins)), np.zeros(count))
     total = 0.0
     at_once = max(1, POINTS_AT_ONCE // (len(camera) * max(1, len(pixels) // 8)))
     for first in range(0, len(lookins), at_once):
         chunk = lookins.take(slice(first, first + at_once))
         began = clock_time.perf_counter()
-        seen = observe(room, chunk, camera)
-        out = leaving(room, chunk, seen, pixels).paths
+        seen = room.observed(chunk, camera)
+        out, _ = leaving(room, chunk, seen, pixels)
         _add_primary(chunk.amplitude, start + room.bins(chunk.distance), chunk.part, out, parts, overflow)
         traced = clock_time.perf_counter()
         seconds["trace"] += traced - began

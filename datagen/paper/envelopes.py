@@ -17,6 +17,8 @@ from datagen.units import time_from_path
 
 Curve = NDArray[np.float64]
 
+PEAKS_NS = {"walls, floor, ceiling": 25.6, "box": 24.9, "pillar": 35.3}
+"""Where the paper's Fig. 7 has its peaks, since the light reached the laser point."""
 ROOM, SECONDARY = "#1F5FB4", "#D62728"
 TIME_LABEL = "time since the light reached the laser point (ns)"
 _PAPER_COLORS = {"box": "#7B3FA0", "pillar": "#E8820C"}

@@ -1,33 +1,43 @@
-"""`datagen reproduce OUT`: everything into one folder, or nothing."""
+"""`datagen reproduce OUT`: the paper's figures by both estimators, what they took, and all their numbers."""
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from html import escape
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from datagen.config import load_config
 from datagen.errors import InputError
-from datagen.paper.envelope_figures import envelope_figure
-from datagen.paper.lookin_balance import lookin_balance
-from datagen.paper.numbers import MADE_BY, numbers
-from datagen.paper.page import page
-from datagen.paper.room_figures import light_figure, lookins_figure
-from datagen.paper.room_samples import example_lookins, lit_points
-from datagen.paper.runs import FULL, QUICK, ROOM_UNIT_M, Progress, run_all
-from datagen.paper.statements import statements_of
+from datagen.paper.envelopes import PEAKS_NS
+from datagen.paper.figures import envelope_figure, light_figure, lookins_figure
+from datagen.paper.runs import FULL, QUICK, Runs, Simulation, run_all
+from datagen.report.html import head, table
 from datagen.report.style import save_png
-from datagen.store.files import PARTIAL, json_bytes, read_json
+from datagen.store.environment import processor
+from datagen.store.files import check_writable, finite, json_bytes, read_json
 
-PAGE, NUMBERS = "index.html", "numbers.json"
+MADE_BY, PAGE, NUMBERS = "datagen reproduce", "index.html", "numbers.json"
 ROOM = Path(__file__).with_name("demonstration_room.yaml")
 """The configuration of the same name in `configs/`, which a wheel does not carry."""
+PUBLISHED_SECONDS = {
+    (10, "all"): "≈ 1 hour (paper, sec. 4)",
+    (10, "strongest"): "< 30 s (paper, sec. 4)",
+    (45, "all"): "3 h 34 min 16 s (notebook)",
+    (45, "strongest"): "2 min 00 s (notebook)",
+}
+"""Rays a side and secondary scheme → computation time with 60 × 60 pixels, on the authors' GPU server."""
 
 
 def reproduce(
-    out: str | Path, config: str | Path | None = None, quick: bool = False, progress: Progress = lambda stage: None
+    out: str | Path,
+    config: str | Path | None = None,
+    quick: bool = False,
+    progress: Callable[[str], None] = lambda stage: None,
 ) -> Path:
     """Compute the paper's Fig. 3, 5, 7 and 9 by both estimators and write them with a page and all numbers.
 
@@ -45,56 +55,24 @@ def reproduce(
     Raises
     ------
     InputError : for a folder that holds something else or cannot be written, a configuration that cannot be used, or
-        a BRDF that the paper does not have. Nothing is left behind then.
+        a BRDF that the paper does not have. Nothing is written then.
     """
-    room = load_config(ROOM if config is None else config)
-    command = f"datagen reproduce {out}{'' if config is None else f' --config {config}'}{' --quick' if quick else ''}"
-    with _written_at_once(Path(out)) as folder:
-        runs = run_all(room, QUICK if quick else FULL, progress)
-        balance = lookin_balance(runs.scene, runs.capture, runs.sparse, runs.sizes.pixels, ROOM_UNIT_M)
-        statements = statements_of(runs, balance)
-        progress("figures")
-        points, examples = lit_points(runs), example_lookins(runs)
-        images = {number: f"figure_{number}.png" for number in ("3", "5", "7", "9")}
-        save_png(light_figure(runs, points), folder / images["3"])
-        save_png(lookins_figure(runs, examples), folder / images["5"])
-        save_png(envelope_figure(runs, "all", "7"), folder / images["7"])
-        save_png(envelope_figure(runs, "strongest", "9"), folder / images["9"])
-        (folder / NUMBERS).write_bytes(json_bytes(numbers(runs, statements, command)))
-        html = "\n".join(page(runs, statements, points, examples, images, command))
-        (folder / PAGE).write_text(html, encoding="utf-8")
-    return Path(out) / PAGE
-
-
-@contextmanager
-def _written_at_once(out: Path) -> Iterator[Path]:
-    """A folder beside `out` that takes its place at the end; gone, with all folders made for it, on any failure."""
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file; name a folder to write")
-    if out.is_dir() and any(out.iterdir()) and not _is_ours(out):
+    folder, room = Path(out), load_config(ROOM if config is None else config)
+    check_writable(folder)
+    if folder.is_dir() and any(folder.iterdir()) and not _is_ours(folder):
         raise InputError(f"{out}: holds other files; name a new folder, or one of an earlier reproduction")
-    place = out.resolve()
-    parent = place.parent
-    made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
-    partial: Path | None = None
-    try:
-        try:
-            parent.mkdir(parents=True, exist_ok=True)
-            partial = parent / f".{place.name}.{os.getpid()}{PARTIAL}"
-            partial.mkdir()
-        except OSError as error:
-            raise InputError(f"{out}: cannot be written ({error.strerror or error}); name another folder") from None
-        yield partial
-        if place.is_dir():
-            shutil.rmtree(place)
-        partial.replace(place)
-    except BaseException:
-        if partial is not None:
-            shutil.rmtree(partial, ignore_errors=True)
-        for folder in made:
-            with suppress(OSError):
-                folder.rmdir()
-        raise
+    command = f"{MADE_BY} {out}{'' if config is None else f' --config {config}'}{' --quick' if quick else ''}"
+    runs = run_all(room, QUICK if quick else FULL, progress)
+    progress("figures")
+    figures = {
+        "3": light_figure(runs), "5": lookins_figure(runs),
+        "7": envelope_figure(runs, "all", "7"), "9": envelope_figure(runs, "strongest", "9"),
+    }  # fmt: skip
+    for number, figure in figures.items():
+        save_png(figure, folder / f"figure_{number}.png")
+    (folder / PAGE).write_text("\n".join(_page(runs, command, tuple(figures))), encoding="utf-8")
+    (folder / NUMBERS).write_bytes(json_bytes(_numbers(runs, command)))
+    return folder / PAGE
 
 
 def _is_ours(folder: Path) -> bool:
@@ -102,3 +80,65 @@ def _is_ours(folder: Path) -> bool:
         return bool(read_json(folder / NUMBERS)["made_by"] == MADE_BY)
     except (InputError, KeyError, TypeError):
         return False
+
+
+def _page(runs: Runs, command: str, figures: tuple[str, ...]) -> Iterator[str]:
+    """The page's HTML, piece by piece."""
+    pixels = runs.sizes.pixels
+    yield head("The paper's figures, computed again")
+    yield (
+        "<p>Scholes &amp; Leach, <i>Path Tracing-Inspired Modeling of Non-Line-of-Sight SPAD Data</i>, Sensors "
+        "24(20), 6522 (2024), computed again twice: <b>as printed</b>, by its Eq. 6 and Eq. 8 to the letter with "
+        "lengths in millimetres, and with <b>radiometric</b> weights. "
+        f"Room: <code>{escape(runs.config.name)}</code>. Made by <code>{escape(command)}</code> on one core of "
+        f"{escape(processor())}. All numbers: <code>{NUMBERS}</code>; what of the paper holds, and what its text "
+        "leaves open: <code>docs/paper.md</code>.</p>"
+    )
+    for number in figures:
+        yield f'<h2>Fig. {number}</h2><p><img alt="Fig. {number}, computed again" src="figure_{number}.png"></p>'
+    yield "<h2>Peaks, levels and seconds</h2>"
+    parts = list(runs.converged.curves.parts)
+    head_row = ["", *(f"peak of {escape(name)}, ns" for name in parts), "secondary / primary", "s (processor)"]
+    blank = "", ""
+    rows = [["published, Fig. 7", *(f"{PEAKS_NS[name]:g}" if name in PEAKS_NS else "" for name in parts), *blank]]
+    for (estimator, rays, scheme), case in runs.cases.items():
+        counts = f"{rays}×{rays}×{pixels}×{pixels}, {scheme}" if rays else f"{runs.sizes.reference} lookins"
+        peaks = [f"{peak_ns(case.curves.parts[name], case.curves.time_ns):.1f}" for name in parts]
+        level = case.level["secondary"] / case.level["primary"] if case.level["primary"] > 0 else float("nan")
+        published = PUBLISHED_SECONDS.get((rays, scheme), "") if pixels == 60 and estimator == "as printed" else ""
+        took = f"{case.seconds:.2f} ({case.processor_s:.2f})" + f"; published: {escape(published)}" * bool(published)
+        rows.append([f"{estimator}, {counts}", *peaks, f"{level:.3g}", took])
+    yield table(head_row, rows)
+    yield "</body></html>"
+
+
+def peak_ns(curve: NDArray[np.float64], time_ns: NDArray[np.float64]) -> float:
+    """Time of the highest bin; NaN for no light."""
+    return float(time_ns[int(np.argmax(curve))]) if curve.any() else float("nan")
+
+
+def _numbers(runs: Runs, command: str) -> dict[str, Any]:
+    """Levels, seconds and curves as plain values; what is not a number becomes null."""
+
+    def six_digits(curve: NDArray[np.float64]) -> list[float]:
+        return [float(f"{number:.6g}") for number in curve]
+
+    def plain(case: Simulation) -> dict[str, Any]:
+        curves = {**case.curves.parts, "secondary": case.curves.orders["secondary"]}
+        found = {"level": case.level, "seconds": case.seconds, "processor_s": case.processor_s}
+        return {**found, "curves": {name: six_digits(curve) for name, curve in curves.items()}}
+
+    found = {
+        "made_by": MADE_BY,
+        "command": command,
+        "processor": processor(),
+        "config": runs.config.model_dump(mode="json"),
+        "sizes": asdict(runs.sizes),
+        "published": {
+            "peaks_ns": PEAKS_NS,
+            "seconds": {f"{rays}, {scheme}": text for (rays, scheme), text in PUBLISHED_SECONDS.items()},
+        },
+        "cases": {", ".join(map(str, key)): plain(case) for key, case in runs.cases.items()},
+        "time_ns": six_digits(runs.converged.curves.time_ns),
+    }
+    return dict(finite(found))

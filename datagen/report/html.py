@@ -18,8 +18,6 @@ table { border-collapse: collapse; font-size: 13px; } td, th { padding: .3em .7e
 vertical-align: top; border-bottom: 1px solid #e4e4e4; } tr:nth-child(even) { background: #f7f7f7; }
 img { max-width: 100%; height: auto; }
 pre, .wide { overflow-x: auto; } code { background: #f0f0f0; padding: 0 .25em; } td small { color: #666; }
-.yes { color: #1a6b2f; font-weight: 600; } .no { color: #a32020; font-weight: 600; }
-.open { color: #777; font-weight: 600; } .warning { color: #a33; }
 """
 
 

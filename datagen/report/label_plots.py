@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.labels import ObjectBoxes, ViewFrame
+from datagen.labels import OBJECT_TABLES, ObjectBoxes, ViewFrame
 from datagen.labels.volumes import VoxelGrid
 from datagen.records import Scene
-from datagen.report.style import empty_note, part_colors
+from datagen.report.replay import StoredScene
+from datagen.report.style import captioned, empty_note, part_colors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,6 +30,30 @@ TITLES = {
     "sdf": "Signed distance (m)",
     "evidence": "Evidence (expected detections)",
 }
+
+
+def boxes_of(stored: StoredScene) -> ObjectBoxes | None:
+    """The stored boxes of the objects, if there are any."""
+    if OBJECT_TABLES[0] not in stored.arrays:
+        return None
+    return ObjectBoxes.from_tables({name: stored.arrays[name] for name in OBJECT_TABLES})
+
+
+def labels_figure(stored: StoredScene, scene: Scene, labels: Mapping[str, NDArray[Any]], text: str) -> Figure:
+    """All labels and the stored boxes, two or three in a row, with a caption."""
+    boxes = boxes_of(stored)
+    panels = len(labels) + (boxes is not None)
+    columns = min(3, panels)
+    frame, width = ViewFrame.of(scene), 4.6 * columns if columns > 1 else 7.0
+    high = float(np.clip(0.7 * width / columns * frame.half_height_m / frame.half_width_m, 1.5, 5.0)) + 1.0
+    heights = [high] * -(-panels // columns)
+    figure, grid = captioned(width, heights, text, f"{stored.title}: labels", columns)
+    for number, (field, values) in enumerate(labels.items()):
+        draw_label(figure, figure.add_subplot(grid[divmod(number, columns)]), scene, field, values)
+    if boxes is not None:
+        axes = figure.add_subplot(grid[divmod(len(labels), columns)])
+        draw_boxes(axes, scene, boxes, stored.classes, labels.get("depth"))
+    return figure
 
 
 def draw_label(figure: Figure, axes: Axes, scene: Scene, field: str, values: NDArray[Any]) -> None:

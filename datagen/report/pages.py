@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ObjectBoxes, ViewFrame
+from datagen.effects import decision_lines
+from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS
 from datagen.labels.frame import scan_place
 from datagen.records import Scene
 from datagen.report import scan_plots as scans
 from datagen.report import time_plots as times
-from datagen.report.label_plots import draw_boxes, draw_label
+from datagen.report.label_plots import draw_label, labels_figure
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.style import captioned
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 UNDIVIDED = "all light"
 """Stands for the parts where light is not split by part."""
 _MOMENTS = 4
+_EFFECT_LETTERS, _EFFECT_LINE_IN = 180, 0.17
 
 
 def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
@@ -129,23 +132,10 @@ def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray
         text += " Signed distance: seen from above, the black line is the objects' surface."
     if "shaded" in labels:
         text += " Shaded view: lit by the part of the relay wall that the device sees, with shadows."
-    boxes = boxes_of(stored)
     absent = [name for name in labels if name not in stored.arrays]
     if absent:
         text += f" Not stored in this dataset, computed for this picture: {', '.join(absent)}."
-    panels = len(labels) + (boxes is not None)
-    columns = min(3, panels)
-    rows = -(-panels // columns)
-    width = 4.6 * columns if columns > 1 else 7.0
-    frame = ViewFrame.of(again.scene)
-    high = float(np.clip(0.7 * width / columns * frame.half_height_m / frame.half_width_m, 1.5, 5.0)) + 1.0
-    figure, grid = captioned(width, [high] * rows, text, f"{stored.title}: labels", columns)
-    for number, (field, values) in enumerate(labels.items()):
-        draw_label(figure, figure.add_subplot(grid[divmod(number, columns)]), again.scene, field, values)
-    if boxes is not None:
-        axes = figure.add_subplot(grid[divmod(len(labels), columns)])
-        draw_boxes(axes, again.scene, boxes, stored.classes, labels.get("depth"))
-    return figure
+    return labels_figure(stored, again.scene, labels, text)
 
 
 def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
@@ -224,6 +214,30 @@ def overview_page(
     return figure
 
 
+def effects_page(stored: StoredScene, again: Replay) -> Figure | None:
+    """A line for each effect; None where nothing was decided."""
+    if not again.effects.decisions:
+        return None
+    text = (
+        "What of this scene was simulated. An effect is left out if that changes the light of three bounces and more "
+        "(or, for the detector, the expected histogram) by less than its share of the tolerance, relative L2 over "
+        f"the whole scan: together at most {again.effects.tolerance:g}. “change” is how much leaving it out could "
+        "change: a bound is proven, a trial run measures with few samples. Effects that were switched on or off, and "
+        "those that cost no time, are not estimated."
+    )
+    indent = " " * decision_lines(again.effects)[0].index("why")
+    lines = [
+        piece
+        for line in decision_lines(again.effects)
+        for piece in textwrap.wrap(line.replace("`", ""), _EFFECT_LETTERS, subsequent_indent=indent)
+    ]
+    figure, grid = captioned(13, [_EFFECT_LINE_IN * len(lines) + 0.3], text, f"{stored.title}: effects")
+    axes = figure.add_subplot(grid[0])
+    axes.set_axis_off()
+    axes.text(0.0, 1.0, "\n".join(lines), family="DejaVu Sans Mono", fontsize=7.5, linespacing=1.3, va="top")
+    return figure
+
+
 def _draw_room(plan: Axes, opened: Axes, room: RoomPicture) -> None:
     draw_plan(plan, room)
     plan.set_title("Plan, from above")
@@ -234,13 +248,6 @@ def _draw_room(plan: Axes, opened: Axes, room: RoomPicture) -> None:
 def _legend_in(again: Replay, columns: int) -> float:
     """Inches of a legend of all parts and four marks."""
     return 0.2 * float(np.ceil((len(again.scene.part_names) + 4) / columns)) + 0.1
-
-
-def boxes_of(stored: StoredScene) -> ObjectBoxes | None:
-    """The stored boxes of the objects, if there are any."""
-    if OBJECT_TABLES[0] not in stored.arrays:
-        return None
-    return ObjectBoxes.from_tables({name: stored.arrays[name] for name in OBJECT_TABLES})
 
 
 def labels_of(stored: StoredScene) -> list[str]:

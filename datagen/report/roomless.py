@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from datagen.config import DatasetConfig
 from datagen.config.scene_layouts import ImportedCaptures, NoLayout
 from datagen.errors import InputError
-from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ObjectBoxes, ViewFrame
+from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ViewFrame
 from datagen.records import Capture, Lambertian, Laser, Part, Rectangle, Scene, Sensor
 from datagen.records.arrays import Floats
 from datagen.report import scan_plots as scans
-from datagen.report.label_plots import draw_boxes, draw_label
+from datagen.report.label_plots import labels_figure
 from datagen.report.replay import StoredScene
 from datagen.report.style import EXPECTED, INK, captioned, empty_note
 from datagen.report.time_plots import busy_window, time_label
@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 
 QUANTITIES = ("histogram", "transient")
 _MOMENTS = 4
+_LABELS = (
+    "Ground truth as stored, seen from the plane of the relay wall, orthographically; right and up as for somebody "
+    "who faces it."
+)
 
 
 def why_roomless(config: DatasetConfig) -> str | None:
@@ -49,7 +53,8 @@ def roomless_pages(stored: StoredScene, labels: bool = True) -> Iterator[tuple[s
     for name in there:
         yield name, _measured_page(stored, name)
     if seen and (images or OBJECT_TABLES[0] in stored.arrays):
-        yield "labels", _labels_page(stored, images)
+        kept = {name: stored.arrays[name] for name in images}
+        yield "labels", labels_figure(stored, _as_labelled(stored), kept, _LABELS)
 
 
 def _measured_page(stored: StoredScene, name: str) -> Figure:
@@ -76,15 +81,16 @@ def _measured_page(stored: StoredScene, name: str) -> Figure:
     above = figure.add_subfigure(grid[0, 0])
     places, sliced, curves = (above.add_subplot(1, 3, k) for k in (1, 2, 3))
     unit = _unit(stored, name)
-    scan = _listed(values) if raster is None else scans.scan_of(values, raster)
-    shown = raster or _numbered(scan.shape[1])
+    counted, listed = _listed(values)
+    scan = listed if raster is None else scans.scan_of(values, raster)
+    shown = raster or scans.numbered(scan.shape[1])
     _draw_places(places, capture, raster, scan.sum(axis=-1), frame)
     row = scans.clear_row(scan)
     limits = busy_window(scan.reshape(-1, time.bins), time, 0.98)
     scans.draw_time_slice(above, sliced, scan, row, shown, time, limits, unit)
-    sliced.set_title(f"Time along row {row + 1} from the top" if raster else f"Time against {_counted(values)}")
+    sliced.set_title(f"Time along row {row + 1} from the top" if raster else f"Time against {counted}")
     if raster is None:
-        sliced.set_xlabel(f"number of the {_counted(values)}")
+        sliced.set_xlabel(f"number of the {counted}")
     _draw_curves(curves, values, (laser, pixel), stored, unit)
     if raster is not None:
         below = figure.add_subfigure(grid[1, 0])
@@ -131,25 +137,14 @@ def _draw_places(
         scans.draw_moment(axes, total[..., None], slice(0, 1), raster)
         return
     points = capture.laser.targets if len(capture.laser.targets) > 1 else capture.sensor.pixels.mean(axis=1)
-    x, y = (points - points.mean(axis=0) if frame is None else frame.to_view(points))[:, :2].T
-    colors = total.ravel() if total.size == len(points) else None
-    axes.scatter(x, y, s=16, c=colors, cmap="magma" if colors is not None else None)
-    axes.set(xlabel="right (m)", ylabel="up (m)")
-    axes.set_aspect("equal", adjustable="datalim")
+    scans.draw_places(axes, points, frame, values=total.ravel() if total.size == len(points) else None)
 
 
-def _counted(values: NDArray[Any]) -> str:
-    return "laser point" if len(values) > 1 or values.shape[1] == 1 else "pixel"
-
-
-def _listed(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(1, N, bin): the channels of a scan without a grid, in its order."""
-    return values.sum(axis=1)[None] if _counted(values) == "laser point" else values
-
-
-def _numbered(count: int) -> scans.Raster:
-    number = np.arange(count)
-    return scans.Raster(np.zeros((1, count, 2), np.int64), number.astype(np.float64), np.zeros(1), "laser points")
+def _listed(values: NDArray[np.float64]) -> tuple[str, NDArray[np.float64]]:
+    """What the channels of a scan without a grid are, and their histograms in its order, (1, N, bin)."""
+    if len(values) > 1 or values.shape[1] == 1:
+        return "laser point", values.sum(axis=1)[None]
+    return "pixel", values
 
 
 def _rectangle(stored: StoredScene, name: str) -> Rectangle | None:
@@ -176,30 +171,6 @@ def _capture(stored: StoredScene) -> Capture:
 
     laser, sensor = Laser(placed("laser_position"), lit), Sensor(placed("sensor_position"), pixels)
     return Capture(laser, sensor, settings.time.axis(), settings.pairing, settings.illumination)
-
-
-def _labels_page(stored: StoredScene, images: Sequence[str]) -> Figure:
-    """The stored labels, two or three in a row."""
-    scene = _as_labelled(stored)
-    boxes = None
-    if OBJECT_TABLES[0] in stored.arrays:
-        boxes = ObjectBoxes.from_tables({name: stored.arrays[name] for name in OBJECT_TABLES})
-    text = (
-        "Ground truth as stored, seen from the plane of the relay wall, orthographically; right and up as for "
-        "somebody who faces it."
-    )
-    panels = len(images) + (boxes is not None)
-    columns = min(3, panels)
-    frame, width = ViewFrame.of(scene), 4.6 * columns if columns > 1 else 7.0
-    high = float(np.clip(0.7 * width / columns * frame.half_height_m / frame.half_width_m, 1.5, 5.0)) + 1.0
-    heights = [high] * -(-panels // columns)
-    figure, grid = captioned(width, heights, text, f"{stored.title}: labels", columns)
-    for number, field in enumerate(images):
-        draw_label(figure, figure.add_subplot(grid[divmod(number, columns)]), scene, field, stored.arrays[field])
-    if boxes is not None:
-        axes = figure.add_subplot(grid[divmod(len(images), columns)])
-        draw_boxes(axes, scene, boxes, stored.classes, stored.arrays.get("depth"))
-    return figure
 
 
 def _as_labelled(stored: StoredScene) -> Scene:

@@ -62,6 +62,11 @@ def raster_of(capture: Capture, channel: tuple[int, int], frame: ViewFrame | Non
     return None
 
 
+def numbered(count: int) -> Raster:
+    """One row of so many channels without a place, in the order of their numbers."""
+    return Raster(np.zeros((1, count, 2), np.int64), np.arange(count, dtype=np.float64), np.zeros(1), "laser points")
+
+
 def _columns(places: NDArray[np.float64]) -> int | None:
     """Length of the rows of a regular grid listed row by row, or None."""
     steps = np.diff(places, axis=0)
@@ -169,9 +174,10 @@ def listed_page(
         f"point of the hidden scene answers early where a laser point is near it. {note}"
     )
     figure, grid = captioned(14, [4.6], text, f"{title}: the scan", 3)
-    _draw_places(figure.add_subplot(grid[0, 0]), wall, capture.laser.targets, frame)
-    number = np.arange(count)
-    raster = Raster(np.zeros((1, count, 2), np.int64), number.astype(np.float64), np.zeros(1), "laser points")
+    places = figure.add_subplot(grid[0, 0])
+    draw_places(places, capture.laser.targets, frame or ViewFrame.about(wall), wall)
+    places.set_title("Laser points on the relay wall")
+    raster = numbered(count)
     scans = [values.sum(axis=1)[None] for values in (whole, objects)]
     limits = time_limits(scans[0], scans[1], capture.time)
     for column, (what, scan) in enumerate(zip(("all light", "objects only"), scans, strict=True)):
@@ -181,15 +187,24 @@ def listed_page(
     return figure
 
 
-def _draw_places(axes: Axes, wall: Rectangle, places: NDArray[np.float64], frame: ViewFrame | None) -> None:
-    frame = ViewFrame.about(wall) if frame is None else frame
-    x, y = frame.to_view(places)[:, :2].T
-    outline = frame.to_view(wall.corners[[0, 1, 2, 3, 0]])[:, :2]
-    axes.plot(outline[:, 0], outline[:, 1], color="#777777", linewidth=1.0)
-    axes.plot(x, y, color=LASER, linewidth=0.4, alpha=0.5)
-    axes.scatter(x, y, s=14, color=LASER, zorder=3)
-    if len(x) <= _NUMBERED:
-        for k, place in enumerate(zip(x, y, strict=True)):
+def draw_places(
+    axes: Axes, places: NDArray[np.float64], frame: ViewFrame | None, outline: Rectangle | None = None,
+    values: NDArray[np.float64] | None = None,
+) -> None:  # fmt: skip
+    """Places on the wall, (n, 3), in the labels' frame or about their middle: in order and numbered where they are
+    few, or coloured by (n,) `values`; with the `outline` of what the device sees of the wall."""
+
+    def on_wall(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (points - places.mean(axis=0) if frame is None else frame.to_view(points))[:, :2].T
+
+    x, y = on_wall(places)
+    if outline is not None:
+        axes.plot(*on_wall(outline.corners[[0, 1, 2, 3, 0]]), color="#777777", linewidth=1.0)
+        axes.plot(x, y, color=LASER, linewidth=0.4, alpha=0.5)
+        axes.scatter(x, y, s=14, color=LASER, zorder=3)
+        for k, place in enumerate(zip(x, y, strict=True) if len(x) <= _NUMBERED else ()):
             axes.annotate(str(k), place, xytext=(3, 3), textcoords="offset points", fontsize=7)
-    axes.set(xlabel="right (m)", ylabel="up (m)", title="Laser points on the relay wall")
+    else:
+        axes.scatter(x, y, s=16, c=values, cmap=None if values is None else _COLORS)
+    axes.set(xlabel="right (m)", ylabel="up (m)")
     axes.set_aspect("equal", adjustable="datalim")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from datagen.labels import make_labels
 from datagen.report import pages as drawn
-from datagen.report.effects_page import effects_page
 from datagen.report.evidence_pictures import evidence_page
+from datagen.report.label_plots import boxes_of
 from datagen.report.replay import Replay, StoredScene, read_scene, replay
 from datagen.report.room_plots import RoomPicture
 from datagen.report.roomless import roomless_pages, why_roomless
@@ -67,7 +67,7 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
     kept = {name: stored.arrays[name] for name in wanted if name in stored.arrays}
     made = make_labels(stored.config.labels, again.scene, [name for name in wanted if name not in kept])
     labels = {name: (kept | made)[name] for name in wanted}
-    room = RoomPicture(again.scene, again.capture, again.transient.laser_points, boxes=drawn.boxes_of(stored))
+    room = RoomPicture(again.scene, again.capture, again.transient.laser_points, boxes=boxes_of(stored))
     makers: dict[str, Callable[[], Figure | None]] = {
         "overview": lambda: drawn.overview_page(stored, again, room, labels),
         "room": lambda: drawn.room_page(stored, again, room),
@@ -76,7 +76,7 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
         "evidence": lambda: evidence_page(stored, again),
         "labels": lambda: drawn.labels_page(stored, again, labels),
         "scan": lambda: drawn.scan_page(stored, again),
-        "effects": lambda: effects_page(stored, again),
+        "effects": lambda: drawn.effects_page(stored, again),
     }
     for name in names:
         figure = makers[name]()

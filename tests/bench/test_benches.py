@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from pathlib import Path
@@ -10,23 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from datasets import write_dataset
-from rooms import furnished_box, one_point_capture
-from torch.utils.data import IterableDataset
 
-from datagen import Accuracy, simulate
-from datagen.bench import detector, loader_peers, loaders, peer_cases, peers, scaling, stages
+from datagen.bench import peer_cases, peers, stages
 from datagen.bench.accuracy import Truth, noise_and_bias, with_front
 from datagen.bench.accuracy_report import advice, picture, table
 from datagen.bench.accuracy_settings import Row, fewer_laser_points
 from datagen.bench.peers import seconds_at
-from datagen.bench.plan import furthest_off
-from datagen.bench.scaling import exponent
-from datagen.bench.target import fixed_counts_costs
 from datagen.capture import capture_for
 from datagen.cli import run
 from datagen.config import load_config
-from datagen.forecast.forecast import Outcome
-from datagen.loader import TransientDataset
 from datagen.scene import generate_scene
 
 CONFIG = """
@@ -86,28 +77,6 @@ def test_promise(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]
     assert rows == rows_of(printed_by(arguments, capsys), "target"), "kept, not measured again"
 
 
-def test_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["target", str(tmp_path), "--first", "4", "--scenes", "1", "--cost", "1e5"]
-    rows = rows_of(printed_by(arguments, capsys), "target")
-    assert rows == rows_of(printed_by(arguments, capsys), "target"), "kept, not measured again"
-
-
-def test_scaling(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    tiny = {"lookins": [(n, scaling.Problem(lookins=n, bins=16, lasers_a_side=1)) for n in (16, 32, 64)]}
-    monkeypatch.setattr(scaling, "sweeps", lambda: tiny)
-    rows = rows_of(printed_by(["scaling", "--repeats", "1", "--only", "look"], capsys), "size")
-    assert rows[0][0] == "lookins"
-    assert exponent([1, 10, 100, 1000], [5.0, 5.0, 7.0, 70.0]) == pytest.approx(1.0)
-
-
-def test_detector(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    for name, small in (("CYCLES", 2000), ("_SECONDS", 1e-3), ("BLOCK", 2)):
-        monkeypatch.setattr(detector, name, small)
-    rows = rows_of(printed_by(["detector", "--flux", "0.5", "--no-naive"], capsys), "case")
-    assert {row[0][0] for row in rows} == set("abcde")
-    assert detector.demonstration_shape().sum() == pytest.approx(1)
-
-
 def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Its builds in this process, which workers of their own would take most of the time."""
     monkeypatch.setattr(stages, "build", lambda config, root, workers, progress: write_dataset(config, root))
@@ -116,48 +85,11 @@ def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     assert [row[0] for row in rows] == ["1"] and rows[0][-1] == "4.00"
 
 
-def test_loaders(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """At a tiny size, without workers."""
-    monkeypatch.setattr(loaders, "WORKERS", (0,))
-    small = ["--size", "4x4x64", "--megabytes", "0.1", "--repeats", "1"]
-    rows = rows_of(printed_by(["loaders", *small], capsys), "4×4×64")
-    assert [row[0] for row in rows[:4]] == [*loaders.OURS, "zarr"]
-    assert all(float(row[column]) > 0 for row in rows for column in (2, 3)), "samples a second"
-
-
-def test_loaders_hand_over_the_same_counts(tmp_path: Path) -> None:
-    config = loaders.config_of((2, 3, 16), 9)
-    loaders.write_ours(config, tmp_path / "ours")
-    due = [loaders.counts_of(config, index) for index in range(9)]
-    assert 0 < sum(map(np.count_nonzero, due)) < 0.1 * 9 * due[0].size
-    there = [peer for peer in loader_peers.PEERS if loader_peers.is_there(peer)]
-    assert {"zarr", "np.memmap, uncompressed"} <= {peer.name for peer in there}
-    for number, peer in enumerate(there):
-        folder = tmp_path / "ours/data.zarr/histogram"
-        if peer.write is not None:
-            folder = tmp_path / str(number)
-            folder.mkdir()
-            peer.write(folder, iter(due))
-        data = peer.read(folder, (9, *due[0].shape))
-        found = list(data) if isinstance(data, IterableDataset) else [data[index] for index in range(9)]
-        assert all(np.array_equal(a.numpy(), b) for a, b in zip(found, due, strict=True)), peer.name
-    ours = TransientDataset(tmp_path / "ours", ("histogram",), counts="stored")
-    assert all(np.array_equal(ours[index]["histogram"].numpy(), due[index]) for index in range(9))
-
-
 def test_a_million_scenes(config: str, capsys: pytest.CaptureFixture[str]) -> None:
     printed = printed_by(["stages", config, "--scan", "2x2x54", "--million", "--scenes", "8"], capsys)
     assert "2x2x54, tiny" in printed and "mean of 8" in printed
     told = stages.a_million(load_config(config), [1.0, 2.0])
     assert "1.5 processor s" in told and "1.1 days on 16 cores" in told, "10⁶ × 1.5 s / 16 / 86 400 s"
-
-
-def test_plan(config: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.bench.plan.WITHIN", math.inf)
-    rows = rows_of(printed_by(["plan", config, "--scenes", "2", "--seconds", "5"], capsys), "configuration")
-    assert rows[0][:2] == ["tiny", "2"] and all("→" in cell for cell in rows[0][3:])
-    held = [Outcome("one", "s", 1.6, 1.0), Outcome("two", "bytes", float("nan"), 4000.0)]
-    assert furthest_off(held) == pytest.approx(1.6)
 
 
 def test_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -195,13 +127,6 @@ def test_seconds_to_an_error_follow_the_measured_line() -> None:
     assert seconds_at(rows, 0.1) == (1.0, True)
     assert seconds_at(rows, 0.04 / math.sqrt(2)) == (pytest.approx(8.0), True)
     assert seconds_at(rows, 0.01) == (pytest.approx(64.0), False)
-
-
-def test_the_naive_detector_keeps_the_photons_that_a_dead_time_leaves() -> None:
-    photons = [1.0, 2.0, 3.5, 9.0, 10.5, 12.0, 31.0]
-    assert detector.detected(photons, 10.0, 2.5, False) == [1.0, 3.5, 9.0, 12.0, 31.0]
-    assert detector.detected(photons, 10.0, 2.5, True) == [1.0, 3.5, 9.0, 10.5, 31.0]
-    assert detector.detected(photons, 10.0, 0.0, True) == photons
 
 
 def test_the_truth_s_own_error_is_subtracted_and_noise_told_from_bias() -> None:
@@ -245,15 +170,6 @@ def test_the_front_and_the_advice_follow_from_the_rows() -> None:
     assert "2 %: no fixed setting of these; by the trend about 8.1e+03 lookins, 8.1 s" in text
 
 
-def test_fixed_counts_of_half_the_error_cost_two_to_eight_times_as_much() -> None:
-    """Four times for independent samples, less for quasi-random ones; costs are read off between runs."""
-    truth = float(np.linalg.norm(simulate(furnished_box(0.7), one_point_capture(), Accuracy(1 << 15, 4, 3, 8)).total))
-    targets = [0.2, 0.1, 0.05]
-    costs = fixed_counts_costs(furnished_box(0.7), one_point_capture(), Accuracy(max_bounces=3), targets, truth, 1)
-    assert all(2 < dear / cheap < 8 for cheap, dear in itertools.pairwise(costs))
-    assert all(map(math.isnan, fixed_counts_costs(furnished_box(), one_point_capture(), Accuracy(), targets, 0.0, 1)))
-
-
 def test_fewer_laser_points_keep_their_pixels() -> None:
     loaded = load_config(Path(__file__).parents[2] / "configs/quickstart.yaml")
     whole = capture_for(loaded, generate_scene(loaded.scene, loaded.seed, 0))
@@ -271,15 +187,9 @@ def test_fewer_laser_points_keep_their_pixels() -> None:
         (["accuracy", "CONFIG", "OUT", "--laser-points", "0"], "laser-points"),
         (["accuracy", "CONFIG", "CONFIG"], "tiny.yaml"),
         (["accuracy", "none.yaml", "OUT"], "none.yaml"),
-        (["plan", "CONFIG", "--seconds", "0"], "--seconds 0"),
         (["stages", "CONFIG", "--workers", "two"], "--workers two"),
         (["stages", "CONFIG", "--scan", "64x64"], "--scan 64x64"),
-        (["target", "OUT", "--scenes", "0"], "--scenes 0"),
-        (["scaling", "--only", "nothing"], "--only nothing"),
         (["peers", "OUT", "--only", "nothing"], "--only nothing"),
-        (["loaders", "--only", "nothing"], "--only nothing"),
-        (["loaders", "--size", "32x32"], "--size 32x32"),
-        (["loaders", "--megabytes", "0"], "--megabytes"),
         (["paeers"], "paeers"),
     ],
 )
@@ -302,5 +212,5 @@ def test_a_dark_scene_is_refused(config: str, tmp_path: Path, capsys: pytest.Cap
 def test_benches_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["bench", "--help"]) == 0
     listed = capsys.readouterr().out
-    for name in ("accuracy", "target", "peers", "stages", "scaling", "detector", "loaders", "plan"):
+    for name in ("accuracy", "stages", "promise", "peers"):
         assert name in listed and run(["bench", name, "--help"]) == 0

@@ -11,7 +11,7 @@ import pytest
 from datagen.building.build import build
 from datagen.config import config_from_mapping
 from datagen.effects import EFFECTS
-from datagen.report.effects_page import effects_page
+from datagen.report.pages import effects_page
 from datagen.report.replay import Replay, read_scene, replay
 from datagen.report.style import house_style
 from datagen.store.info import info

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from functools import cache
 
 import numpy as np
 import pytest
 import trimesh
+from benchmarks.targets import Outcome, fixed_counts_costs, outcomes, table
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Retroreflector, Scene, Sensor, TimeAxis, simulate
-from datagen.bench.target import Outcome, outcomes, table
 from datagen.errors import InputError
 from datagen.records import Transient
 from datagen.transport.spread import Sketch
@@ -65,6 +67,15 @@ def test_random_scenes_are_within_their_targets_at_a_fair_cost(scenes: tuple[int
     assert all(one.met and one.bound <= one.target for one in found)
     assert np.nanmedian([one.cost / one.fixed_cost for one in found if one.target == 0.05]) < 4
     assert "| 0.1 |" in table(found)
+
+
+def test_fixed_counts_of_half_the_error_cost_two_to_eight_times_as_much() -> None:
+    """Four times for independent samples, less for quasi-random ones; costs are read off between runs."""
+    truth = float(np.linalg.norm(simulate(furnished_box(0.7), one_point_capture(), Accuracy(1 << 15, 4, 3, 8)).total))
+    targets = [0.2, 0.1, 0.05]
+    costs = fixed_counts_costs(furnished_box(0.7), one_point_capture(), Accuracy(max_bounces=3), targets, truth, 1)
+    assert all(2 < dear / cheap < 8 for cheap, dear in itertools.pairwise(costs))
+    assert all(map(math.isnan, fixed_counts_costs(furnished_box(), one_point_capture(), Accuracy(), targets, 0.0, 1)))
 
 
 def test_same_arguments_and_seed_give_the_same_bytes(met: Transient) -> None:
@@ -217,7 +228,7 @@ def test_rounds_that_differ_by_more_than_their_noise_are_distrusted() -> None:
 
 
 def test_outcomes_beyond_their_target_are_counted() -> None:
-    one = Outcome(0, "confocal 1x1", 3, 8, 0.1, 0.2, 0.0, 0.09, True, 5.0, 2.0, 0.1)
+    one = Outcome(0, 0.1, 0.2, 0.09, True, 5.0, 2.0, 0.1)
     assert not one.within
     assert "| 0.0% |" in table([one])
     assert "| 2.50 | 2.50 | 0.0% |" in table([one])

@@ -1,0 +1,57 @@
+"""Whether a plan comes true: pilots of each configuration, then its first scenes made as a worker does.
+
+`python tests/benchmarks/forecasts.py SCENES SECONDS CONFIG…` prints the table of docs/plan.md: pilots of SECONDS
+processor seconds, then SCENES scenes. Only one of the pilots, which are spread over the dataset, is among those.
+Processor seconds of pilots and scenes alike, because the clock of a busy machine says little; what a worker's start
+takes is left out.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+from datagen.bench.measuring import machine, markdown, processor_seconds
+from datagen.config import DatasetConfig, load_config
+from datagen.forecast.forecast import Outcome, forecast, outcomes
+from datagen.forecast.pilots import run_pilots
+from datagen.forecast.text import quantity
+from datagen.pipeline import simulate_sample
+from datagen.store import ShardRecord, committed, finish, prepare, schema_of, write_shard
+
+
+def built(config: DatasetConfig, root: Path) -> list[ShardRecord]:
+    """A dataset, in this process."""
+    manifest = prepare(root, config)
+    for shard in range(manifest.schema.shards):
+        made = ((index, simulate_sample(config, index)) for index in manifest.schema.scenes_of(shard))
+        write_shard(root, manifest.schema, shard, manifest.fingerprint, made)
+    records = committed(root, manifest)
+    finish(root, manifest, records)
+    return records
+
+
+def row(config: DatasetConfig, scenes: int, seconds: float) -> list[str]:
+    """Predicted → actual (actual over predicted) of a configuration's first scenes."""
+    few = config.with_scenes(min(scenes, config.scenes))
+    expected = forecast(schema_of(few), run_pilots(config, seconds), startup_s=0.0, workers=1, cores=1)
+    with tempfile.TemporaryDirectory() as folder:
+        records, taken_s = processor_seconds(lambda: built(few, Path(folder) / "set"))
+        _, *others = outcomes(expected, records, Path(folder) / "set")
+    held = [Outcome("seconds per scene", "s", expected.processor_s, taken_s / few.scenes), *others]
+    pilots = str(expected.pilots) if expected.effort == 1.0 else f"1 of {expected.effort:.2g} effort"
+    cells = (f"{quantity(of.predicted, of.unit)} → {quantity(of.actual, of.unit)} ({of.ratio:.2f})" for of in held)
+    return [config.name, str(few.scenes), pilots, *cells]
+
+
+def main(scenes: int, seconds: float, configs: list[str]) -> None:
+    """Forecast and build a few scenes of every configuration."""
+    rows = [row(load_config(config), scenes, seconds) for config in configs]
+    print(f"Processor seconds; {machine()}\n")
+    head = ["configuration", "scenes", "pilots", "seconds per scene", "relative error", "bytes per scene"]
+    print(markdown(head, rows))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), float(sys.argv[2]), sys.argv[3:])

@@ -1,0 +1,77 @@
+"""Every benchmark prints its table at a tiny size; what the loaders' rests on is held against what was written."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks import detector, forecasts, loaders, scaling
+from torch.utils.data import IterableDataset
+
+from datagen.config import config_from_mapping
+from datagen.loader import TransientDataset
+
+
+def test_loaders_hand_over_the_same_counts(tmp_path: Path) -> None:
+    config = loaders.config_of((2, 3, 16), 9)
+    loaders.write_ours(config, tmp_path / "ours")
+    due = [loaders.counts_of(config, index) for index in range(9)]
+    assert 0 < sum(map(np.count_nonzero, due)) < 0.1 * 9 * due[0].size
+    there = [name for name, peer in loaders.PEERS.items() if importlib.util.find_spec(peer.module)]
+    assert {"zarr", "np.memmap, uncompressed"} <= set(there)
+    for number, name in enumerate(there):
+        folder = tmp_path / str(number)
+        disk_bytes, data = loaders.read_by(loaders.PEERS[name], folder, tmp_path / "ours", config)
+        found = list(data) if isinstance(data, IterableDataset) else [data[index] for index in range(9)]
+        assert disk_bytes > 0
+        assert all(np.array_equal(a.numpy(), b) for a, b in zip(found, due, strict=True)), name
+    ours = TransientDataset(tmp_path / "ours", ("histogram",), counts="stored")
+    assert all(np.array_equal(ours[index]["histogram"].numpy(), due[index]) for index in range(9))
+
+
+def test_loaders_print_a_rate_of_each(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """At a tiny size, without workers."""
+    for name, small in (("WORKERS", (0,)), ("SIZES", ((4, 4, 64),)), ("DECODED_BYTES", 1e5), ("EPOCHS", 1)):
+        monkeypatch.setattr(loaders, name, small)
+    loaders.main()
+    rows = [line.split(" | ") for line in capsys.readouterr().out.split("---:")[-1].splitlines()[1:]]
+    assert [row[0].strip("| ") for row in rows[:4]] == [*loaders.OURS, "zarr"]
+    assert all(float(row[column]) > 0 for row in rows for column in (2, 3)), "samples a second"
+
+
+def test_the_plain_detector_keeps_what_ours_expects(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Total counts of 2000 cycles: within 5 Poisson standard deviations, which dead time only makes smaller."""
+    monkeypatch.setattr(detector, "CYCLES", 2000)
+    exposure = detector.Exposure(1.0 / detector.PERIOD_S, 2000, 1.0)
+    for name, spad in detector.CASES.items():
+        if name.startswith("afterpulses"):
+            continue
+        flux = detector.demonstration_shape()
+        assert flux.sum() == pytest.approx(1)
+        mean = detector.expected_histogram(flux, detector.AXIS, spad, exposure, approximate=True).sum()
+        assert abs(detector.plain_histogram(flux, spad).sum() - mean) < 5 * np.sqrt(mean), name
+
+
+def test_detector(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, small in (("CYCLES", 2000), ("TIMED_S", 1e-3), ("BLOCK", 2)):
+        monkeypatch.setattr(detector, name, small)
+    for name, spad in detector.CASES.items():
+        assert all(float(cell.rstrip("×")) > 0 for cell in detector.row(name, spad, 0.5)[3:-1])
+
+
+def test_scaling(monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny = [(n, {"lookins": n, "fov_samples": 1, "bins": 16, "lasers": 1}) for n in (16, 32, 64)]
+    monkeypatch.setattr(scaling, "SWEEPS", {"lookins": tiny})
+    name, seconds, exponent = scaling.swept("lookins")
+    assert name == "lookins" and seconds.count(";") == 2 and np.isfinite(float(exponent))
+
+
+def test_forecasts() -> None:
+    config = config_from_mapping({
+        "name": "tiny", "scenes": 8, "transport": {"lookins": 256, "fov_samples": 1},
+        "capture": {"scan": {"rows": 3, "columns": 3}, "time": {"bins": 108, "bin_width_ps": 800}},
+    })  # fmt: skip
+    name, scenes, _, *cells = forecasts.row(config, 2, 5)
+    assert (name, scenes) == ("tiny", "2") and all("→" in cell for cell in cells)
