@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from datagen.store.blosc_frames import BLOCK_BYTES
+from datagen.store.arrays import BLOCK_BYTES
 
 Counts = NDArray[np.uint16]
 Shape = tuple[int, ...]

@@ -99,7 +99,6 @@ def _tried_anew(job: ShardJob, record: ShardRecord, running: int) -> list[tuple[
         if scene.failure is None:
             arrays = {name: reader.read(name, [scene.index])[0] for name in names}
             anew[scene.index] = Sample(scene.index, arrays, scene.parameters, scene.seconds)
-    reader.close()
     return sorted(anew.items())
 
 

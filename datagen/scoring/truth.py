@@ -92,7 +92,6 @@ def read_truth(dataset: str | Path, split: str) -> Truth:
     volume = ["occupancy"] if "occupancy" in fields else []
     reader = DatasetReader(root, manifest, [*NEEDED, *volume])
     got: dict[str, Any] = {name: reader.read(name, scenes) for name in (*NEEDED, *volume)}
-    reader.close()
     there = got["object_part"] >= 0
     shows = objects_seen(got["part_id"], got["object_part"])
     view = np.linalg.norm(got["hidden_view"][:, 1:], axis=-1)

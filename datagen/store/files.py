@@ -10,6 +10,7 @@ import math
 import os
 import re
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
@@ -17,8 +18,7 @@ import pydantic
 
 from datagen.errors import InputError
 from datagen.locks import locked
-from datagen.store.open_files import size_of, sized, too_many
-from datagen.store.places import Place
+from datagen.store.places import Place, size_of, sized_chunks
 
 PARTIAL = ".partial"
 """Suffix of a file that is still being written; whatever bears it may be deleted."""
@@ -93,8 +93,8 @@ def write_if_changed(path: Path, content: bytes) -> None:
 def holds(path: Place, content: bytes) -> bool:
     """Whether a file is there and holds just that; one of another size is not read."""
     try:
-        with sized(path) as (size, file):
-            return size == len(content) and file.read() == content
+        with sized_chunks(path) as (size, chunks):
+            return size == len(content) and b"".join(chunks) == content
     except OSError as error:
         if _is_missing(error):
             return False
@@ -143,17 +143,15 @@ def read_whole(path: Place) -> bytes:
 def read_if_there(path: Place) -> bytes | None:
     """The same, and None where nothing is there; what is no plain file is refused."""
     try:
-        with sized(path) as (size, file):
-            content = file.read(JSON_BYTES + 1) if size <= JSON_BYTES else None
+        with sized_chunks(path) as (size, chunks):
+            content = b"".join(chunks) if size <= JSON_BYTES else None
     except OSError as error:
         if error.errno in _NOTHING:
             return None
         if error.errno in _NOT_PLAIN:
             raise InputError(f"{path}: missing, or not a plain file") from None
-        if error.errno in (errno.EMFILE, errno.ENFILE):
-            raise too_many(path) from None
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-    if content is None or len(content) > JSON_BYTES:
+    if content is None:
         raise InputError(f"{path}: larger than {JSON_BYTES // 2**20} MiB, which datagen never writes")
     return content
 
@@ -198,36 +196,36 @@ def sync_folder(path: Path) -> None:
 
 def sha256_of(path: Place) -> str:
     """Hex SHA-256 of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    with sized_chunks(path) as (_, chunks):
+        return _sha256(chunks)
 
 
-def difference(path: Place, sha256: str, due_bytes: int | None = None) -> str | None:
-    """How a file differs from the one of that hash and of so many bytes, if they are known, or None. One of another
-    size is not read, nor one larger than a JSON file of which no size is known."""
+def _sha256(chunks: Iterable[bytes]) -> str:
+    whole = hashlib.sha256()
+    for chunk in chunks:
+        whole.update(chunk)
+    return whole.hexdigest()
+
+
+def difference(path: Place, sha256: str | None, due_bytes: int | None = None) -> str | None:
+    """How a file differs from what was written (its SHA-256, and its size where that is known), or None if it does
+    not. Without `sha256` only its size is looked at. A file of another size is not read, nor one of unknown size that
+    is larger than a JSON file can be.
+    """
     try:
-        with sized(path) as (size, file):
-            if due_bytes is not None and size != due_bytes:
-                return f"{size} bytes, {due_bytes} were written"
-            is_read = due_bytes is not None or size <= JSON_BYTES
-            if is_read and hashlib.file_digest(file, "sha256").hexdigest() == sha256:
-                return None
-            return "its bytes have changed since they were written (SHA-256 differs)"
+        if sha256 is None:
+            size, same = size_of(path), True
+        else:
+            with sized_chunks(path) as (size, chunks):
+                is_read = size == due_bytes if due_bytes is not None else size <= JSON_BYTES
+                same = is_read and _sha256(chunks) == sha256
     except OSError as error:
         if _is_missing(error):
             return "missing"
         raise
-
-
-def other_size(path: Place, due_bytes: int) -> str | None:
-    """The same of its size alone."""
-    try:
-        size = size_of(path)
-    except OSError as error:
-        if _is_missing(error):
-            return "missing"
-        raise
-    return None if size == due_bytes else f"{size} bytes, {due_bytes} were written"
+    if due_bytes is not None and size != due_bytes:
+        return f"{size} bytes, {due_bytes} were written"
+    return None if same else "its bytes have changed since they were written (SHA-256 differs)"
 
 
 def _is_missing(error: OSError) -> bool:

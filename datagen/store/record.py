@@ -16,7 +16,7 @@ import pydantic
 
 from datagen.errors import CheckError, InputError
 from datagen.store.arrays import shard_file
-from datagen.store.files import difference, is_intact, other_size, parsed, read_if_there, sealed
+from datagen.store.files import difference, is_intact, parsed, read_if_there, sealed
 from datagen.store.places import AnyPlace, Place
 from datagen.store.schema import Schema
 from datagen.store.stats import FieldStats
@@ -102,8 +102,7 @@ class ShardRecord:
     def problem(self, root: Place, hashes: bool = True) -> str | None:
         """What is wrong with the shard's files, or None. Without `hashes` only presence and size are looked at."""
         for name, known in self.files.items():
-            path = root / name
-            wrong = difference(path, known.sha256, known.bytes) if hashes else other_size(path, known.bytes)
+            wrong = difference(root / name, known.sha256 if hashes else None, known.bytes)
             if wrong is not None:
                 return f"{name}: {wrong}"
         return None

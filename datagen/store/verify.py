@@ -142,7 +142,6 @@ def _shard_problems(root: Place, manifest: Manifest, record: ShardRecord, deep: 
                 reader.read(name, [scene.index])
             except CheckError as error:
                 yield str(error)
-        reader.close()
 
 
 def _summary_problems(root: Place, manifest: Manifest, records: Sequence[ShardRecord]) -> Iterator[str]:

@@ -151,13 +151,13 @@ def test_an_interrupted_upload_is_taken_up(
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> Counter[tuple[str, str]]:
     """(What, of which object) → how many requests there were."""
-    found, whole = Counter[tuple[str, str]](), Bucket._asked
+    found, whole = Counter[tuple[str, str]](), Bucket._request
 
     def counting(self: Bucket, what: str, *arguments: Any, **options: Any) -> Any:
         found[what, str(self)] += 1
         return whole(self, what, *arguments, **options)
 
-    monkeypatch.setattr(Bucket, "_asked", counting)
+    monkeypatch.setattr(Bucket, "_request", counting)
     return found
 
 
