@@ -22,8 +22,15 @@ from typing import Any
 from datagen import store
 from datagen.building.engines import Engine, check_engine, start_imports, started
 from datagen.building.progress import Progress
-from datagen.building.shard_job import ShardJob, abandon_shard, run_shard, scene_age_s, scene_at
-from datagen.building.time_limit import LONGEST_SCENE_S, overtime
+from datagen.building.shard_job import (
+    LONGEST_SCENE_S,
+    ShardJob,
+    abandon_shard,
+    overtime,
+    run_shard,
+    scene_age_s,
+    scene_at,
+)
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import CheckError, InputError
@@ -31,9 +38,9 @@ from datagen.records import Sample
 from datagen.records.checks import check_kind, numbers_of
 from datagen.store import upload
 from datagen.store.environment import made_with, mixed
-from datagen.store.evidence_told import placed_anew_lines
+from datagen.store.location import Bucket, location_of
 from datagen.store.manifest import MANIFEST, DamagedManifest
-from datagen.store.places import Bucket, place
+from datagen.store.summaries import placed_anew_lines
 
 SampleFunction = Callable[[DatasetConfig, int], Sample]
 
@@ -136,7 +143,7 @@ def build(
         raise InputError("OUT = '': names no folder; name the one to make")
     if scenes is not None:
         config = config.with_scenes(scenes)
-    target = place(path)
+    target = location_of(path)
     bucket = target if isinstance(target, Bucket) else None
     root = target if isinstance(target, Path) else upload.staging_of(target)
     check_engine(engine, workers, scheduler)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -10,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.building.engines import Terminated
-from datagen.building.time_limit import Overtime, limited
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.locks import locked
@@ -27,6 +29,9 @@ from datagen.store import (
 )
 from datagen.store.environment import made_with, mixed, together
 
+GRACE_S = 10.0
+"""After an exception was sent and did not arrive for so long, or as long again, the process ends."""
+LONGEST_SCENE_S = 30 * 86400.0
 LOCK_PATIENCE_S = 10.0
 """How long to wait for another writer of the same shard, such as an orphan of a killed build about to notice."""
 
@@ -180,3 +185,41 @@ def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
         yield handle
     finally:
         os.close(handle)
+
+
+class Overtime(BaseException):
+    """The time is up. No `Exception`: what runs too long must not catch it."""
+
+
+def overtime(seconds: float) -> str:
+    """Why a scene was given up."""
+    return f"took longer than {seconds:g} s (--scene-seconds)"
+
+
+@contextmanager
+def limited(seconds: float | None) -> Iterator[None]:
+    """Raise `Overtime` when the block takes longer; a block that cannot be reached, such as compiled code that never
+    returns, takes this process with it. Works in a process's main thread alone; None: no limit.
+    """
+    if (
+        seconds is None
+        or not hasattr(signal, "setitimer")
+        or threading.current_thread() is not threading.main_thread()
+    ):
+        yield
+        return
+
+    def ring(*_: object) -> None:
+        raise Overtime(overtime(seconds))
+
+    with open(os.devnull, "w") as nowhere:
+        before = signal.signal(signal.SIGALRM, ring)
+        # A thread outside of Python: it needs no lock that the block may hold.
+        faulthandler.dump_traceback_later(seconds + min(GRACE_S, seconds), exit=True, file=nowhere)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            faulthandler.cancel_dump_traceback_later()
+            signal.signal(signal.SIGALRM, before)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.records.checks import shown
 from datagen.store import Manifest
-from datagen.store.parts import Part
+from datagen.store.reader import Part
 from datagen.store.schema import Field
 
 Crop = slice | Sequence[int] | NDArray[np.generic] | tuple[slice, slice]

@@ -19,15 +19,14 @@ from torch.utils.data import Dataset
 from datagen.errors import CheckError, InputError
 from datagen.loader.batch import Batch, room_for
 from datagen.loader.crops import Crops
-from datagen.loader.draws import DrawCounter
 from datagen.loader.events import events_of
-from datagen.loader.redrawn_noise import TRANSIENT_OF, NoiseSource
+from datagen.loader.redrawn_noise import TRANSIENT_OF, DrawCounter, NoiseSource
 from datagen.loader.volumes import Volumes
 from datagen.reconstruction.backprojection import GEOMETRY
 from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
-from datagen.store.parts import Part
-from datagen.store.places import Bucket, place
+from datagen.store.location import Bucket, location_of
+from datagen.store.reader import Part
 from datagen.store.record import recorded_shards
 from datagen.store.schema import EVIDENCE_SINCE, SPLITS_SINCE
 from datagen.store.stats import COUNTS, QUANTITIES, WITH_STATS
@@ -129,7 +128,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         check_kind("fields", fields, str, Sequence, remedy="such as ('histogram', 'depth')")
         for name, flag in (("redraw_noise", redraw_noise), ("check", check)):
             check_flag(name, flag)
-        self.path = place(path).resolve()
+        self.path = location_of(path).resolve()
         self._manifest = manifest = read_manifest(path)
         self._schema = manifest.schema
         self.fields = tuple(self._schema.by_name)

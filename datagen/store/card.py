@@ -14,12 +14,11 @@ import pyarrow as pa
 
 from datagen.errors import printable
 from datagen.store.environment import mixed
-from datagen.store.evidence_told import evidence_by_kind, placed_anew_lines
 from datagen.store.files import write_if_changed
-from datagen.store.labels_told import label_place_line
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
 from datagen.store.schema import Schema
+from datagen.store.summaries import evidence_by_kind, label_place_line, placed_anew_lines
 from datagen.store.table import TABLE, table_of
 
 CARD = "README.md"

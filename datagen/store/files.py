@@ -18,7 +18,7 @@ import pydantic
 
 from datagen.errors import InputError
 from datagen.locks import locked
-from datagen.store.places import Place, size_of, sized_chunks
+from datagen.store.location import Location, size_of, sized_chunks
 
 PARTIAL = ".partial"
 """Suffix of a file that is still being written; whatever bears it may be deleted."""
@@ -90,7 +90,7 @@ def write_if_changed(path: Path, content: bytes) -> None:
         write_atomically(path, content)
 
 
-def holds(path: Place, content: bytes) -> bool:
+def holds(path: Location, content: bytes) -> bool:
     """Whether a file is there and holds just that; one of another size is not read."""
     try:
         with sized_chunks(path) as (size, chunks):
@@ -132,7 +132,7 @@ def is_intact(content: bytes, must_be_sealed: bool) -> bool:
     return hashlib.sha256(content[: seal.start()] + b"\n}\n").hexdigest().encode() == seal[1]
 
 
-def read_whole(path: Place) -> bytes:
+def read_whole(path: Location) -> bytes:
     """The content of a JSON file of a dataset; raises `InputError` for none, an endless or a huge one."""
     content = read_if_there(path)
     if content is None:
@@ -140,7 +140,7 @@ def read_whole(path: Place) -> bytes:
     return content
 
 
-def read_if_there(path: Place) -> bytes | None:
+def read_if_there(path: Location) -> bytes | None:
     """The same, and None where nothing is there; what is no plain file is refused."""
     try:
         with sized_chunks(path) as (size, chunks):
@@ -156,12 +156,12 @@ def read_if_there(path: Place) -> bytes | None:
     return content
 
 
-def read_json(path: Place) -> Any:
+def read_json(path: Location) -> Any:
     """The value a JSON file holds; raises `InputError` naming the file when it is no JSON."""
     return parsed(path, read_whole(path), pydantic.TypeAdapter(Any))
 
 
-def parsed(path: Place, content: bytes, kind: pydantic.TypeAdapter[T]) -> T:
+def parsed(path: Location, content: bytes, kind: pydantic.TypeAdapter[T]) -> T:
     """The JSON `content` of a file as what it must describe; raises `InputError`, one line, for anything else."""
     try:
         return kind.validate_json(content, strict=True)
@@ -194,7 +194,7 @@ def sync_folder(path: Path) -> None:
             os.close(handle)
 
 
-def sha256_of(path: Place) -> str:
+def sha256_of(path: Location) -> str:
     """Hex SHA-256 of a file's bytes."""
     with sized_chunks(path) as (_, chunks):
         return _sha256(chunks)
@@ -207,7 +207,7 @@ def _sha256(chunks: Iterable[bytes]) -> str:
     return whole.hexdigest()
 
 
-def difference(path: Place, sha256: str | None, due_bytes: int | None = None) -> str | None:
+def difference(path: Location, sha256: str | None, due_bytes: int | None = None) -> str | None:
     """How a file differs from what was written (its SHA-256, and its size where that is known), or None if it does
     not. Without `sha256` only its size is looked at. A file of another size is not read, nor one of unknown size that
     is larger than a JSON file can be.

@@ -9,11 +9,10 @@ from collections.abc import Iterator, Sequence
 from datagen.errors import InputError, printable
 from datagen.store.card import readable
 from datagen.store.environment import mixed
-from datagen.store.evidence_told import evidence_by_kind, evidence_lines, placed_anew_lines
-from datagen.store.labels_told import label_place_line
+from datagen.store.location import Location, location_of
 from datagen.store.manifest import Manifest, read_manifest
-from datagen.store.places import Place, place
 from datagen.store.record import SceneRecord, ShardRecord
+from datagen.store.summaries import evidence_by_kind, evidence_lines, label_place_line, placed_anew_lines
 from datagen.store.verify import committed
 
 STAGES = (
@@ -30,12 +29,12 @@ STAGES = (
 )
 
 
-def info(path: str | Place) -> str:
+def info(path: str | Location) -> str:
     """What, shapes, sizes, seconds per scene by stage, scenes per second, decisions. Hashes are left to `verify`.
 
     Raises `InputError` when the folder is no dataset, or its records hold what datagen does not write.
     """
-    root = place(path)
+    root = location_of(path)
     manifest = read_manifest(root)
     try:
         return printable(_told(manifest, committed(root, manifest)))

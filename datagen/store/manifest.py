@@ -21,7 +21,7 @@ from datagen.records import TimeAxis
 from datagen.store.arrays import COORDINATES, GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_if_there, sealed
-from datagen.store.places import Place, place
+from datagen.store.location import Location, location_of
 from datagen.store.record import Digest, recorded_shards
 from datagen.store.schema import (
     CHECKSUMS_SINCE,
@@ -169,13 +169,13 @@ def mesh_folder(config: DatasetConfig) -> str | None:
     return None
 
 
-def read_manifest(root: str | Place) -> Manifest:
+def read_manifest(root: str | Location) -> Manifest:
     """Read `dataset.json`, of any schema version so far. It may come from anywhere: names, sizes and types in it are
     such as datagen writes, or it is refused; settings are looked at by `Manifest.parsed_config`.
 
     Raises `InputError` when the folder is no dataset or one of a later schema version, and `DamagedManifest`.
     """
-    root = place(root)
+    root = location_of(root)
     path = root / MANIFEST
     try:
         content = read_if_there(path)

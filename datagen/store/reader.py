@@ -15,6 +15,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import product
 
 import google_crc32c
@@ -25,9 +26,8 @@ from numpy.typing import NDArray
 from datagen.errors import CheckError
 from datagen.store.arrays import chunk_grid, shard_file
 from datagen.store.environment import cores
+from datagen.store.location import Location, read_range, size_of
 from datagen.store.manifest import Manifest
-from datagen.store.parts import Part
-from datagen.store.places import Place, read_range, size_of
 from datagen.store.record import read_record
 from datagen.store.schema import Field
 from datagen.store.shard import digest
@@ -48,6 +48,28 @@ _PLAIN, _UNSPLIT = 2, 16
 """Flags in a blosc frame's third byte: it holds the bytes as they are; its blocks are not split into streams."""
 
 
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of one scene's value.
+
+    axes : the indices that are read of each axis but the last, in their order.
+    last : what is read of the last axis, a slice of step 1, since that axis is never cut into chunks.
+    """
+
+    axes: tuple[NDArray[np.int64], ...]
+    last: slice
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the part."""
+        return *map(len, self.axes), self.last.stop - self.last.start
+
+    def of(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+        """The part of a whole value; a copy."""
+        taken: NDArray[np.generic] = values[..., self.last][np.ix_(*self.axes)] if self.axes else values[self.last]
+        return np.ascontiguousarray(taken)
+
+
 class DatasetReader:
     """The values of a dataset. Not to be shared between threads of yours; a fork may go on with it.
 
@@ -61,7 +83,7 @@ class DatasetReader:
     """
 
     def __init__(
-        self, root: Place, manifest: Manifest, fields: Iterable[str], check: bool = True,
+        self, root: Location, manifest: Manifest, fields: Iterable[str], check: bool = True,
         seen: Mapping[str, NDArray[np.bool_]] | None = None,
     ) -> None:  # fmt: skip
         self._root, self._manifest, self._schema = root, manifest, manifest.schema

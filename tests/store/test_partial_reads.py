@@ -20,7 +20,7 @@ import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import CheckError, InputError
 from datagen.store import DatasetReader, read_manifest, reader, schema
-from datagen.store.parts import Part
+from datagen.store.reader import Part
 
 FIELDS = ("histogram", "transient", "transient_stderr", "laser_points", "sensor_pixels", "depth")
 

@@ -26,9 +26,9 @@ from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
 from datagen.store import committed, read_manifest, verify
-from datagen.store.digest import dataset_digest
 from datagen.store.files import sealed
 from datagen.store.table import read_table
+from datagen.store.verify import dataset_digest
 
 
 def again(root: Path, config: DatasetConfig | None = None, workers: int = 1, **options: object) -> BuildResult:

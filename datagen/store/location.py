@@ -139,11 +139,11 @@ class Bucket:
         return CheckError(f"{self}: {text}; look at the address, the network and AWS_* in the environment")
 
 
-Place = Path | Bucket
-AnyPlace = TypeVar("AnyPlace", Path, Bucket)
+Location = Path | Bucket
+AnyLocation = TypeVar("AnyLocation", Path, Bucket)
 
 
-def place(path: str | Path | Bucket) -> Place:
+def location_of(path: str | Path | Bucket) -> Location:
     """The place that a path or an address names.
 
     Raises `InputError` for an address without bucket or name, with credentials, or of another scheme, and where the
@@ -183,7 +183,7 @@ def opened(path: Path) -> Iterator[tuple[int, io.BufferedReader]]:
 
 
 @contextmanager
-def sized_chunks(path: Place) -> Iterator[tuple[int, Iterator[bytes]]]:
+def sized_chunks(path: Location) -> Iterator[tuple[int, Iterator[bytes]]]:
     """Size of a file or object, and its content piece by piece, so that a caller can refuse it by its size. Raises
     as `opened` does."""
     if isinstance(path, Bucket):
@@ -193,7 +193,7 @@ def sized_chunks(path: Place) -> Iterator[tuple[int, Iterator[bytes]]]:
         yield size, iter(lambda: file.read(READ_BYTES), b"")
 
 
-def size_of(path: Place) -> int:
+def size_of(path: Location) -> int:
     """Bytes of a file or object; raises as `opened` does."""
     if isinstance(path, Bucket):
         return path.size()
@@ -201,7 +201,7 @@ def size_of(path: Place) -> int:
         return size
 
 
-def read_range(path: Place, offset: int, size: int) -> bytes:
+def read_range(path: Location, offset: int, size: int) -> bytes:
     """`size` bytes from `offset` on, fewer where a file ends; raises as `opened` does. Each read opens its file:
     that takes some 10 µs, and no reader keeps files open that others need."""
     if isinstance(path, Bucket):
