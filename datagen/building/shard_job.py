@@ -1,4 +1,4 @@
-"""What a worker does: the scenes of one shard one after the other, then the shard is written and committed."""
+"""The job of a worker: it makes the scenes of one shard one after the other, writes the shard and commits it."""
 
 from __future__ import annotations
 
@@ -30,10 +30,12 @@ from datagen.store import (
 from datagen.store.environment import made_with, mixed, together
 
 GRACE_S = 10.0
-"""After an exception was sent and did not arrive for so long, or as long again, the process ends."""
+"""Seconds (at most the limit itself) after which a process ends that the exception could not reach. Half as many
+would end one that is in a long library call, and cost its start."""
 LONGEST_SCENE_S = 30 * 86400.0
 LOCK_PATIENCE_S = 10.0
-"""How long to wait for another writer of the same shard, such as an orphan of a killed build about to notice."""
+"""Seconds to wait for another writer of the same shard, such as an orphan of a killed build, which ends within 3 s.
+Half as many would be close to that on a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ def _tried_anew(job: ShardJob, record: ShardRecord, running: int) -> list[tuple[
 
 
 def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
-    """Remove what a writer that is no more left of a shard; one that another writer is at is left alone."""
+    """Remove the files that a dead writer left of a shard; a shard that another writer has locked stays."""
     path = running_path(root, shard)
     with suppress(CheckError), _sole_writer(path, patience_s=0.0):
         discard_shard(root, schema, shard)
@@ -160,7 +162,7 @@ def _attempt(job: ShardJob, index: int) -> Sample | str:
 
 
 def _last_line_of(error: BaseException) -> str:
-    """Where in the code it happened, for the person who has only the record."""
+    """File and line of an error, for people who have only the record."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

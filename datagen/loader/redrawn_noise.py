@@ -109,7 +109,7 @@ class DrawCounter:
         return taken
 
     def __getstate__(self) -> dict[str, Any]:
-        """A worker that is started afresh is told the rank of the process that starts it."""
+        """A spawned worker gets the rank of the process that starts it."""
         return self.__dict__ | {"_rank": self._own_rank()}
 
     def _own_rank(self) -> int:

@@ -20,7 +20,8 @@ BLOCK_BYTES = 2**18
 """Decoded bytes of a block of blosc, the least that a reader decodes. It fits into a core's cache; half as many cost
 a few percent of the disk."""
 LEVEL = 1
-"""Of zstd. Higher levels mostly gain by longer blocks: with these, level 5 spares 3 % for five times the time."""
+"""Level of zstd. Higher ones gain mostly by longer blocks: with these blocks level 5 saves 3 % of the disk for five
+times the time."""
 
 
 def shard_file(field: Field, shard: int) -> str:
@@ -61,12 +62,12 @@ def _create_arrival_times(group: zarr.Group, time: TimeConfig) -> None:
 
 
 def chunk_grid(field: Field) -> tuple[int, ...]:
-    """How many chunks a scene of a sharded field has along each axis."""
+    """The number of chunks along each axis of a scene of a sharded field."""
     return tuple(math.ceil(s / c) for c, s in zip(field.chunk, field.shape, strict=True))
 
 
 def fill_of(field: Field) -> float | int:
-    """What a scene that could not be made leaves behind: NaN, or 0 for whole numbers."""
+    """The values of a scene that could not be made: NaN, or 0 for whole numbers."""
     return float("nan") if np.dtype(field.dtype).kind == "f" else 0
 
 

@@ -19,7 +19,7 @@ from datagen.store.schema import Field
 from datagen.store.table import COLUMNS, CROISSANT, TABLE
 
 NO_LICENSE = "https://choosealicense.com/no-permission/"
-"""What it means that a configuration names no licence."""
+"""The licence of a dataset whose configuration names none: all rights are reserved."""
 _CONTEXT: dict[str, Any] = {
     "@language": "en", "@vocab": "https://schema.org/", "arrayShape": "cr:arrayShape", "citeAs": "cr:citeAs",
     "column": "cr:column", "conformsTo": "dct:conformsTo", "containedIn": "cr:containedIn",

@@ -29,9 +29,9 @@ JSON_BYTES = 64 * 2**20
 _SEAL = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
 
 _NOTHING = errno.ENOENT, errno.ENOTDIR, errno.ELOOP
-"""Of a file that is not there, or below one that is no folder, or behind a link that leads nowhere."""
+"""Errors of opening a file that is not there, or below one that is no folder, or behind a link that leads nowhere."""
 _NOT_PLAIN = errno.EINVAL, errno.ENXIO
-"""Of a folder, a pipe, a socket."""
+"""Errors of opening a folder, a pipe or a socket."""
 
 T = TypeVar("T")
 
@@ -40,7 +40,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     """Write beside `path`, fsync, rename: a reader sees the old content or the new one, whenever we are killed."""
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
     try:
-        with _held(partial) as file:
+        with _new_locked(partial) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -51,8 +51,8 @@ def write_atomically(path: Path, content: bytes) -> None:
     sync_folder(path.parent)
 
 
-def _held(partial: Path) -> BinaryIO:
-    """A new file that is known to be in use: `clear_partials` of another build leaves it alone."""
+def _new_locked(partial: Path) -> BinaryIO:
+    """A new file, locked, so that `clear_partials` of another build sees that it is in use and leaves it alone."""
     while True:
         # Whatever stands there, such as a link to somewhere else, is not written through.
         partial.unlink(missing_ok=True)
@@ -91,7 +91,7 @@ def write_if_changed(path: Path, content: bytes) -> None:
 
 
 def holds(path: Location, content: bytes) -> bool:
-    """Whether a file is there and holds just that; one of another size is not read."""
+    """Whether a file is there and holds exactly this content; a file of another size is not read."""
     try:
         with sized_chunks(path) as (size, chunks):
             return size == len(content) and b"".join(chunks) == content
@@ -125,7 +125,8 @@ def sealed(values: dict[str, Any]) -> bytes:
 
 
 def is_intact(content: bytes, must_be_sealed: bool) -> bool:
-    """Whether a file's content is what its checksum was taken of, or has none and need not have."""
+    """Whether a file's content matches the checksum at its end; content without one is intact unless it must have
+    one."""
     seal = _SEAL.search(content, max(0, len(content) - 100))
     if seal is None:
         return not must_be_sealed
@@ -141,7 +142,8 @@ def read_whole(path: Location) -> bytes:
 
 
 def read_if_there(path: Location) -> bytes | None:
-    """The same, and None where nothing is there; what is no plain file is refused."""
+    """The content of a JSON file of a dataset, or None where nothing is there; raises `InputError` as `read_whole`
+    does for what is no plain file."""
     try:
         with sized_chunks(path) as (size, chunks):
             content = b"".join(chunks) if size <= JSON_BYTES else None
@@ -185,7 +187,7 @@ def own_path(root: Path, name: str) -> Path:
 
 
 def sync_folder(path: Path) -> None:
-    """Have the disk hold the names in a folder; file systems that cannot are left to themselves."""
+    """Sync a folder, so that renamed files keep their names after a power cut; not all file systems can."""
     with contextlib.suppress(OSError):
         handle = os.open(path, os.O_RDONLY)
         try:

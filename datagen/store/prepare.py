@@ -1,4 +1,4 @@
-"""What a build does to a folder before its first shard: a new dataset, one to go on with, or one to be mended."""
+"""Preparation of a folder for a build: a new dataset, one to resume, or one whose metadata is restored."""
 
 from __future__ import annotations
 

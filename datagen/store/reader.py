@@ -136,7 +136,8 @@ class DatasetReader:
         return out
 
     def _keep(self, key: tuple[object, ...], make: Callable[[], NDArray[np.generic]]) -> NDArray[np.generic]:
-        """What is kept under a key; made where it is not, and the oldest let go where there is no room."""
+        """The array kept under a key; it is made where there is none, and the oldest ones go where memory is
+        short."""
         kept = self._kept.get(key)
         if kept is None:
             kept = make()
@@ -285,7 +286,7 @@ class DatasetReader:
         seen[scene] = True
 
     def _record(self, shard: int) -> dict[str, tuple[int, list[bytes | None]]]:
-        """What the commit record of a shard states of the fields that are read; the record is read once."""
+        """Bytes of the file and digests of the scenes of each field that is read, as a shard's record states them."""
         if shard not in self._records:
             record = read_record(self._root, shard, self._manifest.must_be_sealed)
             wrong = record.mismatch(self._schema, self._manifest.fingerprint) if record else "is not committed"

@@ -85,7 +85,7 @@ class ShardRecord:
         return sealed(vars(self))
 
     def mismatch(self, schema: Schema, fingerprint: str) -> str | None:
-        """Why this is no record of a shard of such a dataset, or None."""
+        """A sentence on why this is no record of a shard of such a dataset, or None."""
         scenes = schema.scenes_of(self.shard)
         if self.fingerprint != fingerprint:
             return f"was made with another configuration (fingerprint {self.fingerprint[:12]})"
@@ -100,7 +100,8 @@ class ShardRecord:
         return None
 
     def problem(self, root: Location, hashes: bool = True) -> str | None:
-        """What is wrong with the shard's files, or None. Without `hashes` only presence and size are looked at."""
+        """A sentence on the first of the shard's files that is not as it was written, or None. Without `hashes` only
+        presence and size are looked at."""
         for name, known in self.files.items():
             wrong = difference(root / name, known.sha256 if hashes else None, known.bytes)
             if wrong is not None:

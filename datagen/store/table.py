@@ -35,7 +35,7 @@ COLUMNS = {
     "sha256.FIELD": "digest of the sample's decoded values",
     "others": "what was drawn for the sample and decided about it; docs/configuration.md of datagen lists them",
 }
-"""What the table's columns are."""
+"""Column → meaning, for the cards."""
 _OWN = ("scene", "shard", "failure", "split")
 
 

@@ -154,7 +154,7 @@ def _summary_problems(root: Location, manifest: Manifest, records: Sequence[Shar
         yield "dataset.json: its stats differ from what the commit records say"
     # Another pyarrow writes the same table in other bytes.
     same_writer = manifest.versions["pyarrow"] == now["pyarrow"]
-    if not holds(root / TABLE, table_bytes(table)) and (same_writer or not _tells(root / TABLE, table)):
+    if not holds(root / TABLE, table_bytes(table)) and (same_writer or not _has_rows_of(root / TABLE, table)):
         yield f"{TABLE}: differs from what the commit records say"
         return
     # Another datagen may word the same facts otherwise.
@@ -168,7 +168,7 @@ def _summary_problems(root: Location, manifest: Manifest, records: Sequence[Shar
             yield f"{name}: missing, or differs from what the dataset holds"
 
 
-def _tells(path: Location, table: pa.Table) -> bool:
+def _has_rows_of(path: Location, table: pa.Table) -> bool:
     try:
         with path.open("rb") as file:
             stored = pq.read_table(file).replace_schema_metadata(table.schema.metadata)
