@@ -22,8 +22,6 @@ from datagen.store.location import Location, size_of, sized_chunks
 
 PARTIAL = ".partial"
 """Suffix of a file that is still being written; whatever bears it may be deleted."""
-TRIAL = ".datagen-"
-"""Prefix of the empty folder that is made to see whether one can be; whatever bears it may be deleted."""
 JSON_BYTES = 64 * 2**20
 """A JSON file of a dataset that is larger is not one of ours: records take 10 kB a scene at most, of 256 scenes."""
 _SEAL = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
@@ -63,9 +61,7 @@ def _new_locked(partial: Path) -> BinaryIO:
 
 
 def clear_partials(folder: Path) -> None:
-    """Remove what builds that were killed left half written in a folder, and their trials of it; what a running one
-    is writing stays.
-    """
+    """Remove the files that killed builds left half written in a folder; those that a running build writes stay."""
     for partial in folder.glob(f"*{PARTIAL}"):
         with contextlib.suppress(OSError):
             handle = os.open(partial, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
@@ -74,9 +70,6 @@ def clear_partials(folder: Path) -> None:
                     partial.unlink()
             finally:
                 os.close(handle)
-    for trial in folder.glob(f"{TRIAL}*"):
-        with contextlib.suppress(OSError):
-            trial.rmdir()
 
 
 def bytes_below(folder: Path) -> int:
@@ -235,10 +228,7 @@ def _is_missing(error: OSError) -> bool:
 
 
 def check_writable(path: Path) -> None:
-    """Raise `InputError` unless the folder `path` exists or can be made, and files can be made in it.
-
-    A folder is made and removed again to find out: permission bits do not tell on every file system.
-    """
+    """Raise `InputError` unless the folder `path` exists or can be made, and files can be made in it."""
     existing = path
     while not os.path.lexists(existing) and existing != existing.parent:
         existing = existing.parent
@@ -246,10 +236,9 @@ def check_writable(path: Path) -> None:
         what = "is a file" if existing == path else f"cannot be made: {existing} is a file"
         raise InputError(f"output {path}: {what}, not a folder; name a new folder, or a dataset to resume")
     try:
-        trial = tempfile.mkdtemp(prefix=TRIAL, dir=existing)
-        # Another build may have cleared it away.
-        with contextlib.suppress(FileNotFoundError):
-            os.rmdir(trial)
+        # Permission bits do not tell on every file system. A file without a name leaves nothing behind.
+        with tempfile.TemporaryFile(dir=existing):
+            pass
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise InputError(
