@@ -61,7 +61,7 @@ CHUNK_BYTES = 4 * 2**20
 """A scene's chunk is cut (first along `laser`) when its raw bytes exceed this. Half as much would double the requests
 for a large scene and change no time from a disk."""
 SHARD_BYTES = 256 * 2**20
-"""Raw bytes of one shard over all fields: what a worker holds in memory. Half as much would double the number of
+"""The most raw bytes of one shard over all fields. Half as much would double the number of
 files."""
 LARGEST_CHUNK_BYTES = 2**31 - 17
 """Blosc's own limit."""
