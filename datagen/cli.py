@@ -117,7 +117,7 @@ def verify(dataset: str, deep: bool, resimulate: int) -> None:
 @click.argument("dataset")
 def digest(dataset: str) -> None:
     """Print one hash of all values of DATASET, the same however it was built and stored."""
-    from datagen.store.digest import dataset_digest
+    from datagen.store.verify import dataset_digest
 
     click.echo(dataset_digest(dataset))
 

@@ -127,15 +127,16 @@ def sample_of(
 def detector_effects(
     config: DatasetConfig, total: NDArray[np.float64], time: TimeAxis, spad: Spad, exposure: Exposure
 ) -> EffectDecisions:
-    """What the detector is to simulate for a transient, and why."""
+    """The detector's effects that a transient calls for, each with its estimate."""
     seen = (total, time, spad, exposure)
     return decide_detector_effects(*seen, config.effects, config.detector.tolerance)
 
 
 SCENES_TRIED = 16
-"""Scenes generated before a build, without light: what is wrong with one of them would be wrong every time."""
+"""Scenes that are generated before a build, without light, to find a configuration that cannot be simulated. With
+half as many, one that fails in one scene of ten would pass 43 % of the time instead of 19 %."""
 LIT_SCENES_TRIED = 4
-"""As many where light says which scenes are accepted."""
+"""The same where scenes are accepted by their light, which takes seconds each."""
 
 
 def check_inputs(config: DatasetConfig) -> None:
@@ -215,7 +216,7 @@ def _parameters(
 
 
 def _label_place(scene: Scene, transient: Transient) -> dict[str, Scalar]:
-    """Where the scan lies on the label images; nothing of a scene that says not where it is seen from."""
+    """The position of the scan on the label images; empty for a scene without `hidden_view`."""
     found = None if scene.hidden_view is None else scan_place(scene.hidden_view, transient.laser_points)
     return {} if found is None else dict(zip(SCAN_PLACE, found, strict=True))
 

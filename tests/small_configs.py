@@ -23,8 +23,8 @@ from datagen.building.build import build
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, config_from_mapping, load_config
 from datagen.scene import generate_scene
-from datagen.store.digest import dataset_digest
 from datagen.store.environment import LIBRARIES, made_with
+from datagen.store.verify import dataset_digest
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 READY = [*sorted(CONFIGS.glob("*.yaml")), *sorted((CONFIGS.parent / "datagen/suites").glob("*.yaml"))]

@@ -13,8 +13,8 @@ import sys
 from pathlib import Path
 
 from datagen.building.build import build
-from datagen.store.digest import dataset_digest
 from datagen.store.environment import LIBRARIES, made_with
+from datagen.store.verify import dataset_digest
 from datagen.suites.catalogue import PINNED, SUITES
 
 

@@ -22,8 +22,15 @@ from typing import Any
 from datagen import store
 from datagen.building.engines import Engine, check_engine, start_imports, started
 from datagen.building.progress import Progress
-from datagen.building.shard_job import ShardJob, abandon_shard, run_shard, scene_age_s, scene_at
-from datagen.building.time_limit import LONGEST_SCENE_S, overtime
+from datagen.building.shard_job import (
+    LONGEST_SCENE_S,
+    ShardJob,
+    abandon_shard,
+    overtime,
+    run_shard,
+    scene_age_s,
+    scene_at,
+)
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import CheckError, InputError
@@ -31,20 +38,22 @@ from datagen.records import Sample
 from datagen.records.checks import check_kind, numbers_of
 from datagen.store import upload
 from datagen.store.environment import made_with, mixed
-from datagen.store.evidence_told import placed_anew_lines
+from datagen.store.location import Bucket, location_of
 from datagen.store.manifest import MANIFEST, DamagedManifest
-from datagen.store.places import Bucket, place
+from datagen.store.summaries import placed_anew_lines
 
 SampleFunction = Callable[[DatasetConfig, int], Sample]
 
 DEATHS_ALLOWED = 2
-"""A scene over which this many worker processes died is given up."""
+"""A scene over which this many worker processes died is given up. With one, a worker that the machine killed for
+another's memory would cost its scene."""
 NOISY = 0.2
 """Median relative error of a dataset's transients from which on a build says that they are noise: of data that are a
 fifth noise of the simulation, photon noise of an ordinary exposure is no longer the larger part. Half as much would
 speak up about what many a quick trial is made with."""
 HOPELESS = 8
-"""A build whose first so many scenes all failed stops: the rest would fail likewise."""
+"""A build whose first so many scenes all failed stops: the rest would fail likewise. Half as many could be chance
+where rooms are hard to furnish."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +145,7 @@ def build(
         raise InputError("OUT = '': names no folder; name the one to make")
     if scenes is not None:
         config = config.with_scenes(scenes)
-    target = place(path)
+    target = location_of(path)
     bucket = target if isinstance(target, Bucket) else None
     root = target if isinstance(target, Path) else upload.staging_of(target)
     check_engine(engine, workers, scheduler)
@@ -174,25 +183,30 @@ def build(
     except OSError as error:
         reason = f"{error.filename or root}: {error.strerror or error}"
         raise CheckError(f"{reason}; mend that and build again to resume") from None
+    _check_no_failures(records, schema.scenes)
+    noisy = _noise_line(config, records)
+    if noisy and progress:
+        print(noisy, file=sys.stderr, flush=True)
+    return BuildResult(
+        path=root if bucket is None else str(bucket), scenes=schema.scenes, built=len(wanted) - kept, kept=kept,
+        complete=complete, seconds=time.monotonic() - began, noisy=noisy,
+        told=" ".join(placed_anew_lines(scene.parameters for record in records for scene in record.scenes)),
+    )  # fmt: skip
+
+
+def _check_no_failures(records: Iterable[store.ShardRecord], scenes: int) -> None:
     failures = {scene: why for record in records for scene, why in record.failures.items()}
     if failures:
         scene, why = min(failures.items())
         raise CheckError(
-            f"{len(failures)} of {schema.scenes} scenes could not be made, the first is scene {scene}: {why}; "
+            f"{len(failures)} of {scenes} scenes could not be made, the first is scene {scene}: {why}; "
             "all others are stored, and building again tries these anew"
         )
-    where = root if bucket is None else str(bucket)
-    told = " ".join(placed_anew_lines(scene.parameters for record in records for scene in record.scenes))
-    noisy = _noise_line(config, records)
-    if noisy and progress:
-        print(noisy, file=sys.stderr, flush=True)
-    seconds = time.monotonic() - began
-    return BuildResult(where, schema.scenes, len(wanted) - kept, kept, complete, seconds, told, noisy)
 
 
 def _noise_line(config: DatasetConfig, records: Iterable[store.ShardRecord]) -> str:
-    """What to say of transients that are `NOISY` in the median of all scenes there are; "" of others, and of those
-    whose error nobody knows."""
+    """A warning where the transients of the scenes are `NOISY` in the median; "" where they are not, or where their
+    error is unknown."""
     stated = [scene.parameters.get("transient.relative_error") for of in records for scene in of.scenes]
     errors = [float(error) for error in stated if isinstance(error, int | float) and math.isfinite(error)]
     if not errors or (median := statistics.median(errors)) <= NOISY:
@@ -210,21 +224,22 @@ def _noise_line(config: DatasetConfig, records: Iterable[store.ShardRecord]) -> 
 
 
 def _with_exposure(root: Path, config: DatasetConfig) -> DatasetConfig:
-    """The configuration with the exposure it asks for: that of the dataset if there is one, never searched twice."""
-    asked = config.detector.exposure_for
-    if asked is None or not (root / MANIFEST).is_file():
+    """The configuration with the exposure that reaches `detector.exposure_for`. An existing dataset keeps the one
+    that it was begun with: another search could find another one."""
+    goal = config.detector.exposure_for
+    if goal is None or not (root / MANIFEST).is_file():
         return with_exposure_found(config)
     try:
         stored = store.read_manifest(root).config.get("detector", {})
     except DamagedManifest:
         return with_exposure_found(config)
-    if stored.get("found_for") != asked.model_dump(mode="json"):
-        told = stored.get("found_for") or f"cycles = {stored.get('cycles')}"
+    if stored.get("found_for") != goal.model_dump(mode="json"):
+        exposure = stored.get("found_for") or f"cycles = {stored.get('cycles')}"
         raise InputError(
-            f"output {root}: holds a dataset whose exposure is {told}, not detector.exposure_for = "
-            f"{asked.model_dump(mode='json')}; name another folder, or change it back to resume"
+            f"output {root}: holds a dataset whose exposure is {exposure}, not detector.exposure_for = "
+            f"{goal.model_dump(mode='json')}; name another folder, or change it back to resume"
         )
-    found = {"exposure_for": None, "found_for": asked, "cycles": stored["cycles"]}
+    found = {"exposure_for": None, "found_for": goal, "cycles": stored["cycles"]}
     return config.model_copy(update={"detector": config.detector.model_copy(update=found)})
 
 
@@ -235,7 +250,7 @@ def _check_scene_seconds(scene_seconds: float | None, engine: str) -> None:
     if not 0 < scene_seconds <= LONGEST_SCENE_S:
         raise InputError(f"--scene-seconds {scene_seconds:g}: must be > 0 and ≤ {LONGEST_SCENE_S:g}")
     if engine != "local":
-        raise InputError(f"--scene-seconds {scene_seconds:g}: only local workers can be held to it; leave it out")
+        raise InputError(f"--scene-seconds {scene_seconds:g}: only local workers have such a limit; leave it out")
 
 
 def _check_unmixed(root: Path, records: Iterable[store.ShardRecord]) -> None:
@@ -370,7 +385,7 @@ class _Build:
         return None
 
     def _clear(self, shard: int) -> None:
-        """Remove what an unfinished shard left, unless it was committed at the last moment."""
+        """Remove the files of an unfinished shard, unless it was committed at the last moment."""
         if store.committed(self.root, self.manifest, [shard]):
             store.running_path(self.root, shard).unlink(missing_ok=True)
         else:

@@ -93,11 +93,11 @@ class Given:
     def digest(self) -> str:
         """Hex SHA-256 of all of it."""
         s, c = self.scene, self.capture
-        told = (s.part_names, s.materials, s.roles, dict(s.parameters), s.attenuation_per_m, c.time, c.pairing)
+        values = (s.part_names, s.materials, s.roles, dict(s.parameters), s.attenuation_per_m, c.time, c.pairing)
         poses = [(name, pose.label, pose.axes.tolist()) for name, pose in sorted(s.poses.items())]
         views = [of and [v.tolist() for v in (of.center, of.right, of.up)] for of in (s.relay_wall, s.hidden_view)]
         sight = c.illumination, c.sensor.aperture_radius_m, c.sensor.finite_aperture
-        hashed = hashlib.sha256(repr((told, poses, views, sight)).encode())
+        hashed = hashlib.sha256(repr((values, poses, views, sight)).encode())
         arrays: list[NDArray[Any] | None] = [s.vertices, s.triangles, s.face_part, s.hidden_bounds, self.transient]
         for array in [*arrays, c.laser.position, c.laser.targets, c.sensor.position, c.sensor.pixels]:
             hashed.update(b"-" if array is None else repr(array.shape).encode() + array.tobytes())
@@ -113,7 +113,7 @@ class GivenSamples:
     def __call__(self, config: DatasetConfig, index: int) -> Sample:
         """Sample number `index`."""
         item: Given = pickle.loads((Path(self.folder) / str(index)).read_bytes())
-        return sample_of(config, index, _told(item), item.capture, item.transient)
+        return sample_of(config, index, _with_digest(item), item.capture, item.transient)
 
 
 def _given(number: int, item: object, capture: Capture | Callable[[Scene], Capture] | None) -> Given:
@@ -134,10 +134,11 @@ def _given(number: int, item: object, capture: Capture | Callable[[Scene], Captu
     return Given(scene, found, values.astype(np.float64))
 
 
-def _told(item: Given) -> Scene:
-    """The scene with what tells it from others, so that one room is in one split."""
-    told = item.scene.parameters
-    return replace(item.scene, parameters={**told, "given.scene": replace(item, transient=None).digest[:16]})
+def _with_digest(item: Given) -> Scene:
+    """The scene with its digest among its parameters: splits recognise a room by its parameters, and two scenes
+    without any would count as one."""
+    digest = replace(item, transient=None).digest[:16]
+    return replace(item.scene, parameters={**item.scene.parameters, "given.scene": digest})
 
 
 def _pair(item: Any) -> tuple[Any, Any]:

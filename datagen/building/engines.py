@@ -1,4 +1,4 @@
-"""Where shards are computed: local processes, or a Dask cluster. Both are a `submit` that gives futures."""
+"""Engines that compute shards: local processes, or a Dask cluster. Both are a `submit` that returns futures."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ from datagen.errors import CheckError, InputError
 
 MOST_WORKERS = 4096
 SHARDS_PER_PROCESS = 16
-"""A worker process is replaced after so many shards, so that no leak in a library lasts."""
+"""A worker process is replaced after so many shards, so that memory that a library leaks is freed. With half as many
+a build of short shards would spend a tenth of its time on starting processes."""
 PATIENCE_S = 3.0
-"""How long a worker may take to end in order after SIGTERM."""
+"""Seconds that a worker has to end after SIGTERM before it is killed. Half as many would kill one that is syncing
+to a slow disk; nothing would be lost then either."""
 RETURN_S = 300.0
-"""How long a scheduler that was lost may take to be there again."""
+"""Seconds for which a lost Dask scheduler is waited for. Half as many are too few for a restart in a SLURM queue."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """Workers are the parallelism, and a sum split over threads could round differently."""
 
@@ -33,7 +35,8 @@ that of Arrow's allocator, which minds forks."""
 
 
 class Terminated(SystemExit):
-    """This worker was told to end. A `SystemExit` of any other kind is a mistake of what it runs."""
+    """Raised in a worker that got SIGTERM. Any other `SystemExit` comes from the sample function, and fails its
+    scene."""
 
 
 def start_imports(*modules: str) -> None:
@@ -254,7 +257,7 @@ class DaskCluster:
 
 
 def check_workers(workers: int) -> None:
-    """Raise `InputError` unless so many processes can be asked for."""
+    """Raise `InputError` for a number of workers that is none, or too many."""
     if not isinstance(workers, int) or isinstance(workers, bool) or not 1 <= workers <= MOST_WORKERS:
         raise InputError(f"--workers {workers}: must be ≥ 1 and ≤ {MOST_WORKERS}, one a core")
 

@@ -1,4 +1,4 @@
-"""Samples made while they are asked for: generated and simulated in the loader's workers, with no files."""
+"""Samples without files: each is generated and simulated by the loader's worker that hands it over."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a build is: a bar on a terminal, plain lines elsewhere."""
+"""Progress of a build: a bar on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -48,8 +48,7 @@ class Progress:
         )
 
     def _advance(self, scenes: int) -> None:
-        """Never back: a shard that ends hides what others have under way until they are asked again, and one whose
-        worker died begins anew."""
+        """Move the bar, never backwards: the count drops for a moment when a shard ends, and when a worker dies."""
         self._bar.n = max(self._bar.n, min(self._total, scenes))
 
     def say(self, line: str) -> None:

@@ -10,12 +10,12 @@ from datagen.errors import CheckError, InputError
 from datagen.pipeline import simulate_sample
 from datagen.store import Schema, committed, read_manifest
 from datagen.store.environment import made_with, mixed
-from datagen.store.places import Place, place
+from datagen.store.location import Location, location_of
 from datagen.store.schema import SCHEMA_VERSION
 from datagen.store.shard import digest, encoded
 
 
-def resimulate(path: str | Place, scenes: int) -> tuple[list[int], list[str]]:
+def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]:
     """Simulate so many scenes again, chosen at random, other ones each time; all where there are fewer.
 
     Returns
@@ -27,7 +27,7 @@ def resimulate(path: str | Place, scenes: int) -> tuple[list[int], list[str]]:
     InputError : no dataset, one of another schema version, fewer than one scene asked for, a mesh file is gone.
     CheckError : no scene is there.
     """
-    root = place(path)
+    root = location_of(path)
     if scenes < 1:
         raise InputError(f"--resimulate {scenes}: must be ≥ 1")
     manifest = read_manifest(root)

@@ -1,8 +1,11 @@
-"""What a worker does: the scenes of one shard one after the other, then the shard is written and committed."""
+"""The job of a worker: it makes the scenes of one shard one after the other, writes the shard and commits it."""
 
 from __future__ import annotations
 
+import faulthandler
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -10,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.building.engines import Terminated
-from datagen.building.time_limit import Overtime, limited
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.locks import locked
@@ -27,8 +29,13 @@ from datagen.store import (
 )
 from datagen.store.environment import made_with, mixed, together
 
+GRACE_S = 10.0
+"""Seconds (at most the limit itself) after which a process ends that the exception could not reach. Half as many
+would end one that is in a long library call, and cost its start."""
+LONGEST_SCENE_S = 30 * 86400.0
 LOCK_PATIENCE_S = 10.0
-"""How long to wait for another writer of the same shard, such as an orphan of a killed build about to notice."""
+"""Seconds to wait for another writer of the same shard, such as an orphan of a killed build, which ends within 3 s.
+Half as many would be close to that on a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -99,12 +106,11 @@ def _tried_anew(job: ShardJob, record: ShardRecord, running: int) -> list[tuple[
         if scene.failure is None:
             arrays = {name: reader.read(name, [scene.index])[0] for name in names}
             anew[scene.index] = Sample(scene.index, arrays, scene.parameters, scene.seconds)
-    reader.close()
     return sorted(anew.items())
 
 
 def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
-    """Remove what a writer that is no more left of a shard; one that another writer is at is left alone."""
+    """Remove the files that a dead writer left of a shard; a shard that another writer has locked stays."""
     path = running_path(root, shard)
     with suppress(CheckError), _sole_writer(path, patience_s=0.0):
         discard_shard(root, schema, shard)
@@ -156,7 +162,7 @@ def _attempt(job: ShardJob, index: int) -> Sample | str:
 
 
 def _last_line_of(error: BaseException) -> str:
-    """Where in the code it happened, for the person who has only the record."""
+    """File and line of an error, for people who have only the record."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
@@ -181,3 +187,41 @@ def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
         yield handle
     finally:
         os.close(handle)
+
+
+class Overtime(BaseException):
+    """The time is up. No `Exception`: what runs too long must not catch it."""
+
+
+def overtime(seconds: float) -> str:
+    """Why a scene was given up."""
+    return f"took longer than {seconds:g} s (--scene-seconds)"
+
+
+@contextmanager
+def limited(seconds: float | None) -> Iterator[None]:
+    """Raise `Overtime` when the block takes longer; a block that cannot be reached, such as compiled code that never
+    returns, takes this process with it. Works in a process's main thread alone; None: no limit.
+    """
+    if (
+        seconds is None
+        or not hasattr(signal, "setitimer")
+        or threading.current_thread() is not threading.main_thread()
+    ):
+        yield
+        return
+
+    def ring(*_: object) -> None:
+        raise Overtime(overtime(seconds))
+
+    with open(os.devnull, "w") as nowhere:
+        before = signal.signal(signal.SIGALRM, ring)
+        # A thread outside of Python: it needs no lock that the block may hold.
+        faulthandler.dump_traceback_later(seconds + min(GRACE_S, seconds), exit=True, file=nowhere)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            faulthandler.cancel_dump_traceback_later()
+            signal.signal(signal.SIGALRM, before)

@@ -14,8 +14,8 @@ from datagen.config import DatasetConfig
 from datagen.errors import InputError
 from datagen.forecast.pilots import Pilots
 from datagen.store import Schema, ShardRecord, committed, read_manifest
-from datagen.store.evidence_told import KindEvidence
 from datagen.store.files import bytes_below, finite
+from datagen.store.summaries import KindEvidence
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from datagen.config import DatasetConfig
 from datagen.errors import InputError
 from datagen.records import Sample, Scalar
 from datagen.store import finish, prepare, schema_of, write_shard
-from datagen.store.evidence_told import KindEvidence, evidence_by_kind
 from datagen.store.files import bytes_below
+from datagen.store.summaries import KindEvidence, evidence_by_kind
 from datagen.store.table import table_bytes, table_of
 
 MOST = 8

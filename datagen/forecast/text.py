@@ -19,8 +19,8 @@ from datagen.forecast.pilots import run_pilots, startup_seconds
 from datagen.store import Schema, schema_of
 from datagen.store.card import readable
 from datagen.store.environment import cores, environment, hardware
-from datagen.store.evidence_told import evidence_lines
 from datagen.store.files import finite, json_bytes, write_atomically
+from datagen.store.summaries import evidence_lines
 
 BUDGET_S = 1.5
 """Enough for three or four scenes of an ordinary scan; a plan is to be answered at once."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.records.checks import shown
 from datagen.store import Manifest
-from datagen.store.parts import Part
+from datagen.store.reader import Part
 from datagen.store.schema import Field
 
 Crop = slice | Sequence[int] | NDArray[np.generic] | tuple[slice, slice]
@@ -20,7 +20,7 @@ _SUCH_AS = "such as slice(0, 256), a list of numbers, or np.s_[8:24, 8:24] of a 
 
 
 class Crops:
-    """What is read of each axis of a dataset's scans.
+    """The part of each axis of a dataset's scans that is read.
 
     chosen : axis → indices, of the axes that are not read whole.
     """
@@ -29,13 +29,13 @@ class Crops:
         capture = manifest.config["capture"]
         scan, view = capture.get("scan", {}), capture.get("field_of_view", {})
         measured = manifest.schema.by_name.get("histogram") or manifest.schema.by_name.get("transient")
-        asked = {"lasers": (lasers, scan), "pixels": (pixels, view)}
-        given = [name for name, (crop, _) in asked.items() if crop is not None] + ["bins"] * (bins is not None)
+        crops = {"lasers": (lasers, scan), "pixels": (pixels, view)}
+        given = [name for name, (crop, _) in crops.items() if crop is not None] + ["bins"] * (bins is not None)
         if given and measured is None:
             raise InputError(f"{given[0]}: the dataset has neither histograms nor transients to read a part of")
         self.sizes = dict(zip(("laser", "pixel", "bin"), measured.shape, strict=True)) if measured else {}
         self.chosen: dict[str, NDArray[np.int64]] = {}
-        for (name, (crop, grid)), axis in zip(asked.items(), ("laser", "pixel"), strict=True):
+        for (name, (crop, grid)), axis in zip(crops.items(), ("laser", "pixel"), strict=True):
             if crop is not None:
                 self.chosen[axis] = _indices(name, crop, self.sizes[axis], _grid(grid, self.sizes[axis]))
         if bins is not None:
@@ -44,7 +44,7 @@ class Crops:
         self._same = {"sensor_pixel": "laser" if capture["pairing"] == "confocal" else "pixel"}
 
     def part(self, field: Field) -> Part | None:
-        """What is read of one scene's value of a field; None: all of it."""
+        """The part of a field that is read; None for all of it."""
         names = [self._same.get(axis, axis) for axis in field.dims[1:]]
         if not self.chosen.keys() & set(names):
             return None
@@ -65,57 +65,53 @@ def _grid(settings: Mapping[str, Any], size: int) -> tuple[int, int] | None:
 
 
 def _indices(name: str, crop: Crop, size: int, grid: tuple[int, int] | None) -> NDArray[np.int64]:
+    """The numbers, in 0 … size − 1, that a crop of an axis chooses, in its order."""
+    every = np.arange(size, dtype=np.int64)
     if isinstance(crop, tuple) and len(crop) == 2 and any(isinstance(one, slice) for one in crop):
         if grid is None:
             raise InputError(
                 f"{name} = {shown(crop)}: these are no grid of rows and columns; give a slice or numbers"
             )
-        row, column = crop
-        if not isinstance(row, slice) or not isinstance(column, slice):
+        if not all(isinstance(one, slice) for one in crop):
             raise InputError(
                 f"{name} = {shown(crop)}: rows and columns must both be slices, such as np.s_[8:24, 3:4]"
             )
-        rows, columns = _sliced(name, row, grid[0]), _sliced(name, column, grid[1])
-        chosen = (rows[:, None] * grid[1] + columns).reshape(-1)
+        chosen = _sliced(name, crop, every.reshape(grid)).reshape(-1)
     elif isinstance(crop, slice):
-        chosen = _sliced(name, crop, size)
+        chosen = _sliced(name, crop, every)
     else:
-        chosen = _numbers(name, crop, size)
+        chosen = every[_numbers(name, crop, size)]
     if not len(chosen):
         raise InputError(f"{name} = {shown(crop)}: none of {size} is left")
-    return chosen.astype(np.int64)
+    return chosen
 
 
-def _sliced(name: str, crop: slice, size: int) -> NDArray[np.int64]:
+def _sliced(name: str, crop: Any, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     try:
-        return np.arange(size, dtype=np.int64)[crop]
+        return np.asarray(numbers[crop])
     except (TypeError, ValueError):
         raise InputError(f"{name} = {crop}: must be a slice of whole numbers") from None
 
 
-def _numbers(name: str, crop: object, size: int) -> NDArray[np.int64]:
+def _numbers(name: str, crop: object, size: int) -> NDArray[np.generic]:
+    """The indices, counted from the end where they are negative, or the mask that a user gives."""
     try:
         given = np.asarray(crop)
     except (TypeError, ValueError):
         given = np.empty((0, 0))
-    if (
-        isinstance(crop, str)
-        or given.ndim != 1
-        or given.dtype.kind not in "iub"
-        or (given.dtype.kind == "b" and len(given) != size)
-    ):
+    is_mask = given.dtype.kind == "b" and given.shape == (size,)
+    if isinstance(crop, str) or given.ndim != 1 or not (is_mask or given.dtype.kind in "iu"):
         raise InputError(f"{name} = {shown(crop)}: must choose of {size}, {_SUCH_AS}")
-    chosen = np.flatnonzero(given) if given.dtype.kind == "b" else given.astype(np.int64)
-    outside = chosen[(chosen < -size) | (chosen >= size)]
+    outside = given[(given < -size) | (given >= size)] if not is_mask else given[:0]
     if len(outside):
         raise InputError(f"{name}: {outside[0]} is not in 0 … {size - 1}")
-    return np.where(chosen < 0, chosen + size, chosen)
+    return given
 
 
 def _bins(crop: object, size: int) -> NDArray[np.int64]:
     if not isinstance(crop, slice) or crop.step not in (None, 1):
         raise InputError(f"bins = {shown(crop)}: must be a slice of step 1, such as slice(100, 612)")
-    chosen = _sliced("bins", crop, size)
+    chosen = _sliced("bins", crop, np.arange(size, dtype=np.int64))
     if not len(chosen):
         raise InputError(f"bins = {crop}: none of {size} is left")
     return chosen

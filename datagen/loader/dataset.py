@@ -19,15 +19,14 @@ from torch.utils.data import Dataset
 from datagen.errors import CheckError, InputError
 from datagen.loader.batch import Batch, room_for
 from datagen.loader.crops import Crops
-from datagen.loader.draws import DrawCounter
 from datagen.loader.events import events_of
-from datagen.loader.redrawn_noise import TRANSIENT_OF, NoiseSource
+from datagen.loader.redrawn_noise import TRANSIENT_OF, DrawCounter, NoiseSource
 from datagen.loader.volumes import Volumes
 from datagen.reconstruction.backprojection import GEOMETRY
 from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
-from datagen.store.parts import Part
-from datagen.store.places import Bucket, place
+from datagen.store.location import Bucket, location_of
+from datagen.store.reader import Part
 from datagen.store.record import recorded_shards
 from datagen.store.schema import EVIDENCE_SINCE, SPLITS_SINCE
 from datagen.store.stats import COUNTS, QUANTITIES, WITH_STATS
@@ -71,7 +70,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     seed : of the redrawn noise.
     check : compare every value with the digest in its commit record when it is first read, once for all workers and
         epochs. Costs about 1 ms a MiB of decoded values; without it missing and damaged files are still found, but
-        not files put in another's place. Of values read in part the whole file is compared with its hash instead.
+        not files put in another's place. The first reading of a part is therefore one of the whole value.
     lasers : the laser points that are read, in this order: a slice, their numbers, a mask, or of a scan that is a
         grid rows and columns, `lasers=np.s_[8:24, 8:24]`. All fields with that axis are cut: histograms, transients,
         `laser_points`, the `sensor_pixels` of a confocal scan. What lies elsewhere is not decoded, in steps of
@@ -129,13 +128,13 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         check_kind("fields", fields, str, Sequence, remedy="such as ('histogram', 'depth')")
         for name, flag in (("redraw_noise", redraw_noise), ("check", check)):
             check_flag(name, flag)
-        self.path = place(path).resolve()
+        self.path = location_of(path).resolve()
         self._manifest = manifest = read_manifest(path)
         self._schema = manifest.schema
         self.fields = tuple(self._schema.by_name)
         tables = tuple(name for name in self.fields if name.startswith("object_")) or ("objects",)
-        asked = (fields,) if isinstance(fields, str) else tuple(fields)
-        self.selected = tuple(dict.fromkeys(f for name in asked for f in (tables if name == "objects" else (name,))))
+        wanted = (fields,) if isinstance(fields, str) else tuple(fields)
+        self.selected = tuple(dict.fromkeys(f for name in wanted for f in (tables if name == "objects" else (name,))))
         self._light = {name: of for name, of in TRANSIENT_OF.items() if redraw_noise and of in self.fields}
         for name in self.selected:
             if name not in self.fields and name not in self._light:
@@ -346,7 +345,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return self._reader.read(name, scenes, part=part, out=out)
 
     def _tensor(self, name: str, scenes: Sequence[int]) -> torch.Tensor:
-        """As stored, counts as they are asked for."""
+        """(len(scenes), *shape): values as they are stored, counts in the dtype that `counts` names."""
         field = self._schema.by_name[name]
         dtype = self._counts if name in COUNTS and self._counts is not None else np.dtype(field.dtype)
         tensor = room_for((len(scenes), *self.shape(name)), dtype)
@@ -362,7 +361,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return counts.astype(self._counts)
 
     def _drawn(self, scenes: Sequence[int]) -> dict[str, NDArray[np.generic]]:
-        """Of the histograms asked for, those that are drawn anew."""
+        """Field → (len(scenes), *shape) counts, of those selected fields whose noise is drawn anew."""
         wanted = [name for name in self.selected if name in self._light]
         if not wanted:
             return {}

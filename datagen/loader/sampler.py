@@ -45,7 +45,7 @@ class EpochSampler(Sampler[int]):
         return -(-len(self._data) // self._ranks)
 
     def __iter__(self) -> Iterator[int]:
-        # Not before the first item is asked for: until then workers may still be at the epoch before.
+        # A generator starts with its first item: before that, workers may still read for the epoch before.
         epoch, self._epoch = self._epoch, self._epoch + 1
         order = np.arange(len(self._data))
         _fix_noise(self._data, epoch, order)

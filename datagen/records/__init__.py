@@ -1,4 +1,4 @@
-"""What travels between the stages, all of it frozen: scene → capture → transient → sample."""
+"""Frozen records that travel between the stages: scene → capture → transient → sample."""
 
 from datagen.records.accuracy import Accuracy
 from datagen.records.capture import Capture, Laser, Origin, Pairing, Sensor, TimeAxis

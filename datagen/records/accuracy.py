@@ -1,4 +1,4 @@
-"""How finely to follow the light."""
+"""The accuracy of a transient: sample counts, or an error to be met."""
 
 from __future__ import annotations
 
@@ -6,18 +6,19 @@ from dataclasses import dataclass
 from typing import Literal
 
 from datagen.errors import InputError
-from datagen.records.checks import check_choice, check_flag, check_number, shown
+from datagen.records.checks import check_choice, check_flag, check_integer, check_number, shown
 
 MAX_BOUNCES = 64
 TARGETS = (1e-4, 1.0)
 PARTS_PER_TARGET = 2.5
-"""Error asked of each object's own light, relative to that of the whole, where nothing is said."""
+"""The default of `part_target`, in units of `target`: half as much would follow each object's light as closely as the
+whole, at several times the cost."""
 LEAST_MAX_LOOKINS = 2048
 """The first round of a target and one more need as many."""
 
 
 class _Default(int):
-    """A count that nobody asked for: an integer that remembers it was left out, so that `target` may choose it."""
+    """A count that the user left out: `target` may choose it, and refuses one that was given."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +43,10 @@ class Accuracy:
     direct : also compute the direct return (1 and 2 bounces: the laser point, or a surface it lights, inside the
         FoV), which a gated measurement keeps out.
     occlusion : how it is found whether anything stands between a vertex and a FoV point. `"auto"`: connections proven
-        free of occluders (`clear_sight.py`) are added as they are, the others asked by a shadow ray; `"on"`:
-        every one is asked, which gives the same transient up to the order of summation; `"off"`: none is asked, as if
-        no occluder stood behind the first surface that light meets. That adds light wherever one does.
-        The factorised secondary (`observed`) has proofs of its own and asks the rest, whatever is set here.
+        free of occluders are added as they are, the others tested by a shadow ray; `"on"`: every one is tested, which
+        gives the same transient up to the order of summation; `"off"`: none is tested, as if no occluder stood behind
+        the first surface that light meets. That adds light wherever one does.
+        The factorised secondary (`observed`) has proofs of its own and tests the rest, whatever is set here.
     target : relative L2 error of the whole transient to be met, ‖error‖ / ‖truth‖ over all laser points, pixels and
         bins, 0.0001 … 1. Then the solver chooses lookins, fov_samples, replicates and the way of the secondary, and
         naming one of them too is refused (`observed` belongs to the k strongest paths and stays). What it is held to
@@ -89,7 +90,7 @@ class Accuracy:
 
     @property
     def strongest(self) -> int | None:
-        """How many arriving paths of each lookin the secondary keeps; None for all."""
+        """The number of arriving paths of each lookin that the secondary keeps; None for all."""
         if self.secondary == "strongest":
             return 1
         return self.secondary if isinstance(self.secondary, int) else None
@@ -104,10 +105,8 @@ class Accuracy:
             ("max_lookins", LEAST_MAX_LOOKINS, 2**40),
         ):
             value = getattr(self, name)
-            if name in ("max_bounces", "observed") and value is None:
-                continue
-            if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-                raise InputError(f"Accuracy.{name} = {value!r}: must be an integer in {low} … {high}")
+            if name not in ("max_bounces", "observed") or value is not None:
+                check_integer("Accuracy", name, value, low, high)
         number = isinstance(self.secondary, int) and not isinstance(self.secondary, bool) and self.secondary >= 1
         if not number and self.secondary not in ("all", "none", "strongest"):
             raise InputError(
@@ -143,7 +142,7 @@ def _check_error(name: str, value: object) -> None:
 
 
 def chosen_by_target(prefix: str, name: str, value: object) -> str:
-    """What to say when both a target and a sample count that it chooses are given."""
+    """The message of refusal where both a target and a sample count that it chooses are given."""
     return (
         f"{prefix}{name} = {value!r}: given together with {prefix}target, which wins and chooses it; "
         f"leave out {name}, or leave out target to fix the counts yourself"

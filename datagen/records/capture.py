@@ -1,4 +1,4 @@
-"""How a scene is looked at: laser, sensor, time axis, and which laser point goes with which pixel."""
+"""The capture of a scene: laser, sensor, time axis, and which laser point goes with which pixel."""
 
 from __future__ import annotations
 

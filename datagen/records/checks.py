@@ -1,4 +1,4 @@
-"""What arguments are held to: a refusal is one `InputError` of one line that names argument, value and remedy."""
+"""Checks of arguments. Each raises an `InputError` of one line that names argument, value and remedy."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from datagen.errors import InputError
 from datagen.records.arrays import Floats
 
 LONGEST_SHOWN = 60
+"""Characters of a value in an error message; with half as many a short list would be named by its type alone."""
 
 
 def check_number(record: str, name: str, value: object, low: float, high: float, remedy: str) -> None:

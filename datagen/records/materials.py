@@ -1,4 +1,4 @@
-"""What a surface does to light, as parameters only; `transport/brdf` evaluates and samples them.
+"""Materials, as parameters only: how a surface scatters light; `transport/brdf` evaluates and samples them.
 
 Every model is reciprocal, returns no more light than arrives at any incidence, acts on both sides, and is linear in
 its albedo: the BRDF is `albedo` times a function of the other parameters.

@@ -1,4 +1,4 @@
-"""What the stages hand on: the transient of a capture, and a finished sample."""
+"""Results of the stages: the transient of a capture, and a finished sample."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SCAN_PLACE = ("labels.scan_right_m", "labels.scan_up_m")
 
 @dataclass(frozen=True)
 class Spend:
-    """Where the work of a transient went.
+    """Cost report of a transient: where its work went.
 
     Attributes
     ----------
@@ -69,7 +69,8 @@ class Spend:
         check_kind("Spend.second_opinion", self.second_opinion, str)
 
     def parameters(self) -> dict[str, Scalar]:
-        """As flat scalars, `primary.lookins`, `primary.share` … `rounds`, `cost`, `outcome`, `second_opinion`."""
+        """The report as flat scalars, `primary.lookins`, `primary.share` … `rounds`, `cost`, `outcome`,
+        `second_opinion`."""
         flat: dict[str, Scalar] = {}
         for name, lookins in self.lookins.items():
             flat |= {f"{name}.lookins": lookins, f"{name}.share": self.share[name], f"{name}.way": self.way[name]}

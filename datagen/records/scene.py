@@ -25,7 +25,7 @@ Role = Literal["relay_wall", "structure", "object"]
 
 @dataclass(frozen=True)
 class Pose:
-    """What an object is and how it stands, which its triangles alone do not say.
+    """Class and orientation of an object, which its triangles alone do not say.
 
     Attributes
     ----------
@@ -241,7 +241,7 @@ class Scene:
         return tuple(name for name, role in zip(self.part_names, self.roles, strict=True) if role == "object")
 
     def without(self, *names: str) -> Scene:
-        """The same scene when the named parts have been carried out of it; all else, parameters too, stays.
+        """The scene without the named parts; all else, parameters too, stays.
 
         Raises `InputError` for a part that is not there, and where none would be left.
         """

@@ -14,7 +14,7 @@ from datagen.records import Scalar, Scene, TimeAxis
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.style import EXPECTED, INK, captioned, empty_note, part_colors
 from datagen.report.time_plots import busy_window, time_label
-from datagen.store.evidence_told import LEAST, evidence_by_kind, evidence_lines, significance_by_kind
+from datagen.store.summaries import LEAST, evidence_by_kind, evidence_lines, significance_by_kind
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,7 +20,7 @@ from datagen.report.replay import Replay, StoredScene
 from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.style import captioned
 from datagen.report.time_plots import busy_window, clear_channel
-from datagen.store.labels_told import OVER_M
+from datagen.store.summaries import OVER_M
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

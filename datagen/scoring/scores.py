@@ -22,7 +22,7 @@ from datagen.scoring.metrics import (
 )
 from datagen.scoring.predictions import Predictions, read_predictions
 from datagen.scoring.truth import LEAST_SIGMA, Truth, read_truth
-from datagen.store.digest import dataset_digest
+from datagen.store.verify import dataset_digest
 from datagen.suites import suite_of
 
 TOLD = {

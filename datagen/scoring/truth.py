@@ -13,7 +13,7 @@ from datagen.errors import InputError
 from datagen.labels.boxes import objects_seen
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.store import DatasetReader, Manifest, read_manifest
-from datagen.store.places import place
+from datagen.store.location import location_of
 from datagen.store.table import read_table
 
 NEEDED = (
@@ -78,7 +78,7 @@ def read_truth(dataset: str | Path, split: str) -> Truth:
     Raises `InputError` where it is no dataset, has no such split, or lacks labels that scores need; `CheckError` for
     what is damaged.
     """
-    root, manifest = place(dataset), read_manifest(dataset)
+    root, manifest = location_of(dataset), read_manifest(dataset)
     fields = manifest.schema.by_name
     missing = [name for name in NEEDED if name not in fields]
     if missing:
@@ -92,7 +92,6 @@ def read_truth(dataset: str | Path, split: str) -> Truth:
     volume = ["occupancy"] if "occupancy" in fields else []
     reader = DatasetReader(root, manifest, [*NEEDED, *volume])
     got: dict[str, Any] = {name: reader.read(name, scenes) for name in (*NEEDED, *volume)}
-    reader.close()
     there = got["object_part"] >= 0
     shows = objects_seen(got["part_id"], got["object_part"])
     view = np.linalg.norm(got["hidden_view"][:, 1:], axis=-1)

@@ -14,17 +14,16 @@ import pyarrow as pa
 
 from datagen.errors import printable
 from datagen.store.environment import mixed
-from datagen.store.evidence_told import evidence_by_kind, placed_anew_lines
 from datagen.store.files import write_if_changed
-from datagen.store.labels_told import label_place_line
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
 from datagen.store.schema import Schema
+from datagen.store.summaries import evidence_by_kind, label_place_line, placed_anew_lines
 from datagen.store.table import TABLE, table_of
 
 CARD = "README.md"
 _MOST_FILES = 20
-"""So many files of an import are listed."""
+"""The most files of an import that are listed; half as many would hide some of a usual session."""
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _TAGS = ["non-line-of-sight", "single-photon", "transient-imaging"]
 
@@ -113,7 +112,7 @@ def _made(records: Sequence[ShardRecord]) -> list[dict[str, Any]]:
 
 
 def _origin_lines(manifest: Manifest) -> list[str]:
-    """Whether it was simulated or measured."""
+    """Sentences that say whether the dataset was simulated or imported."""
     version = manifest.versions["datagen"]
     if manifest.imported:
         return [
@@ -129,7 +128,7 @@ def _origin_lines(manifest: Manifest) -> list[str]:
 
 
 def _made_lines(manifest: Manifest) -> list[str]:
-    """What the scenes follow from: files, or a seed."""
+    """The origin of the scenes: a seed, or the files that were imported."""
     files = manifest.imported
     if not files:
         return [f"- seed {manifest.seed}; each scene depends on (seed, scene index) only"]
@@ -147,7 +146,7 @@ def _option(value: Any) -> str:
 
 
 def _front_matter(manifest: Manifest, whole: bool) -> list[str]:
-    """What the Hugging Face Hub reads of a card, in YAML: its viewer then shows the rows of the table."""
+    """The YAML header that the Hugging Face Hub reads: its viewer then shows the rows of the table."""
     scenes, terms = manifest.schema.scenes, manifest.config.get("license", "")
     size = next((name for most, name in _SIZES if scenes < most), "n>1M")
     tags = [*_TAGS] if manifest.imported else [*_TAGS, "synthetic"]
@@ -175,14 +174,14 @@ def _failure_lines(failures: dict[int, str]) -> list[str]:
 
 
 def _split_lines(table: pa.Table) -> list[str]:
-    """How many scenes each split has."""
+    """The number of scenes in each split."""
     scenes = Counter(name for name in table["split"].to_pylist() if name is not None)
-    told = ", ".join(f"{name} {count}" for name, count in scenes.most_common())
-    return [f"Splits (column `split` of `{TABLE}`; no room is in two): {told}.", ""]
+    counts = ", ".join(f"{name} {count}" for name, count in scenes.most_common())
+    return [f"Splits (column `split` of `{TABLE}`; no room is in two): {counts}.", ""]
 
 
 def _stats_lines(manifest: Manifest) -> list[str]:
-    """What to divide by, of the split to train with."""
+    """Mean and standard deviation of each field of the split `train`, by which inputs are normalised."""
     of = (manifest.stats or {}).get("train", {})
     rows = [f"| `{name}` | {s['mean']:.6g} | {s['std']:.6g} | {s['nonzero']:.4g} |" for name, s in of.items()]
     head = [
@@ -195,7 +194,7 @@ def _stats_lines(manifest: Manifest) -> list[str]:
 
 
 def _evidence_lines(table: pa.Table) -> list[str]:
-    """How far objects stand out of the noise, kind by kind."""
+    """The significance of objects against the noise, kind by kind."""
     names = [name for name in table.column_names if name.startswith("evidence.")]
     scenes = table.select(names).to_pylist() if names else []
     kinds, anew = evidence_by_kind(scenes), placed_anew_lines(scenes)
@@ -209,11 +208,11 @@ def _evidence_lines(table: pa.Table) -> list[str]:
         "|---|---|---|---|---|",
     ]
     rows = [f"| {k.kind} | {k.objects} | {k.median:.3g} | {k.under_3:.1%} | {k.under_1:.1%} |" for k in kinds]
-    return [*head, *rows, "", *(line for told in anew for line in (told, ""))] if rows else []
+    return [*head, *rows, "", *(line for sentence in anew for line in (sentence, ""))] if rows else []
 
 
 def _class_lines(schema: Schema) -> list[str]:
-    """What numbers stand for, where they are classes."""
+    """The classes that the numbers of a field stand for."""
     lines: list[str] = []
     for field in schema.fields:
         if field.classes:
@@ -251,7 +250,7 @@ def ranges(table: pa.Table) -> list[tuple[str, str, str, str]]:
 
 
 def _parameter_lines(table: pa.Table) -> list[str]:
-    """What varies from scene to scene, and between which bounds."""
+    """The parameters that vary from scene to scene, with least, median and largest value."""
     rows = [f"| `{name}` | {' | '.join(numbers)} |" for name, *numbers in ranges(table)]
     head = ["## What varies", "", f"From `{TABLE}`, which has a row for every scene.", ""]
     return [*head, "| parameter | least | median | most |", "|---|---|---|---|", *rows, ""] if rows else []

@@ -12,14 +12,14 @@ from typing import Any
 
 from datagen.store.arrays import GROUP
 from datagen.store.files import json_bytes, sha256_of, write_if_changed
+from datagen.store.location import Location
 from datagen.store.manifest import Manifest
-from datagen.store.places import Place
 from datagen.store.record import ShardRecord
 from datagen.store.schema import Field
 from datagen.store.table import COLUMNS, CROISSANT, TABLE
 
 NO_LICENSE = "https://choosealicense.com/no-permission/"
-"""What it means that a configuration names no licence."""
+"""The licence of a dataset whose configuration names none: all rights are reserved."""
 _CONTEXT: dict[str, Any] = {
     "@language": "en", "@vocab": "https://schema.org/", "arrayShape": "cr:arrayShape", "citeAs": "cr:citeAs",
     "column": "cr:column", "conformsTo": "dct:conformsTo", "containedIn": "cr:containedIn",
@@ -67,7 +67,7 @@ def write_croissant(root: Path, manifest: Manifest, records: Sequence[ShardRecor
     write_if_changed(root / CROISSANT, json_bytes(croissant(root, manifest, records)))
 
 
-def croissant(root: Place, manifest: Manifest, records: Sequence[ShardRecord]) -> dict[str, Any]:
+def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]) -> dict[str, Any]:
     """The description: files; a record a scene with the columns of the table; a record an array of the group.
 
     Its version is schema version . scenes . 0: growing adds, and breaks nothing. Its date is that of the last shard.
@@ -97,7 +97,7 @@ def croissant(root: Place, manifest: Manifest, records: Sequence[ShardRecord]) -
     }  # fmt: skip
 
 
-def _table_file(root: Place) -> dict[str, Any]:
+def _table_file(root: Location) -> dict[str, Any]:
     return {
         "@type": "cr:FileObject", "@id": TABLE, "name": TABLE, "description": "One row a scene.",
         "contentUrl": TABLE, "encodingFormat": "application/x-parquet", "sha256": sha256_of(root / TABLE),
@@ -113,7 +113,7 @@ def _shards(field: Field) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _scenes(root: Place) -> dict[str, Any]:
+def _scenes(root: Location) -> dict[str, Any]:
     import pyarrow.parquet as pq
 
     with (root / TABLE).open("rb") as file:

@@ -1,4 +1,4 @@
-"""What a dataset was made with: versions, commit, hardware."""
+"""The environment that a dataset is made in: versions, commit, hardware."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def environment() -> dict[str, str]:
 
 @functools.cache
 def made_with() -> dict[str, str]:
-    """What stands in a shard's record: versions, architecture, and where from: commit and processor."""
+    """The environment as a shard's record states it: versions, architecture, processor, system, commit."""
     versions = environment() | {"machine": platform.machine(), "processor": processor()}
     return versions | {"system": _system(), "commit": commit() or "unknown"}
 
 
 def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
-    """What of several environments may make other bytes of the same seed: `numpy 2.3.1 and 2.4.6`.
+    """Differences of several environments that may make other bytes of the same seed: `numpy 2.3.1 and 2.4.6`.
 
     Not datagen's own version, which raises the schema version when it does, nor the processor of one architecture,
     nor what an older record lacks.
@@ -53,7 +53,8 @@ def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
 
 
 def together(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
-    """What a shard was made with whose scenes are of two environments; `mixed` takes such words apart again."""
+    """The environment of a shard whose scenes were made in two: values that differ are joined by "and", which `mixed`
+    takes apart again."""
     both = {name: f"{old[name]} and {value}" for name, value in new.items() if old.get(name, value) != value}
     return {**old, **new, **both}
 

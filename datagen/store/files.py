@@ -10,6 +10,7 @@ import math
 import os
 import re
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
@@ -17,21 +18,18 @@ import pydantic
 
 from datagen.errors import InputError
 from datagen.locks import locked
-from datagen.store.open_files import size_of, sized, too_many
-from datagen.store.places import Place
+from datagen.store.location import Location, size_of, sized_chunks
 
 PARTIAL = ".partial"
 """Suffix of a file that is still being written; whatever bears it may be deleted."""
-TRIAL = ".datagen-"
-"""Prefix of the empty folder that is made to see whether one can be; whatever bears it may be deleted."""
 JSON_BYTES = 64 * 2**20
 """A JSON file of a dataset that is larger is not one of ours: records take 10 kB a scene at most, of 256 scenes."""
 _SEAL = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
 
 _NOTHING = errno.ENOENT, errno.ENOTDIR, errno.ELOOP
-"""Of a file that is not there, or below one that is no folder, or behind a link that leads nowhere."""
+"""Errors of opening a file that is not there, or below one that is no folder, or behind a link that leads nowhere."""
 _NOT_PLAIN = errno.EINVAL, errno.ENXIO
-"""Of a folder, a pipe, a socket."""
+"""Errors of opening a folder, a pipe or a socket."""
 
 T = TypeVar("T")
 
@@ -40,7 +38,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     """Write beside `path`, fsync, rename: a reader sees the old content or the new one, whenever we are killed."""
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
     try:
-        with _held(partial) as file:
+        with _new_locked(partial) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -51,8 +49,8 @@ def write_atomically(path: Path, content: bytes) -> None:
     sync_folder(path.parent)
 
 
-def _held(partial: Path) -> BinaryIO:
-    """A new file that is known to be in use: `clear_partials` of another build leaves it alone."""
+def _new_locked(partial: Path) -> BinaryIO:
+    """A new file, locked, so that `clear_partials` of another build sees that it is in use and leaves it alone."""
     while True:
         # Whatever stands there, such as a link to somewhere else, is not written through.
         partial.unlink(missing_ok=True)
@@ -63,9 +61,7 @@ def _held(partial: Path) -> BinaryIO:
 
 
 def clear_partials(folder: Path) -> None:
-    """Remove what builds that were killed left half written in a folder, and their trials of it; what a running one
-    is writing stays.
-    """
+    """Remove the files that killed builds left half written in a folder; those that a running build writes stay."""
     for partial in folder.glob(f"*{PARTIAL}"):
         with contextlib.suppress(OSError):
             handle = os.open(partial, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
@@ -74,9 +70,6 @@ def clear_partials(folder: Path) -> None:
                     partial.unlink()
             finally:
                 os.close(handle)
-    for trial in folder.glob(f"{TRIAL}*"):
-        with contextlib.suppress(OSError):
-            trial.rmdir()
 
 
 def bytes_below(folder: Path) -> int:
@@ -90,11 +83,11 @@ def write_if_changed(path: Path, content: bytes) -> None:
         write_atomically(path, content)
 
 
-def holds(path: Place, content: bytes) -> bool:
-    """Whether a file is there and holds just that; one of another size is not read."""
+def holds(path: Location, content: bytes) -> bool:
+    """Whether a file is there and holds exactly this content; a file of another size is not read."""
     try:
-        with sized(path) as (size, file):
-            return size == len(content) and file.read() == content
+        with sized_chunks(path) as (size, chunks):
+            return size == len(content) and b"".join(chunks) == content
     except OSError as error:
         if _is_missing(error):
             return False
@@ -125,14 +118,15 @@ def sealed(values: dict[str, Any]) -> bytes:
 
 
 def is_intact(content: bytes, must_be_sealed: bool) -> bool:
-    """Whether a file's content is what its checksum was taken of, or has none and need not have."""
+    """Whether a file's content matches the checksum at its end; content without one is intact unless it must have
+    one."""
     seal = _SEAL.search(content, max(0, len(content) - 100))
     if seal is None:
         return not must_be_sealed
     return hashlib.sha256(content[: seal.start()] + b"\n}\n").hexdigest().encode() == seal[1]
 
 
-def read_whole(path: Place) -> bytes:
+def read_whole(path: Location) -> bytes:
     """The content of a JSON file of a dataset; raises `InputError` for none, an endless or a huge one."""
     content = read_if_there(path)
     if content is None:
@@ -140,30 +134,29 @@ def read_whole(path: Place) -> bytes:
     return content
 
 
-def read_if_there(path: Place) -> bytes | None:
-    """The same, and None where nothing is there; what is no plain file is refused."""
+def read_if_there(path: Location) -> bytes | None:
+    """The content of a JSON file of a dataset, or None where nothing is there; raises `InputError` as `read_whole`
+    does for what is no plain file."""
     try:
-        with sized(path) as (size, file):
-            content = file.read(JSON_BYTES + 1) if size <= JSON_BYTES else None
+        with sized_chunks(path) as (size, chunks):
+            content = b"".join(chunks) if size <= JSON_BYTES else None
     except OSError as error:
         if error.errno in _NOTHING:
             return None
         if error.errno in _NOT_PLAIN:
             raise InputError(f"{path}: missing, or not a plain file") from None
-        if error.errno in (errno.EMFILE, errno.ENFILE):
-            raise too_many(path) from None
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-    if content is None or len(content) > JSON_BYTES:
+    if content is None:
         raise InputError(f"{path}: larger than {JSON_BYTES // 2**20} MiB, which datagen never writes")
     return content
 
 
-def read_json(path: Place) -> Any:
+def read_json(path: Location) -> Any:
     """The value a JSON file holds; raises `InputError` naming the file when it is no JSON."""
     return parsed(path, read_whole(path), pydantic.TypeAdapter(Any))
 
 
-def parsed(path: Place, content: bytes, kind: pydantic.TypeAdapter[T]) -> T:
+def parsed(path: Location, content: bytes, kind: pydantic.TypeAdapter[T]) -> T:
     """The JSON `content` of a file as what it must describe; raises `InputError`, one line, for anything else."""
     try:
         return kind.validate_json(content, strict=True)
@@ -187,7 +180,7 @@ def own_path(root: Path, name: str) -> Path:
 
 
 def sync_folder(path: Path) -> None:
-    """Have the disk hold the names in a folder; file systems that cannot are left to themselves."""
+    """Sync a folder, so that renamed files keep their names after a power cut; not all file systems can."""
     with contextlib.suppress(OSError):
         handle = os.open(path, os.O_RDONLY)
         try:
@@ -196,38 +189,38 @@ def sync_folder(path: Path) -> None:
             os.close(handle)
 
 
-def sha256_of(path: Place) -> str:
+def sha256_of(path: Location) -> str:
     """Hex SHA-256 of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    with sized_chunks(path) as (_, chunks):
+        return _sha256(chunks)
 
 
-def difference(path: Place, sha256: str, due_bytes: int | None = None) -> str | None:
-    """How a file differs from the one of that hash and of so many bytes, if they are known, or None. One of another
-    size is not read, nor one larger than a JSON file of which no size is known."""
+def _sha256(chunks: Iterable[bytes]) -> str:
+    whole = hashlib.sha256()
+    for chunk in chunks:
+        whole.update(chunk)
+    return whole.hexdigest()
+
+
+def difference(path: Location, sha256: str | None, due_bytes: int | None = None) -> str | None:
+    """How a file differs from what was written (its SHA-256, and its size where that is known), or None if it does
+    not. Without `sha256` only its size is looked at. A file of another size is not read, nor one of unknown size that
+    is larger than a JSON file can be.
+    """
     try:
-        with sized(path) as (size, file):
-            if due_bytes is not None and size != due_bytes:
-                return f"{size} bytes, {due_bytes} were written"
-            is_read = due_bytes is not None or size <= JSON_BYTES
-            if is_read and hashlib.file_digest(file, "sha256").hexdigest() == sha256:
-                return None
-            return "its bytes have changed since they were written (SHA-256 differs)"
+        if sha256 is None:
+            size, same = size_of(path), True
+        else:
+            with sized_chunks(path) as (size, chunks):
+                is_read = size == due_bytes if due_bytes is not None else size <= JSON_BYTES
+                same = is_read and _sha256(chunks) == sha256
     except OSError as error:
         if _is_missing(error):
             return "missing"
         raise
-
-
-def other_size(path: Place, due_bytes: int) -> str | None:
-    """The same of its size alone."""
-    try:
-        size = size_of(path)
-    except OSError as error:
-        if _is_missing(error):
-            return "missing"
-        raise
-    return None if size == due_bytes else f"{size} bytes, {due_bytes} were written"
+    if due_bytes is not None and size != due_bytes:
+        return f"{size} bytes, {due_bytes} were written"
+    return None if same else "its bytes have changed since they were written (SHA-256 differs)"
 
 
 def _is_missing(error: OSError) -> bool:
@@ -235,10 +228,7 @@ def _is_missing(error: OSError) -> bool:
 
 
 def check_writable(path: Path) -> None:
-    """Raise `InputError` unless the folder `path` exists or can be made, and files can be made in it.
-
-    A folder is made and removed again to find out: permission bits do not tell on every file system.
-    """
+    """Raise `InputError` unless the folder `path` exists or can be made, and files can be made in it."""
     existing = path
     while not os.path.lexists(existing) and existing != existing.parent:
         existing = existing.parent
@@ -246,10 +236,9 @@ def check_writable(path: Path) -> None:
         what = "is a file" if existing == path else f"cannot be made: {existing} is a file"
         raise InputError(f"output {path}: {what}, not a folder; name a new folder, or a dataset to resume")
     try:
-        trial = tempfile.mkdtemp(prefix=TRIAL, dir=existing)
-        # Another build may have cleared it away.
-        with contextlib.suppress(FileNotFoundError):
-            os.rmdir(trial)
+        # Permission bits do not tell on every file system. A file without a name leaves nothing behind.
+        with tempfile.TemporaryFile(dir=existing):
+            pass
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise InputError(

@@ -1,4 +1,4 @@
-"""What a dataset is and how its build went, as text."""
+"""The text of `datagen info`: what a dataset holds and how its build went."""
 
 from __future__ import annotations
 
@@ -9,42 +9,33 @@ from collections.abc import Iterator, Sequence
 from datagen.errors import InputError, printable
 from datagen.store.card import readable
 from datagen.store.environment import mixed
-from datagen.store.evidence_told import evidence_by_kind, evidence_lines, placed_anew_lines
-from datagen.store.labels_told import label_place_line
+from datagen.store.location import Location, location_of
 from datagen.store.manifest import Manifest, read_manifest
-from datagen.store.places import Place, place
 from datagen.store.record import SceneRecord, ShardRecord
+from datagen.store.summaries import evidence_by_kind, evidence_lines, label_place_line, placed_anew_lines
 from datagen.store.verify import committed
 
 STAGES = (
-    "read",
-    "scene",
-    "effects",
-    "transport",
-    "detector",
-    "background",
-    "evidence",
-    "presence",
-    "labels",
-    "store",
-)
+    "read", "scene", "effects", "transport", "detector", "background", "evidence", "presence", "labels", "store",
+)  # fmt: skip
+"""The stages of `Sample.seconds`, in the order in which a scene goes through them."""
 
 
-def info(path: str | Place) -> str:
+def info(path: str | Location) -> str:
     """What, shapes, sizes, seconds per scene by stage, scenes per second, decisions. Hashes are left to `verify`.
 
     Raises `InputError` when the folder is no dataset, or its records hold what datagen does not write.
     """
-    root = place(path)
+    root = location_of(path)
     manifest = read_manifest(root)
     try:
-        return printable(_told(manifest, committed(root, manifest)))
+        return printable(_description(manifest, committed(root, manifest)))
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
         what = f"{type(error).__name__}: {error}"
         raise InputError(f"{root}: its commit records hold what datagen does not write ({what})") from None
 
 
-def _told(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
+def _description(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
     schema, config = manifest.schema, manifest.config
     scenes = sum(len(record.scenes) for record in records)
     stored = {field.name: 0 for field in schema.fields}
@@ -78,7 +69,7 @@ def _told(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
 
 
 def _imported(manifest: Manifest) -> Iterator[str]:
-    """Where the captures come from, where they were not simulated."""
+    """The files that captures were imported from; nothing for simulated ones."""
     files = manifest.imported
     if files:
         kinds = ", ".join(dict.fromkeys(of.format for of in files))
@@ -101,7 +92,7 @@ def seconds_by_stage(records: Sequence[ShardRecord]) -> dict[str, float]:
 
 
 def _label_place(records: Sequence[ShardRecord]) -> Iterator[str]:
-    """Where label images lie."""
+    """The position of label images beside the scan."""
     line = label_place_line(scene.parameters for scene in scenes_made(records))
     if line:
         yield from (line, "")
@@ -151,7 +142,7 @@ def _accuracy(records: Sequence[ShardRecord]) -> Iterator[str]:
 
 
 def _evidence(records: Sequence[ShardRecord]) -> Iterator[str]:
-    """How far objects stand out of the noise."""
+    """The significance of objects against the noise."""
     made = [scene.parameters for scene in scenes_made(records)]
     lines = [*evidence_lines(evidence_by_kind(made)), *placed_anew_lines(made)]
     if lines:
@@ -161,7 +152,7 @@ def _evidence(records: Sequence[ShardRecord]) -> Iterator[str]:
 
 
 def _decisions(records: Sequence[ShardRecord]) -> Iterator[str]:
-    """What was decided for each scene: parameters under `decision.`, and how many scenes have each value."""
+    """Decisions by name: how many scenes have each value of the parameters `decision.*`."""
     counted: dict[str, Counter[str]] = {}
     for scene in (scene for record in records for scene in record.scenes):
         for name, value in scene.parameters.items():
@@ -175,7 +166,7 @@ def _decisions(records: Sequence[ShardRecord]) -> Iterator[str]:
 
 
 def _effects(records: Sequence[ShardRecord]) -> Iterator[str]:
-    """Of each effect that any scene has: in how many it was simulated or left out, and the range of estimates."""
+    """Effects by name: in how many scenes each was simulated or left out, and the range of its estimates."""
     made = [scene.parameters for scene in scenes_made(records)]
     names = dict.fromkeys(name.split(".")[1] for of in made for name in of if name.startswith("effect."))
     lines = []

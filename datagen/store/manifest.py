@@ -21,7 +21,7 @@ from datagen.records import TimeAxis
 from datagen.store.arrays import COORDINATES, GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_if_there, sealed
-from datagen.store.places import Place, place
+from datagen.store.location import Location, location_of
 from datagen.store.record import Digest, recorded_shards
 from datagen.store.schema import (
     CHECKSUMS_SINCE,
@@ -131,7 +131,7 @@ class Manifest:
         return models
 
     def splits(self) -> SplitsConfig:
-        """How its scenes are dealt out. Raises `InputError` for settings that are none."""
+        """The division into splits. Raises `InputError` for settings that no datagen writes."""
         try:
             return SplitsConfig.model_validate_json(json.dumps(self.config.get("splits", {})))
         except pydantic.ValidationError as error:
@@ -162,20 +162,20 @@ def metadata_hashes(schema: Schema, time: TimeConfig) -> dict[str, str]:
 
 
 def mesh_folder(config: DatasetConfig) -> str | None:
-    """Where the relative mesh paths of a configuration start; None when it has none."""
+    """The folder in which the relative mesh paths of a configuration start; None when it has none."""
     for item in config.scene.contents:
         if isinstance(item, Mesh) and not Path(item.path).is_absolute():
             return str(item.file)[: -len(item.path)]
     return None
 
 
-def read_manifest(root: str | Place) -> Manifest:
+def read_manifest(root: str | Location) -> Manifest:
     """Read `dataset.json`, of any schema version so far. It may come from anywhere: names, sizes and types in it are
     such as datagen writes, or it is refused; settings are looked at by `Manifest.parsed_config`.
 
     Raises `InputError` when the folder is no dataset or one of a later schema version, and `DamagedManifest`.
     """
-    root = place(root)
+    root = location_of(root)
     path = root / MANIFEST
     try:
         content = read_if_there(path)
@@ -211,7 +211,7 @@ def read_manifest(root: str | Place) -> Manifest:
 
 
 Name = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
-"""What fields and dimensions may be called: files are named so."""
+"""A name of a field or a dimension: folders are named after fields, so it must be no path."""
 Size = Annotated[int, pydantic.Field(ge=1, lt=2**40)]
 Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 
@@ -243,7 +243,7 @@ class _Capture:
 
 @dataclass(frozen=True)
 class _Config:
-    """What is said of a configuration without parsing it."""
+    """The keys of a stored configuration that are read without parsing all of it."""
 
     name: str
     description: str

@@ -1,4 +1,4 @@
-"""What a build does to a folder before its first shard: a new dataset, one to go on with, or one to be mended."""
+"""Preparation of a folder for a build: a new dataset, one to resume, or one whose metadata is restored."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from datagen.config.dataset import WITHOUT_EFFECT
 from datagen.errors import CheckError, InputError
 from datagen.store.arrays import COORDINATES, GROUP, metadata_files
 from datagen.store.environment import environment
-from datagen.store.files import PARTIAL, TRIAL, clear_partials, holds, own_path, write_if_changed
+from datagen.store.files import PARTIAL, clear_partials, holds, own_path, write_if_changed
 from datagen.store.manifest import (
     MANIFEST,
     DamagedManifest,
@@ -34,8 +34,7 @@ def is_fresh(root: Path) -> bool:
     if not root.exists():
         return True
     return root.is_dir() and all(
-        path.name.startswith(TRIAL) or (path.name.startswith(f"{MANIFEST}.") and path.name.endswith(PARTIAL))
-        for path in root.iterdir()
+        path.name.startswith(f"{MANIFEST}.") and path.name.endswith(PARTIAL) for path in root.iterdir()
     )
 
 

@@ -16,8 +16,8 @@ import pydantic
 
 from datagen.errors import CheckError, InputError
 from datagen.store.arrays import shard_file
-from datagen.store.files import difference, is_intact, other_size, parsed, read_if_there, sealed
-from datagen.store.places import AnyPlace, Place
+from datagen.store.files import difference, is_intact, parsed, read_if_there, sealed
+from datagen.store.location import AnyLocation, Location
 from datagen.store.schema import Schema
 from datagen.store.stats import FieldStats
 
@@ -85,7 +85,7 @@ class ShardRecord:
         return sealed(vars(self))
 
     def mismatch(self, schema: Schema, fingerprint: str) -> str | None:
-        """Why this is no record of a shard of such a dataset, or None."""
+        """A sentence on why this is no record of a shard of such a dataset, or None."""
         scenes = schema.scenes_of(self.shard)
         if self.fingerprint != fingerprint:
             return f"was made with another configuration (fingerprint {self.fingerprint[:12]})"
@@ -99,17 +99,17 @@ class ShardRecord:
             return "its record lacks digests"
         return None
 
-    def problem(self, root: Place, hashes: bool = True) -> str | None:
-        """What is wrong with the shard's files, or None. Without `hashes` only presence and size are looked at."""
+    def problem(self, root: Location, hashes: bool = True) -> str | None:
+        """A sentence on the first of the shard's files that is not as it was written, or None. Without `hashes` only
+        presence and size are looked at."""
         for name, known in self.files.items():
-            path = root / name
-            wrong = difference(path, known.sha256, known.bytes) if hashes else other_size(path, known.bytes)
+            wrong = difference(root / name, known.sha256 if hashes else None, known.bytes)
             if wrong is not None:
                 return f"{name}: {wrong}"
         return None
 
 
-def record_path(root: AnyPlace, shard: int) -> AnyPlace:
+def record_path(root: AnyLocation, shard: int) -> AnyLocation:
     """The commit record's file."""
     return root / _record_name(shard)
 
@@ -123,7 +123,7 @@ def running_path(root: Path, shard: int) -> Path:
     return root / BUILD / f"shard-{shard:06d}.running"
 
 
-def read_record(root: Place, shard: int, must_be_sealed: bool) -> ShardRecord | None:
+def read_record(root: Location, shard: int, must_be_sealed: bool) -> ShardRecord | None:
     """The record of a shard, or None when the shard is not committed.
 
     Raises `CheckError` for a damaged record. Those of datasets before `CHECKSUMS_SINCE` need not be sealed.
@@ -148,7 +148,7 @@ def _kind() -> pydantic.TypeAdapter[ShardRecord]:
     return pydantic.TypeAdapter(ShardRecord)
 
 
-def recorded_shards(root: Place) -> list[int]:
+def recorded_shards(root: Location) -> list[int]:
     """Numbers of the shards that have a record, ascending."""
     matches = (re.fullmatch(r"shard-(\d+)\.json", path.name) for path in (root / BUILD).glob("shard-*.json"))
     return sorted(int(match[1]) for match in matches if match)

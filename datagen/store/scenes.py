@@ -19,7 +19,7 @@ from datagen.store.verify import committed
 
 @dataclass(frozen=True)
 class SceneContent:
-    """What is stored of one scene.
+    """The arrays and parameters of one scene.
 
     arrays : field → the scene's value. parameters : as in `samples.parquet`.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import time
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -14,11 +15,10 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError, printable
 from datagen.records import Sample, Scalar
-from datagen.store.arrays import shard_file
+from datagen.store.arrays import FieldOfShard, shard_file
 from datagen.store.environment import made_with
-from datagen.store.field_file import FieldFile, write_new
 from datagen.store.files import PARTIAL, own_path, write_atomically
-from datagen.store.record import BUILD, SceneRecord, ShardRecord, record_path
+from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, record_path
 from datagen.store.schema import Field, Schema
 from datagen.store.stats import COUNTS, WITH_STATS, stats_of
 
@@ -95,18 +95,21 @@ def write_shard(
     """
     started, scenes = time.time(), schema.scenes_of(shard)
     discard_shard(root, schema, shard)
-    made = {field: FieldFile(field, len(scenes), schema.scenes_per_shard) for field in schema.fields}
+    made = {field: FieldOfShard(field, len(scenes), schema.scenes_per_shard) for field in schema.fields}
     records, store_s = list[SceneRecord](), 0.0
     for index, sample in samples:
         begun = time.perf_counter()
         records.append(_keep(made, scenes.start, index, sample))
         store_s += time.perf_counter() - begun
     begun = time.perf_counter()
-    names, pieces = [shard_file(field, shard) for field in made], [file.pieces() for file in made.values()]
     # A disk that is told of several files at once commits them together. Folders are not synced: a shard whose names
     # were lost is found missing, and made again.
     with ThreadPoolExecutor(MOST_FILES, "datagen-write") as pool:
-        files = dict(zip(names, pool.map(write_new, [root / name for name in names], pieces), strict=True))
+        writing = {}
+        for field in schema.fields:
+            name = shard_file(field, shard)
+            writing[name] = pool.submit(_write_new, root / name, made.pop(field).content())
+        files = {name: future.result() for name, future in writing.items()}
     now = time.time()
     seconds = {"store": store_s + time.perf_counter() - begun, "total": now - started}
     record = ShardRecord(
@@ -118,7 +121,17 @@ def write_shard(
     return record
 
 
-def _keep(made: Mapping[Field, FieldFile], first: int, index: int, sample: Sample | str) -> SceneRecord:
+def _write_new(path: Path, content: bytes) -> FileRecord:
+    """Write a file, which must not be there, and have the disk hold it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("xb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    return FileRecord(hashlib.sha256(content).hexdigest(), len(content))
+
+
+def _keep(made: Mapping[Field, FieldOfShard], first: int, index: int, sample: Sample | str) -> SceneRecord:
     if isinstance(sample, str):
         return SceneRecord(index, failure=printable(sample))
     try:

@@ -1,4 +1,4 @@
-"""Which split a scene belongs to: by what it shows where that is held out, else by a share, by a fixed draw."""
+"""The split of each scene: by what it shows where the configuration holds that out, else by a fixed draw."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ NOT_OF_THE_ROOM = (
 )  # fmt: skip
 """Parameters that do not say what was drawn for the room begin so: two scenes that differ in these alone show one."""
 _BLOCK = 10
-"""Of so many rooms one after the other each tenth is dealt out once, so that small datasets have all splits too."""
+"""Each ten rooms in a row have one number in each tenth of 0 … 1, so that small datasets have all splits too. With
+half as many, shares of a tenth could not be met in each block."""
 
 
 def splits_of(scenes: Sequence[Parameters | None], splits: SplitsConfig) -> list[str | None]:
@@ -43,14 +44,15 @@ def _held_out(parameters: Parameters, splits: SplitsConfig) -> str | None:
 
 
 def _room(parameters: Parameters) -> tuple[tuple[str, Scalar], ...]:
-    """What tells a room from another; all of the parameters, where none is of a room."""
+    """The parameters that were drawn for the room, which tell it from others; all of them, where none is of a
+    room."""
     own = tuple(item for item in parameters.items() if not item[0].startswith(NOT_OF_THE_ROOM))
     return tuple(sorted(own or parameters.items()))
 
 
 def _shares(scenes: int) -> NDArray[np.float64]:
-    """In 0 … 1 for every scene number: random, yet a tenth of each ten numbers in each tenth. The first numbers are
-    the same however many there are.
+    """A random number in 0 … 1 for every scene, one of each ten in each tenth. The first are the same however many
+    scenes there are.
     """
     blocks = -(-scenes // _BLOCK)
     drawn = np.random.Philox(seed_sequence(0, 0, Purpose.LOADER, part=2)).random_raw(blocks * 2 * _BLOCK)

@@ -37,7 +37,7 @@ QUANTITIES = tuple(field.name for field in fields(FieldStats))
 
 
 def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
-    """Of one scene's values of a field."""
+    """Mean, spread and share of non-zeros of one scene's values of a field."""
     size = max(values.size, 1)
     found = values[values != 0]
     if field in COUNTS:
@@ -57,8 +57,8 @@ def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
 
 
 def _sum(values: NDArray[np.float64]) -> float:
-    """Of integers, in steps so fine that all of them together just fit: in any order the same, and better than
-    doubles, so that the spread of what hardly varies is right."""
+    """The sum, the same in any order of summation: values are rounded to steps so fine that the sum of all just fits
+    into 62 bits, which is finer than doubles, so that the spread of values that hardly vary is right."""
     largest = float(np.abs(values).max(initial=0.0)) * max(values.size, 1)
     if not math.isfinite(largest):
         return largest
@@ -67,7 +67,8 @@ def _sum(values: NDArray[np.float64]) -> float:
 
 
 def together(scenes: Sequence[FieldStats]) -> dict[str, float]:
-    """Of all values of scenes of one shape, from each scene's, by the names of `FieldStats`."""
+    """The statistics of all values of several scenes of one shape, from those of each scene, by the names of
+    `FieldStats`."""
     if not scenes:
         raise ValueError("no scenes")
     mean, nonzero = (math.fsum(getattr(of, name) for of in scenes) / len(scenes) for name in ("mean", "nonzero"))

@@ -14,7 +14,7 @@ from datagen.config import SplitsConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Scalar
 from datagen.store.files import read_json
-from datagen.store.places import Place
+from datagen.store.location import Location
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.splits import splits_of
 from datagen.store.stats import QUANTITIES, FieldStats, together
@@ -35,7 +35,7 @@ COLUMNS = {
     "sha256.FIELD": "digest of the sample's decoded values",
     "others": "what was drawn for the sample and decided about it; docs/configuration.md of datagen lists them",
 }
-"""What the table's columns are."""
+"""Column → meaning, for the cards."""
 _OWN = ("scene", "shard", "failure", "split")
 
 
@@ -93,7 +93,7 @@ def _short(row: dict[str, float]) -> dict[str, float]:
     return {name.rpartition(".")[2]: value for name, value in row.items()}
 
 
-def read_splits(root: Place, scenes: int, splits: SplitsConfig) -> list[str | None]:
+def read_splits(root: Location, scenes: int, splits: SplitsConfig) -> list[str | None]:
     """The split of every scene of a dataset as `splits` has it, from what the table says of the scenes."""
     table = read_table(root, None, scenes)
     names = [name for name in table.column_names if name not in _OWN and not name.startswith(("sha256.", "stats."))]
@@ -103,7 +103,7 @@ def read_splits(root: Place, scenes: int, splits: SplitsConfig) -> list[str | No
     return splits_of([None if no else row for no, row in zip(failed, kept, strict=True)], splits)
 
 
-def read_table(root: Place, columns: Sequence[str] | None, scenes: int) -> pa.Table:
+def read_table(root: Location, columns: Sequence[str] | None, scenes: int) -> pa.Table:
     """Some columns of the table of a dataset of so many scenes, or all.
 
     Raises `CheckError` when it is not the file whose hash `croissant.json` has, `InputError` for an unknown column.

@@ -14,8 +14,8 @@ from pathlib import Path
 from datagen.errors import CheckError, InputError
 from datagen.store.card import CARD
 from datagen.store.files import read_whole, write_atomically
+from datagen.store.location import Bucket
 from datagen.store.manifest import MANIFEST, DamagedManifest, Manifest, read_manifest
-from datagen.store.places import Bucket
 from datagen.store.prepare import WHEN_COMPLETE, is_fresh
 from datagen.store.record import ShardRecord, read_record, record_path, recorded_shards
 

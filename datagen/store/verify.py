@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -16,8 +17,8 @@ from datagen.store.card import CARD, card, write_card
 from datagen.store.croissant import croissant, write_croissant
 from datagen.store.environment import environment
 from datagen.store.files import difference, holds, json_bytes, write_if_changed
+from datagen.store.location import Location, location_of
 from datagen.store.manifest import MANIFEST, Manifest, read_manifest
-from datagen.store.places import Place, place
 from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, read_record, recorded_shards
 from datagen.store.schema import SCHEMA_VERSION, SPLITS_SINCE
@@ -25,7 +26,7 @@ from datagen.store.table import CROISSANT, TABLE, stats_by_split, table_bytes, t
 
 
 def committed(
-    root: Place, manifest: Manifest, shards: Iterable[int] | None = None, hashes: bool = False
+    root: Location, manifest: Manifest, shards: Iterable[int] | None = None, hashes: bool = False
 ) -> list[ShardRecord]:
     """The records of the shards that are there: sound, of this configuration, of all their scenes, their files in
     place. With `hashes` the files' bytes must also be those that were written.
@@ -76,7 +77,7 @@ def verify(path: str | Path, deep: bool = False) -> Verification:
 
     Raises `InputError` when the folder is no dataset; everything that is wrong with one that is stands in `problems`.
     """
-    root = place(path)
+    root = location_of(path)
     manifest = read_manifest(root)
     problems = list(_metadata_problems(root, manifest))
     scenes = size = 0
@@ -116,18 +117,18 @@ def _missing(there: Sequence[int], shards: int) -> Iterator[str]:
             yield f"shards {before + 1}-{after - 1}"
 
 
-def _metadata_problems(root: Place, manifest: Manifest) -> Iterator[str]:
+def _metadata_problems(root: Location, manifest: Manifest) -> Iterator[str]:
     yield from filter(None, (_metadata_problem(root, manifest, name) for name in manifest.metadata))
     if fingerprint_of(manifest.config, manifest.meshes) != manifest.fingerprint:
         yield "dataset.json: its configuration is not the one its fingerprint was taken of"
 
 
-def _metadata_problem(root: Place, manifest: Manifest, name: str) -> str | None:
+def _metadata_problem(root: Location, manifest: Manifest, name: str) -> str | None:
     wrong = difference(root / name, manifest.metadata[name])
     return None if wrong is None else f"{name}: {wrong}"
 
 
-def _shard_problems(root: Place, manifest: Manifest, record: ShardRecord, deep: bool) -> Iterator[str]:
+def _shard_problems(root: Location, manifest: Manifest, record: ShardRecord, deep: bool) -> Iterator[str]:
     wrong = record.mismatch(manifest.schema, manifest.fingerprint) or record.problem(root)
     if wrong is not None:
         yield f"shard {record.shard}: {wrong}"
@@ -142,10 +143,9 @@ def _shard_problems(root: Place, manifest: Manifest, record: ShardRecord, deep: 
                 reader.read(name, [scene.index])
             except CheckError as error:
                 yield str(error)
-        reader.close()
 
 
-def _summary_problems(root: Place, manifest: Manifest, records: Sequence[ShardRecord]) -> Iterator[str]:
+def _summary_problems(root: Location, manifest: Manifest, records: Sequence[ShardRecord]) -> Iterator[str]:
     if not (root / TABLE).is_file():
         yield f"{TABLE}: missing; build again to write it"
         return
@@ -154,7 +154,7 @@ def _summary_problems(root: Place, manifest: Manifest, records: Sequence[ShardRe
         yield "dataset.json: its stats differ from what the commit records say"
     # Another pyarrow writes the same table in other bytes.
     same_writer = manifest.versions["pyarrow"] == now["pyarrow"]
-    if not holds(root / TABLE, table_bytes(table)) and (same_writer or not _tells(root / TABLE, table)):
+    if not holds(root / TABLE, table_bytes(table)) and (same_writer or not _has_rows_of(root / TABLE, table)):
         yield f"{TABLE}: differs from what the commit records say"
         return
     # Another datagen may word the same facts otherwise.
@@ -168,10 +168,40 @@ def _summary_problems(root: Place, manifest: Manifest, records: Sequence[ShardRe
             yield f"{name}: missing, or differs from what the dataset holds"
 
 
-def _tells(path: Place, table: pa.Table) -> bool:
+def _has_rows_of(path: Location, table: pa.Table) -> bool:
     try:
         with path.open("rb") as file:
             stored = pq.read_table(file).replace_schema_metadata(table.schema.metadata)
         return table_bytes(stored) == table_bytes(table)
     except (pa.ArrowException, OSError, ValueError):
         return False
+
+
+def dataset_digest(path: str | Location) -> str:
+    """Hex SHA-256 of every decoded value of a dataset, the same for any division into shards, compression, order of
+    building and interruption.
+
+    Of each field by name: a line `name dtype shape` (of one scene), then of each scene in order the SHA-256 of its
+    values, little-endian in C order, or 32 zero bytes where it could not be made. All values are read, and compared
+    with the digests taken when they were written.
+
+    Raises `InputError` when the folder is no dataset, `CheckError` when it is not complete or not as it was written.
+    """
+    root = location_of(path)
+    manifest = read_manifest(root)
+    schema, records = manifest.schema, committed(root, manifest)
+    if len(records) < schema.shards:
+        raise CheckError(
+            f"{root}: {schema.shards - len(records)} of {schema.shards} shards are missing or damaged; run the same "
+            "`datagen build` again to make them"
+        )
+    scenes = sorted((scene for record in records for scene in record.scenes), key=lambda scene: scene.index)
+    reader, whole = DatasetReader(root, manifest, schema.by_name), hashlib.sha256()
+    for name, field in sorted(schema.by_name.items()):
+        whole.update(f"{name} {field.dtype} {' '.join(map(str, field.shape))}\n".encode())
+        for scene in scenes:
+            if scene.failure is None:
+                # Read in order to be compared: the digest that the record states is then that of the values.
+                reader.read(name, [scene.index])
+            whole.update(bytes.fromhex(scene.digests[name]) if scene.failure is None else bytes(32))
+    return whole.hexdigest()

@@ -11,9 +11,9 @@ from datagen.errors import CheckError
 from datagen.records.checks import check_kind
 from datagen.store import read_manifest
 from datagen.store.card import readable
-from datagen.store.digest import dataset_digest
 from datagen.store.files import bytes_below
 from datagen.store.table import read_table
+from datagen.store.verify import dataset_digest
 from datagen.suites.catalogue import SUITES, Suite, differing_versions, find_suite
 
 

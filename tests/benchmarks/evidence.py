@@ -13,7 +13,7 @@ from datagen.config import DatasetConfig, load_config
 from datagen.config.scene_layouts import NoLayout
 from datagen.design.exposure import with_exposure_found
 from datagen.pipeline import simulate_sample
-from datagen.store.evidence_told import KindEvidence, evidence_by_kind
+from datagen.store.summaries import KindEvidence, evidence_by_kind
 
 
 def found_in(config: DatasetConfig, scenes: int, target: float) -> list[KindEvidence]:

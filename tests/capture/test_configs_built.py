@@ -13,7 +13,7 @@ from datagen.capture import capture_for
 from datagen.config import load_config
 from datagen.scene import generate_scene
 from datagen.store import verify
-from datagen.store.digest import dataset_digest
+from datagen.store.verify import dataset_digest
 
 
 def test_there_are_at_least_eight() -> None:

@@ -13,7 +13,7 @@ from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.own_light import own_light
 from datagen.evidence.own import evidence_parameters, evidence_tables
 from datagen.records import Transient
-from datagen.store.evidence_told import evidence_by_kind, evidence_lines, kind_of
+from datagen.store.summaries import evidence_by_kind, evidence_lines, kind_of
 
 TIME = dg.TimeAxis(bins=60, width_s=2e-10)
 PARTS = ("wall", "box", "pillar")

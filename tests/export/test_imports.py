@@ -23,9 +23,9 @@ from datagen.importing.containers import matlab_content
 from datagen.importing.mat import read_mat
 from datagen.importing.tal import read_tal
 from datagen.store import read_manifest, verify
-from datagen.store.digest import dataset_digest
 from datagen.store.info import info
 from datagen.store.scenes import SceneContent, Scenes
+from datagen.store.verify import dataset_digest
 
 h5py = pytest.importorskip("h5py", reason="h5py is not installed (extra `export`)")
 

@@ -22,9 +22,9 @@ from datagen.building.build import build
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
 from datagen.store import committed, read_manifest, reader, verify
-from datagen.store.digest import dataset_digest
 from datagen.store.info import info
 from datagen.store.table import read_table
+from datagen.store.verify import dataset_digest
 
 SHORT = small_config(scenes=6, store={"fields": ["histogram"], "scenes_per_shard": 4})
 """What is killed at every step."""

@@ -193,7 +193,7 @@ def test_a_dataset_grows_and_keeps_its_scenes(tmp_path: Path) -> None:
         quiet_build(small_config(scenes=6), root)
 
 
-def test_another_configuration_is_refused_and_nothing_changes(whole: dict[str, bytes], copied: Path) -> None:
+def test_another_configuration_is_refusal_and_nothing_changes(whole: dict[str, bytes], copied: Path) -> None:
     root = copied
     with pytest.raises(InputError, match=r"capture\.time\.bins = 16, this configuration has 17"):
         quiet_build(small_config(capture={"scan": {"rows": 2, "columns": 2}, "time": {"bins": 17}}), root)
@@ -205,7 +205,7 @@ def test_another_configuration_is_refused_and_nothing_changes(whole: dict[str, b
     assert content(root) == whole
 
 
-def test_foreign_folders_are_refused_and_stay_as_they_are(tmp_path: Path) -> None:
+def test_foreign_folders_are_refusal_and_stay_as_they_are(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(InputError, match=r"thesis\.tex.*no dataset\.json"):
         quiet_build(small_config(), tmp_path)
@@ -216,7 +216,7 @@ def test_foreign_folders_are_refused_and_stay_as_they_are(tmp_path: Path) -> Non
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["dataset.json", "other", "thesis.tex"]
 
 
-def test_outputs_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
+def test_outputs_that_cannot_be_written_are_refusal(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
     with pytest.raises(InputError, match="is a file, not a folder"):
@@ -228,7 +228,7 @@ def test_outputs_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_refused_input_creates_nothing(tmp_path: Path) -> None:
+def test_refusal_input_creates_nothing(tmp_path: Path) -> None:
     def refuse(config: DatasetConfig) -> None:
         raise InputError("scene: no such room")
 

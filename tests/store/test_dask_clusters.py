@@ -19,7 +19,7 @@ from fake_samples import fake_sample, small_config
 from datagen.building.build import build
 from datagen.config import DatasetConfig
 from datagen.records import Sample
-from datagen.store.digest import dataset_digest
+from datagen.store.verify import dataset_digest
 
 PATIENCE_S = 120.0
 CHILD = """

@@ -91,7 +91,7 @@ def test_other_fields_do_not_change(dataset: Path) -> None:
     assert set(data[0]) == {"depth", "transient", "scene"}
 
 
-def test_what_does_not_fit_is_refused(dataset: Path) -> None:
+def test_what_does_not_fit_is_refusal(dataset: Path) -> None:
     with pytest.raises(InputError, match="representation = 'sparse': must be 'dense', 'events' or 'volume'"):
         dg.TransientDataset(dataset, representation="sparse")
     events, counts = torch.zeros((5, 4), dtype=torch.int32), torch.ones(5)

@@ -12,7 +12,7 @@ from datagen.config import config_from_mapping
 from datagen.labels.frame import ViewFrame, scan_place
 from datagen.records import Rectangle
 from datagen.store.info import info
-from datagen.store.labels_told import label_place_line
+from datagen.store.summaries import label_place_line
 
 
 @pytest.mark.parametrize(

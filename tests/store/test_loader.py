@@ -81,7 +81,7 @@ def test_a_pickled_dataset_carries_no_open_files(dataset: Path) -> None:
     assert len(pickle.dumps(data)) < 20_000
 
 
-def test_what_cannot_be_loaded_is_refused(dataset: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_loaded_is_refusal(dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"fields: 'albedo' is not in .*; it has histogram, transient, depth"):
         TransientDataset(dataset, ("albedo",))
     with pytest.raises(InputError, match="counts = 'uint16': must be one of"):

@@ -27,9 +27,9 @@ from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset, collate
 from datagen.store import verify
-from datagen.store.digest import dataset_digest
 from datagen.store.info import info
-from datagen.store.places import Bucket, _store_of, place
+from datagen.store.location import Bucket, _store_of, location_of
+from datagen.store.verify import dataset_digest
 
 obstore = pytest.importorskip("obstore", reason="the extra s3 is not installed")
 if find_spec("moto") is None:
@@ -68,11 +68,15 @@ def bucket(server: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Buck
     }.items():  # fmt: skip
         monkeypatch.setenv(key, value)
     urllib.request.urlopen(urllib.request.Request(f"{server}/rooms", method="PUT"), timeout=30)
-    found = place(ADDRESS)
+    found = location_of(ADDRESS)
     assert isinstance(found, Bucket)
     if old := [str(one.key) for one in everything(found)]:
         obstore.delete(_store_of(found.bucket), old)
     return found
+
+
+def put(at: Bucket, content: bytes) -> None:
+    obstore.put(_store_of(at.bucket), str(at.key), content)
 
 
 def everything(bucket: Bucket) -> list[Bucket]:
@@ -151,13 +155,13 @@ def test_an_interrupted_upload_is_taken_up(
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> Counter[tuple[str, str]]:
     """(What, of which object) → how many requests there were."""
-    found, whole = Counter[tuple[str, str]](), Bucket._asked
+    found, whole = Counter[tuple[str, str]](), Bucket._request
 
     def counting(self: Bucket, what: str, *arguments: Any, **options: Any) -> Any:
         found[what, str(self)] += 1
         return whole(self, what, *arguments, **options)
 
-    monkeypatch.setattr(Bucket, "_asked", counting)
+    monkeypatch.setattr(Bucket, "_request", counting)
     return found
 
 
@@ -188,7 +192,7 @@ def test_damage_there_is_told_and_mended(bucket: Bucket) -> None:
     shard, record = bucket / "data.zarr/histogram/c/1/0/0/0", bucket / "build/shard-000000.json"
     sound = shard.read_bytes()
     for harmed in (sound[:-1], sound[:40] + b"\0" + sound[41:]):
-        shard.write_bytes(harmed)
+        put(shard, harmed)
         assert any("data.zarr/histogram/c/1" in problem for problem in verify(ADDRESS).problems)
         with pytest.raises(CheckError, match=r"s3://rooms/of/set\.zarr/data\.zarr/histogram/c/1/0/0/0"):
             items(ADDRESS)
@@ -235,7 +239,7 @@ def test_workers_that_are_started_anew_read_there(bucket: Bucket) -> None:
 )
 def test_addresses_that_are_none(address: str, why: str) -> None:
     with pytest.raises(InputError, match=why):
-        place(address)
+        location_of(address)
 
 
 def test_others_are_left_alone(bucket: Bucket, tmp_path: Path) -> None:
@@ -243,7 +247,7 @@ def test_others_are_left_alone(bucket: Bucket, tmp_path: Path) -> None:
         info(f"{ADDRESS}/nothing")
     with pytest.raises(CheckError, match=r"s3://nowhere/set.*look at the address"):
         info("s3://nowhere/set")
-    (bucket / "thesis.tex").write_bytes(b"years of work")
+    put(bucket / "thesis.tex", b"years of work")
     with pytest.raises(InputError, match="holds objects and no dataset"):
         built()
     (bucket / "thesis.tex").unlink()

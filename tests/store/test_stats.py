@@ -99,7 +99,7 @@ def test_they_are_checked_and_kept(dataset: Path, tmp_path: Path) -> None:
     assert described.read_bytes() != content and verify(tmp_path / "set").problems == ()
 
 
-def test_stats_from_elsewhere_are_refused(tmp_path: Path) -> None:
+def test_stats_from_elsewhere_are_refusal(tmp_path: Path) -> None:
     path = write_dataset(small_config(), tmp_path / "set", fake_sample)
     whole = (path / "build/shard-000000.json").read_bytes()
     reseal(path / "build/shard-000000.json", lambda values: values["scenes"][1]["stats"].pop("depth"))

@@ -200,7 +200,7 @@ def test_millions_of_missing_shards_are_one_line(dataset: Path) -> None:
         build(small_config(), dataset.parent / "new", scenes=10**12, progress=False, sample_function=fake_sample)
 
 
-def test_a_chunk_that_claims_more_than_it_holds_is_refused(dataset: Path) -> None:
+def test_a_chunk_that_claims_more_than_it_holds_is_refusal(dataset: Path) -> None:
     """With a checksum that is right; blosc itself believes what a chunk's header says of its own length."""
     import google_crc32c
 

@@ -152,6 +152,6 @@ def test_noise_is_drawn_anew_and_parts_are_parts(dataset: Path) -> None:
 
 
 @pytest.mark.parametrize("voxels", [(4, 4), (0, 4, 4), (4.0, 4, 4), 32, (2**10, 2**10, 2**10)])
-def test_what_is_no_grid_is_refused(dataset: Path, voxels: Any) -> None:
+def test_what_is_no_grid_is_refusal(dataset: Path, voxels: Any) -> None:
     with pytest.raises(InputError, match=r"voxels = .*: must be three whole numbers ≥ 1"):
         dg.TransientDataset(dataset, representation="volume", voxels=voxels)

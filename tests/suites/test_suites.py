@@ -12,7 +12,7 @@ import datagen as dg
 from datagen.cli import run
 from datagen.config.yaml_text import parse_yaml
 from datagen.store import read_manifest
-from datagen.store.digest import dataset_digest
+from datagen.store.verify import dataset_digest
 from datagen.suites import SUITES, Suite, catalogue, make, suite_of
 
 TINY = """

@@ -1,32 +1,31 @@
-"""Where a dataset lies: a local folder, or below a prefix of an object store (`s3://bucket/name`).
+"""Where a dataset lies, a local folder or below a prefix of an object store (`s3://bucket/name`), and reading there.
 
-A `Bucket` answers to what reading asks of a `pathlib.Path`, so that there is one way of reading. Credentials, region
-and endpoint come from the environment alone (`AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`,
+A `Bucket` has those methods of a `pathlib.Path` that reading needs, so that there is one way of reading. Credentials,
+region and endpoint come from the environment alone (`AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`,
 `AWS_ENDPOINT_URL` …).
 """
 
 from __future__ import annotations
 
+import errno
 import fnmatch
 import importlib
 import io
 import os
 import re
+import stat
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from datagen.errors import CheckError, InputError
 
 SCHEME = "s3://"
-
-
-class Stat(NamedTuple):
-    """What `stat` tells of an object."""
-
-    st_size: int
+READ_BYTES = 2**20
+"""Bytes read at a time where a file is hashed; half as many make no difference to speed, all at once to memory."""
 
 
 @dataclass(frozen=True)
@@ -56,42 +55,38 @@ class Bucket:
         """Itself: there are no links."""
         return self
 
-    def exists(self) -> bool:
-        """Whether there is such an object, or one below it."""
-        return self.is_file() or self.is_dir()
-
     def is_file(self) -> bool:
         """Whether there is such an object."""
-        return self._size() is not None
+        try:
+            return self.size() >= 0
+        except FileNotFoundError:
+            return False
 
     def is_dir(self) -> bool:
         """Whether there is an object below it."""
         return next(self._below(), None) is not None
 
-    def stat(self) -> Stat:
+    def size(self) -> int:
         """Its size in bytes; raises `FileNotFoundError`."""
-        size = self._size()
-        if size is None:
-            raise FileNotFoundError(2, "no such object", str(self))
-        return Stat(size)
+        return int(self._request("head", str(self.key))["size"])
 
     def read_bytes(self) -> bytes:
         """All of it; raises `FileNotFoundError`."""
-        return self.sized()[1].read()
+        return b"".join(self.chunks()[1])
 
-    def sized(self) -> tuple[int, io.BufferedReader]:
-        """Its size in bytes, and a stream of them, for one request; raises `FileNotFoundError`."""
-        answer = self._asked("get", str(self.key))
-        return int(answer.meta["size"]), io.BufferedReader(_Body(self, answer))
+    def chunks(self) -> tuple[int, Iterator[bytes]]:
+        """Its size in bytes, and its content piece by piece, for one request; raises `FileNotFoundError`."""
+        answer = self._request("get", str(self.key))
+        return int(answer.meta["size"]), (bytes(piece) for piece in self._guarded(answer))
 
     def open(self, mode: str = "rb") -> io.BytesIO:
-        """The same as a file."""
+        """All of it, as a file."""
         assert mode == "rb"
         return io.BytesIO(self.read_bytes())
 
     def read_range(self, offset: int, size: int) -> bytes:
-        """So many bytes from there."""
-        return bytes(self._asked("get_range", str(self.key), start=offset, length=size)) if size > 0 else b""
+        """`size` bytes that begin at `offset`."""
+        return bytes(self._request("get_range", str(self.key), start=offset, length=size)) if size > 0 else b""
 
     def glob(self, pattern: str) -> Iterator[Bucket]:
         """Objects right below it whose names match."""
@@ -100,36 +95,29 @@ class Bucket:
             if len(key.parts) == depth and fnmatch.fnmatch(key.name, pattern):
                 yield Bucket(self.bucket, key)
 
-    def write_bytes(self, content: bytes) -> None:
-        """Put an object there: a reader sees it whole or not at all."""
-        self._asked("put", str(self.key), content)
-
     def put(self, file: Path) -> None:
         """Put a file's bytes there; a large one goes in parts, and is there when all are."""
-        self._asked("put", str(self.key), file)
+        self._request("put", str(self.key), file)
 
     def unlink(self) -> None:
         """Remove the object, if it is there."""
         try:
-            self._asked("delete", str(self.key))
+            self._request("delete", str(self.key))
         except FileNotFoundError:
             return
 
-    def _size(self) -> int | None:
-        try:
-            return int(self._asked("head", str(self.key))["size"])
-        except FileNotFoundError:
-            return None
-
     def _below(self) -> Iterator[PurePosixPath]:
-        try:
-            for batch in self._asked("list", f"{self.key}/"):
-                for found in batch:
-                    yield PurePosixPath(found["path"])
-        except Exception as error:
-            raise self._refused(error) from None
+        for batch in self._guarded(self._request("list", f"{self.key}/")):
+            yield from (PurePosixPath(entry["path"]) for entry in batch)
 
-    def _asked(self, what: str, *arguments: Any, **options: Any) -> Any:
+    def _guarded(self, answer: Any) -> Iterator[Any]:
+        """What an answer yields; an error in the middle of it becomes one line for the user."""
+        try:
+            yield from answer
+        except Exception as error:
+            raise self._refusal(error) from None
+
+    def _request(self, what: str, *arguments: Any, **options: Any) -> Any:
         if _forked:
             raise CheckError(
                 f"{self}: connections to object stores do not survive a fork; start workers anew, as by "
@@ -141,43 +129,21 @@ class Bucket:
         except FileNotFoundError:
             raise FileNotFoundError(2, "no such object", str(self)) from None
         except Exception as error:
-            raise self._refused(error) from None
+            raise self._refusal(error) from None
 
-    def _refused(self, error: Exception) -> Exception:
-        """What to tell of an error of the store: its first line, which holds no credentials."""
+    def _refusal(self, error: Exception) -> Exception:
+        """The error that a user sees: the first line of the store's own, which holds no credentials."""
         if isinstance(error, CheckError | InputError):
             return error
         text = " ".join(str(error).strip().partition("\n")[0].split())[:300]
         return CheckError(f"{self}: {text}; look at the address, the network and AWS_* in the environment")
 
 
-class _Body(io.RawIOBase):
-    """What the store answers, as it comes in."""
-
-    def __init__(self, whose: Bucket, answer: Any) -> None:
-        self._whose, self._chunks, self._left = whose, iter(answer), memoryview(b"")
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, into: Any) -> int:
-        try:
-            while not self._left:
-                self._left = memoryview(bytes(next(self._chunks)))
-        except StopIteration:
-            return 0
-        except Exception as error:
-            raise self._whose._refused(error) from None
-        size = min(len(into), len(self._left))
-        into[:size], self._left = self._left[:size], self._left[size:]
-        return size
+Location = Path | Bucket
+AnyLocation = TypeVar("AnyLocation", Path, Bucket)
 
 
-Place = Path | Bucket
-AnyPlace = TypeVar("AnyPlace", Path, Bucket)
-
-
-def place(path: str | Path | Bucket) -> Place:
+def location_of(path: str | Path | Bucket) -> Location:
     """The place that a path or an address names.
 
     Raises `InputError` for an address without bucket or name, with credentials, or of another scheme, and where the
@@ -196,6 +162,52 @@ def place(path: str | Path | Bucket) -> Place:
     except ImportError:
         raise InputError(f"{path}: the package obstore is not installed; pip install nlos-datagen[s3]") from None
     return Bucket(named[1], PurePosixPath(named[2]))
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[tuple[int, io.BufferedReader]]:
+    """Size and content of a plain local file. Raises `OSError` where there is none (errno EINVAL: no plain one), and
+    `CheckError` where this process has too many files open."""
+    try:
+        # A pipe in the file's place must be refused, not waited for.
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            raise CheckError(f"{path}: this process has too many files open; allow more (`ulimit -n`)") from None
+        raise
+    with open(handle, "rb") as file:
+        status = os.fstat(handle)
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "no plain file", str(path))
+        yield status.st_size, file
+
+
+@contextmanager
+def sized_chunks(path: Location) -> Iterator[tuple[int, Iterator[bytes]]]:
+    """Size of a file or object, and its content piece by piece, so that a caller can refuse it by its size. Raises
+    as `opened` does."""
+    if isinstance(path, Bucket):
+        yield path.chunks()
+        return
+    with opened(path) as (size, file):
+        yield size, iter(lambda: file.read(READ_BYTES), b"")
+
+
+def size_of(path: Location) -> int:
+    """Bytes of a file or object; raises as `opened` does."""
+    if isinstance(path, Bucket):
+        return path.size()
+    with opened(path) as (size, _):
+        return size
+
+
+def read_range(path: Location, offset: int, size: int) -> bytes:
+    """`size` bytes from `offset` on, fewer where a file ends; raises as `opened` does. Each read opens its file:
+    that takes some 10 µs, and no reader keeps files open that others need."""
+    if isinstance(path, Bucket):
+        return path.read_range(offset, size)
+    with opened(path) as (_, file):
+        return os.pread(file.fileno(), size, offset)
 
 
 _forked = False

@@ -1,0 +1,150 @@
+"""Sentences about many scenes that `info`, the card, `plan` and `build` share: the evidence of objects by kind, how
+often objects were placed again, and where label images lie."""
+
+from __future__ import annotations
+
+import math
+import re
+import statistics
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from datagen.records.arrays import Floats
+from datagen.records.sample import SCAN_PLACE
+
+LEAST = 3.0
+"""Standard deviations under which a label cannot be learnt from the data. With half as many, one empty room in 15
+would look as if the object were there, instead of one in 700."""
+SHARE = 0.9
+"""Share of the objects that an advice brings over `LEAST`; half of it would leave every other object without."""
+NEAR = 5
+"""The least number of objects from which a distance is stated; with half as many it is that of one lucky object."""
+PLACED_ANEW = "evidence.placed_anew"
+"""Parameter of a scene: how often its objects were placed again for want of evidence."""
+OVER_M = 0.01
+"""Label images count as lying over the scan up to this distance of both middles: a third of a pixel of 64 in 2 m.
+Half as much would speak of shifts that no pixel shows."""
+_SIGNIFICANCE = re.compile(r"evidence\.(.+)\.significance")
+
+Parameters = Iterable[Mapping[str, object]]
+"""The parameters of several scenes, as `samples.parquet` has them."""
+
+
+@dataclass(frozen=True)
+class KindEvidence:
+    """The significance of all objects of one kind.
+
+    Attributes
+    ----------
+    kind : name in `scene.contents`. objects : how many were found.
+    median : of their significance. under_3, under_1 : shares that have less.
+    exposure_factor : how many times the exposure would bring `SHARE` of them over `LEAST`, since significance grows
+        with its square root; 1 where they are over it, infinite where too many have no light at all.
+    within_m : of those that are no farther away, `SHARE` are over `LEAST`; NaN where that many are anyway, where
+        fewer than `NEAR` objects show it, or where the distances are not known.
+    """
+
+    kind: str
+    objects: int
+    median: float
+    under_3: float
+    under_1: float
+    exposure_factor: float
+    within_m: float = math.nan
+
+
+def kind_of(part: str) -> str:
+    """The name of an object in `scene.contents`: its part's name without its number (box_2: box)."""
+    return re.sub(r"_\d+$", "", part)
+
+
+def evidence_by_kind(scenes: Parameters, together: str | None = None) -> list[KindEvidence]:
+    """The evidence of each kind of object, kinds in alphabetical order; empty where no evidence is stored.
+
+    scenes : parameters; `PART.away_m` among them is how far away an object is.
+    together : all kinds as one, of this name.
+    """
+    return [_evidence(kind, *np.array(objects).T) for kind, objects in _objects_by_kind(scenes, together).items()]
+
+
+def significance_by_kind(scenes: Parameters) -> dict[str, list[float]]:
+    """Kind, in alphabetical order → the significance of each object of it."""
+    return {kind: [sigma for sigma, _ in objects] for kind, objects in _objects_by_kind(scenes).items()}
+
+
+def _objects_by_kind(scenes: Parameters, together: str | None = None) -> dict[str, list[tuple[float, float]]]:
+    """Kind → significance and distance of each object of it."""
+    kinds: dict[str, list[tuple[float, float]]] = {}
+    for parameters in scenes:
+        for name, value in parameters.items():
+            match = _SIGNIFICANCE.fullmatch(name)
+            if match and isinstance(value, int | float):
+                away = parameters.get(f"{match[1]}.away_m")
+                one = float(value), float(away) if isinstance(away, float) else math.nan
+                kinds.setdefault(together or kind_of(match[1]), []).append(one)
+    return dict(sorted(kinds.items()))
+
+
+def _evidence(kind: str, sigma: Floats, away_m: Floats) -> KindEvidence:
+    weak = float(np.quantile(sigma, 1 - SHARE, method="lower"))
+    factor = float("inf") if weak <= 0 else max((LEAST / weak) ** 2, 1.0)
+    under_3, under_1 = (float((sigma < limit).mean()) for limit in (LEAST, 1.0))
+    within_m = _within_m(sigma, away_m) if under_3 > 1 - SHARE else math.nan
+    return KindEvidence(kind, len(sigma), float(np.median(sigma)), under_3, under_1, factor, within_m)
+
+
+def _within_m(sigma: Floats, away_m: Floats) -> float:
+    """The greatest distance within which `SHARE` of the objects are over `LEAST`."""
+    order = np.argsort(away_m, kind="stable")
+    over = np.cumsum(sigma[order] >= LEAST) / np.arange(1, len(sigma) + 1)
+    near = np.flatnonzero(over >= SHARE)
+    return float(away_m[order][near[-1]]) if len(near) and near[-1] + 1 >= NEAR else math.nan
+
+
+def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
+    """A line for each kind on which a person can act."""
+    lines = []
+    for of in kinds:
+        line = f"{of.kind}: {of.median:.2g} σ in the median of {of.objects}, {of.under_3:.0%} under {LEAST:g} σ"
+        if of.exposure_factor > 1:
+            ways = [f"{of.exposure_factor:.2g} × the exposure" if of.exposure_factor < 1e6 else "no exposure"]
+            ways += [] if math.isnan(of.within_m) else [f"at most {of.within_m:.2g} m away,"]
+            line += f"; {', or '.join(ways)} would bring {SHARE:.0%} over"
+        lines.append(line)
+    return lines
+
+
+def placed_anew_lines(scenes: Parameters) -> list[str]:
+    """In one line how many scenes had their objects placed again for the evidence that the configuration asks for;
+    no line where it asks for none."""
+    times = [int(of[PLACED_ANEW]) for of in scenes if isinstance(of.get(PLACED_ANEW), int)]  # type: ignore[call-overload]
+    if not times:
+        return []
+    share, mean = sum(count > 0 for count in times) / len(times), sum(times) / len(times)
+    return [
+        f"evidence_at_least: in {share:.0%} of scenes objects were placed anew, {mean:.2g} times a scene; near, "
+        "large and bright ones are more frequent than declared"
+    ]
+
+
+def label_place_line(scenes: Parameters) -> str:
+    """In one sentence where label images lie, seen from the scan; "" for datasets made before version 0.14, which do
+    not say."""
+    shifts = []
+    for of in scenes:
+        right, up = (of.get(name) for name in SCAN_PLACE)
+        if isinstance(right, float) and isinstance(up, float):
+            shifts.append((abs(right), abs(up)))
+    if not shifts:
+        return ""
+    aside, above = (max(shift[axis] for shift in shifts) for axis in (0, 1))
+    if max(aside, above) <= OVER_M:
+        return "Label images lie over the scan: both have the same middle."
+    middle, least = statistics.median(right for right, _ in shifts), min(right for right, _ in shifts)
+    return (
+        f"Label images lie {least:.2g} … {aside:.2g} m beside the scan, middle to middle (median "
+        f"{middle:.2g} m), and up to {above:.2g} m above or below it: they show the hidden part, wherever that "
+        "is (`hidden_view`; parameters `labels.scan_right_m`, `labels.scan_up_m`)."
+    )
