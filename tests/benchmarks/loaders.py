@@ -35,7 +35,7 @@ from datagen.config import DatasetConfig, config_from_mapping
 from datagen.loader import TransientDataset, collate
 from datagen.records import Sample
 from datagen.store import committed, finish, prepare, schema_of, write_shard
-from datagen.store.blosc_frames import BLOCK_BYTES
+from datagen.store.arrays import BLOCK_BYTES
 from datagen.store.files import bytes_below
 
 SIZES = ((32, 32, 512), (64, 64, 1024))
