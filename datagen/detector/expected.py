@@ -9,9 +9,8 @@ import scipy.special
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.detector.equilibrium import equilibrium
+from datagen.detector.dead_time import equilibrium, synchronous_mean
 from datagen.detector.flux import Cycle
-from datagen.detector.renewal import synchronous_mean
 from datagen.detector.spad import Spad
 
 Array = NDArray[np.float64]

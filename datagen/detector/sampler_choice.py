@@ -9,12 +9,11 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.detector.avalanches import burn_in_cycles
-from datagen.detector.equilibrium import most_in_window
+from datagen.detector.dead_time import PIECE_FLUX, most_in_window
+from datagen.detector.events import burn_in_cycles
 from datagen.detector.expected import active_span
 from datagen.detector.flux import Cycle
-from datagen.detector.poisson import LARGEST_MEAN, check_countable
-from datagen.detector.renewal import PIECE_FLUX
+from datagen.detector.random_numbers import LARGEST_MEAN, check_countable
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 
