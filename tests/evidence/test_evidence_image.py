@@ -12,8 +12,8 @@ import trimesh
 import datagen as dg
 from datagen.config import LabelsConfig
 from datagen.evidence import evidence_image
+from datagen.evidence.image import STATIONS, stations_of
 from datagen.evidence.own import evidence_and_gain
-from datagen.evidence.stations import STATIONS, stations_of
 from datagen.labels import make_labels
 from datagen.labels.images import hidden_surface
 from datagen.records import Rectangle

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from datagen.evidence.refined import first_step, refined
+from datagen.evidence.image import first_step, refined
 
 ROWS, COLUMNS = 37, 50
 ROW, COLUMN = np.mgrid[:ROWS, :COLUMNS]

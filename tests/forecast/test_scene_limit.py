@@ -9,7 +9,7 @@ import pytest
 from datagen.config import config_from_mapping
 from datagen.errors import InputError
 from datagen.forecast import scene_limit as module
-from datagen.forecast.scene_limit import AT_LEAST_S, PILOTS_WORTH, scene_limit
+from datagen.forecast.text import AT_LEAST_S, PILOTS_WORTH, scene_limit
 
 
 def test_the_limit_is_as_asked_or_follows_the_longest_pilot(monkeypatch: pytest.MonkeyPatch) -> None:
