@@ -13,9 +13,9 @@ added as three standard errors (jackknife over channels).
 
 Channels in even steps would not do: every 8th of 16 × 16 laser points are two of the 16 columns, and every 8th of
 8 × 8 pixels one other column, which never looks at any of them. So places are chosen by where they are: each as far
-from those before it as can be (farthest-point sampling; Gonzalez, Theoretical Computer Science 38 (1985)), which takes
-the outermost first and leaves no gap; and half of them among the laser points that lie in a pixel, and the pixels that a
-laser point chosen lies in. Where there is no such pair, those that come nearest to one are taken.
+from those before it as can be (farthest-point sampling; Gonzalez, Theoretical Computer Science 38 (1985)), which
+takes the outermost first and leaves no gap; and half of them among the laser points that lie in a pixel, and the
+pixels that a chosen laser point lies in. Where there is no such pair, those that come nearest to one are taken.
 """
 
 from __future__ import annotations

@@ -291,8 +291,8 @@ def _spans(of_pixel, at, points, end, up, offset, to_unit):  # type: ignore[no-u
 
 
 NODES = 16
-"""Blocks along the shorter side of an image, at least, before any is halved. With half as many, shadows up to an eighth
-of the image wide may be missed between corners."""
+"""Blocks along the shorter side of an image, at least, before any is halved. With half as many, shadows up to an
+eighth of the image wide may be missed between corners."""
 WIDEST = 8
 """Label pixels along a block at most: narrower shadows may be missed in images of more than 128 pixels. Halved, the
 image of a plane takes up to four times as long."""
@@ -300,7 +300,8 @@ ALIKE = 2.0
 """Largest ratio between the detections at the corners of a block that is interpolated. At half of it, where all four
 would have to be equal, every pixel is computed."""
 FLAT = 1e-6
-"""Share of a block's size by which points of one plane may stand out of it: rounding. Halved, the same blocks pass."""
+"""Share of a block's size by which points of one plane may stand out of it, for rounding. Halved, the same blocks
+pass."""
 
 
 def first_step(rows: int, columns: int) -> int:
