@@ -7,14 +7,12 @@ middle of what a pixel of the sensor sees, the light of three bounces by way of 
 
 photons, W the sensor's share and a the area that it sees, and arrives in one bin; what the detector makes of a photon
 there is `detector.own_light.detections_per_photon`. Summed over the scan these are the expected detections from that
-surface. Of a scan a few pairs of laser point and pixel stand for the others (`Stations`), and of the label pixels on
-a plane those between a few are interpolated (`refined`); no number is drawn.
+surface. Of a scan a few pairs of laser point and pixel stand for the others (`Stations`); no number is drawn.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,7 +22,7 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.labels.images import HiddenSurface
 from datagen.records import Capture, Scene, Sensor
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot
 from datagen.transport.cells.geometry import air, cross, get, less, unit
 from datagen.transport.cells.weights import weight
@@ -109,20 +107,9 @@ GRAZING = 0.02
 1 in 50, one pixel would stand for metres. Halved, they get up to twice the detections."""
 
 
-@dataclass(frozen=True)
-class _Surface:
-    """What label pixels see: points (rows, columns, 3) with unit normals that face the view, the area of each (m²),
-    and its part, −1 for none."""
-
-    position: Floats
-    normal: Floats
-    area: Floats
-    part: Ints
-
-
 def evidence_image(
     caster: Raycaster, found: HiddenSurface, capture: Capture, stations: Stations | None,
-    detections_per_photon: Floats, step: int | None = None,
+    detections_per_photon: Floats,
 ) -> NDArray[np.float32]:  # fmt: skip
     """(rows, columns) expected detections of the light of three bounces by way of what each label pixel sees.
 
@@ -133,7 +120,6 @@ def evidence_image(
     stations : of the capture; None: nothing is lit or nothing looked at.
     detections_per_photon : (S, T), expected detections of the exposure for each photon at the aperture per emitted
         photon, of each bin of the stations' histograms.
-    step : label pixels along a block before any is halved (`refined`); 1 asks each one. Left out, by the size.
 
     0 where nothing is seen, or no light comes from there. Over the pixels of an object that is wholly in view it adds
     up to the object's own detections, to some percent: of each label pixel only its middle is looked at.
@@ -141,15 +127,43 @@ def evidence_image(
     there = found.face >= 0
     if stations is None or not there.any():
         return np.zeros(there.shape, np.float32)
-    surface = _surface_of(found)
-    ask = _asking(caster, found.scene, capture, surface, stations, detections_per_photon)
-    step = first_step(*there.shape) if step is None else step
-    each = refined(ask, there, surface.position, surface.normal, surface.part, len(stations.times), step)
-    return np.asarray(each.sum(axis=2), np.float32)
+    scene, lasers, seen = found.scene, stations.lasers, stations.seen
+    materials = MaterialTable.of(scene.materials)
+    points = _points_seen(found)
+    lit = _Lit(lasers.position, lasers.normal, lasers.to_laser, lasers.part, lasers.leg)
+    view = _View(
+        seen.position[:, 0], seen.normal[:, 0], seen.to_sensor[:, 0], seen.part[:, 0], seen.last_leg[:, 0],
+        seen.weight[:, 0], seen.footprint[:, 0],
+    )  # fmt: skip
+    # Each station counts for all pairs of laser point and pixel that it stands for.
+    gain = detections_per_photon * stations.times[:, None]
+    bin_m = float(path_from_time(capture.time.width_s))
+    first = capture.time.start_s / capture.time.width_s
+    to_unit = np.array([*caster.center, caster.half_extent_m])
+    # What a laser point within it lights, a pixel's own patch sees.
+    apart = np.sum((lit.position - view.position) ** 2, axis=1) > view.footprint
+    ends = ((lit.position, lit.normal, np.ones_like(apart)), (view.position, view.normal, apart))
+    pixels = np.flatnonzero(there)
+    image = np.zeros((there.size, len(stations.times)))
+    # One station after the other, which bounds the rays in memory.
+    for station in range(len(stations.times)):
+        at = np.full(len(pixels), station)
+        brought = _brought(
+            pixels, at, points, lit, view, materials.kind, materials.values, scene.attenuation_per_m,
+            capture.time.origin == "source", gain, bin_m, first,
+        )  # fmt: skip
+        for end, up, needed in ends:
+            rows = np.flatnonzero((brought > 0) & needed[at])
+            if len(rows):
+                spans = _spans(pixels[rows], at[rows], points, end, up, caster.offset_m, to_unit)
+                brought[rows[caster.occluded_scaled(*spans)]] = 0.0
+        image[pixels, station] = brought
+    return np.asarray(image.sum(axis=1).reshape(there.shape), np.float32)
 
 
 class _Points(NamedTuple):
-    """A `_Surface` pixel by pixel: (N, 3) or (N,)."""
+    """What N label pixels see: points (N, 3) with unit normals that face the view, the area that a pixel covers of
+    its surface (m²), and the part, −1 for none."""
 
     position: Floats
     normal: Floats
@@ -179,18 +193,19 @@ class _View(NamedTuple):
     footprint: Floats
 
 
-def _surface_of(found: HiddenSurface) -> _Surface:
-    """What the middles of the label pixels see."""
+def _points_seen(found: HiddenSurface) -> _Points:
+    """The points in the middles of the label pixels."""
     scene, frame = found.scene, found.frame
     half_m = np.array([frame.half_width_m, frame.half_height_m])
     triangles = (scene.vertices, scene.triangles)
     position, normal, area = _points(found.face, found.depth, frame.center, frame.axes, half_m, *triangles)
-    return _Surface(position, normal, area, np.append(scene.face_part, -1)[found.face].astype(np.int64))
+    part = np.append(scene.face_part, -1)[found.face].astype(np.int64)
+    return _Points(position.reshape(-1, 3), normal.reshape(-1, 3), area.reshape(-1), part.reshape(-1))
 
 
 @compiled()
 def _points(face, depth, center, axes, half_m, vertices, triangles):  # type: ignore[no-untyped-def]
-    """`_Surface.position`, `.normal` and `.area`."""
+    """`_Points.position`, `.normal` and `.area`, (rows, columns, …)."""
     rows, columns = face.shape
     position, normal, area = np.zeros((rows, columns, 3)), np.zeros((rows, columns, 3)), np.zeros(face.shape)
     pixel_m2 = 4.0 * half_m[0] * half_m[1] / (rows * columns)
@@ -209,43 +224,6 @@ def _points(face, depth, center, axes, half_m, vertices, triangles):  # type: ig
                 across = right * axes[0, k] + upward * axes[1, k]
                 position[row, column, k] = center[k] + across + depth[row, column] * axes[2, k]
     return position, normal, area
-
-
-def _asking(
-    caster: Raycaster, scene: Scene, capture: Capture, surface: _Surface, stations: Stations, per_photon: Floats
-) -> Callable[[Ints, Ints], Floats]:
-    """For `refined`: the detections that label pixels bring at stations, each for the pairs that it stands for."""
-    materials, lasers, seen = MaterialTable.of(scene.materials), stations.lasers, stations.seen
-    gain = per_photon * stations.times[:, None]
-    points = _Points(
-        surface.position.reshape(-1, 3), surface.normal.reshape(-1, 3), surface.area.reshape(-1),
-        surface.part.reshape(-1),
-    )  # fmt: skip
-    lit = _Lit(lasers.position, lasers.normal, lasers.to_laser, lasers.part, lasers.leg)
-    view = _View(
-        seen.position[:, 0], seen.normal[:, 0], seen.to_sensor[:, 0], seen.part[:, 0], seen.last_leg[:, 0],
-        seen.weight[:, 0], seen.footprint[:, 0],
-    )  # fmt: skip
-    bin_m = float(path_from_time(capture.time.width_s))
-    first = capture.time.start_s / capture.time.width_s
-    to_unit = np.array([*caster.center, caster.half_extent_m])
-    # What a laser point within it lights, a pixel's own patch sees.
-    apart = np.sum((lit.position - view.position) ** 2, axis=1) > view.footprint
-    ends = ((lit.position, lit.normal, np.ones_like(apart)), (view.position, view.normal, apart))
-
-    def ask(of_pixel: Ints, at: Ints) -> Floats:
-        brought = _brought(
-            of_pixel, at, points, lit, view, materials.kind, materials.values, scene.attenuation_per_m,
-            capture.time.origin == "source", gain, bin_m, first,
-        )  # fmt: skip
-        for end, up, needed in ends:
-            rows = np.flatnonzero((brought > 0) & needed[at])
-            if len(rows):
-                spans = _spans(of_pixel[rows], at[rows], points, end, up, caster.offset_m, to_unit)
-                brought[rows[caster.occluded_scaled(*spans)]] = 0.0
-        return np.asarray(brought)
-
-    return ask
 
 
 @compiled()
@@ -288,144 +266,3 @@ def _spans(of_pixel, at, points, end, up, offset, to_unit):  # type: ignore[no-u
         for j in range(3):
             origins[k, j], spans[k, j] = a[j], b[j] - a[j]
     return origins, spans
-
-
-NODES = 16
-"""Blocks along the shorter side of an image, at least, before any is halved. With half as many, shadows up to an
-eighth of the image wide may be missed between corners."""
-WIDEST = 8
-"""Label pixels along a block at most: narrower shadows may be missed in images of more than 128 pixels. Halved, the
-image of a plane takes up to four times as long."""
-ALIKE = 2.0
-"""Largest ratio between the detections at the corners of a block that is interpolated. At half of it, where all four
-would have to be equal, every pixel is computed."""
-FLAT = 1e-6
-"""Share of a block's size by which points of one plane may stand out of it, for rounding. Halved, the same blocks
-pass."""
-
-
-def first_step(rows: int, columns: int) -> int:
-    """Label pixels along a block before any is halved, a power of two."""
-    step = 1
-    while 2 * step <= min(min(rows, columns) // NODES, WIDEST):
-        step *= 2
-    return step
-
-
-def refined(
-    ask: Callable[[Ints, Ints], Floats], there: Bools, position: Floats, normal: Floats, part: Ints, stations: int,
-    step: int,
-) -> Floats:  # fmt: skip
-    """(rows, columns, S) what each label pixel brings at each station.
-
-    Parameters
-    ----------
-    ask : numbers of pixels, counted along the rows of the image, and of stations, (n,) each → (n,) what they bring.
-    there : (rows, columns) whether a pixel sees anything; the others bring nothing.
-    position, normal, part : (rows, columns, 3), (rows, columns, 3), (rows, columns) of what it sees.
-    step : label pixels along a block before any is halved, a power of two; 1 asks every pixel.
-    """
-    rows, columns = there.shape
-    value = np.repeat(np.where(there, np.nan, 0.0)[:, :, None], stations, axis=2)
-    open_blocks = _all_blocks(rows, columns, stations, step)
-    while len(open_blocks):
-        pixel, station = _unknown_corners(value, open_blocks, step)
-        if len(pixel):
-            value.reshape(-1, stations)[pixel, station] = ask(pixel, station)
-        if step == 1:
-            break
-        open_blocks = _halved(value, open_blocks, _planes(position, normal, part, step), step)
-        step //= 2
-    return value
-
-
-@compiled()
-def _all_blocks(rows: int, columns: int, stations: int, step: int) -> Ints:
-    """(n, 3) first row, first column and station of every block, at every station."""
-    down, across = max(-(-(rows - 1) // step), 1), max(-(-(columns - 1) // step), 1)
-    blocks = np.empty((down * across * stations, 3), np.int64)
-    n = 0
-    for i in range(down):
-        for j in range(across):
-            for s in range(stations):
-                blocks[n] = i * step, j * step, s
-                n += 1
-    return blocks
-
-
-@compiled()
-def _unknown_corners(value: Floats, blocks: Ints, step: int) -> tuple[Ints, Ints]:
-    """Pixel and station of what is not known yet of the corners of blocks, each once."""
-    rows, columns, _ = value.shape
-    pixel, station = np.empty(4 * len(blocks), np.int64), np.empty(4 * len(blocks), np.int64)
-    n = 0
-    for top, left, s in blocks:
-        for row in (top, min(top + step, rows - 1)):
-            for column in (left, min(left + step, columns - 1)):
-                if np.isnan(value[row, column, s]):
-                    value[row, column, s] = 0.0
-                    pixel[n], station[n] = row * columns + column, s
-                    n += 1
-    return pixel[:n], station[:n]
-
-
-@compiled()
-def _halved(value: Floats, blocks: Ints, planes: Bools, step: int) -> Ints:
-    """Fill what is unknown of blocks whose corners agree; the quarters of all others, as `blocks`."""
-    rows, columns, _ = value.shape
-    quarters = np.empty((4 * len(blocks), 3), np.int64)
-    n = 0
-    for top, left, s in blocks:
-        bottom, right = min(top + step, rows - 1), min(left + step, columns - 1)
-        a, b = value[top, left, s], value[top, right, s]
-        c, d = value[bottom, left, s], value[bottom, right, s]
-        least, most = min(a, b, c, d), max(a, b, c, d)
-        alike = most == 0.0 or (least > 0.0 and most <= ALIKE * least)
-        if not (alike and planes[top // step, left // step]):
-            half = step // 2
-            for row in (top, top + half):
-                for column in (left, left + half):
-                    if (row == top or row < bottom) and (column == left or column < right):
-                        quarters[n] = row, column, s
-                        n += 1
-            continue
-        for row in range(top, bottom + 1):
-            v = (row - top) / (bottom - top)
-            for column in range(left, right + 1):
-                if np.isnan(value[row, column, s]):
-                    u = (column - left) / (right - left)
-                    value[row, column, s] = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
-    return quarters[:n]
-
-
-@compiled()
-def _planes(position: Floats, normal: Floats, part: Ints, step: int) -> Bools:
-    """(down, across) whether all pixels of a block see one plane of one part."""
-    rows, columns = part.shape
-    planes = np.zeros((max(-(-(rows - 1) // step), 1), max(-(-(columns - 1) // step), 1)), np.bool_)
-    for i in range(len(planes)):
-        for j in range(planes.shape[1]):
-            top, left = i * step, j * step
-            bottom, right = min(top + step, rows - 1), min(left + step, columns - 1)
-            if top < bottom and left < right:
-                planes[i, j] = _in_one_plane(position, normal, part, top, bottom, left, right)
-    return planes
-
-
-@compiled()
-def _in_one_plane(position: Floats, normal: Floats, part: Ints, top: int, bottom: int, left: int, right: int) -> bool:
-    """Whether all pixels of a block see one plane of one part."""
-    size = 0.0
-    for k in range(3):
-        size += abs(position[bottom, right, k] - position[top, left, k])
-    for row in range(top, bottom + 1):
-        for column in range(left, right + 1):
-            if part[row, column] < 0 or part[row, column] != part[top, left]:
-                return False
-            along = out = 0.0
-            for k in range(3):
-                along += normal[row, column, k] * normal[top, left, k]
-                out += (position[row, column, k] - position[top, left, k]) * normal[top, left, k]
-            if along < 1.0 - FLAT or abs(out) > FLAT * size:
-                return False
-    return True
