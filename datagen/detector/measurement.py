@@ -54,7 +54,7 @@ class Measurement:
             check_integer("detect", name, value, 0, 2**62)
         values = _checked_transient(transient, time, exposure.photons_per_pulse)
         pixels = values.shape[1]
-        if spad.has_crosstalk and (first_pixel != 0 or pixels % (spad.array_columns or 1) != 0):
+        if _has_crosstalk(spad) and (first_pixel != 0 or pixels % (spad.array_columns or 1) != 0):
             raise InputError(
                 f"crosstalk_probability = {spad.crosstalk_probability:g}, array_columns = {spad.array_columns}, with "
                 f"{pixels} pixels from number {first_pixel}: crosstalk needs whole rows of all pixels from number 0"
@@ -65,7 +65,7 @@ class Measurement:
     @property
     def coupled(self) -> bool:
         """Whether crosstalk makes the pixels of a laser point one system."""
-        return self.spad.has_crosstalk and self.transient.shape[1] > 1
+        return _has_crosstalk(self.spad) and self.transient.shape[1] > 1
 
     def where(self, histogram: int) -> str:
         """Words for a histogram, by its number in the order of laser points and their pixels."""
@@ -79,6 +79,11 @@ class Measurement:
         for start in range(0, lasers, step):
             block = self.transient[start : start + step]
             yield start, flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel)
+
+
+def _has_crosstalk(spad: Spad) -> bool:
+    """Whether avalanches may set off others in neighbouring pixels."""
+    return spad.crosstalk_probability > 0 and spad.mode != "ideal"
 
 
 def _checked_transient(transient: ArrayLike, time: TimeAxis, photons_per_pulse: float) -> Array:

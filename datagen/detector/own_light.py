@@ -1,4 +1,4 @@
-"""What of the expected detections is owed to some of the light alone.
+"""Expected detections of a transient, and how many of them come from some part of the light.
 
 With λ the flux of everything and λᵒ that of the light in question (`flux`), D/λ the chance that an event finds the
 diode armed (`expected`), of N cycles
@@ -28,12 +28,13 @@ from datagen.records import TimeAxis
 Array = NDArray[np.float64]
 
 FREE = 1e-3
-"""Share of detections that a dead time may take, or avalanches cause, up to which it is left out."""
+"""Share of detections that a dead time may take, or avalanches cause, up to which it is left out. Halved, the exact
+mean is solved for at half the flux."""
 
 
 @dataclass(frozen=True)
 class OwnLight:
-    """Of laser points `first`, …
+    """Expected detections of a block of laser points, the first of which has the number `first`.
 
     Attributes
     ----------

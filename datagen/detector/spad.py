@@ -146,11 +146,6 @@ class Spad:
             )
 
     @property
-    def has_crosstalk(self) -> bool:
-        """Whether avalanches may set off others in neighbouring pixels."""
-        return self.crosstalk_probability > 0 and self.mode != "ideal"
-
-    @property
     def trap_loads(self) -> tuple[float, ...]:
         """Expected releases that an avalanche leaves in each trap: w_k μ with μ = −ln(1 − p_ap)."""
         weights = np.asarray(self.afterpulse_weights or np.ones(len(self.afterpulse_times_s)))
