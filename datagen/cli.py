@@ -79,7 +79,7 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
     from datagen.building.build import build as build_dataset
 
     if options["scene_seconds"] is not None:
-        from datagen.forecast.scene_limit import scene_limit
+        from datagen.forecast.text import scene_limit
 
         options["scene_seconds"] = scene_limit(options["scene_seconds"], settings)
     result = build_dataset(settings, out, progress=not quiet, **options)

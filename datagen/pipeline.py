@@ -20,10 +20,10 @@ from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, dete
 from datagen.effects import EffectDecisions, decide_detector_effects
 from datagen.errors import InputError
 from datagen.evidence import evidence_image, light_in_sight
+from datagen.evidence.image import stations_of
 from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
 from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
-from datagen.evidence.stations import stations_of
 from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
 from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface

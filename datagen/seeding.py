@@ -27,6 +27,39 @@ class Purpose(IntEnum):
     LOADER_BACKGROUND = 10
 
 
+class LightStream(IntEnum):
+    """What the random numbers of the transport are for, within `Purpose.TRANSPORT` of a scene; with the seed and the
+    numbers of laser point, pixel and replicate they give the seed of a quasi-random sequence.
+
+    Like purposes they are part of every dataset's identity. Names of one number never draw under the same further
+    numbers, or are meant to draw alike.
+    """
+
+    TRIAL = 0
+    COSINE_DIRECTIONS = 1
+    AREA_POINTS = 2
+    WALK_STEPS = 3
+    LASER_POINTS = 4
+    FOV_POINTS = 16
+    FACTORISED_FOV_POINTS = 32
+    FACTORISED_FIRST = 33
+    FACTORISED_SECOND = 34
+    FACTORISED_LIT = 35
+    FACTORISED_WALKS = 36
+    TARGET_HALVES = 48
+    CLUSTERS = 64
+    # The same number as `CLUSTERS`, which adds two further numbers to the hash.
+    SURROUNDINGS = 64
+    PATCHES = 65
+    PAIR_CLUSTERS = 66
+    SAMPLED_PATHS = 96
+    # The same number as `SAMPLED_PATHS`, which adds one number to the hash, not two.
+    REFERENCE = 96
+    LATER_PATHS = 97
+    SECOND_OPINION = 98
+    PLAIN_REFERENCE = 99
+
+
 def seed_sequence(
     dataset_seed: int, scene_index: int, purpose: Purpose, attempt: int = 0, part: int = 0
 ) -> np.random.SeedSequence:

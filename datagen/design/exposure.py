@@ -23,7 +23,7 @@ from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.config.detector import ExposureFor
 from datagen.config.scene_layouts import NoLayout
-from datagen.design.estimate import coarse_transient
+from datagen.design.light import coarse_transient
 from datagen.design.scene_for import without_floors
 from datagen.detector import Exposure, Spad, detector_for
 from datagen.detector.own_light import own_light, squared_over

@@ -1,4 +1,8 @@
-"""The light of a scene of a dataset: what of it is followed, how accurately, and with which random numbers."""
+"""The light of a scene of a dataset: what of it is followed, how accurately, and with which random numbers.
+
+An exposure to be found, scenes whose objects must have evidence, and the plan of a build rest on the same light at a
+coarser target: what evidence a measurement will hold then differs from what is stored by the coarser light alone, for
+the detector's law is the same (docs/evidence.md has how far)."""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from dataclasses import dataclass, replace
 from datagen.config import DatasetConfig
 from datagen.detector import Exposure, Spad
 from datagen.effects import EffectDecisions, decide_transport_effects
+from datagen.evidence import Evidence, own_evidence
 from datagen.records import Accuracy, Capture, Scene, Transient
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import transient_of
@@ -65,3 +70,28 @@ def _one_detection(spad: Spad, exposure: Exposure) -> float:
     """
     counted = exposure.photons_per_pulse * exposure.cycles * spad.pde
     return 1.0 / counted if counted > 0 else 0.0
+
+
+COARSE_TARGET = 0.1
+"""Error of the light that an estimate rests on, where the configuration gives a finer target."""
+
+
+def coarse_transient(
+    config: DatasetConfig, index: int, scene: Scene, capture: Capture, spad: Spad, exposure: Exposure
+) -> Transient:
+    """The light of scene `index`, at `COARSE_TARGET`; where numbers of samples are configured, with these."""
+    if config.transport.target is not None:
+        coarse = {"target": max(COARSE_TARGET, config.transport.target), "part_target": None}
+        config = config.model_copy(update={"transport": config.transport.model_copy(update=coarse)})
+    effects = transport_effects(config, scene, capture, index)
+    return light_of(config, index, scene, capture, effects, spad, exposure).transient()
+
+
+def estimated_evidence(
+    config: DatasetConfig, index: int, scene: Scene, capture: Capture, spad: Spad, exposure: Exposure
+) -> dict[str, Evidence]:
+    """The evidence of each object of scene `index`, from coarse light."""
+    if not scene.objects:
+        return {}
+    transient = coarse_transient(config, index, scene, capture, spad, exposure)
+    return own_evidence(transient, spad, exposure, scene.objects)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
-from datagen.design.estimate import estimated_evidence
+from datagen.design.light import estimated_evidence
 from datagen.detector import detector_for
 from datagen.records import Scene
 from datagen.scene import generate_scene

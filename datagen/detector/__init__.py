@@ -15,9 +15,8 @@ Not modelled:
 from pathlib import Path
 
 from datagen.compiled import drop_stale_kernels
-from datagen.detector.classes import DETECTOR_CLASSES
+from datagen.detector.classes import DETECTOR_CLASSES, detector_for
 from datagen.detector.detect import choose_sampler, detect, detect_and_choice, expected_histogram
-from datagen.detector.draw import detector_for
 from datagen.detector.inverse import coates_correction, dead_time_correction
 from datagen.detector.sampler_choice import Sampler, SamplerChoice
 from datagen.detector.spad import Exposure, Spad

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
-from functools import partial
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from datagen.detector.avalanches import draw_avalanches
 from datagen.detector.chain import draw_cycle_ensemble, draw_hazard_chain, draw_in_order, draw_return_chain
-from datagen.detector.equilibrium import FOR_A_START, equilibrium
-from datagen.detector.events import draw_free_running
+from datagen.detector.dead_time import FOR_A_START, equilibrium, pieces_of
+from datagen.detector.events import draw_avalanches, draw_free_running
 from datagen.detector.expected import (
     counts_are_binomial,
     counts_are_poisson,
@@ -20,22 +18,16 @@ from datagen.detector.expected import (
     mean_detections,
     saturated_mean,
 )
-from datagen.detector.flux import Cycle, checked_transient, cycle_of, flux_per_cycle
-from datagen.detector.poisson import draw_poisson
-from datagen.detector.renewal import pieces_of
+from datagen.detector.measurement import Measurement
+from datagen.detector.random_numbers import Stream, draw_poisson, streams_of
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choices, Sampler, SamplerChoice, choose, summarise
 from datagen.detector.spad import Exposure, Spad
-from datagen.detector.streams import Stream, streams_of
-from datagen.detector.tdc import Tdc
 from datagen.errors import InputError
 from datagen.records import TimeAxis
-from datagen.records.checks import check_integer, check_kind, check_number, shown
+from datagen.records.checks import check_number, shown
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.integer]
-
-_BLOCK_VALUES = 1 << 16
-"""Flux values held at a time: laser points are worked through in blocks of 0.5 MB, which caches hold."""
 
 
 def detect(
@@ -97,20 +89,20 @@ def detect_and_choice(
         ) from None
     if kind.kind not in "iu":
         raise InputError(f"detect: dtype {kind} given; counts need an integer type such as int64 or uint16")
-    setup = _Setup.of(transient, time, spad, exposure, first_laser, first_pixel)
-    lasers, pixels, bins = setup.transient.shape
+    measured = Measurement.of(transient, time, spad, exposure, first_laser, first_pixel)
+    lasers, pixels, bins = measured.transient.shape
     streams = streams_of(seed, first_laser + np.arange(lasers)[:, None], first_pixel + np.arange(pixels))
     counts = np.empty((lasers * pixels, bins), kind)
     limit = np.iinfo(kind).max
     choices: list[Choices] = []
-    for flux in setup.fluxes():
-        rows = slice(flux.first * pixels, (flux.first + len(flux.values)) * pixels)
-        chosen = _choices(setup, flux, tolerance, approximate)
-        drawn = _drawn(setup, flux, chosen, streams.reshape(-1, 4)[rows])
+    for first, flux in measured.fluxes():
+        rows = slice(first * pixels, (first + len(flux)) * pixels)
+        chosen = _choices(measured, first, flux, tolerance, approximate)
+        drawn = _drawn(measured, first, flux, chosen, streams.reshape(-1, 4)[rows])
         if kind != np.int64 and drawn.max() > limit:
             row, bin_ = (int(i) for i in np.unravel_index(int(drawn.argmax()), drawn.shape))
             raise InputError(
-                f"{setup.where(np.arange(rows.start, rows.stop), row)}, bin {bin_}: {drawn.max()} counts do not fit "
+                f"{measured.where(rows.start + row)}, bin {bin_}: {drawn.max()} counts do not fit "
                 f"{kind} (at most {limit}); lower cycles or photons_per_pulse, set counter_max, or use a wider dtype"
             )
         counts[rows] = drawn
@@ -155,17 +147,17 @@ def expected_histogram(
     [0.0, 50000.0, 100000.0, 0.0]
     [0.0, 48771.0, 90521.0, 0.0]
     """
-    setup = _Setup.of(transient, time, spad, exposure, 0, first_pixel)
-    if not approximate and not has_exact_mean(spad, setup.transient.shape[1]):
+    measured = Measurement.of(transient, time, spad, exposure, 0, first_pixel)
+    if not approximate and not has_exact_mean(spad, measured.transient.shape[1]):
         raise InputError(
             "expected_histogram: afterpulsing or crosstalk together with a dead time has no exact mean in closed "
             "form; pass approximate=True for one of second-order error, or average detect over seeds"
         )
-    out = np.empty(setup.transient.shape)
-    for flux in setup.fluxes():
-        detections = np.stack([mean_detections(values, setup.cycle, spad) for values in flux.values])
-        mean = setup.tdc.mean(exposure.cycles * detections)
-        out[flux.first : flux.first + len(mean)] = _saturate_mean(mean, flux.values, setup, approximate)
+    out = np.empty(measured.transient.shape)
+    for first, flux in measured.fluxes():
+        detections = np.stack([mean_detections(values, measured.cycle, spad) for values in flux])
+        mean = measured.tdc.mean(exposure.cycles * detections)
+        out[first : first + len(mean)] = _saturate_mean(mean, flux, measured, approximate)
     return out.reshape(np.shape(transient))
 
 
@@ -177,117 +169,54 @@ def choose_sampler(
 
     Raises `InputError` where `detect` would refuse.
     """
-    setup = _Setup.of(transient, time, spad, exposure, 0, first_pixel)
-    return summarise([_choices(setup, flux, tolerance, approximate) for flux in setup.fluxes()], spad, tolerance)
+    measured = Measurement.of(transient, time, spad, exposure, 0, first_pixel)
+    blocks = [_choices(measured, *block, tolerance, approximate) for block in measured.fluxes()]
+    return summarise(blocks, spad, tolerance)
 
 
-@dataclass(frozen=True)
-class _Flux:
-    """The flux per cycle of laser points `first`, …: (laser, pixel, n)."""
-
-    first: int
-    values: Array
-
-
-@dataclass(frozen=True)
-class _Setup:
-    """What all histograms of a call share."""
-
-    transient: Array
-    cycle: Cycle
-    tdc: Tdc
-    spad: Spad
-    exposure: Exposure
-    first_laser: int
-    first_pixel: int
-
-    @classmethod
-    def of(
-        cls, transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, first_laser: int, first_pixel: int
-    ) -> _Setup:
-        """Check the arguments of a call; raises `InputError`."""
-        check_kind("time", time, TimeAxis)
-        check_kind("spad", spad, Spad)
-        check_kind("exposure", exposure, Exposure)
-        for name, value in (("first_laser", first_laser), ("first_pixel", first_pixel)):
-            check_integer("detect", name, value, 0, 2**62)
-        values = checked_transient(transient, time, exposure.photons_per_pulse)
-        pixels = values.shape[1]
-        if _has_crosstalk(spad) and (first_pixel != 0 or pixels % (spad.array_columns or 1) != 0):
-            raise InputError(
-                f"crosstalk_probability = {spad.crosstalk_probability:g}, array_columns = {spad.array_columns}, with "
-                f"{pixels} pixels from number {first_pixel}: crosstalk needs whole rows of all pixels from number 0"
-            )
-        cycle = cycle_of(time, spad, exposure)
-        return cls(values, cycle, Tdc(cycle), spad, exposure, first_laser, first_pixel)
-
-    @property
-    def coupled(self) -> bool:
-        """Whether crosstalk makes the pixels of a laser point one system."""
-        return _has_crosstalk(self.spad) and self.transient.shape[1] > 1
-
-    def where(self, numbers: NDArray[np.int64], row: int) -> str:
-        """Words for histogram `numbers[row]` of the call."""
-        laser, pixel = divmod(int(numbers[row]), self.transient.shape[1])
-        return f"laser {self.first_laser + laser}, pixel {self.first_pixel + pixel}"
-
-    def fluxes(self) -> Iterator[_Flux]:
-        """Flux of one block of laser points after the other."""
-        lasers, pixels, _ = self.transient.shape
-        step = max(_BLOCK_VALUES // (pixels * len(self.cycle.gate)), 1)
-        for start in range(0, lasers, step):
-            block = self.transient[start : start + step]
-            yield _Flux(start, flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel))
-
-
-def _has_crosstalk(spad: Spad) -> bool:
-    return spad.crosstalk_probability > 0 and spad.mode != "ideal"
-
-
-def _choices(setup: _Setup, flux: _Flux, tolerance: float, approximate: bool) -> Choices:
-    """For each histogram of the block; the same for all pixels of a laser point where crosstalk couples them."""
-    cycle, spad, exposure = setup.cycle, setup.spad, setup.exposure
-    lasers, pixels, n = flux.values.shape
-    if setup.coupled:
-        number, together = setup.first_laser + flux.first, flux.values.sum(axis=1)
-        chosen = choose(together, cycle, spad, exposure, tolerance, approximate, lambda row: f"laser {number + row}")
+def _choices(measured: Measurement, first_laser: int, flux: Array, tolerance: float, approximate: bool) -> Choices:
+    """How each histogram of a block is drawn, of flux (laser, pixel, n); the same for all pixels of a laser point
+    where crosstalk couples them."""
+    _, pixels, n = flux.shape
+    spad, others = measured.spad, (measured.exposure, tolerance, approximate)
+    if measured.coupled:
+        number, together = measured.first_laser + first_laser, flux.sum(axis=1)
+        chosen = choose(together, measured.cycle, spad, *others, lambda row: f"laser {number + row}")
         return Choices(*(np.repeat(getattr(chosen, f.name), pixels) for f in fields(chosen)))
     # A single pixel has no neighbours.
     alone = spad if spad.crosstalk_probability == 0 else replace(spad, crosstalk_probability=0.0)
-    numbers = flux.first * pixels + np.arange(lasers * pixels)
-    rows = flux.values.reshape(lasers * pixels, n)
-    return choose(rows, cycle, alone, exposure, tolerance, approximate, partial(setup.where, numbers))
+    first = first_laser * pixels
+    return choose(flux.reshape(-1, n), measured.cycle, alone, *others, lambda row: measured.where(first + row))
 
 
-def _drawn(setup: _Setup, flux: _Flux, choices: Choices, streams: Stream) -> NDArray[np.int64]:
-    """(h, bin) counts of the histograms of a block, from as many streams."""
-    cycle, spad, cycles = setup.cycle, setup.spad, setup.exposure.cycles
-    _, pixels, n = flux.values.shape
-    values = flux.values.reshape(-1, n)
+def _drawn(
+    measured: Measurement, first_laser: int, flux: Array, choices: Choices, streams: Stream
+) -> NDArray[np.int64]:
+    """(h, bin) counts of the histograms of a block of flux (laser, pixel, n), from as many streams."""
+    cycle, spad, tdc, cycles = measured.cycle, measured.spad, measured.tdc, measured.exposure.cycles
+    _, pixels, n = flux.shape
+    values = flux.reshape(-1, n)
     out = np.empty((len(values), cycle.bins), np.int64)
     poisson = choices.sampler == Sampler.POISSON
     for rows in _rows(poisson):
         # Poisson events displaced independently are Poisson: the mean is displaced instead of every event.
-        numbers = flux.first * pixels + np.arange(len(values))[rows]
-        mean = setup.tdc.mean(cycles * values[rows])
-        out[rows] = draw_poisson(mean, streams[rows], partial(setup.where, numbers))
+        numbers = first_laser * pixels + np.arange(len(values))[rows]
+        mean = tdc.mean(cycles * values[rows])
+        out[rows] = draw_poisson(mean, streams[rows], lambda row: measured.where(numbers[row]))  # noqa: B023
     for rows in _rows(~poisson & choices.few):
         own = streams[rows]
-        out[rows] = setup.tdc.draw(draw_in_order(values[rows], cycle.edges_s, spad.dead_time_s, cycles, own), own)
+        out[rows] = tdc.draw(draw_in_order(values[rows], cycle.edges_s, spad.dead_time_s, cycles, own), own)
     for rows in _rows(~poisson & ~choices.few):
         own = streams[rows]
-        if setup.coupled:
+        if measured.coupled:
             # A laser point's joint draw uses its first pixel's stream, whose jitter goes on from there.
-            detections = np.concatenate(
-                [
-                    draw_avalanches(values[rows][k : k + pixels], cycle, spad, cycles, own[k])
-                    for k in range(0, len(own), pixels)
-                ]
-            )
+            each = [slice(k, k + pixels) for k in range(0, len(own), pixels)]
+            joint = [draw_avalanches(values[rows][k], cycle, spad, cycles, own[k.start]) for k in each]
+            detections = np.concatenate(joint)
         else:
-            each = zip(values[rows], choices.sampler[rows], own, strict=True)
-            detections = np.stack([_draw_one(setup, f, Sampler(code), stream) for f, code, stream in each])
-        out[rows] = setup.tdc.draw(detections, own)
+            alone = zip(values[rows], choices.sampler[rows], own, strict=True)
+            detections = np.stack([_draw_one(measured, f, Sampler(code), stream) for f, code, stream in alone])
+        out[rows] = tdc.draw(detections, own)
     return out if spad.counter_max is None else np.minimum(out, spad.counter_max)
 
 
@@ -299,36 +228,32 @@ def _rows(wanted: NDArray[np.bool_]) -> Iterator[NDArray[np.int64] | slice]:
         yield np.flatnonzero(wanted)
 
 
-def _draw_one(setup: _Setup, flux: Array, sampler: Sampler, stream: Stream) -> NDArray[np.int64]:
+def _draw_one(measured: Measurement, flux: Array, sampler: Sampler, stream: Stream) -> NDArray[np.int64]:
     """(n,) detections of one pixel by a sampler other than Poisson's."""
-    cycle, spad, cycles = setup.cycle, setup.spad, setup.exposure.cycles
-    edges, width, dead_time, bins = cycle.edges_s, cycle.width_s, spad.dead_time_s, len(flux)
-    if sampler is Sampler.HAZARD_CHAIN:
-        return draw_hazard_chain(flux, cycles, stream)
-    if sampler is Sampler.RETURN_CHAIN:
-        pieces = pieces_of(flux, edges, width, dead_time, shorter_than_dead_time=True)
-        return draw_return_chain(pieces, bins, cycles, stream)
-    if sampler is Sampler.AVALANCHES:
-        return np.asarray(draw_avalanches(flux[None, :], cycle, spad, cycles, stream)[0])
-    if sampler is Sampler.CYCLE_ENSEMBLE:
-        return draw_cycle_ensemble(
-            equilibrium(flux, edges, width, dead_time, shorter_than_dead_time=True), bins, cycles, stream
-        )
-    state = equilibrium(flux, edges, width, dead_time, settled=FOR_A_START)
-    front = cycle.front if cycle.front < bins else bins - 1
-    return draw_free_running(flux, edges, width, front, dead_time, cycles, state, stream)
+    cycle, spad, cycles = measured.cycle, measured.spad, measured.exposure.cycles
+    bins = cycle.edges_s, cycle.width_s, spad.dead_time_s
+    match sampler:
+        case Sampler.HAZARD_CHAIN:
+            return draw_hazard_chain(flux, cycles, stream)
+        case Sampler.RETURN_CHAIN:
+            return draw_return_chain(pieces_of(flux, *bins, shorter_than_dead_time=True), len(flux), cycles, stream)
+        case Sampler.AVALANCHES:
+            return np.asarray(draw_avalanches(flux[None, :], cycle, spad, cycles, stream)[0])
+        case Sampler.CYCLE_ENSEMBLE:
+            return draw_cycle_ensemble(equilibrium(flux, *bins, shorter_than_dead_time=True), cycles, stream)
+    return draw_free_running(flux, cycle, spad, cycles, equilibrium(flux, *bins, settled=FOR_A_START), stream)
 
 
-def _saturate_mean(mean: Array, flux: Array, setup: _Setup, approximate: bool) -> Array:
+def _saturate_mean(mean: Array, flux: Array, measured: Measurement, approximate: bool) -> Array:
     """(laser, pixel, bin) mean counts, of flux (laser, pixel, n), once counters have stayed at their maximum."""
-    spad, exposure = setup.spad, setup.exposure
+    spad, exposure = measured.spad, measured.exposure
     if spad.counter_max is None:
         return mean
     reach = mean + 8 * np.sqrt(mean) + 8 > spad.counter_max
     if not reach.any():
         return mean
     poisson = counts_are_poisson(spad, mean.shape[1])
-    if not (poisson or approximate or counts_are_binomial(flux, setup.cycle, spad, mean.shape[1])):
+    if not (poisson or approximate or counts_are_binomial(flux, measured.cycle, spad, mean.shape[1])):
         raise InputError(
             f"expected_histogram: counter_max = {spad.counter_max} is reached where counts are neither Poisson nor "
             f"binomial (mode {spad.mode!r} with detections that depend on one another), and the law of a bin's count "

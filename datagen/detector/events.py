@@ -1,7 +1,7 @@
-"""One pixel, detection by detection, at a cost that depends on their number (case c; case e without neighbours).
+"""Detection by detection, at a cost that depends on their number (cases c and e; paralyzable dead time; crosstalk).
 
-From the moment s at which it is armed the next photon detected is where Λ(t) = Λ(s) + Exp(1), the integral of the
-flux being inverted with a guide table; time is kept as (cycle, phase), so that it stays exact over any exposure.
+From the moment s at which a pixel is armed the next photon detected is where Λ(t) = Λ(s) + Exp(1), the integral of
+the flux being inverted with a guide table; time is kept as (cycle, phase), so that it stays exact over any exposure.
 Traps compete: one expected to release A more carriers releases its next at −t_t ln(1 − E/A) if E < A, with
 E ~ Exp(1). An avalanche leaves A ← A exp(−Δt/t_t) + μ for the moment the pixel is armed again; what is released
 before is lost, and what is released while the gate is shut too.
@@ -10,37 +10,89 @@ before is lost, and what is released while the gate is shut too.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.detector.equilibrium import Equilibrium
-from datagen.detector.streams import Stream, exponential, uniform
+from datagen.detector.dead_time import Equilibrium
+from datagen.detector.flux import Cycle
+from datagen.detector.random_numbers import Stream, exponential, uniform
+from datagen.detector.spad import Spad
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_BURN_IN_CYCLES = 24
+"""Cycles simulated before an exposure, at least, in which pixels forget that they all started armed. Fewer leave too
+many detections in the first cycles where several events a cycle keep a diode in step with its start."""
+_BURN_IN_TIMES = 8.0
+"""So many release times (or dead times) are simulated before an exposure: a trap is then within e⁻⁸ of its level; of
+half as many its first cycles would lack 2 % of their afterpulses."""
 _MANY_LAPS = 2.0**20
-"""Periods without an event after which the phase of the next one is drawn afresh, before rounding shows in it."""
+"""Periods without an event after which the phase of the next event is drawn afresh: rounding of a sum over so many
+periods is 10⁻¹⁰ of one, and half of that over half as many."""
 
 
-def draw_free_running(
-    flux: Array, edges_s: Array, width_s: float, front: int, dead_time_s: float, cycles: int, state: Equilibrium,
-    stream: Stream,
-) -> Ints:  # fmt: skip
-    """(n,) detections in `cycles` laser periods of a detector that has been running for ever.
+class _Period(NamedTuple):
+    """The bins of a laser period as kernels take them; see `Cycle`."""
+
+    edges: Array
+    width: float
+    # The first bins, which lie on the lattice of the bin width: the number of such a bin needs no search.
+    lattice: int
+    gate: Array
+
+
+class _Diode(NamedTuple):
+    """The properties of a diode on which the next avalanche depends; see `Spad`."""
+
+    dead_time: float
+    synchronous: bool
+    paralyzable: bool
+    # Expected releases that an avalanche leaves in each trap, and the release times of the traps.
+    loads: Array
+    times: Array
+    crosstalk: float
+    columns: int
+
+
+def burn_in_cycles(spad: Spad, period_s: float) -> int:
+    """Cycles simulated before the exposure, in which dead time and traps forget that they started empty."""
+    longest = max(spad.dead_time_s, *(spad.afterpulse_times_s if spad.afterpulse_probability > 0 else (0.0,)))
+    return _BURN_IN_CYCLES + int(np.ceil(_BURN_IN_TIMES * longest / period_s))
+
+
+def draw_avalanches(flux: Array, cycle: Cycle, spad: Spad, cycles: int, stream: Stream) -> Ints:
+    """(pixel, n) detections in `cycles` periods of pixels with flux (pixel, n), coupled by crosstalk."""
+    return _draw(flux, cycle, spad, -burn_in_cycles(spad, cycle.period_s), 0.0, cycles, stream)
+
+
+def draw_free_running(flux: Array, cycle: Cycle, spad: Spad, cycles: int, state: Equilibrium, stream: Stream) -> Ints:
+    """(n,) detections in `cycles` laser periods of a detector that has been running for ever, of flux (n,).
 
     The moment from which it is armed first is drawn from the equilibrium, hence the mean is exact for any number of
-    cycles. `front` bins from phase 0 on have the width `width_s` (the last of all may be shorter).
+    cycles.
     """
-    cycle, phase = _first_armed(state, stream)
-    gate, none = np.ones(len(flux)), np.zeros(0)
-    # As that of a cycle: what is compiled for the one serves the other.
-    gate.flags.writeable = False
-    return run_alone(
-        flux, edges_s, width_s, front, gate, dead_time_s, False, none, none, cycle, phase, cycles, stream
-    )
+    first_cycle, first_phase = _first_armed(state, stream)
+    return np.asarray(_draw(flux[None, :], cycle, spad, first_cycle, first_phase, cycles, stream)[0])
+
+
+def _draw(
+    flux: Array, cycle: Cycle, spad: Spad, first_cycle: int, first_phase: float, cycles: int, stream: Stream
+) -> Ints:
+    """(pixel, n) detections in cycles 0 … `cycles` − 1 of pixels armed from (`first_cycle`, `first_phase`) on."""
+    pixels, n = flux.shape
+    # The last bin of all may be shorter than the others.
+    period = _Period(cycle.edges_s, cycle.width_s, min(cycle.front, n - 1), cycle.gate)
+    has_traps = spad.afterpulse_probability > 0
+    diode = _Diode(
+        spad.dead_time_s, spad.mode == "synchronous", spad.paralyzable,
+        np.array(spad.trap_loads if has_traps else ()), np.array(spad.afterpulse_times_s if has_traps else ()),
+        spad.crosstalk_probability, spad.array_columns or pixels,
+    )  # fmt: skip
+    return np.asarray(_run(flux, period, diode, first_cycle, first_phase, cycles, stream))
 
 
 def _first_armed(state: Equilibrium, stream: Stream) -> tuple[int, float]:
@@ -61,39 +113,90 @@ def _first_armed(state: Equilibrium, stream: Stream) -> tuple[int, float]:
 
 
 @compiled()
-def run_alone(
-    flux: Array, edges: Array, width: float, lattice: int, gate: Array, dead_time: float, synchronous: bool,
-    loads: Array, times: Array, cycle: int, phase: float, cycles: int, stream: Stream,
-) -> Ints:  # fmt: skip
-    """(n,) detections in cycles 0 … `cycles` − 1 of a pixel that is armed from (`cycle`, `phase`) on."""
-    n = len(flux)
-    counts = np.zeros(n, np.int64)
-    level = np.zeros(len(loads))
-    period, per_width = edges[n], 1.0 / width
-    cumulative, guide = np.zeros(n + 1), np.zeros(n, np.int64)
-    fill_inverse(flux, cumulative, guide)
-    if not cumulative[n] > 0.0:
-        return counts
+def _run(
+    flux: Array, period: _Period, diode: _Diode, first_cycle: int, first_phase: float, cycles: int, stream: Stream
+) -> Ints:
+    """(pixel, n) detections in cycles 0 … `cycles` − 1; all pixels are armed from the first moment on."""
+    pixels, n = flux.shape
+    counts = np.zeros((pixels, n), np.int64)
+    cumulative, guide = np.zeros((pixels, n + 1)), np.zeros((pixels, n), np.int64)
+    for p in range(pixels):
+        _fill_inverse(flux[p], cumulative[p], guide[p])
+    # The moment from which each pixel is armed, and its next avalanche.
+    armed_cycle, armed_phase = np.full(pixels, first_cycle), np.full(pixels, first_phase)
+    next_cycle, next_phase = np.full(pixels, first_cycle), np.full(pixels, first_phase)
+    next_bin = np.zeros(pixels, np.int64)
+    # Releases still expected of each trap from the moment its pixel is armed.
+    level = np.zeros((pixels, len(diode.loads)))
+    # Pixels whose next avalanche is to be drawn: at first all of them, later those that avalanche at one moment.
+    stack = np.empty(4 * pixels + 8, np.int64)
+    for p in range(pixels):
+        stack[p] = pixels - 1 - p
+    waiting, now, phase, j = pixels, first_cycle, first_phase, -1
     while True:
-        now, at, j = next_photon(cumulative, edges, per_width, lattice, guide, cycle, phase, cycles, stream)
-        for t in range(len(loads)):
-            e = exponential(stream)
-            if e < level[t]:
-                now, at, j = release(now, at, j, cycle, phase, e, level[t], times[t], edges, gate, stream)
+        while waiting > 0:
+            waiting -= 1
+            p = int(stack[waiting])
+            from_cycle, from_phase, is_armed = first_cycle, first_phase, False
+            if j >= 0:
+                is_armed = bool(armed_cycle[p] < now or (armed_cycle[p] == now and armed_phase[p] <= phase))
+                if not is_armed and not diode.paralyzable:
+                    continue
+                if is_armed and now >= 0:
+                    counts[p, j] += 1
+                new_cycle, new_phase = _armed_again(
+                    now, phase + diode.dead_time, float(period.edges[n]), diode.synchronous
+                )
+                # Carriers go on leaving traps while the diode is dead, and are lost.
+                since = (new_cycle - armed_cycle[p]) * float(period.edges[n]) + (new_phase - armed_phase[p])
+                for t in range(len(diode.loads)):
+                    level[p, t] = level[p, t] * np.exp(-since / diode.times[t]) + diode.loads[t]
+                armed_cycle[p], armed_phase[p] = new_cycle, new_phase
+                # Under a paralyzable dead time the next photon matters even if it comes too early.
+                from_cycle, from_phase = (now, phase) if diode.paralyzable else (new_cycle, new_phase)
+            later, at, k = cycles, 0.0, 0
+            if cumulative[p, n] > 0.0:
+                later, at, k = _next_photon(cumulative[p], period, guide[p], from_cycle, from_phase, cycles, stream)
+            for t in range(len(diode.times)):
+                e = exponential(stream)
+                if e < level[p, t]:
+                    later, at, k = _release(
+                        later, at, k, from_cycle, from_phase, e, level[p, t], diode.times[t], period, stream
+                    )
+            next_cycle[p], next_phase[p], next_bin[p] = later, at, k
+            if is_armed and diode.crosstalk > 0.0:
+                waiting = _set_off_neighbours(p, pixels, diode, stack, waiting, stream)
+        p = 0
+        for other in range(1, pixels):
+            if next_cycle[other] < next_cycle[p] or (
+                next_cycle[other] == next_cycle[p] and next_phase[other] < next_phase[p]
+            ):
+                p = other
+        now, phase, j = int(next_cycle[p]), float(next_phase[p]), int(next_bin[p])
         if now >= cycles:
             return counts
-        if now >= 0:
-            counts[j] += 1
-        armed_cycle, armed_phase = armed_again(now, at + dead_time, period, synchronous)
-        if len(loads):
-            since = (armed_cycle - cycle) * period + (armed_phase - phase)
-            for t in range(len(loads)):
-                level[t] = level[t] * np.exp(-since / times[t]) + loads[t]
-        cycle, phase = armed_cycle, armed_phase
+        stack[0] = p
+        waiting = 1
 
 
 @compiled()
-def fill_inverse(flux: Array, cumulative: Array, guide: Ints) -> None:
+def _set_off_neighbours(p: int, pixels: int, diode: _Diode, stack: Ints, waiting: int, stream: Stream) -> int:
+    """Put the neighbours that an avalanche of pixel `p` sets off onto `stack`; returns how many wait there then."""
+    row, column = p // diode.columns, p % diode.columns
+    for way in range(4):
+        r = row + (1 if way == 0 else -1 if way == 1 else 0)
+        c = column + (1 if way == 2 else -1 if way == 3 else 0)
+        q = r * diode.columns + c
+        if r < 0 or c < 0 or c >= diode.columns or q >= pixels or uniform(stream) >= diode.crosstalk:
+            continue
+        if waiting < len(stack):
+            stack[waiting] = q
+            waiting += 1
+    return waiting
+
+
+@compiled()
+def _fill_inverse(flux: Array, cumulative: Array, guide: Ints) -> None:
     """Fill in sums Λ of the flux (n,) before each bin, (n + 1,) from 0 on, and (n,) the bins into which the shares
     0, 1/n, … of the whole fall."""
     n = len(flux)
@@ -107,8 +210,8 @@ def fill_inverse(flux: Array, cumulative: Array, guide: Ints) -> None:
 
 
 @compiled()
-def bin_of_phase(edges: Array, phase: float) -> int:
-    """The bin that a phase lies in, by bisection."""
+def _bin_of(edges: Array, phase: float) -> int:
+    """The bin in which a phase lies, by bisection."""
     low, high = 0, len(edges) - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -120,20 +223,21 @@ def bin_of_phase(edges: Array, phase: float) -> int:
 
 
 @compiled()
-def next_photon(
-    cumulative: Array, edges: Array, per_width: float, lattice: int, guide: Ints, cycle: int, phase: float,
-    cycles: int, stream: Stream,
-) -> tuple[int, float, int]:  # fmt: skip
+def _next_photon(
+    cumulative: Array, period: _Period, guide: Ints, cycle: int, phase: float, cycles: int, stream: Stream
+) -> tuple[int, float, int]:
     """(cycle, phase, bin) of the first photon detected after (cycle, phase), where Λ has grown by Exp(1).
 
     A cycle of `cycles` or later means that there is none.
     """
+    edges = period.edges
     n = len(edges) - 1
     total = cumulative[n]
-    j = int(phase * per_width)
-    if j >= lattice:
-        j = bin_of_phase(edges, phase)
+    j = int(phase * (1.0 / period.width))
+    if j >= period.lattice:
+        j = _bin_of(edges, phase)
     elif edges[j + 1] <= phase and j + 1 < n:
+        # Rounding put the phase into the bin before.
         j += 1
     share = min(max((phase - edges[j]) / (edges[j + 1] - edges[j]), 0.0), 1.0)
     target = cumulative[j] + share * (cumulative[j + 1] - cumulative[j]) + exponential(stream)
@@ -159,7 +263,7 @@ def next_photon(
 
 
 @compiled()
-def armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> tuple[int, float]:
+def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> tuple[int, float]:
     """(cycle, phase) at which a dead time that would end at `phase` of `cycle`, or later, is over."""
     if phase >= period:
         if synchronous:
@@ -170,28 +274,29 @@ def armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> t
 
 
 @compiled()
-def release(
-    now: int, at: float, j: int, cycle: int, phase: float, e: float, left: float, time: float, edges: Array,
-    gate: Array, stream: Stream,
+def _release(
+    now: int, at: float, j: int, cycle: int, phase: float, e: float, left: float, time: float, period: _Period,
+    stream: Stream,
 ) -> tuple[int, float, int]:  # fmt: skip
     """(cycle, phase, bin) of the next avalanche: `now, at, j`, or an earlier release of a trap that holds `left`.
 
     The pixel is armed from (`cycle`, `phase`) on; `e` < `left` is the exponential number of the trap's first release.
     """
-    period = edges[-1]
+    length = period.edges[-1]
     delay = 0.0
     while e < left:
         delay -= time * math.log1p(-e / left)
         left -= e
         absolute = phase + delay
-        laps = np.floor(absolute / period)
+        laps = np.floor(absolute / length)
         if laps > now - cycle:
             break
-        at_cycle, at_phase = cycle + int(laps), max(absolute - laps * period, 0.0)
+        at_cycle, at_phase = cycle + int(laps), max(absolute - laps * length, 0.0)
         if at_cycle > now or (at_cycle == now and at_phase >= at):
             break
-        k = bin_of_phase(edges, at_phase)
-        if gate[k] >= 1.0 or uniform(stream) < gate[k]:
+        k = _bin_of(period.edges, at_phase)
+        # A shut gate loses the carrier, and the trap may release another one.
+        if period.gate[k] >= 1.0 or uniform(stream) < period.gate[k]:
             return at_cycle, at_phase, k
         e = exponential(stream)
     return now, at, j

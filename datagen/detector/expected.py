@@ -9,18 +9,19 @@ import scipy.special
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.detector.equilibrium import equilibrium
+from datagen.detector.dead_time import equilibrium, synchronous_mean
 from datagen.detector.flux import Cycle
-from datagen.detector.renewal import synchronous_mean
 from datagen.detector.spad import Spad
 
 Array = NDArray[np.float64]
 
 _ROUNDS = 200
+"""Rounds after which a self-consistent mean is taken as it is; it settles in 5 to 30. Half would do."""
 _SETTLED = 1e-11
+"""Share of the detections that a round may still change in a settled mean: halved, it takes a round more at most."""
 _PIECES, _MOST_PIECES = 32, 4096
-"""Of a trap's time or dead time in long background bins: avalanches caused there are taken as uniform in a piece.
-And the most of one bin."""
+"""Long background bins are cut into pieces of a 32nd of the shortest of trap times and dead time, 4096 a bin at most:
+avalanches caused in a piece are taken as uniform there. Half as many double the error of where afterpulses fall."""
 
 
 def one_per_cycle_mean(flux: Array) -> Array:
@@ -41,8 +42,8 @@ def mean_detections(flux: Array, cycle: Cycle, spad: Spad) -> Array:
 
 
 def detections_and_events(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array, Array]:
-    """Of `mean_detections`, and (pixel, n) the events per cycle that they are of: those of `flux` and what avalanches
-    cause. Their ratio is the chance that an event finds the diode armed."""
+    """(pixel, n) `mean_detections`, and (pixel, n) all events per cycle: those of `flux` and those that avalanches
+    cause. The ratio of the two is the chance that an event finds the diode armed."""
     has_traps, has_crosstalk = spad.afterpulse_probability > 0, spad.crosstalk_probability > 0 and len(flux) > 1
     if spad.mode == "ideal":
         return flux, flux

@@ -13,14 +13,12 @@ from functools import cached_property, lru_cache
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from datagen.compiled import compiled
-from datagen.detector.irf import LONGEST_DIRECT, Kernel, add_response, padded, response_kernel, spread
+from datagen.detector.irf import Kernel, response_kernel, spread
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 from datagen.records import TimeAxis
-from datagen.records.checks import as_reals
 
 Array = NDArray[np.float64]
 N = TypeVar("N", bound=np.generic)
@@ -194,51 +192,6 @@ def on_lattice(values: NDArray[N], back: int, front: int) -> NDArray[N]:
     return np.concatenate([values[..., n - back :], values[..., :front]], axis=-1)
 
 
-def spread_and_folded(values: Array, kernel: Kernel, fold: Fold, back: int, front: int) -> Array:
-    """`fold` of `spread` of `on_lattice`, row by row: arrays between would take longer than all else."""
-    if kernel.is_identity or len(kernel.weights) > LONGEST_DIRECT:
-        return fold(spread(on_lattice(values, back, front), kernel))
-    rows = np.ascontiguousarray(values.reshape(-1, values.shape[-1]))
-    aligned = np.array([fold.aligned.start, fold.aligned.stop])
-    out = _spread_and_folded(
-        rows, back, front, kernel.weights, fold.first, fold.bins, aligned, fold.rows, fold.columns, fold.shares
-    )
-    return np.asarray(out.reshape(*values.shape[:-1], fold.bins))
-
-
-@compiled()
-def _spread_and_folded(  # type: ignore[no-untyped-def]
-    values, back, front, weights, first, bins, aligned, rows, columns, shares
-):
-    n, beside = values.shape[1], padded(weights)
-    out, ordered = np.zeros((len(values), bins)), np.empty(back + front)
-    wide = np.zeros(len(ordered) + len(weights) - 1)
-    low, high = aligned
-    for r in range(len(values)):
-        for k in range(back):
-            ordered[k] = values[r, n - back + k]
-        for k in range(front):
-            ordered[back + k] = values[r, k]
-        begin, end = 0, len(ordered)
-        while begin < end and ordered[begin] == 0.0:
-            begin += 1
-        if begin == end:
-            continue
-        while ordered[end - 1] == 0.0:
-            end -= 1
-        # Responses are added in fours from the first bin on, wherever the light begins.
-        begin -= begin % 4
-        until = end + len(weights) - 1
-        add_response(ordered[begin:end], beside, wide[begin:until])
-        start, stop = max(low, first + begin), min(high, first + until)
-        for k in range(start, stop):
-            out[r, k] = wide[k - first]
-        for e in range(len(rows)):
-            out[r, columns[e]] += wide[rows[e]] * shares[e]
-        wide[begin:until] = 0.0
-    return out
-
-
 def fold_of(first: int, count: int, width_s: float, edges_s: Array) -> Fold:
     """How lattice bins `first … first + count − 1` fall into the bins of the period, modulo its length."""
     period, bins = float(edges_s[-1]), len(edges_s) - 1
@@ -270,7 +223,8 @@ def fold_of(first: int, count: int, width_s: float, edges_s: Array) -> Fold:
 
 def flux_per_cycle(transient: Array, cycle: Cycle, spad: Spad, exposure: Exposure, first_pixel: int = 0) -> Array:
     """(laser, pixel, n) λ: expected avalanche-capable events per cycle in each bin of the period."""
-    flux = _light_per_cycle(transient, cycle, spad, exposure)
+    flux = arrivals(transient, cycle)
+    flux *= spad.pde * exposure.photons_per_pulse
     background = spad.pde * exposure.ambient_rate_hz + dark_count_rates(spad, transient.shape[1], first_pixel)
     flux += background[:, None] * cycle.widths_s
     flux *= cycle.gate
@@ -278,16 +232,9 @@ def flux_per_cycle(transient: Array, cycle: Cycle, spad: Spad, exposure: Exposur
 
 
 def arrivals(light: Array, cycle: Cycle) -> Array:
-    """(laser, pixel, n) photons of some light that arrive in each bin of the period, after the pulse's length and all
-    that the diode's response adds to it before the avalanche; in an array of its own."""
-    return spread_and_folded(light, cycle.before_avalanche, cycle.light_fold, 0, light.shape[-1])
-
-
-def _light_per_cycle(light: Array, cycle: Cycle, spad: Spad, exposure: Exposure) -> Array:
-    """As if the gate were always open."""
-    flux = arrivals(light, cycle)
-    flux *= spad.pde * exposure.photons_per_pulse
-    return flux
+    """(laser, pixel, n) photons of some light in each bin of the period, displaced by the laser pulse and by all that
+    the diode's response adds before the avalanche; a new array."""
+    return cycle.light_fold(spread(light, cycle.before_avalanche))
 
 
 def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:
@@ -305,25 +252,3 @@ def hot_pixels(spad: Spad, pixels: int, first_pixel: int = 0) -> NDArray[np.bool
     bits = np.random.Philox(key=key, counter=first_pixel // 4)
     words = bits.random_raw(pixels + first_pixel % 4)[first_pixel % 4 :]
     return (words >> np.uint64(11)) * 2.0**-53 < spad.hot_pixel_fraction
-
-
-def checked_transient(transient: ArrayLike, time: TimeAxis, photons_per_pulse: float) -> Array:
-    """(laser, pixel, bin) float64 view of a transient, refused with its first offending entry named."""
-    values = as_reals("transient", transient)
-    if values.ndim not in (1, 3):
-        raise InputError(f"transient: shape {values.shape} given; (laser, pixel, bin) or (bin,) is needed")
-    if values.shape[-1] != time.bins or values.size == 0:
-        raise InputError(
-            f"transient: shape {values.shape} with a time axis of {time.bins} bins; the last axis must be the bins "
-            "and no axis may be empty"
-        )
-    values = values.reshape((1, 1, -1)) if values.ndim == 1 else values
-    # One pass for the usual case: a NaN fails both comparisons.
-    if not (values.min() >= 0 and values.max() * max(photons_per_pulse, 1.0) < 1e300):
-        bad = ~((values >= 0) & (values * max(photons_per_pulse, 1.0) < 1e300))
-        laser, pixel, bin_ = (int(i) for i in np.argwhere(bad)[0])
-        raise InputError(
-            f"transient[laser {laser}, pixel {pixel}, bin {bin_}] = {values[laser, pixel, bin_]:g}: must be a finite "
-            f"number ≥ 0 ({np.count_nonzero(bad)} such entries)"
-        )
-    return values

@@ -2,37 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.detector.avalanches import burn_in_cycles
-from datagen.detector.equilibrium import most_in_window
+from datagen.detector.dead_time import PIECE_FLUX, most_in_window
+from datagen.detector.events import burn_in_cycles
 from datagen.detector.expected import active_span
 from datagen.detector.flux import Cycle
-from datagen.detector.poisson import LARGEST_MEAN, check_countable
-from datagen.detector.renewal import PIECE_FLUX
+from datagen.detector.random_numbers import LARGEST_MEAN, check_countable
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 
 Array = NDArray[np.float64]
 Where = Callable[[int], str]
-"""What names the histogram of a number."""
+"""Words for a histogram, given its number."""
 
 DEFAULT_TOLERANCE = 1e-3
-"""Largest relative bias that a cheaper sampler may cause."""
+"""Largest relative bias that a cheaper sampler may cause. Halved, exact samplers are used from half the flux on."""
 HIDDEN_DEVIATION = 0.1
-"""Largest bias of a total in its own standard deviations: one that no test of a single histogram could find."""
+"""Largest bias of a total count in its own standard deviations: one that no test of a single histogram could find.
+Halved, exact samplers are used from smaller exposures on."""
 ENSEMBLE_EVENTS = 2e6
-"""Detections per histogram above which, if allowed, free running is drawn by the approximate ensemble."""
+"""Detections per histogram above which, if allowed, free running is drawn by the approximate ensemble. Up to here
+event by event takes 0.2 s at most; halved, half of that."""
 MOST_EVENTS = 2e7
-"""Events per histogram above which event-driven samplers would take seconds and more, and are refused."""
+"""Events per histogram above which event-driven samplers would take seconds and more, and are refused; halved, from
+half of those seconds on."""
 
 _CHAIN_NS, _EVENT_NS = 120.0, 40.0
-"""Time for a piece in chains of binomials, and for a detection drawn in order."""
+"""Time for a piece in chains of binomials, and for a detection drawn in order: their ratio says from how many
+detections on the chain is taken. Either halved, the slower way is taken at most twice too early."""
 
 
 class Sampler(IntEnum):
@@ -127,9 +130,12 @@ def choose(
     few = np.zeros(len(flux), bool)
     beyond = np.flatnonzero((bias > 0) & ~((bias <= tolerance) & (deviation <= HIDDEN_DEVIATION)))
     if len(beyond):
-        limits = _Limits(spad, exposure.cycles, cycle.period_s, beyond, where)
         own = flux if len(beyond) == len(flux) else flux[beyond]
-        sampler[beyond] = _beyond_poisson(own, cycle, spad, approximate, events[beyond], detections[beyond], limits)
+        burn_in = detections[beyond] * burn_in_cycles(spad, cycle.period_s) / exposure.cycles
+        sampler[beyond] = _beyond_poisson(
+            own, cycle, spad, approximate, events[beyond], detections[beyond], burn_in,
+            lambda row: where(int(beyond[row])),
+        )  # fmt: skip
         chained = beyond[(sampler[beyond] == Sampler.HAZARD_CHAIN) | (sampler[beyond] == Sampler.RETURN_CHAIN)]
         if len(chained):
             few[chained] = _are_few(totals[chained], detections[chained], cycle, spad)
@@ -140,26 +146,47 @@ def choose(
 
 
 def _beyond_poisson(
-    flux: Array, cycle: Cycle, spad: Spad, approximate: bool, events: Array, detections: Array, limits: _Limits
-) -> NDArray[np.int64] | Sampler:
-    """Samplers of histograms that the dead time, afterpulses or crosstalk tell from Poisson's."""
+    flux: Array, cycle: Cycle, spad: Spad, approximate: bool, events: Array, detections: Array, burn_in: Array,
+    where: Where,
+) -> NDArray[np.int64] | Sampler:  # fmt: skip
+    """Samplers of histograms whose counts dead time, afterpulses or crosstalk keep from being Poisson numbers.
+
+    burn_in : (h,) detections before the exposure, until a diode has forgotten how it started.
+    """
+    fewer = "lower cycles or photons_per_pulse, close the gate on the direct return"
+    no_faster = f" and no faster sampler exists; {fewer}"
     if spad.afterpulse_probability > 0 or spad.crosstalk_probability > 0:
         what = "afterpulsing" if spad.afterpulse_probability > 0 else "crosstalk"
-        limits.check_events(detections, what)
-        limits.check_burn_in(detections, what)
+        _check_few(detections, where, f"events with {what}", f"{no_faster}, or switch {what} off")
+        memory = f"traps of {max(spad.afterpulse_times_s):g} s and a dead time of {spad.dead_time_s:g} s"
+        _check_few(
+            burn_in, where, "events before the exposure",
+            f", until {memory} forget how they started; shorten afterpulse_times_s or dead_time_s, or switch {what} "
+            "off",
+        )  # fmt: skip
         return Sampler.AVALANCHES
-    if spad.mode == "synchronous":
-        one = spad.dead_time_s >= active_span(flux, cycle)
-        if not spad.paralyzable:
-            return np.where(one, Sampler.HAZARD_CHAIN, Sampler.RETURN_CHAIN)
-        limits.check_events(np.where(one, 0.0, events), "a paralyzable dead time")
-        return np.where(one, Sampler.HAZARD_CHAIN, Sampler.AVALANCHES)
+    one = spad.dead_time_s >= active_span(flux, cycle) if spad.mode == "synchronous" else np.zeros(len(flux), bool)
     if spad.paralyzable:
-        limits.check_events(events, "a paralyzable dead time")
-        return Sampler.AVALANCHES
+        what = "a paralyzable dead time"
+        each = np.where(one, 0.0, events)
+        _check_few(each, where, f"events with {what}", f"{no_faster}, or switch {what} off")
+        return np.where(one, Sampler.HAZARD_CHAIN, Sampler.AVALANCHES)
+    if spad.mode == "synchronous":
+        return np.where(one, Sampler.HAZARD_CHAIN, Sampler.RETURN_CHAIN)
     many = approximate & (detections > ENSEMBLE_EVENTS)
-    limits.check_free_running(np.where(many, 0.0, detections))
+    _check_few(
+        np.where(many, 0.0, detections), where, "free-running detections",
+        "; allow an approximate variance with approximate=True, or lower cycles or photons_per_pulse",
+    )  # fmt: skip
     return np.where(many, Sampler.CYCLE_ENSEMBLE, Sampler.FREE_RUNNING_EVENTS)
+
+
+def _check_few(events: Array, where: Where, what: str, remedy: str) -> None:
+    """Raise `InputError`, naming the first histogram with more events (h,) than can be drawn one by one."""
+    for row in np.flatnonzero(events > MOST_EVENTS):
+        raise InputError(
+            f"{where(int(row))}: {events[row]:.2g} {what}, at most {MOST_EVENTS:.0e} are drawn one by one{remedy}"
+        )
 
 
 def _are_few(totals: Array, detections: Array, cycle: Cycle, spad: Spad) -> NDArray[np.bool_]:
@@ -167,48 +194,6 @@ def _are_few(totals: Array, detections: Array, cycle: Cycle, spad: Spad) -> NDAr
     # A dead time far below a bin needs pieces as short.
     pieces = len(cycle.gate) + totals / PIECE_FLUX + cycle.period_s / spad.dead_time_s
     return np.asarray((detections * _EVENT_NS < pieces * _CHAIN_NS) & (detections <= MOST_EVENTS))
-
-
-@dataclass(frozen=True)
-class _Limits:
-    """What takes too long is refused, with the number of the histogram: `rows` of those that `where` names."""
-
-    spad: Spad
-    cycles: int
-    period_s: float
-    rows: NDArray[np.int64]
-    where: Where
-
-    def check_events(self, events: Array, what: str) -> None:
-        """Raise `InputError` for more than can be drawn avalanche by avalanche."""
-        for place, value in self._beyond(events):
-            raise InputError(
-                f"{place}: {value:.2g} events with {what}, at most {MOST_EVENTS:.0e} are drawn one by one and no "
-                f"faster sampler exists; lower cycles or photons_per_pulse, close the gate on the direct return, or "
-                f"switch {what} off"
-            )
-
-    def check_burn_in(self, detections: Array, what: str) -> None:
-        """Raise `InputError` for traps and dead times that remember for too long."""
-        for place, value in self._beyond(detections * burn_in_cycles(self.spad, self.period_s) / self.cycles):
-            raise InputError(
-                f"{place}: {value:.2g} events before the exposure, at most {MOST_EVENTS:.0e} are drawn one by one, "
-                f"until traps of {max(self.spad.afterpulse_times_s):g} s and a dead time of "
-                f"{self.spad.dead_time_s:g} s forget how they started; shorten afterpulse_times_s or dead_time_s, or "
-                f"switch {what} off"
-            )
-
-    def check_free_running(self, detections: Array) -> None:
-        """Raise `InputError` for more than can be drawn detection by detection."""
-        for place, value in self._beyond(detections):
-            raise InputError(
-                f"{place}: {value:.2g} free-running detections, at most {MOST_EVENTS:.0e} are drawn one by one; "
-                "allow an approximate variance with approximate=True, or lower cycles or photons_per_pulse"
-            )
-
-    def _beyond(self, events: Array) -> Iterator[tuple[str, float]]:
-        for row in np.flatnonzero(events > MOST_EVENTS):
-            yield self.where(int(self.rows[row])), float(events[row])
 
 
 def poisson_bias(flux: Array, cycle: Cycle, spad: Spad) -> Array:

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.detector.binomials import binomial
-from datagen.detector.flux import Cycle, Fold, N, fold_of, on_lattice, spread_and_folded
-from datagen.detector.streams import Stream, uniform
+from datagen.detector.flux import Cycle, Fold, N, fold_of, on_lattice
+from datagen.detector.irf import spread
+from datagen.detector.random_numbers import Stream, binomial, uniform
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -57,7 +57,7 @@ class Tdc:
             folded = detections
         else:
             displaced = self._without_short(detections)
-            folded = spread_and_folded(displaced, jitter, self._fold, cycle.back, cycle.front)
+            folded = self._fold(spread(on_lattice(displaced, cycle.back, cycle.front), jitter))
             if self._from_short is not None:
                 for column, weight in zip(self._from_short, jitter.weights, strict=True):
                     folded[..., column] += weight * detections[..., -1]

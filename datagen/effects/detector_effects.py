@@ -173,14 +173,14 @@ DETECTOR_EFFECTS: tuple[Effect[Detection], ...] = (
     Effect(
         "afterpulsing", "afterpulsing", "detector",
         "`detector.afterpulse_probability` > 0, and a mode other than `ideal`",
-        "Competing traps and neighbours: `detector/avalanches.py`",
+        "Competing traps and neighbours: `detector/events.py`",
         0.0, lambda d: d.spad.afterpulse_probability > 0 and not d.counts_all, _SAMPLER,
         lambda d: d.with_spad(afterpulse_probability=0.0), _exactly,
     ),
     Effect(
         "crosstalk", "crosstalk", "detector",
         "`detector.crosstalk_probability` > 0, several pixels, and a mode other than `ideal`",
-        "Competing traps and neighbours: `detector/avalanches.py`",
+        "Competing traps and neighbours: `detector/events.py`",
         0.0, lambda d: d.spad.crosstalk_probability > 0 and d.transient.shape[1] > 1 and not d.counts_all, _SAMPLER,
         lambda d: d.with_spad(crosstalk_probability=0.0), _exactly,
     ),

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from datagen.effects.lobes import is_lambertian
 from datagen.effects.rule import Change, Effect
-from datagen.effects.scene_figures import SceneFigures
+from datagen.effects.scene_figures import SceneFigures, is_lambertian
 
 CONNECTIONS_PER_PROOF = 8
 """FoV points that a vertex is joined to, from which a proof that it sees all of them is tried before rays. With fewer
@@ -80,7 +79,7 @@ TRANSPORT_EFFECTS: tuple[Effect[SceneFigures], ...] = (
     ),
     Effect(
         "brdf", "non-Lambertian BRDF", "transport", "a surface that is not Lambertian",
-        "`transport/brdf`; left out, the Lambertian surface of the same mean albedo (`effects/lobes.py`)",
+        "`transport/brdf`; left out, the Lambertian surface of the same mean albedo (`effects/scene_figures.py`)",
         0.0, lambda g: not all(is_lambertian(material) for material in g.scene.materials),
         "as quick as Lambertian surfaces, and it takes a trial run of its own to show that a lobe does not matter",
         lambda g: g.all_lambertian,

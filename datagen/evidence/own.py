@@ -12,7 +12,7 @@ from datagen.compiled import compiled
 from datagen.detector import Exposure, Spad
 from datagen.detector.own_light import detections_per_photon, own_light, squared_over
 from datagen.errors import InputError
-from datagen.evidence.stations import Stations
+from datagen.evidence.image import Stations
 from datagen.records import Scalar, Transient
 from datagen.records.arrays import Floats
 

@@ -144,21 +144,17 @@ def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
 def _decisions(config: DatasetConfig) -> list[str]:
     """The effects decided for scene 0 and why, and the detector's sampler."""
     from datagen.capture import capture_for
-    from datagen.design.light import transport_effects
+    from datagen.design.light import coarse_transient, transport_effects
     from datagen.design.scene_for import scene_for
     from datagen.detector import choose_sampler, detector_for
     from datagen.effects import EFFECTS, EffectDecisions, decision_lines
-    from datagen.effects.decide import FORESEEN_LOOKINS
-    from datagen.effects.trial import few_samples
     from datagen.pipeline import detector_effects
-    from datagen.transport import simulate
 
     scene = scene_for(config, 0)
     capture = capture_for(config, scene, config.seed, 0)
     effects = transport_effects(config, scene, capture, 0)
-    lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
-    transient = simulate(lit, capture, few_samples(accuracy, FORESEEN_LOOKINS), seed=0, split_parts=False)
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
+    transient = coarse_transient(config, 0, scene, capture, spad, exposure)
     effects += detector_effects(config, transient.total, transient.time, spad, exposure)
     used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
     seen = (transient.total, capture.time, used, conditions)
@@ -293,3 +289,23 @@ def _percent(share: float) -> str:
 
 def _count(number: int, thing: str) -> str:
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+PILOTS_WORTH = 20.0
+"""So many times the longest pilot: rooms differ, and machines are busy."""
+AT_LEAST_S = 60.0
+
+
+def scene_limit(asked: str, config: DatasetConfig) -> float:
+    """Seconds: the number asked for, or of `forecast` what pilot scenes let expect, with much to spare: start of a
+    worker, compiling included, and `PILOTS_WORTH` times the longest pilot.
+
+    Raises `InputError` for anything else, and what a forecast raises.
+    """
+    if asked == "forecast":
+        expected = make_forecast(config)
+        return max(AT_LEAST_S, expected.startup_s + PILOTS_WORTH * expected.scene_s[2])
+    try:
+        return float(asked)
+    except ValueError:
+        raise InputError(f"--scene-seconds {asked}: must be a number of seconds, or forecast") from None

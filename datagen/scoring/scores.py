@@ -25,7 +25,7 @@ from datagen.scoring.truth import LEAST_SIGMA, Truth, read_truth
 from datagen.store.verify import dataset_digest
 from datagen.suites import suite_of
 
-TOLD = {
+TITLES = {
     "depth_rmse_m": "root mean square error of depth on pixels of objects (m)",
     "depth_mae_m": "mean error of depth on pixels of objects (m)",
     "silhouette_iou": "overlap of silhouettes (IoU)",
@@ -34,7 +34,7 @@ TOLD = {
     "occupancy_iou": "overlap of occupied voxels (IoU)",
     "center_m": "distance of objects' centres (m)",
 }
-"""Metric → what it is."""
+"""Metric → its title for people."""
 Metrics = dict[str, float]
 
 
@@ -63,7 +63,7 @@ class Scores:
     def table(self) -> str:
         """For people."""
         state = "as published" if self.published else "not one of the published suites"
-        width = max(map(len, TOLD.values()))
+        width = max(map(len, TITLES.values()))
         lines = [
             f"{self.dataset} ({state}), split {self.split}: {self.scenes} scenes, in {self.scenes_with_evidence} of "
             f"them every object has {LEAST_SIGMA:g} σ",
@@ -71,7 +71,7 @@ class Scores:
             f"{'':{width}}  {'all':>8}  {f'≥ {LEAST_SIGMA:g} σ':>8}",
         ]
         for name, value in self.all.items():
-            lines.append(f"{TOLD[name]:{width}}  {value:8.3f}  {self.with_evidence[name]:8.3f}")
+            lines.append(f"{TITLES[name]:{width}}  {value:8.3f}  {self.with_evidence[name]:8.3f}")
         return "\n".join(lines)
 
     def json(self) -> str:
@@ -139,7 +139,7 @@ def _metrics(
 
 
 def _by_scene(found: Predictions, truth: Truth) -> dict[str, Floats]:
-    """Metric that is told by scene → (N,)."""
+    """Metrics of which every scene has one value: name → (N,)."""
     of: dict[str, Callable[[int], float]] = {}
     depth, shows = found.depth, found.shows
     if depth is not None and shows is not None:

@@ -26,13 +26,13 @@ from datagen.compiled import compiled
 from datagen.records import Capture, Scene, Transient
 from datagen.records.accuracy import MAX_BOUNCES
 from datagen.records.arrays import Bools, Floats, Ints
+from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable, evaluate
 from datagen.transport.fov import PixelCones
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import stream_seeds
 from datagen.units import time_from_path
 
-REFERENCE_STREAM, PLAIN_STREAM = 96, 99
 AT_ONCE = 1 << 16
 """Samples in memory together."""
 GOES_ON = 0.5
@@ -82,7 +82,7 @@ def plain_paths(
     max_bounces: int | None = 3, direct: bool = False, occlusion: bool = True, seed: int = 0,
 ) -> Paths:  # fmt: skip
     """Paths whose vertices are uniform on all surfaces; arguments as those of `sampled_paths.sample_paths`."""
-    rng = np.random.default_rng([PLAIN_STREAM, seed])
+    rng = np.random.default_rng([LightStream.PLAIN_REFERENCE, seed])
     laser, pixel = np.repeat(pairs, samples, axis=0).T
     count, device = len(pixel), capture.time.origin == "source"
     part_of = scene.face_part.astype(np.int64)
@@ -198,7 +198,7 @@ def reference(
     for replicate in range(replicates):
         before = light.reshape(rows, values).sum(axis=0)
         for start in range(0, len(pairs), at_once):
-            own_seed = int(stream_seeds(seed, REFERENCE_STREAM, replicate, start)[0])
+            own_seed = int(stream_seeds(seed, LightStream.REFERENCE, replicate, start)[0])
             paths = draw(
                 caster, scene, materials, capture, pairs[start : start + at_once], samples, max_bounces=max_bounces,
                 direct=direct, occlusion=occlusion, seed=own_seed,

@@ -31,6 +31,7 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.records import Capture, Scene
 from datagen.records.arrays import Bools, Floats, Ints
+from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, SIN_LOBE, MaterialTable, evaluate, pdf, sample
 from datagen.transport.fov import PixelCones
 from datagen.transport.raycast import Hits, Raycaster
@@ -51,7 +52,6 @@ ROULETTE_FROM = 4
 """Bounce order from which paths may end so."""
 SMALLEST = 1e-200
 """Densities below are taken for 0: far below any with which a path is drawn, and safe to divide by."""
-SAMPLES_STREAM, LATER_STREAM = 96, 97
 
 
 @dataclass(frozen=True)
@@ -341,9 +341,9 @@ def sample_paths(
     """
     t = _Tracer(caster, scene, materials, capture, np.asarray(pairs), samples, occlusion)
     # A scrambling for each pair, so that the errors of pairs are independent.
-    seeds = stream_seeds(seed, SAMPLES_STREAM, np.arange(len(pairs)))
+    seeds = stream_seeds(seed, LightStream.SAMPLED_PATHS, np.arange(len(pairs)))
     numbers = scrambled_sobol(seeds, samples, SOBOL_DIMENSIONS).reshape(-1, SOBOL_DIMENSIONS)
-    later = np.random.default_rng([LATER_STREAM, seed])
+    later = np.random.default_rng([LightStream.LATER_PATHS, seed])
     lit = np.flatnonzero(t.of_sample >= 0)
     x = replace(t.lasers.take(t.of_sample[lit]), sample=lit)
     fov, gain = t.fov_points(t.pixel, numbers[:, :2])

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records.arrays import Floats, Ints, l2_norm
+from datagen.seeding import LightStream
 from datagen.transport.brdf.table import LAMBERTIAN, OREN_NAYAR
 from datagen.transport.cells.gathering import Gathering, patches_of
 from datagen.transport.cells.pairs import arrive, join, room_for
@@ -31,7 +32,6 @@ from datagen.transport.sampling import stream_seeds
 from datagen.transport.walk import WalkTask
 from datagen.units import path_from_time
 
-CLUSTER_STREAM = 66
 COARSEST, LIGHT, PAIR = 1.2, 0.1, 4e-3
 """Of the coarsest cells: the largest, relative to its distance; its error, relative to the light of its end; and the
 error of a pair, relative to the light of all pairs. With half of the last two even scans that ask for little take
@@ -346,7 +346,7 @@ class _Scan:
         device, asked = axis.origin == "source", task.accuracy.occlusion != "off"
         lasers, i = np.unique(pairs[:, 0], return_inverse=True)
         pixels, p = np.unique(pairs[:, 1], return_inverse=True)
-        seed = int(stream_seeds(task.seed, CLUSTER_STREAM, first, np.zeros(1, np.int64))[0])
+        seed = int(stream_seeds(task.seed, LightStream.PAIR_CLUSTERS, first, np.zeros(1, np.int64))[0])
         lit, leg1 = self._lasers(lasers)
         seen, weight, leg3 = self._pixels(pixels, patches, device)
         materials, sharp = task.materials, 1.0 / width**2

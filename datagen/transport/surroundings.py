@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from datagen.seeding import LightStream
 from datagen.transport.brdf import cosine_directions
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 from datagen.transport.walk import WalkTask, blocks_for, pool_for
@@ -15,7 +16,6 @@ PIXELS, POINTS, RAYS = 8, 16, 64
 """Pixels looked at, FoV points of each, and rays from each point."""
 VERTICES_KNOWN = 1024
 """Vertices, spread over all surfaces, that are taken to know what an area that has one of them on average gives."""
-SURROUNDINGS_STREAM = 64
 CONTACT = 0.1
 """Share of what the field of view sees from which surfaces right beside it decide how the secondary is found."""
 
@@ -37,7 +37,7 @@ def surroundings(task: WalkTask, seed: int) -> float:
         return 0.0
     position = np.repeat(pool.position[seen], RAYS, axis=0)
     normal = np.repeat(pool.normal[seen], RAYS, axis=0)
-    numbers = scrambled_sobol(stream_seeds(seed, SURROUNDINGS_STREAM), len(position), 2)[0]
+    numbers = scrambled_sobol(stream_seeds(seed, LightStream.SURROUNDINGS), len(position), 2)[0]
     hits = task.caster.leaving(position, normal, cosine_directions(normal, numbers))
     reach = math.sqrt(float(task.caster.face_area_m2.sum()) / VERTICES_KNOWN)
     return float((hits.valid & (np.linalg.norm(hits.position - position, axis=1) < reach)).mean())

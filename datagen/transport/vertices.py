@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from datagen.records import Laser, Scene
 from datagen.records.arrays import Bools, Floats, Ints
+from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.kernels import light_lookins, random_numbers, scatter
 from datagen.transport.raycast import Hits, Raycaster
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 
-TRIAL_STREAM, COSINE_STREAM, AREA_STREAM, WALK_STREAM, LASER_POINT_STREAM = range(5)
 CHOICES = 4
 """Random numbers a vertex needs: one picks its FoV points, two aim its ray, one is for Russian roulette."""
 SOBOL_STEPS = 3
@@ -126,7 +126,7 @@ class AreaTarget:
         if not len(seen) or not object_parts:
             return nothing
         trial = np.repeat(seen[np.linspace(0, len(seen) - 1, min(len(seen), 8)).astype(int)], 256)
-        seeds = stream_seeds(seed, TRIAL_STREAM, trial[::256])
+        seeds = stream_seeds(seed, LightStream.TRIAL, trial[::256])
         hits = _rays(caster, materials, points, trial, scrambled_sobol(seeds, 256, 2).reshape(-1, 2))
         met = scene.face_part[hits.face[hits.valid]]
         frequency = np.bincount(met, minlength=len(scene.part_names)) / len(trial)
@@ -159,7 +159,7 @@ def laser_point_vertices(
         laser=owner, position=points.position[owner], normal=points.normal[owner], to_previous=points.to_laser[owner],
         part=points.part[owner], power=np.exp(-attenuation_per_m * points.leg[owner]) / count,
         path=np.zeros(len(owner)),
-        choices=scrambled_sobol(streams.seeds(LASER_POINT_STREAM, lasers), count, CHOICES).reshape(-1, CHOICES),
+        choices=scrambled_sobol(streams.seeds(LightStream.LASER_POINTS, lasers), count, CHOICES).reshape(-1, CHOICES),
         stream=np.zeros(len(owner), np.uint64),
     )  # fmt: skip
 
@@ -176,13 +176,13 @@ def draw_lookins(
     by_ray = count - by_area
     dimensions = 2 + CHOICES * min(steps, SOBOL_STEPS)
 
-    sobol = scrambled_sobol(streams.seeds(COSINE_STREAM, lasers), by_ray, dimensions)
+    sobol = scrambled_sobol(streams.seeds(LightStream.COSINE_DIRECTIONS, lasers), by_ray, dimensions)
     sobol = sobol.reshape(-1, dimensions)
     owner = np.repeat(lasers, by_ray)
     hits = _rays(caster, materials, points, owner, sobol)
     face, position = hits.face, hits.position
     if by_area:
-        area_sobol = scrambled_sobol(streams.seeds(AREA_STREAM, lasers), by_area, dimensions)
+        area_sobol = scrambled_sobol(streams.seeds(LightStream.AREA_POINTS, lasers), by_area, dimensions)
         area_sobol = area_sobol.reshape(-1, dimensions)
         area_owner = np.repeat(lasers, by_area)
         area_face, area_position = _points_on_area(caster, target, area_sobol)
@@ -201,10 +201,12 @@ def draw_lookins(
     rays = by_ray * len(lasers)
     own = np.where(kept < rays, kept % by_ray, by_ray + (kept - rays) % max(by_area, 1))
     power *= np.exp(-scene.attenuation_per_m * (points.leg[owner] + distance))
+    none = np.zeros(len(owner), np.uint64)
+    stream = streams.seeds(LightStream.WALK_STEPS, owner, own) if steps > SOBOL_STEPS else none
     return Vertices(
         laser=owner, position=position[kept], normal=normal, to_previous=to_previous,
         part=scene.face_part[face[kept]].astype(np.int64), power=power, path=distance, choices=sobol[kept, 2:],
-        stream=streams.seeds(WALK_STREAM, owner, own) if steps > SOBOL_STEPS else np.zeros(len(owner), np.uint64),
+        stream=stream,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from datagen.records import Accuracy, Capture, Laser, Scene, Sensor
 from datagen.records.arrays import Bools, Ints
+from datagen.seeding import LightStream
 from datagen.transport import cost
 from datagen.transport import vertices as ends
 from datagen.transport.brdf import MaterialTable
@@ -26,7 +27,6 @@ from datagen.transport.visibility.clear_sight import ClearSight
 from datagen.units import path_from_time
 
 COMPONENTS: tuple[str, ...] = ("direct", "primary", "secondary", "higher")
-FOV_STREAM = 16
 FOV_POINTS_PER_POOL = 1 << 19
 """FoV points kept at once, over all pixels of a chunk."""
 ROULETTE_FROM = 4
@@ -250,5 +250,5 @@ def pool_for(task: WalkTask, pixels: Ints, blocks: int, streams: Streams) -> Fov
     """So many blocks of FoV points for each of `pixels`, which may repeat; `streams` has a row for each."""
     return fov_pool(
         task.caster, task.scene, task.capture.sensor, task.cones, pixels, task.accuracy.fov_samples, blocks,
-        streams.seeds(FOV_STREAM, np.arange(len(pixels))),
+        streams.seeds(LightStream.FOV_POINTS, np.arange(len(pixels))),
     )  # fmt: skip

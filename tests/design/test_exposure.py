@@ -11,7 +11,7 @@ from small_measurement import measurement
 
 import datagen as dg
 from datagen.design import exposure
-from datagen.design.estimate import estimated_evidence
+from datagen.design.light import estimated_evidence
 from datagen.detector import detector_for
 from datagen.report.contact_sheet import first_scenes
 from datagen.store import read_manifest

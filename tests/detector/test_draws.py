@@ -13,11 +13,10 @@ from statistics_kit import accept, mean_is, same_law
 
 from datagen.detector import Exposure, Spad, detect
 from datagen.detector.chain import draw_hazard_chain, draw_in_order, draw_return_chain
+from datagen.detector.dead_time import pieces_of
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.flux import cycle_of
-from datagen.detector.poisson import draw_poisson
-from datagen.detector.renewal import pieces_of
-from datagen.detector.streams import exponential, streams_of, uniform
+from datagen.detector.random_numbers import draw_poisson, exponential, streams_of, uniform
 from datagen.detector.tdc import Tdc
 from datagen.records import TimeAxis
 

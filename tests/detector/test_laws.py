@@ -18,8 +18,7 @@ from datagen.detector import (
     detect,
     expected_histogram,
 )
-from datagen.detector.equilibrium import equilibrium
-from datagen.detector.renewal import synchronous_mean
+from datagen.detector.dead_time import equilibrium, synchronous_mean
 from datagen.records import TimeAxis
 
 TIME = TimeAxis(200, 0.5e-9)

@@ -12,16 +12,14 @@ from scipy.stats import binom, chi2, norm, poisson
 from statistics_kit import accept
 
 from datagen.detector import Exposure, Spad, coates_correction, detect, expected_histogram
-from datagen.detector.binomials import binomial
 from datagen.detector.chain import draw_hazard_chain
-from datagen.detector.equilibrium import equilibrium, most_in_window
+from datagen.detector.dead_time import equilibrium, most_in_window, synchronous_mean
 from datagen.detector.events import draw_free_running
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.flux import cycle_of
 from datagen.detector.irf import response_cdf, response_kernel, spread
-from datagen.detector.renewal import synchronous_mean
+from datagen.detector.random_numbers import binomial, stream_of
 from datagen.detector.sampler_choice import poisson_bias
-from datagen.detector.streams import stream_of
 from datagen.detector.tdc import Tdc
 from datagen.errors import InputError
 from datagen.records import TimeAxis
@@ -191,7 +189,9 @@ def test_flux_of_ten_thousand_per_cycle():
         state = equilibrium(lam, edges, 1e-9, tau)
         total = 1e4 / (1 + 1e4 * tau / 1e-7)
         assert state.mean.sum() == pytest.approx(total, rel=2e-3)
-        counts = draw_free_running(lam, edges, 1e-9, 99, tau, 10**5, state, stream_of(1))
+        spad = Spad(dead_time_s=tau)
+        cycle = cycle_of(TIME, spad, Exposure(1e7))
+        counts = draw_free_running(lam, cycle, spad, 10**5, state, stream_of(1))
         assert counts.sum() == pytest.approx(1e5 * total, rel=2e-3)
 
 
@@ -211,7 +211,9 @@ def test_empty_bins_are_never_hit():
     edges = np.linspace(0, 1e-7, 101)
     for tau in (1e-9, 50e-9, 3e-7):
         state = equilibrium(lam, edges, 1e-9, tau)
-        counts = draw_free_running(lam, edges, 1e-9, 99, tau, 200_000, state, stream_of(4))
+        spad = Spad(dead_time_s=tau)
+        cycle = cycle_of(TIME, spad, Exposure(1e7))
+        counts = draw_free_running(lam, cycle, spad, 200_000, state, stream_of(4))
         assert counts[lam == 0].sum() == 0
         assert counts[7] > 0 and counts[60] > 0
 

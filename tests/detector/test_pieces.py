@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from datagen.detector.renewal import PIECE_FLUX, synchronous_mean
+from datagen.detector.dead_time import PIECE_FLUX, synchronous_mean
 
 BINS, WIDTH = 64, 1e-9
 EDGES = WIDTH * np.arange(BINS + 1)

@@ -8,15 +8,13 @@ from photon_by_photon import Rule, simulate
 from statistics_kit import mean_is, same_law
 
 from datagen.detector import Spad
-from datagen.detector.avalanches import draw_avalanches
 from datagen.detector.chain import draw_cycle_ensemble, draw_hazard_chain, draw_return_chain
-from datagen.detector.equilibrium import equilibrium
-from datagen.detector.events import draw_free_running
+from datagen.detector.dead_time import equilibrium, pieces_of
+from datagen.detector.events import draw_avalanches, draw_free_running
 from datagen.detector.expected import mean_detections
 from datagen.detector.flux import Cycle
 from datagen.detector.irf import IDENTITY
-from datagen.detector.renewal import pieces_of
-from datagen.detector.streams import stream_of
+from datagen.detector.random_numbers import stream_of
 
 FLUXES = (0.01, 0.1, 1.0, 4.0)
 BINS, WIDTH = 20, 1e-9
@@ -59,7 +57,8 @@ def drawn(draw, seed):
 def test_free_running_events(flux, length):
     lam, tau, cycles = shape_of(flux), DEAD_TIMES[length], cycles_for(flux)
     state = equilibrium(lam, EDGES, WIDTH, tau)
-    got = drawn(lambda stream: draw_free_running(lam, EDGES, WIDTH, BINS - 1, tau, cycles, state, stream), 1)
+    cycle, spad = cycle_of_test(), Spad(dead_time_s=tau)
+    got = drawn(lambda stream: draw_free_running(lam, cycle, spad, cycles, state, stream), 1)
     same_law(got, truth(lam, Rule(tau), cycles, 2, burn_in=60), f"free running, flux {flux}, dead time {length}")
     mean_is(got, cycles * state.mean, f"free running, flux {flux}, dead time {length}")
 
@@ -143,10 +142,11 @@ def test_crosstalk_couples_neighbours(mode, length):
 def test_cycle_ensemble_has_the_exact_mean_and_nearly_the_variance(length):
     lam, tau, cycles = shape_of(1.0), DEAD_TIMES[length], 100_003
     state = equilibrium(lam, EDGES, WIDTH, tau, shorter_than_dead_time=True)
-    got = drawn(lambda stream: draw_cycle_ensemble(state, BINS, cycles, stream), 13)
+    got = drawn(lambda stream: draw_cycle_ensemble(state, cycles, stream), 13)
     mean_is(got, cycles * state.mean, f"ensemble, {length}")
     # The variance of so many cycles grows with their number.
     few = cycles // 10
-    exact = drawn(lambda stream: draw_free_running(lam, EDGES, WIDTH, BINS - 1, tau, few, state, stream), 14)
+    cycle, spad = cycle_of_test(), Spad(dead_time_s=tau)
+    exact = drawn(lambda stream: draw_free_running(lam, cycle, spad, few, state, stream), 14)
     ratio = got.sum(1).var() / (exact.sum(1).var() * cycles / few)
     assert 0.7 < ratio < 1.5  # 250 replicates: ± 13 % by chance

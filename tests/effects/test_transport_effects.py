@@ -12,7 +12,7 @@ from rooms import furnished_box, square_pixels
 
 from datagen.config import EffectsConfig
 from datagen.effects import EFFECTS, EffectDecisions, decide_transport_effects, trial
-from datagen.effects.lobes import is_lambertian, lambertian_of, mean_albedo
+from datagen.effects.scene_figures import is_lambertian, lambertian_of, mean_albedo
 from datagen.records import (
     GGX,
     Accuracy,

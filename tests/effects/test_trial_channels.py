@@ -13,8 +13,7 @@ from datagen.config import load_config
 from datagen.design.light import transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.effects import EFFECTS, EffectDecisions, decide_transport_effects
-from datagen.effects.channels import trial_channels
-from datagen.effects.trial import LASERS, PIXELS, Trial
+from datagen.effects.trial import LASERS, PIXELS, Trial, trial_channels
 from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.transport import simulate
 from datagen.transport.fov import PixelCones

@@ -8,8 +8,7 @@ import pytest
 
 from datagen.config import config_from_mapping
 from datagen.errors import InputError
-from datagen.forecast import scene_limit as module
-from datagen.forecast.scene_limit import AT_LEAST_S, PILOTS_WORTH, scene_limit
+from datagen.forecast.text import AT_LEAST_S, PILOTS_WORTH, scene_limit
 
 
 def test_the_limit_is_as_asked_or_follows_the_longest_pilot(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -19,5 +18,5 @@ def test_the_limit_is_as_asked_or_follows_the_longest_pilot(monkeypatch: pytest.
         scene_limit("soon", config)
     for longest, limit in ((0.01, AT_LEAST_S), (60.0, 5.0 + 60.0 * PILOTS_WORTH)):
         pilots = SimpleNamespace(startup_s=5.0, scene_s=(0.001, 0.002, longest))
-        monkeypatch.setattr(module, "make_forecast", lambda _, pilots=pilots: pilots)
+        monkeypatch.setattr("datagen.forecast.text.make_forecast", lambda _, pilots=pilots: pilots)
         assert scene_limit("forecast", config) == limit

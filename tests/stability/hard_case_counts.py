@@ -10,11 +10,10 @@ from measured import HardCase
 from scipy import stats
 
 from datagen import Exposure, Spad, TimeAxis, detect, expected_histogram
-from datagen.detector.binomials import binomial
-from datagen.detector.equilibrium import equilibrium
+from datagen.detector.dead_time import equilibrium
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.irf import response_kernel, spread
-from datagen.detector.streams import stream_of
+from datagen.detector.random_numbers import binomial, stream_of
 from datagen.records.arrays import Floats
 from datagen.transport.binning import put
 

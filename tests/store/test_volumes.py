@@ -14,6 +14,7 @@ import datagen as dg
 from datagen.config import config_from_mapping
 from datagen.errors import InputError
 from datagen.reconstruction.backprojection import (
+    BLOCK,
     GEOMETRY,
     Scan,
     backprojected,
@@ -22,7 +23,6 @@ from datagen.reconstruction.backprojection import (
     whitened,
 )
 from datagen.reconstruction.grid import HiddenGrid
-from datagen.reconstruction.laid_out import BLOCK
 from datagen.store.scenes import Scenes
 
 VOXELS = (5, 6, 7)

@@ -11,6 +11,7 @@ import numpy as np
 
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.materials import GGX, Lambertian, Material, Phong, Retroreflector
+from datagen.seeding import LightStream
 from datagen.transport.cells.clusters import COARSEST
 from datagen.transport.cells.hierarchy import Hierarchy
 from datagen.transport.cells.light import AT_ONCE, gather, room_to_gather
@@ -20,7 +21,6 @@ from datagen.transport.sampling import stream_seeds
 from datagen.transport.walk import WalkTask
 from datagen.units import path_from_time
 
-CLUSTER_STREAM = 64
 LEVELS, SIZED, TINY = (1, 5), 64, 1e-4
 """How often even pixels are quartered, if at all; how many of them are measured for that; and their size, relative to
 the scene and to the narrowest lobe, up to which they are points."""
@@ -187,7 +187,7 @@ class Gathering:
         task, parts, rows = self.task, len(error), int(row_of_part.max()) + 1
         histogram = np.zeros((len(pairs) * rows, task.capture.time.bins))
         overflow, work = np.zeros(len(histogram)), np.zeros((parts, 2), np.int64)
-        seed = stream_seeds(task.seed, CLUSTER_STREAM, 0, np.zeros(parts, np.int64) if draw is None else draw)
+        seed = stream_seeds(task.seed, LightStream.CLUSTERS, 0, np.zeros(parts, np.int64) if draw is None else draw)
         materials, sharp = task.materials, 1.0 / self.width**2
         if matt:
             materials, sharp = replace(materials, kind=np.zeros_like(materials.kind)), np.ones(parts)

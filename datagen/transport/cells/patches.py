@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from datagen.records import Scene, Sensor
 from datagen.records.arrays import Bools, Floats, Ints
+from datagen.seeding import LightStream
 from datagen.transport.fov import FovPool, PixelCones, fov_points
 from datagen.transport.raycast import Raycaster
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
@@ -24,7 +25,6 @@ LEAST_SIZE = 1e-9
 LOOKS, MOST_LOOKS = range(1, 4), 1 << 16
 """How often pixels are quartered to see whether they hold an edge: as often as leaves no more than so many lines of
 sight of all of them, for what is small in one of many pixels is little light."""
-PATCH_STREAM = 65
 
 
 class Patches(NamedTuple):
@@ -79,7 +79,7 @@ class Patches(NamedTuple):
         patches = at(pixels, _middles(levels, len(pixels)))
         at_edges = np.flatnonzero(patches.uneven[:, 0])
         if len(at_edges):
-            several = at(pixels[at_edges], _net(levels, stream_seeds(seed, PATCH_STREAM, pixels[at_edges])))
+            several = at(pixels[at_edges], _net(levels, stream_seeds(seed, LightStream.PATCHES, pixels[at_edges])))
             for ours, theirs in zip(patches[:-2], several[:-2], strict=True):
                 ours[at_edges] = theirs
         return patches

@@ -23,6 +23,7 @@ import numpy as np
 
 from datagen.errors import InputError
 from datagen.records.arrays import Bools, Floats, Ints
+from datagen.seeding import LightStream
 from datagen.transport.averages import Average
 from datagen.transport.brdf import LAMBERTIAN, MaterialTable
 from datagen.transport.connections import Clock, Receiver, Rows, Tally
@@ -148,7 +149,7 @@ def _add_group(task: SecondaryTask, lasers: Ints, pixels: Ints, count: int, repl
         else clearance.no_light_buffer()
         for vicinity in vicinities
     ]
-    seeds = stream_seeds(task.seed, samples.OBSERVED_STREAM, replicate, int(lasers[0]))
+    seeds = stream_seeds(task.seed, LightStream.FACTORISED_SECOND, replicate, int(lasers[0]))
     base = scrambled_sobol(seeds, task.observed, 2)[0]
     size = max(
         1, RAYS_PER_CHUNK // max(task.observed + max(len(s.lit_part) for s in vicinities), fov.weight.size // blocks)
@@ -166,7 +167,7 @@ def _walk_near(
     """Add the paths whose lookin is near the laser point, by walks from it."""
     bins = sums.transient.shape[2]
     nothing = AreaTarget(0.0, np.empty(0, np.int64), np.empty(0), 1.0, np.zeros(len(task.caster.corners), np.bool_))
-    seed = int(stream_seeds(task.seed, samples.WALK_STREAM)[0])
+    seed = int(stream_seeds(task.seed, LightStream.FACTORISED_WALKS)[0])
     streams = Streams.of(seed, np.array([replicate]), np.arange(len(task.points.part)))
     splits = np.zeros(len(task.materials.kind), np.int64)
     axis, walks = task.capture.time, WALKS_PER_LOOKIN * count

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records.arrays import Bools, Floats, Ints
+from datagen.seeding import LightStream
 from datagen.transport.brdf import cosine_directions
 from datagen.transport.factorised.secondary_kernels import FovPoints, Frame, LaserVicinity, Lookins, Pace, Surfaces
 from datagen.transport.fov import FovPool, fov_pool
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
 from datagen.transport.walk import WalkTask
 
-FOV_STREAM, LOOKIN_STREAM, OBSERVED_STREAM, LIT_STREAM, WALK_STREAM = range(32, 37)
 FOV_POINTS_PER_POOL = 1 << 16
 RAYS_FROM_LASER_POINT = 1 / 8
 """Rays drawn from each laser point, as a share of the lookins or of the observed points, whichever is more."""
@@ -61,7 +61,7 @@ def fov_points(task: SecondaryTask, pixels: Ints, count: int, replicate: int) ->
     blocks = 1 << max(0, min(count, affordable).bit_length() - 1)
     pool = fov_pool(
         task.caster, task.scene, task.capture.sensor, task.cones, pixels, task.accuracy.fov_samples, blocks,
-        stream_seeds(task.seed, FOV_STREAM, replicate, pixels),
+        stream_seeds(task.seed, LightStream.FACTORISED_FOV_POINTS, replicate, pixels),
     )  # fmt: skip
     worth = np.where(pool.weight > 0, pool.weight * task.materials.values[pool.part, 0], 0.0)
     of_block = worth.reshape(len(pixels), blocks, -1).sum(axis=(0, 2))
@@ -74,7 +74,8 @@ def place_lookins(
     task: SecondaryTask, fov: FovPoints, blocks: int, lasers: Ints, pixels: Ints, count: int, replicate: int
 ) -> Lookins:
     """Lookins by cosine rays from FoV points, or from the laser point; those that cannot carry light are left out."""
-    sobol = scrambled_sobol(stream_seeds(task.seed, LOOKIN_STREAM, replicate, int(lasers[0])), count, 6)[0]
+    seeds = stream_seeds(task.seed, LightStream.FACTORISED_FIRST, replicate, int(lasers[0]))
+    sobol = scrambled_sobol(seeds, count, 6)[0]
     scaled = sobol[:, 0] * blocks
     block = np.minimum(scaled, blocks - 1).astype(np.int64)
     if task.placement == "laser":
@@ -100,7 +101,8 @@ def place_lookins(
 def laser_vicinities(task: SecondaryTask, lasers: Ints, count: int, replicate: int) -> list[LaserVicinity]:
     """The laser points, with where cosine rays from each land near it."""
     rays = int(np.ceil(max(count, task.observed) * RAYS_FROM_LASER_POINT)) if task.near_square > 0 else 0
-    uv = scrambled_sobol(stream_seeds(task.seed, LIT_STREAM, replicate, lasers), rays, 2).reshape(-1, 2)
+    seeds = stream_seeds(task.seed, LightStream.FACTORISED_LIT, replicate, lasers)
+    uv = scrambled_sobol(seeds, rays, 2).reshape(-1, 2)
     owner = np.repeat(lasers, rays)
     n1, x1 = task.points.normal[owner], task.points.position[owner]
     hits = task.caster.closest(x1 + task.caster.offset_m * n1, cosine_directions(n1, uv))

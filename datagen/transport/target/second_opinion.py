@@ -24,6 +24,7 @@ import numpy as np
 from scipy import stats
 
 from datagen.records.arrays import Bools, Floats, Ints
+from datagen.seeding import LightStream
 from datagen.transport.coincidence import lit_in_one_place
 from datagen.transport.cost import SAMPLE
 from datagen.transport.reference import pairs_of
@@ -32,7 +33,6 @@ from datagen.transport.sampling import stream_seeds
 from datagen.transport.walk import WalkTask
 from datagen.units import time_from_path
 
-OPINION_STREAM = 98
 PAIRS, SAMPLES, SHARE = (128, 1024), 16, 0.04
 """Fewest and most pairs drawn in a first look, samples of each, and the share of the work on the light that a first
 look may take in between. Half the pairs would see a loss √2 times as large."""
@@ -119,7 +119,7 @@ def _lifted(task: WalkTask) -> Floats:
 def _look(task: WalkTask, claims: Mapping[str, Claim], count: int, last_order: int, look: int) -> Opinion:
     """One look at `count` pairs; it agrees."""
     time = task.capture.time
-    seed = int(stream_seeds(task.seed, OPINION_STREAM, 0, np.array([look]))[0])
+    seed = int(stream_seeds(task.seed, LightStream.SECOND_OPINION, 0, np.array([look]))[0])
     every = pairs_of(task.capture)
     lit = np.flatnonzero(task.points.part[every[:, 0]] >= 0)
     found = {name: claim.light.reshape(-1, time.bins) for name, claim in claims.items()}
@@ -170,7 +170,8 @@ def _drawn(lights: list[Floats], count: int, seed: int) -> tuple[Ints, Floats]:
     share += (1 - EVENLY) * sum(shares) / max(len(shares), 1)
     running = np.cumsum(share)
     # One draw in each of `count` equal steps of the running sum.
-    steps = (np.arange(count) + np.random.default_rng([OPINION_STREAM, seed]).random(count)) / count * running[-1]
+    within = np.random.default_rng([LightStream.SECOND_OPINION, seed]).random(count)
+    steps = (np.arange(count) + within) / count * running[-1]
     places = np.minimum(np.searchsorted(running, steps, side="right"), len(share) - 1)
     return places, share[places] / running[-1]
 

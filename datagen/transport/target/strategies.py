@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from datagen.records.arrays import Bools, Ints
+from datagen.seeding import LightStream
 from datagen.transport.cost import RAY, Work
 from datagen.transport.factorised.secondary import factorising
 from datagen.transport.sampling import stream_seeds
@@ -18,7 +19,6 @@ from datagen.transport.target.confidence import total_variance
 from datagen.transport.target.strata import Known, Stratum, square_norm, with_fov_samples
 from datagen.transport.walk import WalkTask, part_of
 
-TARGET_STREAM = 48
 SEEDS_PER_ROUND = 8
 FIRST_LOOKINS = 4096
 """Lookins of a first round over all laser points, between the bounds of the next line for each of them."""
@@ -60,7 +60,7 @@ class Seeds:
         """The seeds of one round, one for each number of lookins in it."""
         numbers = np.arange(self._used, self._used + SEEDS_PER_ROUND)
         self._used += SEEDS_PER_ROUND
-        high, low = (stream_seeds(self._seed, TARGET_STREAM, half, numbers) for half in (0, 1))
+        high, low = (stream_seeds(self._seed, LightStream.TARGET_HALVES, half, numbers) for half in (0, 1))
         return [int(h) << 32 | int(w) for h, w in zip(high, low, strict=True)]
 
 

@@ -1,4 +1,4 @@
-"""Counting with a non-paralyzable dead time, in the mean: the armed share of cycles, piece by piece.
+"""The mean under a non-paralyzable dead time: the share of cycles in which the diode is armed, piece by piece.
 
 Bins are cut into pieces of at most `PIECE_FLUX` events. With A_i the share of cycles that are armed for piece i,
 
@@ -6,10 +6,13 @@ Bins are cut into pieces of at most `PIECE_FLUX` events. With A_i the share of c
 
 where w shares out the returns of what was detected in piece k, uniform in that piece, to the pieces a dead time
 later. For equal pieces and small λ the weights are (1−f)²/2, ½+f−f², f²/2 at d, d+1, d+2 pieces, τ = d + f.
+A synchronous detector starts every cycle armed; a free-running one hands its state on to the next cycle, until that
+no longer changes (`equilibrium`).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +30,14 @@ _FLUX_PIECES = 16_384
 _LONG_PIECE_FLUX = 0.002
 """The same for long background bins, in which detections may start or end abruptly."""
 _MOST_PIECES = 4_000_000
+"""Pieces of a period at most: 0.2 GB of arrays."""
+_SWEEPS = 24
+"""Cycles after which a fixed point that has not settled is solved for. Half as many save time only where a flux of
+several events a cycle keeps detections in step; a moderate one settles in three or four."""
+_SETTLED = 1e-13
+"""Change of a sweep, in detections per cycle, at which a mean is settled: the rounding of a cycle's sums."""
+FOR_A_START = 1e-8
+"""Change of a sweep at which the state is settled enough to begin an exposure in: 10⁻⁸ detections, once."""
 
 
 class Pieces(NamedTuple):
@@ -114,10 +125,12 @@ def synchronous_mean(
     """
     dead_time_s = min(dead_time_s, float(edges_s[-1]))
     rows = np.ascontiguousarray(flux).reshape(-1, flux.shape[-1])
-    out = np.zeros_like(rows)
-    done = _started_armed(rows, edges_s.copy(), width_s, dead_time_s, piece_flux, out)
-    if done < len(rows):
-        pieces_of(rows[done], edges_s, width_s, dead_time_s, piece_flux=piece_flux)
+    out = np.empty_like(rows)
+    for row, own in enumerate(rows):
+        pieces = pieces_of(own, edges_s, width_s, dead_time_s, piece_flux=piece_flux)
+        none = np.zeros(len(pieces.flux) + 1)
+        table = return_table(pieces.flux, pieces.edges, dead_time_s)
+        out[row] = pieces.per_bin(run_cycle(table, 1.0, none, none.copy())[0], len(own))
     return out.reshape(flux.shape)
 
 
@@ -226,21 +239,157 @@ def run_cycle(table: Table, armed: float, returning: Array, following: Array) ->
 
 
 @compiled()
-def _started_armed(flux: Array, edges: Array, width: float, dead_time: float, piece_flux: float, out: Array) -> int:
-    """The detections of one cycle of each row, added to `out`; how many rows come before one of too many pieces."""
-    for row in range(len(flux)):
-        count = _parts(flux[row], edges, width, dead_time, False, piece_flux)
-        if not count.sum() <= _MOST_PIECES:
-            return row
-        pieces, bin_of, cut = _cut(flux[row], edges, count.astype(np.int64))
-        none = np.zeros(len(pieces) + 1)
-        detections, _ = run_cycle(return_table(pieces, cut, dead_time), 1.0, none, none.copy())
-        for piece in range(len(pieces)):
-            out[row, bin_of[piece]] += detections[piece]
-    return len(flux)
-
-
-@compiled()
 def _edge_at(edges: Array, index: int, m: int, period: float) -> float:
     """Edge number `index`, counted on past the end of the period."""
     return float(edges[index] if index <= m else edges[index - m] + period)
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """A free-running detector long after it was switched on.
+
+    Attributes
+    ----------
+    flux : (n,) events per cycle and bin. pieces : the bins cut up, and the dead time.
+    detections : (m,) expected detections per cycle and piece.
+    armed : probability to be armed at phase 0.
+    """
+
+    flux: Array
+    pieces: Pieces
+    detections: Array
+    armed: float
+
+    @property
+    def mean(self) -> Array:
+        """(n,) expected detections per cycle and bin."""
+        return self.pieces.per_bin(self.detections, len(self.flux))
+
+
+def equilibrium(
+    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
+    settled: float = _SETTLED,
+) -> Equilibrium:  # fmt: skip
+    """Expected detections per cycle of a free-running detector, dead time of any length.
+
+    Whole periods in τ = m T_r + τ′ only rescale: D = X / (1 + m ΣX) with X the answer for τ′. X is the fixed point of
+    one cycle's recursion: found by sweeps from near equilibrium, which a moderate flux settles at once, or else by a
+    sparse solution of its linear equations (where a high flux keeps detections in step for very many cycles).
+
+    Parameters
+    ----------
+    flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges from 0 to the period.
+    width_s : bins longer than this are background, cut more finely.
+    shorter_than_dead_time : whether pieces must be shorter than the dead time, as `draw_cycle_ensemble` needs them.
+    settled : change of a sweep, in detections per cycle, at which the fixed point is taken as found.
+    """
+    period = float(edges_s[-1])
+    whole = int(np.floor(dead_time_s / period * (1 + 1e-15)))
+    rest = max(dead_time_s - whole * period, 0.0)
+    if rest < 1e-9 * width_s:
+        rest = 0.0
+    cut = shorter_than_dead_time and whole == 0
+    pieces = pieces_of(flux, edges_s, width_s, rest, shorter_than_dead_time=cut)
+    most = float(most_in_window(flux, edges_s, rest))
+    detections = _fixed_point(pieces, most, settled) if rest > 0.0 else pieces.flux
+    scale = 1.0 / (1.0 + whole * float(detections.sum()))
+    detections = detections * scale
+    dead = whole * float(detections.sum()) + _tail_sum(pieces.edges, detections, rest)
+    long = Pieces(pieces.flux, pieces.bin_of, pieces.edges, dead_time_s)
+    return Equilibrium(flux, long, detections, max(1.0 - dead, 0.0))
+
+
+def _tail_sum(edges: Array, values: Array, length: float) -> float:
+    """Sum of piecewise uniform `values` over the last `length` of the period."""
+    if length <= 0:
+        return 0.0
+    cumulative = np.append(0.0, np.cumsum(values))
+    return float(cumulative[-1] - np.interp(edges[-1] - length, edges, cumulative))
+
+
+def _fixed_point(pieces: Pieces, most: float, settled: float) -> Array:
+    """(m,) detections per cycle that one cycle hands on to the next unchanged, dead time below a period."""
+    table = return_table(pieces.flux, pieces.edges, pieces.dead_time)
+    m = len(pieces.flux)
+    # Near equilibrium: every piece scaled alike, by what keeps the detector's dead share below 1.
+    start = pieces.flux / (1.0 + most)
+    piece, due_in = _returns(table)
+    late = due_in >= m
+    due = table[3][late] * start[piece[late]]
+    returning: Array = np.bincount(due_in[late] - m, due, m + 1).astype(np.float64)
+    armed = max(1.0 - returning.sum(), 0.0)
+    scale = armed + returning.sum()
+    armed, returning = armed / scale, returning / scale
+    for _ in range(_SWEEPS):
+        following = np.zeros(m + 1)
+        detections, armed_after = run_cycle(table, armed, returning.copy(), following)
+        change = abs(armed_after - armed) + np.abs(following - returning).sum()
+        armed, returning = armed_after, following
+        if change < settled:
+            return detections
+    return _solve(table)
+
+
+def _solve(table: Table) -> Array:
+    """The fixed point from A_{i+1} − A_i + D_i − Σ_k w_{k→i+1} D_k = 0 with D_k = g_k A_k.
+
+    These add up to 0 = 0, so one of them makes room for the sum of all shares, armed or due to return, being 1. The
+    equations couple neighbours and pieces a dead time apart, a narrow helix, so that elimination stays cheap.
+    """
+    q, _, _, weights = table
+    m = len(q)
+    piece, due_in = _returns(table)
+    number, following = np.arange(m), (np.arange(m) + 1) % m
+    # Part of what is detected in a piece returns within it, and may fire again: a geometric series.
+    at_once = due_in == piece
+    itself = np.bincount(piece[at_once], weights[at_once], m)
+    gain = q / (1.0 - itself * q)
+    due = (weights * gain[piece])[~at_once]
+    piece, due_in = piece[~at_once], due_in[~at_once]
+    # Row j holds the equation for A_{j+1}; row m − 1, which would be that for A_0, the sum of all shares.
+    rows = np.concatenate([number, number, number, (due_in - 1) % m])
+    columns = np.concatenate([number, following, number, piece])
+    values = np.concatenate([-np.ones(m), np.ones(m), gain * (1.0 - itself), -due])
+    keep = rows != m - 1
+    shares = np.bincount(piece, due * (due_in > m), m)
+    shares[0] += 1.0
+    counted = np.flatnonzero(shares)
+    rows, columns = np.append(rows[keep], np.full(len(counted), m - 1)), np.append(columns[keep], counted)
+    values = np.append(values[keep], shares[counted])
+    # Here, because few ever need them, and they take long to import.
+    from scipy.sparse import csc_matrix
+    from scipy.sparse.linalg import splu
+
+    matrix = csc_matrix((values, (rows, columns)), shape=(m, m))
+    right = np.zeros(m)
+    right[-1] = 1.0
+    armed: Array = splu(matrix).solve(right)
+    return gain * np.maximum(armed, 0.0)
+
+
+def _returns(table: Table) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Of every weight of the table the piece that is detected in, and the piece, counted on past the end of the
+    period, that it returns to."""
+    _, first, offset, weights = table
+    piece = np.repeat(np.arange(len(first)), np.diff(offset))
+    return piece, first[piece] + np.arange(len(weights)) - offset[piece]
+
+
+def most_in_window(flux: Array, edges: Array, length: float) -> Array:
+    """(…,) the most flux (…, n) in any interval of `length` < period seconds, across the end of the period too."""
+    period = edges[-1]
+    cumulative = np.concatenate([np.zeros((*flux.shape[:-1], 1)), np.cumsum(flux, axis=-1)], axis=-1)
+    total, before = cumulative[..., -1:], cumulative[..., :-1]
+
+    def until(times: Array) -> Array:
+        """(…, n) the integral of the flux from the start of each bin until `times`, below two periods."""
+        late = times >= period
+        phase = times - np.where(late, period, 0.0)
+        j = np.clip(np.searchsorted(edges, phase, side="right") - 1, 0, len(edges) - 2)
+        share = np.clip((phase - edges[j]) / np.diff(edges)[j], 0.0, 1.0)
+        return np.asarray(cumulative[..., j] + share * flux[..., j] + late * total - before)
+
+    # The integral over a sliding interval is piecewise linear: it peaks where one of its ends meets an edge. What
+    # intervals that end at an edge leave of the period starts there.
+    starting, ending = until(edges[:-1] + length), total[..., 0] - until(edges[:-1] + (period - length)).min(axis=-1)
+    return np.asarray(np.maximum(np.maximum(starting.max(axis=-1), 0.0), ending), np.float64)

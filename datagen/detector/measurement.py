@@ -1,0 +1,108 @@
+"""A transient under a detector and an exposure: checked once, its flux worked out block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from datagen.detector.flux import Cycle, cycle_of, flux_per_cycle
+from datagen.detector.spad import Exposure, Spad
+from datagen.detector.tdc import Tdc
+from datagen.errors import InputError
+from datagen.records import TimeAxis
+from datagen.records.checks import as_reals, check_integer, check_kind
+
+Array = NDArray[np.float64]
+
+_BLOCK_VALUES = 1 << 16
+"""Flux values of a block of laser points: 0.5 MB, which caches hold. With half as many calls of numpy take a larger
+share of the time."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What all histograms of a call share.
+
+    Attributes
+    ----------
+    transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
+    cycle, tdc : the laser period, and the converter of detections to records.
+    first_laser, first_pixel : numbers of the first laser point and pixel.
+    """
+
+    transient: Array
+    cycle: Cycle
+    tdc: Tdc
+    spad: Spad
+    exposure: Exposure
+    first_laser: int = 0
+    first_pixel: int = 0
+
+    @classmethod
+    def of(
+        cls, transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, first_laser: int = 0,
+        first_pixel: int = 0,
+    ) -> Measurement:  # fmt: skip
+        """The measurement that the arguments of a call describe; raises `InputError` where they are wrong."""
+        check_kind("time", time, TimeAxis)
+        check_kind("spad", spad, Spad)
+        check_kind("exposure", exposure, Exposure)
+        for name, value in (("first_laser", first_laser), ("first_pixel", first_pixel)):
+            check_integer("detect", name, value, 0, 2**62)
+        values = _checked_transient(transient, time, exposure.photons_per_pulse)
+        pixels = values.shape[1]
+        if _has_crosstalk(spad) and (first_pixel != 0 or pixels % (spad.array_columns or 1) != 0):
+            raise InputError(
+                f"crosstalk_probability = {spad.crosstalk_probability:g}, array_columns = {spad.array_columns}, with "
+                f"{pixels} pixels from number {first_pixel}: crosstalk needs whole rows of all pixels from number 0"
+            )
+        cycle = cycle_of(time, spad, exposure)
+        return cls(values, cycle, Tdc(cycle), spad, exposure, first_laser, first_pixel)
+
+    @property
+    def coupled(self) -> bool:
+        """Whether crosstalk makes the pixels of a laser point one system."""
+        return _has_crosstalk(self.spad) and self.transient.shape[1] > 1
+
+    def where(self, histogram: int) -> str:
+        """Words for a histogram, by its number in the order of laser points and their pixels."""
+        laser, pixel = divmod(int(histogram), self.transient.shape[1])
+        return f"laser {self.first_laser + laser}, pixel {self.first_pixel + pixel}"
+
+    def fluxes(self) -> Iterator[tuple[int, Array]]:
+        """Block after block of laser points: the number of its first, and the flux per cycle (laser, pixel, n)."""
+        lasers, pixels, _ = self.transient.shape
+        step = max(_BLOCK_VALUES // (pixels * len(self.cycle.gate)), 1)
+        for start in range(0, lasers, step):
+            block = self.transient[start : start + step]
+            yield start, flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel)
+
+
+def _has_crosstalk(spad: Spad) -> bool:
+    """Whether avalanches may set off others in neighbouring pixels."""
+    return spad.crosstalk_probability > 0 and spad.mode != "ideal"
+
+
+def _checked_transient(transient: ArrayLike, time: TimeAxis, photons_per_pulse: float) -> Array:
+    """(laser, pixel, bin) float64 view of a transient, refused with its first offending entry named."""
+    values = as_reals("transient", transient)
+    if values.ndim not in (1, 3):
+        raise InputError(f"transient: shape {values.shape} given; (laser, pixel, bin) or (bin,) is needed")
+    if values.shape[-1] != time.bins or values.size == 0:
+        raise InputError(
+            f"transient: shape {values.shape} with a time axis of {time.bins} bins; the last axis must be the bins "
+            "and no axis may be empty"
+        )
+    values = values.reshape((1, 1, -1)) if values.ndim == 1 else values
+    # One pass for the usual case: a NaN fails both comparisons.
+    if not (values.min() >= 0 and values.max() * max(photons_per_pulse, 1.0) < 1e300):
+        bad = ~((values >= 0) & (values * max(photons_per_pulse, 1.0) < 1e300))
+        laser, pixel, bin_ = (int(i) for i in np.argwhere(bad)[0])
+        raise InputError(
+            f"transient[laser {laser}, pixel {pixel}, bin {bin_}] = {values[laser, pixel, bin_]:g}: must be a finite "
+            f"number ≥ 0 ({np.count_nonzero(bad)} such entries)"
+        )
+    return values
