@@ -205,7 +205,7 @@ def spread_clear(  # type: ignore[no-untyped-def]
         light_at_points(batch, count, x, n1, clock.attenuation)
         _verdicts(batch, count, x, n1, limit, allowed, clock)
         _tents(batch, count, clock.per_metre, clock.start, at_once)
-        halves = np.int64(0)
+        halves = 0
         for j in range(min(count, WIDE)):
             what = batch[VERDICT * WIDE + j]
             if what == SPREAD:
@@ -231,7 +231,7 @@ def spread_clear(  # type: ignore[no-untyped-def]
                 cell[top, 16], cell[top, 17] = batch[SHARE * WIDE + j], 0.0
                 f, q = int(batch[OF * WIDE + j]), int(batch[PATCH * WIDE + j])
                 top = push(tag, top, KEPT, f, q, free, free, free)
-        light_at_points(cuts, halves, x, n1, clock.attenuation)
+        light_at_points(cuts, np.int64(halves), x, n1, clock.attenuation)
         for k in range(min(halves, WIDE)):
             j = int(cuts[k])
             side = 5 * int(batch[(LONG + 1) * WIDE + j])
