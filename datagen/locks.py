@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 try:
     import fcntl
 except ImportError:  # Windows.
@@ -23,10 +21,3 @@ def locked(handle: int, otherwise: bool) -> bool:
     except OSError:
         return otherwise
     return True
-
-
-def unlock(handle: int) -> None:
-    """Let a file go that may stay open in a child that was forked meanwhile."""
-    if fcntl is not None:
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_UN)

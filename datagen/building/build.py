@@ -31,6 +31,7 @@ from datagen.building.shard_job import (
     scene_age_s,
     scene_at,
 )
+from datagen.compiled import first_use
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import CheckError, InputError
@@ -162,14 +163,20 @@ def build(
     there = store.committed(root, plan, hashes=True)
     if not accept_mixed:
         _check_unmixed(root, there)
+    uncompiled = False
     if sample_function is None:
         from datagen import pipeline
 
         sample_function, input_check = pipeline.simulate_sample, input_check or pipeline.check_inputs
+        uncompiled = workers > 1 and first_use()
     if input_check is not None:
         input_check(config)
     try:
         with started(engine, workers, scheduler) as running:
+            if uncompiled:
+                # One worker fills the cache of compiled kernels, or each would compile all of them. Should this scene
+                # fail, that is told when it is built.
+                wait([running.submit(sample_function, config, 0)])
             manifest = store.prepare(root, config)
             if bucket is not None:
                 upload.begin(root, bucket, manifest)

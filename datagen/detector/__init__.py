@@ -12,9 +12,6 @@ Not modelled:
 - photons outside the time axis: a direct return before its start, or light after its end, causes no dead time.
 """
 
-from pathlib import Path
-
-from datagen.compiled import drop_stale_kernels
 from datagen.detector.classes import DETECTOR_CLASSES, detector_for
 from datagen.detector.detect import choose_sampler, detect, detect_and_choice, expected_histogram
 from datagen.detector.inverse import coates_correction, dead_time_correction
@@ -25,5 +22,3 @@ __all__ = [
     "DETECTOR_CLASSES", "Exposure", "Sampler", "SamplerChoice", "Spad", "choose_sampler", "coates_correction",
     "dead_time_correction", "detect", "detect_and_choice", "detector_for", "expected_histogram",
 ]  # fmt: skip
-
-drop_stale_kernels(Path(__file__).parent)

@@ -13,15 +13,9 @@ docs/evidence.md has the derivation and what is left out.
 Under 3 no network can learn the label from the data.
 """
 
-from pathlib import Path
-
-from datagen.compiled import drop_stale_kernels
 from datagen.evidence.image import evidence_image
 from datagen.evidence.in_sight import light_in_sight
 from datagen.evidence.own import Evidence, own_evidence
 from datagen.evidence.presence import Presence, presence_evidence
 
 __all__ = ["Evidence", "Presence", "evidence_image", "light_in_sight", "own_evidence", "presence_evidence"]
-
-_HERE = Path(__file__).parent
-drop_stale_kernels(_HERE, _HERE.with_name("transport"))

@@ -5,9 +5,6 @@ If the relay wall were a window, what would stand behind it? All labels share on
 normal right × up, which points from the wall into the room. See `datagen.labels.frame`.
 """
 
-from pathlib import Path
-
-from datagen.compiled import drop_stale_kernels
 from datagen.labels.boxes import OBJECT_TABLES, ObjectBoxes
 from datagen.labels.frame import ViewFrame
 from datagen.labels.make import IMAGE_FIELDS, LABEL_FIELDS, VOLUME_FIELDS, ObjectSlots, make_labels
@@ -22,5 +19,3 @@ __all__ = [
     "ViewFrame",
     "make_labels",
 ]
-
-drop_stale_kernels(Path(__file__).parent)

@@ -165,7 +165,9 @@ def _guesses(kind, values, part, normal, middle, radius, x, v):  # type: ignore[
             # The angle by which the mirror direction and that to the pixel differ from one end to the other.
             span = radius[i] / r1 + (radius[i] + v.size[p]) / r3
             k = kind[part[i]]
-            row[:] = values[part[i]]
+            # In a loop: the message for arrays that do not fit would be compiled with `row[:] = …`, text and all.
+            for j in range(len(row)):
+                row[j] = values[part[i], j]
             if k in (PHONG, RETROREFLECTOR):
                 row[1] = min(row[1], 1.0 / (span * span))
             elif k == GGX_LOBE:

@@ -68,8 +68,3 @@ def test_configuration_example_is_one(tmp_path: Path) -> None:
     config = load_config(tmp_path / "spots.yaml")
     assert (config.transport.target, config.transport.max_bounces) == (0.02, 4)
     assert datagen.generate_scene(config.scene, seed=3, index=0).roles.count("object") == 2
-
-
-def test_public_names_are_importable() -> None:
-    for name in datagen.__all__:
-        assert getattr(datagen, name) is not None

@@ -112,9 +112,7 @@ def test_what_is_brought_back_is_exported_as_before(made: Any, tmp_path: Path) -
         first = next((folder / "files").iterdir())
         (again,) = export(back, folder / "again", format)
         contents = [
-            scipy.io.loadmat(path)
-            if format == "mat" and scan == "circle"
-            else {name: of[()] for name, of in h5py.File(path).items()}
+            scipy.io.loadmat(path) if format == "mat" else {name: of[()] for name, of in h5py.File(path).items()}
             for path in (first, again)
         ]
         for name in (

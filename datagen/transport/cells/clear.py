@@ -32,10 +32,11 @@ MOST_QUARTERED = 256
 # product of the BRDFs; the triangle's normal, the patch's place, normal and footprint; a point, and w, R₁ and R₂
 # there; the longest side and which it is; what the patch makes of light, its size, whether it has quarters, the legs
 # to the device if they count, the sides of the patch and its direction to the device; verdict and bend; the
-# energy, and the seven numbers of its tent.
+# energy, and the seven numbers of its tent. As np.int64, because numba compiles a function anew for each plain int.
+FIRST, SECOND, THIRD = map(np.int64, (0, 5, 10))
 AREA, OF, PATCH, SHARE, BRDF, STACKED = 15, 16, 17, 18, 19, 20
-NORMAL, SEEN_FROM, NORMAL3, FOOTPRINT, POINT, LIGHT, LONG = 20, 23, 26, 29, 30, 33, 36
-GAIN, SIZE, QUARTERS, LEGS, ACROSS, TO_SENSOR, VERDICT, BEND = 38, 39, 40, 41, 42, 48, 51, 52
+NORMAL, SEEN_FROM, NORMAL3, FOOTPRINT, POINT, LIGHT, LONG = map(np.int64, (20, 23, 26, 29, 30, 33, 36))
+GAIN, SIZE, QUARTERS, LEGS, ACROSS, TO_SENSOR, VERDICT, BEND = map(np.int64, (38, 39, 40, 41, 42, 48, 51, 52))
 ENERGY, TENT, NUMBERS = 53, 54, 61
 DROPPED, SPREAD, CUT, QUARTERED = 0.0, 1.0, 2.0, 3.0
 
@@ -96,7 +97,7 @@ def _at(batch, row, j):  # type: ignore[no-untyped-def]
 def _middles(batch, count):  # type: ignore[no-untyped-def]
     """The middles of the cells of a batch as its points, and their longest sides."""
     for j in range(min(count, WIDE)):
-        a, b, c = _at(batch, 0, j), _at(batch, 5, j), _at(batch, 10, j)
+        a, b, c = _at(batch, FIRST, j), _at(batch, SECOND, j), _at(batch, THIRD, j)
         u, v, w = less(b, a), less(c, b), less(a, c)
         ab, bc, ca = dot(u, u), dot(v, v), dot(w, w)
         for i in range(3):
@@ -112,7 +113,7 @@ def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-un
     per_metre, attenuation, opens, closes = clock.per_metre, clock.attenuation, clock.opens, clock.closes
     for j in range(min(count, WIDE)):
         z, n3 = _at(batch, SEEN_FROM, j), _at(batch, NORMAL3, j)
-        a, b, c = _at(batch, 0, j), _at(batch, 5, j), _at(batch, 10, j)
+        a, b, c = _at(batch, FIRST, j), _at(batch, SECOND, j), _at(batch, THIRD, j)
         above1 = max(dot(less(a, x), n1), dot(less(b, x), n1), dot(less(c, x), n1))
         above3 = max(dot(less(a, z), n3), dot(less(b, z), n3), dot(less(c, z), n3))
         w = max(batch[LIGHT * WIDE + j], batch[3 * WIDE + j], batch[8 * WIDE + j], batch[13 * WIDE + j])
@@ -230,7 +231,7 @@ def spread_clear(  # type: ignore[no-untyped-def]
                 cell[top, 16], cell[top, 17] = batch[SHARE * WIDE + j], 0.0
                 f, q = int(batch[OF * WIDE + j]), int(batch[PATCH * WIDE + j])
                 top = push(tag, top, KEPT, f, q, free, free, free)
-        light_at_points(cuts, halves, x, n1, clock.attenuation)
+        light_at_points(cuts, np.int64(halves), x, n1, clock.attenuation)
         for k in range(min(halves, WIDE)):
             j = int(cuts[k])
             side = 5 * int(batch[(LONG + 1) * WIDE + j])

@@ -19,6 +19,9 @@ COARSEST = 0.8
 """Largest cell or patch, relative to its distance."""
 CLUTTERED = 0.5
 """Error of a cluster whose normals go everywhere, relative to its light: of that much it may hide itself."""
+PLACES, NORMALS, ALONG_X, ALONG_Y, ALONG_Z = map(np.int64, (3, 9, 20, 26, 32))
+"""Columns of `Hierarchy.moment` where a symmetric matrix begins: covariance of the places, moment of the normals, and
+how that changes along x, y and z. As np.int64, because numba compiles a function anew for each plain int."""
 DRAWS = 8
 """Points drawn at most for one that is bright. With half as many meshes lose half as much light again."""
 UNLIKE = 0.05
@@ -74,34 +77,36 @@ def as_one(moment, k, x, z, sides, diffuse, keen, per_metre):  # type: ignore[no
     """
     c = get(moment, k, 0)
     d1, d3 = less(c, x), less(c, z)
-    facing, doubt = _quadratic(moment, k, 9, d1, d3), 0.0
+    facing, doubt = _quadratic(moment, k, NORMALS, d1, d3), 0.0
     if sides == 0:
-        most = 0.5 * (facing + math.sqrt(_quadratic(moment, k, 9, d1, d1) * _quadratic(moment, k, 9, d3, d3)))
+        most = 0.5 * (
+            facing + math.sqrt(_quadratic(moment, k, NORMALS, d1, d1) * _quadratic(moment, k, NORMALS, d3, d3))
+        )
         least = max(facing, 0.0)
         facing = 0.5 * (least + most)
         doubt = 0.5 * (most - least) / facing if facing > 0.0 else 0.0
     both = (d1[0] + d3[0], d1[1] + d3[1], d1[2] + d3[2])
     nearer = (
-        _quadratic(moment, k, 20, both, (1.0, 0.0, 0.0))
-        + _quadratic(moment, k, 26, both, (0.0, 1.0, 0.0))
-        + _quadratic(moment, k, 32, both, (0.0, 0.0, 1.0))
+        _quadratic(moment, k, ALONG_X, both, (1.0, 0.0, 0.0))
+        + _quadratic(moment, k, ALONG_Y, both, (0.0, 1.0, 0.0))
+        + _quadratic(moment, k, ALONG_Z, both, (0.0, 0.0, 1.0))
     )
     trace = moment[k, 3] + moment[k, 4] + moment[k, 5]
     # Seen from its edge a cluster may change by more than it is, and the first order says nothing.
     near = facing * facing > 4.0 * trace * dot(both, both)
     per = 1.0 / facing if near else 0.0
     place = (
-        c[0] + per * _quadratic(moment, k, 20, d1, d3),
-        c[1] + per * _quadratic(moment, k, 26, d1, d3),
-        c[2] + per * _quadratic(moment, k, 32, d1, d3),
+        c[0] + per * _quadratic(moment, k, ALONG_X, d1, d3),
+        c[1] + per * _quadratic(moment, k, ALONG_Y, d1, d3),
+        c[2] + per * _quadratic(moment, k, ALONG_Z, d1, d3),
     )
     d1, d3 = less(place, x), less(place, z)
     r1, r3 = math.sqrt(dot(d1, d1)), math.sqrt(dot(d3, d3))
     g = (d1[0] / r1 + d3[0] / r3, d1[1] / r1 + d3[1] / r3, d1[2] / r1 + d3[2] / r3)
     n = unit(g) if diffuse else get(moment, k, 15)
-    across1 = trace - _quadratic(moment, k, 3, d1, d1) / (r1 * r1)
-    across3 = trace - _quadratic(moment, k, 3, d3, d3) / (r3 * r3)
-    longer, variance = 0.5 * (across1 / r1 + across3 / r3), max(_quadratic(moment, k, 3, g, g), 0.0)
+    across1 = trace - _quadratic(moment, k, PLACES, d1, d1) / (r1 * r1)
+    across3 = trace - _quadratic(moment, k, PLACES, d3, d3) / (r3 * r3)
+    longer, variance = 0.5 * (across1 / r1 + across3 / r3), max(_quadratic(moment, k, PLACES, g, g), 0.0)
     tilt = (facing + nearer if near else facing) / (dot(d1, n) * dot(d3, n))
     h, apart = math.sqrt(18.0 * trace), math.sqrt(6.0 * variance)
     # Normals go with place; light need not come as a triangle's; and what is not diffuse changes with the normal.

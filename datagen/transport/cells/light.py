@@ -171,7 +171,7 @@ def gather(  # type: ignore[no-untyped-def]
             most, turn, cells, rays = np.inf, np.int64(word >> np.uint64(8)), 0, 0
             cell[0, 16], cell[0, 17] = 1.0, UNFOUND
             top = push(tag, 0, BOX, roots[k], 0, LISTED, to_z, free if two_legs else to_z)
-            alight = 0
+            alight = np.int64(0)
             while top > 0 or alight > 0:
                 if top == 0:
                     alight, more, beyond, top = spread_clear(

@@ -7,12 +7,15 @@ seen though no ray found anything (17). Its tag says what it is, its number, its
 
 from __future__ import annotations
 
+import numpy as np
+
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot
 from datagen.transport.cells.geometry import get, less, longest, put
 
-BOX, FRESH, CELL, KEPT = 0, 1, 2, 3
-"""What waits to be looked at: a box, a cell, a cell whose vertices' light is known, one that needs another look."""
+BOX, FRESH, CELL, KEPT = map(np.int64, range(4))
+"""What waits to be looked at: a box, a cell, a cell whose vertices' light is known, one that needs another look. As
+np.int64, because numba compiles a function anew for each plain int."""
 
 
 @compiled()

@@ -21,7 +21,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri
 
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
@@ -105,7 +105,7 @@ def second_opinion(task: WalkTask, claims: Mapping[str, Claim], cost: float = 0.
         return first
     second = _look(task, claims, max(MORE * PAIRS[0], 4 * count), order, 2 * turn + 1)
     tests = (WINDOWS + 1) * len(claims)
-    agrees = second.sigmas <= float(stats.norm.isf(LEVEL / (2 * tests)))
+    agrees = second.sigmas <= -float(ndtri(LEVEL / (2 * tests)))
     undecided = not agrees and lit_in_one_place(task.scene, task.caster, _lifted(task))
     return replace(second, agrees=agrees or undecided, undecided=undecided, samples=first.samples + second.samples)
 
