@@ -309,15 +309,19 @@ def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quarteri
         if finest == MOST_LEVELS or (still <= FINEST_SHARE * most and (of_parts <= FINEST_SHARE * limits).all()):
             break
         finest += 1
-    for levels in range(finest + 1):
-        if levels > 0 and pixels * 4 ** (levels + 1) > MOST_PATCHES:
+    # From the finest on, for what they cost falls by as much as their number.
+    coarsest, error, errors = finest, still, of_parts
+    while coarsest > 0:
+        change = at(finest) - at(coarsest - 1)
+        more, of_each = _norm(change) + still, _norms(change) + of_parts
+        if more > most or (of_each > limits).any():
             break
-        change = at(finest) - at(levels)
-        error, errors = _norm(change) + still, _norms(change) + of_parts
-        if error <= most and (errors <= limits).all():
-            edge_levels, beside, of_each = _at_edges(edges, choice, asked, choice.histogram[at_edge])
-            return Quartering(levels, edge_levels, math.hypot(error, beside), np.hypot(errors, of_each))
-    return None
+        coarsest, error, errors = coarsest - 1, more, of_each
+    too_many = coarsest > 0 and pixels * 4 ** (coarsest + 1) > MOST_PATCHES
+    if too_many or error > most or (errors > limits).any():
+        return None
+    edge_levels, beside, of_each = _at_edges(edges, choice, asked, choice.histogram[at_edge])
+    return Quartering(coarsest, edge_levels, math.hypot(error, beside), np.hypot(errors, of_each))
 
 
 def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tuple[int, float, Floats]:
