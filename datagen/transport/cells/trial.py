@@ -19,7 +19,7 @@ from datagen.transport.cells.gathering import EDGE_LEVELS, Gathered, Gathering, 
 from datagen.transport.cost import CELL, CELL_RAY
 
 TRIALS, MOST_TRIED = (12, 48), 1 << 23
-"""Fewest and most pairs of laser point and pixel on which the cutting is chosen, one in twenty in between; and values
+"""Fewest and most pairs of laser point and pixel on which the cutting is chosen, one in 32 in between; and values
 of their histograms at most."""
 COARSE = 1e300
 """An error that every cell may make: surfaces are cut by distance alone."""
@@ -449,7 +449,7 @@ def _drawn(share: Floats, wanted: int) -> tuple[Ints, Floats]:
 
 def _trials(pairs: int, values: int) -> int:
     """On how many of so many pairs a cutting is tried, each with so many values of histograms."""
-    return int(np.clip(min(pairs // 20, MOST_TRIED // values), *TRIALS))
+    return int(np.clip(min(pairs // 32, MOST_TRIED // values), *TRIALS))
 
 
 def spread_evenly(count: int, wanted: int) -> Ints:
