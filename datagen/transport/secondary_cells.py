@@ -44,7 +44,7 @@ GROWTH, FALL = 2.5, 0.65
 WITHIN = 0.85
 """Share of the error to be met that its estimate may reach on the pairs tried: others may be worse."""
 TRIALS, LOOKED_AT = (8, 48), 4
-"""Fewest and most pairs of laser point and pixel on which the level is chosen, one in twenty in between; and how many
+"""Fewest and most pairs of laser point and pixel on which the level is chosen, one in 32 in between; and how many
 are looked at roughly for each of them."""
 PATCH_LEVELS, PATCHES_SHARE, FROM_QUARTERS = 3, 0.25, 4 / 3
 """How often pixels are quartered at most; the share of the error that may come of it; and that error, relative to
@@ -110,7 +110,7 @@ def _secondary(
     patches, most = scan.patches_to_begin, _Most(len(lit), too_dear)
     if len(lit) == 0 or most.exceeded(scan.light(lit[:1], 0, patches, np.inf).cost):
         return None
-    wanted = int(np.clip(len(lit) // 20, *TRIALS))
+    wanted = int(np.clip(len(lit) // 32, *TRIALS))
     looked = lit[spread_evenly(len(lit), LOOKED_AT * wanted)]
     rough = scan.light(looked, 0, patches, np.inf)
     if gathering.lobed:

@@ -394,9 +394,13 @@ def gather(  # type: ignore[no-untyped-def]
                         first, middle, last = last, half_way, behind
                 if quarter:
                     cell[top, 17] = UNFOUND
-                    # Another point of the wall, before which other things may stand.
-                    listed[last] = listed[last + 1] = 0
-                    first, middle, last = last, last + some, last + (2 * some if last_leg else some)
+                    # Another point of the wall, before which other things may stand; what may hide the cell from
+                    # the laser point is what it was.
+                    for j in range(middle - first):
+                        listed[last + j] = listed[first + j]
+                    first, middle = last, last + middle - first
+                    last = middle + (some if last_leg else 0)
+                    listed[middle] = 0
                     here, kept = top, BOX if what == BOX else FRESH
                     if few:
                         cell[top, 16] = 4.0 * share

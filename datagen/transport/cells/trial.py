@@ -19,7 +19,7 @@ from datagen.transport.cells.gathering import EDGE_LEVELS, Gathered, Gathering, 
 from datagen.transport.cost import CELL, CELL_RAY
 
 TRIALS, MOST_TRIED = (12, 48), 1 << 23
-"""Fewest and most pairs of laser point and pixel on which the cutting is chosen, one in twenty in between; and values
+"""Fewest and most pairs of laser point and pixel on which the cutting is chosen, one in 32 in between; and values
 of their histograms at most."""
 COARSE = 1e300
 """An error that every cell may make: surfaces are cut by distance alone."""
@@ -312,16 +312,20 @@ def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quarteri
         if finest == MOST_LEVELS or (still <= FINEST_SHARE * most and (of_parts <= FINEST_SHARE * limits).all()):
             break
         finest += 1
-    for levels in range(finest + 1):
-        if levels > 0 and pixels * 4 ** (levels + 1) > MOST_PATCHES:
+    # From the finest on, for what they cost falls by as much as their number.
+    coarsest, error, errors = finest, still, of_parts
+    while coarsest > 0:
+        change = at(finest) - at(coarsest - 1)
+        more, of_each = _norm(change) + still, _norms(change) + of_parts
+        if more > most or (of_each > limits).any():
             break
-        change = at(finest) - at(levels)
-        error, errors = _norm(change) + still, _norms(change) + of_parts
-        if error <= most and (errors <= limits).all():
-            edge_levels, beside, of_each = _at_edges(edges, choice, asked, choice.histogram[at_edge])
-            gain = _norm(at(levels) - at(trial.levels))
-            return Quartering(levels, edge_levels, math.hypot(error, beside), np.hypot(errors, of_each), gain)
-    return None
+        coarsest, error, errors = coarsest - 1, more, of_each
+    too_many = coarsest > 0 and pixels * 4 ** (coarsest + 1) > MOST_PATCHES
+    if too_many or error > most or (errors > limits).any():
+        return None
+    edge_levels, beside, of_each = _at_edges(edges, choice, asked, choice.histogram[at_edge])
+    gain = _norm(at(coarsest) - at(trial.levels))
+    return Quartering(coarsest, edge_levels, math.hypot(error, beside), np.hypot(errors, of_each), gain)
 
 
 def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tuple[int, float, Floats]:
@@ -457,7 +461,7 @@ def _drawn(share: Floats, wanted: int) -> tuple[Ints, Floats]:
 
 def _trials(pairs: int, values: int) -> int:
     """On how many of so many pairs a cutting is tried, each with so many values of histograms."""
-    return int(np.clip(min(pairs // 20, MOST_TRIED // values), *TRIALS))
+    return int(np.clip(min(pairs // 32, MOST_TRIED // values), *TRIALS))
 
 
 def spread_evenly(count: int, wanted: int) -> Ints:
