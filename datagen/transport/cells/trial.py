@@ -66,10 +66,9 @@ PATCHES_SHARE = 0.2
 MOST_LEVELS, FROM_LARGER, FINEST_SHARE = 6, 1 / 3, 0.5
 """How often pixels of the trial are quartered at most; error of patches, relative to the difference from those twice
 as large, for it is of second order; and how much of `PATCHES_SHARE` the finest ones may have."""
-FALLING, SLOWEST = (1 / 3, 0.75), 0.4
-"""By how much the difference of a net of points from one of a quarter of them is smaller than the one before it, at
-least and at most: beside an edge errors are of order 3/4 in the number of points, where surfaces touch a pixel of
-1/4; and how much smaller than before the error may come out, which may be small by chance."""
+FROM_FEWER, SLOWEST = 0.5, 0.4
+"""Error of a net of points, relative to its difference from one of a quarter of them: of order 3/4 in their number
+beside an edge; and that difference, relative to the one before it, at least: it may be small by chance."""
 
 
 @dataclass(frozen=True)
@@ -337,24 +336,16 @@ def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tupl
     left = (asked.target * choice.whole) ** 2 - choice.error**2
     left_of_part = np.where(choice.held, choice.limit**2 - choice.still**2, np.inf)
     coarsest, coarser = (edges.gathered(choice.tried, 0, max(level - k, 0), choice.draw).histogram for k in (2, 1))
-    before = coarser - coarsest
-    error, of_parts = _left(_norm(before), np.inf), _left(_norms(before), np.inf)
+    error, of_parts = FROM_FEWER * _norm(coarser - coarsest), FROM_FEWER * _norms(coarser - coarsest)
     while True:
-        change = finer - coarser
-        error = np.maximum(_left(_norm(change), _norm(before)), SLOWEST * error)
-        of_parts = np.maximum(_left(_norms(change), _norms(before)), SLOWEST * of_parts)
+        change = FROM_FEWER * (finer - coarser)
+        error, of_parts = max(_norm(change), SLOWEST * error), np.maximum(_norms(change), SLOWEST * of_parts)
         enough = error**2 <= left and (of_parts**2 <= left_of_part).all()
         points = 4 ** (level + 1)
         if enough or at_edge * points > MOST_PATCHES or len(edges.pairs) * points > MOST_PATCHES_TRIED:
-            return level, float(error), of_parts
-        level, before = level + 1, change
+            return level, error, of_parts
+        level += 1
         coarser, finer = finer, edges.gathered(choice.tried, 0, level, choice.draw).histogram
-
-
-def _left(change: Floats | float, before: Floats | float) -> Floats:
-    """L2 error after the last of two changes, of these norms: if each further one is smaller by the same factor."""
-    ratio = np.clip(change / np.maximum(before, TINY), *FALLING)
-    return np.asarray(change * ratio / (1 - ratio))
 
 
 def _cheapest(

@@ -116,13 +116,14 @@ def _claims(task: WalkTask, primary: Primary) -> dict[str, Claim]:
     The light of a part that is held to no error of its own may be wrong by as much as the whole.
     """
     whole = reduce(np.add, primary.rows)
-    claims = {"primary": Claim(whole, primary.error * float(whole.sum()), order=3)}
-    error = primary.error * l2_norm(whole)
+    of_whole = primary.error * float(whole.sum())
+    claims = {"primary": Claim(whole, of_whole, order=3)}
     for k, name in enumerate(task.splits.parts):
-        norm = l2_norm(primary.rows[k])
-        if norm > 0.0:
-            relative = primary.part_errors.get(name, min(error / norm, 1.0))
-            claims[name] = Claim(primary.rows[k], relative * float(primary.rows[k].sum()), 3, k)
+        own = primary.part_errors.get(name)
+        if own is not None or primary.rows[k].any():
+            claims[name] = Claim(
+                primary.rows[k], of_whole if own is None else own * float(primary.rows[k].sum()), 3, k
+            )
     return claims
 
 
