@@ -31,7 +31,7 @@ from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, TimeAxis,
 from datagen.records.sample import SCAN_PLACE
 from datagen.scene import check_scene_config
 from datagen.seeding import Purpose, derived_seed
-from datagen.transport.raycast import Raycaster
+from datagen.transport.visibility.raycast import Raycaster
 
 BACKGROUND_FIELDS = ("background_histogram", "background_transient")
 

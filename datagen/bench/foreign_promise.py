@@ -31,10 +31,10 @@ from datagen.bench.foreign_scenes import ForeignScene, foreign_scene
 from datagen.bench.measuring import KEPT, continued, machine, markdown, processor_seconds, promises_kept
 from datagen.records import Accuracy, Transient
 from datagen.records.arrays import Floats
-from datagen.transport.raycast import Raycaster
 from datagen.transport.reference import pairs_of, reference
 from datagen.transport.sampled_paths import sample_paths
-from datagen.transport.solver import simulate
+from datagen.transport.simulate import simulate
+from datagen.transport.visibility.raycast import Raycaster
 
 WHOLE = "whole"
 RUNS = 8

@@ -30,7 +30,7 @@ from datagen.detector import detector_for
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Laser, Transient
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.cells.trial import by_light
+from datagen.transport.error_control.refinement import by_light
 
 TARGETS = (0.02, 0.05)
 POINTS, HELD, FINER = 64, 16, 3

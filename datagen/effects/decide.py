@@ -21,7 +21,7 @@ from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scalar, Scene, TimeAxis, Transient
 from datagen.records.checks import check_kind, check_number, check_seed
 from datagen.transport import transient_of
-from datagen.transport.raycast import Raycaster
+from datagen.transport.visibility.raycast import Raycaster
 
 EFFECTS: tuple[Effect[Any], ...] = (*TRANSPORT_EFFECTS, *DETECTOR_EFFECTS)
 """Every effect there is, one row each, in the order in which light meets them."""

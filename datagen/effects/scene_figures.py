@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from datagen.effects.trial import Trial, affordable, run_trial
 from datagen.records import Accuracy, Capture, Lambertian, Material, OrenNayar, Phong, Retroreflector, Scene, SinLobe
 from datagen.transport.brdf import albedo
-from datagen.transport.fov import PixelCones
-from datagen.transport.lines_of_sight import lines_of_sight
-from datagen.transport.raycast import Raycaster
-from datagen.transport.vertices import LaserPoints
+from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.path_tracing.vertices import LaserPoints
 from datagen.transport.visibility.clearance import flat_patch, pyramids_clear
+from datagen.transport.visibility.lines_of_sight import lines_of_sight
+from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import path_from_time
 
 PAIRS_CHECKED = 1 << 22

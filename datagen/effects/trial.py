@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 from datagen.records import Accuracy, Capture, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport import transient_of
-from datagen.transport.cost import BIN, CALL, RAY
-from datagen.transport.fov import PixelCones
-from datagen.transport.raycast import Raycaster
-from datagen.transport.vertices import LaserPoints
+from datagen.transport.error_control.cost import BIN, CALL, RAY
+from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.visibility.raycast import Raycaster
 
 SHARE = 0.02
 """Share of the transport's cost that a trial run may take."""

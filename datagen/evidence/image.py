@@ -24,11 +24,11 @@ from datagen.labels.images import HiddenSurface
 from datagen.records import Capture, Scene, Sensor
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot
-from datagen.transport.cells.geometry import air, cross, get, less, unit
-from datagen.transport.cells.weights import weight
-from datagen.transport.fov import FovPool, PixelCones, fov_points
-from datagen.transport.raycast import Raycaster, lifted_and_scaled
-from datagen.transport.vertices import LaserPoints
+from datagen.transport.fields_of_view import FovPool, PixelCones, fov_points
+from datagen.transport.geometry import air, cross, get, less, unit
+from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.quadrature.weights import weight
+from datagen.transport.visibility.raycast import Raycaster, lifted_and_scaled
 from datagen.units import path_from_time
 
 STATIONS = 16

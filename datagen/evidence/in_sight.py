@@ -17,13 +17,13 @@ import numpy as np
 
 from datagen.records import Accuracy, Capture, Lambertian, Scene
 from datagen.records.arrays import Bools, Floats
-from datagen.transport.averages import walk_average
 from datagen.transport.brdf import MaterialTable
-from datagen.transport.fov import PixelCones
-from datagen.transport.lines_of_sight import lines_of_sight
-from datagen.transport.raycast import Raycaster
-from datagen.transport.solver import prepared
-from datagen.transport.vertices import LaserPoints
+from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.path_tracing.averages import walk_average
+from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.simulate import prepared
+from datagen.transport.visibility.lines_of_sight import lines_of_sight
+from datagen.transport.visibility.raycast import Raycaster
 
 LOOKINS, FOV_SAMPLES = 1024, 16
 """Samples where the accuracy asks for an error and states none. One bounce is exact with any; the error of two and of

@@ -21,9 +21,9 @@ from datagen.records import Capture, Lambertian, Scene, SinLobe
 from datagen.transport.brdf import Vector
 from datagen.transport.brdf.sin_lobe import azimuth_sine
 from datagen.transport.factorised.convolution import Paths
-from datagen.transport.fov import PixelCones
-from datagen.transport.raycast import Raycaster
-from datagen.transport.vertices import LaserPoints
+from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import path_from_time
 
 Grid = Literal["angles", "solid_angle"]

@@ -1,5 +1,5 @@
 """Light transport: from a scene and a capture to the transient."""
 
-from datagen.transport.solver import simulate, transient_of
+from datagen.transport.simulate import simulate, transient_of
 
 __all__ = ["simulate", "transient_of"]

@@ -28,9 +28,9 @@ from datagen.records.accuracy import MAX_BOUNCES
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable, evaluate
-from datagen.transport.fov import PixelCones
-from datagen.transport.raycast import Raycaster
+from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.sampling import stream_seeds
+from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import time_from_path
 
 AT_ONCE = 1 << 16

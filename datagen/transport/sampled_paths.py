@@ -33,11 +33,11 @@ from datagen.records import Capture, Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, SIN_LOBE, MaterialTable, evaluate, pdf, sample
-from datagen.transport.fov import PixelCones
-from datagen.transport.raycast import Hits, Raycaster
+from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.reference import Paths
 from datagen.transport.sampled_paths_aim import Aim, Ends, aim
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
+from datagen.transport.visibility.raycast import Hits, Raycaster
 
 BY_AREA = 0.5
 """Share of x₂ drawn by area: whatever it is, the mean is the same. Half of it meets what is small or far half as

@@ -17,7 +17,7 @@ from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import GGX_LOBE, PHONG, RETROREFLECTOR, MaterialTable, dot, evaluate
-from datagen.transport.raycast import Raycaster
+from datagen.transport.visibility.raycast import Raycaster
 
 EVENLY = 0.25
 """Share of the points of a part that are drawn evenly over its area all the same: where a guess is wrong, they count

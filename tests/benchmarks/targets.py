@@ -4,7 +4,7 @@
 
 *Error*: relative L2 of a run with a target, against a long run of another seed (the truth) with `TRUTH` of the
 smallest target, whose own expected squared error is subtracted.
-*Cost*: in connections with their shadow rays (`transport/cost.py`), beside that of the cheapest fixed counts
+*Cost*: in connections with their shadow rays (`error_control/cost.py`), beside that of the cheapest fixed counts
 `Accuracy(lookins=N, fov_samples=M)` whose error is the target on average (root mean square), which half of their runs
 miss: what somebody would pay who knew N and M beforehand.
 

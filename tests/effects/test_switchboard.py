@@ -60,7 +60,7 @@ def world_of(config: DatasetConfig) -> tuple[Any, Any, Any]:
 
 def test_direct_return_off_is_not_called(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, capture, accuracy = world_of(small())
-    target = "datagen.transport.connections.Receiver.add_laser_points"
+    target = "datagen.transport.path_tracing.connections.Receiver.add_laser_points"
     for setting in ("off", "on"):
         settings = EVERYTHING.model_copy(update={"direct_return": setting})
         decided = decide_transport_effects(scene, capture, accuracy, settings)
@@ -92,7 +92,7 @@ def test_bounces_off_are_not_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = switched(secondary_bounce="off", higher_bounces="off")
     decided = decide_transport_effects(scene, capture, accuracy, settings)
     reduced_scene, reduced = decided.apply_transport(scene, capture, accuracy)
-    monkeypatch.setattr("datagen.transport.vertices.continued", never)
+    monkeypatch.setattr("datagen.transport.path_tracing.vertices.continued", never)
     found = simulate(reduced_scene, capture, reduced, seed=1)
     assert set(found.components) == {"direct", "primary"}
 

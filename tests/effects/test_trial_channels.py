@@ -16,9 +16,9 @@ from datagen.effects import EFFECTS, EffectDecisions, decide_transport_effects
 from datagen.effects.trial import LASERS, PIXELS, Trial, trial_channels
 from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.transport import simulate
-from datagen.transport.fov import PixelCones
-from datagen.transport.raycast import Raycaster
-from datagen.transport.vertices import LaserPoints
+from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.visibility.raycast import Raycaster
 
 DEVICE = (2.5, 0.05, 1.25)
 AXIS = TimeAxis(96, 0.4e-9, 0.0, "source")

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-USERS = {"datagen.transport.raycast", "scene_library.sightlines"}
+USERS = {"datagen.transport.visibility.raycast", "scene_library.sightlines"}
 RAY8_SUPPORTED, RAY16_SUPPORTED = 33, 34
 """RTC_DEVICE_PROPERTY_NATIVE_RAY8_SUPPORTED and …_RAY16_SUPPORTED: whether AVX and AVX-512 are in use."""
 DEVICE_AT = object.__basicsize__

@@ -9,10 +9,10 @@ from rooms import bins_of_path, furnished_box, one_point_capture, square_pixels
 
 from datagen import Accuracy, Capture, Laser, Sensor, TimeAxis, simulate
 from datagen.paper.as_printed import AsPrinted, simulate_as_printed
-from datagen.transport.cells.gathering import Gathering
-from datagen.transport.cells.trial import COARSE
+from datagen.transport.error_control.refinement import COARSE
 from datagen.transport.factorised.secondary import secondary_transient
-from datagen.transport.solver import prepared
+from datagen.transport.quadrature.gathering import Gathering
+from datagen.transport.simulate import prepared
 
 FACTOR = 4
 SCENE = furnished_box()

@@ -12,14 +12,14 @@ from rooms import bins_of_path, furnished_box, one_point_capture, rectangle
 from datagen import Accuracy, Capture, Lambertian, OrenNayar, Part, Scene
 from datagen.bench.problems import lump
 from datagen.records.materials import Material
-from datagen.transport.cells.arrival import spread
-from datagen.transport.cells.gathering import Gathering
-from datagen.transport.cells.hierarchy import Hierarchy
-from datagen.transport.cells.occluders import Occluders
-from datagen.transport.cells.occlusion import LISTED, SUSPECT, hidden, lists, narrowed
-from datagen.transport.cells.solids import inner_side
+from datagen.transport.quadrature.arrival_times import spread
+from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import pairs_of
-from datagen.transport.solver import prepared
+from datagen.transport.simulate import prepared
+from datagen.transport.visibility.bvh import Hierarchy
+from datagen.transport.visibility.closed_surfaces import inner_side
+from datagen.transport.visibility.occluder_rows import Occluders
+from datagen.transport.visibility.occlusion import LISTED, SUSPECT, hidden, lists, narrowed
 
 
 def cluttered() -> Scene:

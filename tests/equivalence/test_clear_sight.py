@@ -13,10 +13,10 @@ from scene.random_specs import LAYOUTS, random_scene
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
 from datagen.errors import InputError
-from datagen.transport.fov import PixelCones, fov_pool
-from datagen.transport.raycast import Raycaster
+from datagen.transport.fields_of_view import PixelCones, fov_pool
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.visibility.clear_sight import ClearSight
+from datagen.transport.visibility.raycast import Raycaster
 
 BLOCKS = 8
 

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from rooms import demonstration_room, furnished_box
 
 from datagen import Scene
-from datagen.transport.raycast import Raycaster
 from datagen.transport.visibility.clearance import (
     flat_patch,
     light_buffer,
@@ -16,6 +15,7 @@ from datagen.transport.visibility.clearance import (
     plane_of_faces,
     pyramids_clear,
 )
+from datagen.transport.visibility.raycast import Raycaster
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from rooms import furnished_box, rectangle, square_pixels
 
 from datagen import Lambertian, Part, Scene, Sensor
-from datagen.transport.fov import PixelCones, PixelPatches
-from datagen.transport.lines_of_sight import lines_of_sight
-from datagen.transport.raycast import Raycaster
+from datagen.transport.fields_of_view import PixelCones, PixelPatches
+from datagen.transport.visibility.lines_of_sight import lines_of_sight
+from datagen.transport.visibility.raycast import Raycaster
 
 EYE = np.array([1.5, 0.1, 1.3])
 

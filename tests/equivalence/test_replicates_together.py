@@ -9,7 +9,7 @@ from rooms import bins_of_path, rectangle, square_pixels
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
 from datagen.records import Transient
-from datagen.transport import averages
+from datagen.transport.path_tracing import averages
 
 AXIS = bins_of_path(60, 0.1, 0.0)
 DEVICE = np.array([2.0, 0.0, 1.2])

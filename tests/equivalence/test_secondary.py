@@ -21,11 +21,11 @@ from datagen.records.materials import Phong
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.factorised import convolution, secondary
 from datagen.transport.factorised.convolution import SUB_BINS, Histograms, Paths, Sums
-from datagen.transport.fov import PixelCones, fov_pool
-from datagen.transport.raycast import Raycaster
+from datagen.transport.fields_of_view import PixelCones, fov_pool
+from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
 from datagen.transport.sampling import Streams, stream_seeds
-from datagen.transport.solver import prepared
-from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
+from datagen.transport.simulate import prepared
+from datagen.transport.visibility.raycast import Raycaster
 
 DEVICE = (1.5, 0.1, 1.3)
 

@@ -17,15 +17,14 @@ from scipy import stats
 
 from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Retroreflector, Scene, Sensor, simulate
 from datagen.bench.foreign_scenes import foreign_scene
-from datagen.transport import secondary_cells
-from datagen.transport.cells.gathering import Gathering
-from datagen.transport.fov import PixelCones
+from datagen.transport.error_control.meet_target import _sampled
+from datagen.transport.error_control.strategies import ForecastWalk
+from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.quadrature.four_bounces import Secondary, secondary_by_cells
+from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import pairs_of, reference
 from datagen.transport.sampled_paths import sample_paths
-from datagen.transport.secondary_cells import Secondary, secondary_by_cells
-from datagen.transport.solver import prepared
-from datagen.transport.target.adaptive import _sampled
-from datagen.transport.target.strategies import ForecastWalk
+from datagen.transport.simulate import prepared
 
 RUNS, LEVEL, OWN = 8, 1e-3, 0.04
 DEVICE = (1.5, 0.1, 1.3)
@@ -137,18 +136,16 @@ def test_in_a_sphere_each_bounce_multiplies_by_the_albedo(albedo: float) -> None
 def test_errors_fall_from_level_to_level_as_two_of_them_foretell() -> None:
     capture = scan("exhaustive", 5e-4)
     task = prepared(furnished_box(), capture, Accuracy(target=0.02, max_bounces=4), 0, split_parts=False)
-    found, pairs = secondary_cells._Scan.of(Gathering.of(task)), pairs_of(task.capture)
+    found, pairs = four_bounces._Scan.of(Gathering.of(task)), pairs_of(task.capture)
     scale = (of_all := found.light(pairs, 0, 0, np.inf)).photons.sum() / of_all.gain
-    runs = [
-        found.light(pairs, k, 0, secondary_cells.PAIR * secondary_cells.FINER**k * scale).histogram for k in range(6)
-    ]
+    runs = [found.light(pairs, k, 0, four_bounces.PAIR * four_bounces.FINER**k * scale).histogram for k in range(6)]
     norm = np.linalg.norm(runs[-1])
     errors = [np.linalg.norm(run - runs[-1]) / norm for run in runs[:-1]]
     assert errors[0] < 0.1
     assert errors[4] < 0.3 * errors[0]
     for k in range(1, 4):
         # What two levels say of the coarser one, against the finest of all.
-        assert errors[k - 1] < secondary_cells._still(runs[: k + 1])[-1] / norm
+        assert errors[k - 1] < four_bounces._still(runs[: k + 1])[-1] / norm
 
 
 def test_small_triangles_are_taken_together() -> None:
@@ -157,9 +154,9 @@ def test_small_triangles_are_taken_together() -> None:
     found, capture = [], scan("exhaustive", 5e-4)
     for times in (0, 2):
         task = prepared(with_meshes(times), capture, Accuracy(target=0.02, max_bounces=4), 0, split_parts=False)
-        cells, pairs = secondary_cells._Scan.of(Gathering.of(task)), pairs_of(task.capture)
+        cells, pairs = four_bounces._Scan.of(Gathering.of(task)), pairs_of(task.capture)
         scale = (rough := cells.light(pairs, 0, 0, np.inf)).photons.sum() / rough.gain
-        allowed = secondary_cells.PAIR * secondary_cells.FINER * scale
+        allowed = four_bounces.PAIR * four_bounces.FINER * scale
         found.append(cells.light(pairs, 1, 0, allowed))
     coarse, fine = found
     assert fine.pairs < 1.1 * coarse.pairs
@@ -232,7 +229,7 @@ def test_pairs_looked_at_in_vain_are_paid_for() -> None:
         Part("ball", ball, Retroreflector(0.8, half_width_rad=0.005)),
     )
     task = prepared(scene, scan("exhaustive", 5e-4), Accuracy(target=0.02, max_bounces=4), 0, split_parts=False)
-    cells, pairs = secondary_cells._Scan.of(Gathering.of(task)), pairs_of(task.capture)
+    cells, pairs = four_bounces._Scan.of(Gathering.of(task)), pairs_of(task.capture)
     most = 20 * len(pairs) * cells.light(pairs, 0, 0, np.inf).cost
     asked = list[float]()
 

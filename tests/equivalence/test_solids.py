@@ -8,8 +8,8 @@ import trimesh
 from trimesh.creation import box
 
 from datagen import Lambertian, Part, Scene
-from datagen.transport.cells.hierarchy import Hierarchy
-from datagen.transport.cells.solids import NONE, SEVERAL
+from datagen.transport.visibility.bvh import Hierarchy
+from datagen.transport.visibility.closed_surfaces import NONE, SEVERAL
 from scene_library.plates import union_plate
 
 

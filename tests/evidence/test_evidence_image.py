@@ -17,7 +17,7 @@ from datagen.evidence.own import evidence_and_gain
 from datagen.labels import make_labels
 from datagen.labels.images import hidden_surface
 from datagen.records import Rectangle
-from datagen.transport.raycast import Raycaster
+from datagen.transport.visibility.raycast import Raycaster
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 LABELS = LabelsConfig(rows=64, columns=64)

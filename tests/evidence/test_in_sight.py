@@ -13,7 +13,7 @@ from rooms import rectangle
 import datagen as dg
 from datagen.evidence import light_in_sight
 from datagen.evidence.in_sight import objects_in_sight
-from datagen.transport.raycast import Raycaster
+from datagen.transport.visibility.raycast import Raycaster
 
 EYE = np.array([2.0, 0.0, 0.0])
 TIME = dg.TimeAxis(bins=80, width_s=4e-10)

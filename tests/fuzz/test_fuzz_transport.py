@@ -15,7 +15,7 @@ from scipy import stats
 from datagen import Accuracy, Capture, Laser, Sensor, TimeAxis, simulate
 from datagen.errors import InputError
 from datagen.records import Transient
-from datagen.transport.fov import PixelCones
+from datagen.transport.fields_of_view import PixelCones
 
 # Windows are drawn at random, too.
 pytestmark = pytest.mark.filterwarnings("ignore:simulate. all light arrives outside:datagen.InputWarning")

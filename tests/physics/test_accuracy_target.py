@@ -16,8 +16,8 @@ from scipy import stats
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Retroreflector, Scene, Sensor, TimeAxis, simulate
 from datagen.errors import InputError
 from datagen.records import Transient
-from datagen.transport.spread import Sketch
-from datagen.transport.target.confidence import Scatter, bound_factor, disagreement
+from datagen.transport.error_control.confidence import Scatter, bound_factor, disagreement
+from datagen.transport.path_tracing.replicate_spread import Sketch
 
 AXIS = bins_of_path(40, 0.5, 0.0)
 DEVICE = np.array([2.0, 0.0, 1.2])

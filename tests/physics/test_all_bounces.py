@@ -14,7 +14,7 @@ from scipy import stats
 from sphere_chords import BINS, ORDERS, QUAD, SPOT, WIDTH_M, chords, stored
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
-from datagen.transport.fov import PixelCones
+from datagen.transport.fields_of_view import PixelCones
 
 APERTURE_M2 = np.pi * 0.02**2
 

@@ -30,9 +30,9 @@ from datagen import GGX, Lambertian, OrenNayar, Phong, Retroreflector, SinLobe
 from datagen.errors import InputError
 from datagen.records import Material, Scene
 from datagen.transport.brdf import LAMBERTIAN, MaterialTable, albedo, ggx
-from datagen.transport.raycast import Raycaster
+from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
-from datagen.transport.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
+from datagen.transport.visibility.raycast import Raycaster
 
 MODELS = (
     Lambertian(0.6),

@@ -19,7 +19,7 @@ from datagen.bench.peer_cases import path_axis
 from datagen.bench.problems import DEVICE, WALL, furnished_room
 from datagen.errors import InputWarning
 from datagen.records import Transient
-from datagen.transport.fov import PixelCones
+from datagen.transport.fields_of_view import PixelCones
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
 
 FINE = Accuracy(target=0.01, part_target=0.01)

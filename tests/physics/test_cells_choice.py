@@ -10,10 +10,19 @@ import trimesh
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor
-from datagen.transport.cells.gathering import Gathering
-from datagen.transport.cells.trial import COARSE, MOST_LEVELS, PATCHES_SHARE, Asked, Trial, by_light, choose, quarter
+from datagen.transport.error_control.refinement import (
+    COARSE,
+    MOST_LEVELS,
+    PATCHES_SHARE,
+    Asked,
+    Trial,
+    by_light,
+    choose,
+    quarter,
+)
+from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import pairs_of
-from datagen.transport.solver import prepared
+from datagen.transport.simulate import prepared
 
 DEVICE = np.array([1.5, 0.1, 1.3])
 HALF_M = 0.02

@@ -13,10 +13,10 @@ from datagen.bench.other_renderers import grid_points, point_capture
 from datagen.bench.peer_cases import path_axis
 from datagen.bench.problems import DEVICE, WALL, furnished_room, lump
 from datagen.records import Transient
-from datagen.transport.cells.clusters import as_one
-from datagen.transport.cells.geometry import ball
-from datagen.transport.cells.hierarchy import CLUSTER, Hierarchy
-from datagen.transport.cells.solids import side_turned
+from datagen.transport.geometry import ball
+from datagen.transport.quadrature.clusters import as_one
+from datagen.transport.visibility.bvh import CLUSTER, Hierarchy
+from datagen.transport.visibility.closed_surfaces import side_turned
 
 AT = np.array([1.6, -0.2, 1.7])
 

@@ -6,8 +6,8 @@ import trimesh
 from numpy.typing import NDArray
 
 import datagen as dg
-from datagen.transport.coincidence import lit_in_one_place, places_shared
-from datagen.transport.raycast import Raycaster
+from datagen.transport.visibility.coincidence import lit_in_one_place, places_shared
+from datagen.transport.visibility.raycast import Raycaster
 from tests.rooms import furnished_box, rectangle
 
 

@@ -8,9 +8,9 @@ from datagen import Accuracy, simulate
 from datagen.bench.foreign_promise import WHOLE, Truth, lights, off_square
 from datagen.bench.foreign_scenes import ForeignScene, foreign_scene
 from datagen.records.arrays import Floats
-from datagen.transport.cells.gathering import Gathering
+from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import pairs_of
-from datagen.transport.solver import prepared
+from datagen.transport.simulate import prepared
 
 SAMPLES = 1 << 21
 """Of the truth, over all pairs: some two seconds."""

@@ -11,7 +11,7 @@ from scipy import stats
 from sphere_chords import BINS, QUAD, SPOT, WIDTH_M, stored
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
-from datagen.transport.fov import PixelCones
+from datagen.transport.fields_of_view import PixelCones
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
 
 APERTURE_M2 = np.pi * 0.02**2

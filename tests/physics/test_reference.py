@@ -14,10 +14,10 @@ from sphere_chords import BINS, QUAD, SPOT, WIDTH_M, stored
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Phong, Scene, Sensor, simulate
 from datagen.transport.brdf import MaterialTable
-from datagen.transport.fov import PixelCones
-from datagen.transport.raycast import Raycaster
+from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.reference import pairs_of, reference
 from datagen.transport.sampled_paths import sample_paths
+from datagen.transport.visibility.raycast import Raycaster
 
 APERTURE_M2 = np.pi * 0.02**2
 

@@ -7,11 +7,11 @@ import pytest
 
 import datagen as dg
 from datagen.records import Accuracy
-from datagen.transport.cells.gathering import Gathering
-from datagen.transport.primary import primary_by_cells
-from datagen.transport.solver import prepared
-from datagen.transport.target import adaptive
-from datagen.transport.target.second_opinion import Claim, second_opinion
+from datagen.transport.error_control import meet_target as adaptive
+from datagen.transport.error_control.second_opinion import Claim, second_opinion
+from datagen.transport.quadrature.gathering import Gathering
+from datagen.transport.quadrature.three_bounces import primary_by_cells
+from datagen.transport.simulate import prepared
 from tests.rooms import bins_of_path, furnished_box, square_pixels
 
 SEEDS = range(12)

@@ -23,8 +23,8 @@ from datagen import (
     simulate,
 )
 from datagen.errors import InputError
-from datagen.transport.spread import Sketch
-from datagen.transport.target.confidence import Scatter, bound_factor
+from datagen.transport.error_control.confidence import Scatter, bound_factor
+from datagen.transport.path_tracing.replicate_spread import Sketch
 
 
 def test_a_laser_that_meets_nothing_has_no_shares_of_work() -> None:

@@ -14,8 +14,8 @@ from datagen.errors import InputError
 from datagen.labels.frame import ViewFrame, scan_place
 from datagen.records import Rectangle, Scene
 from datagen.scene import generate_scene
-from datagen.transport.raycast import Raycaster
-from datagen.transport.vertices import LaserPoints
+from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.visibility.raycast import Raycaster
 from scene_library.sightlines import first_faces
 
 READY = "configs/open_space_meshes.yaml"

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from rooms import bins_of_path, furnished_box, rectangle, square_pixels
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, Transient, simulate
-from datagen.transport.cells.clusters import COARSEST
+from datagen.transport.quadrature.clusters import COARSEST
 
 TARGET = 0.02
 DEVICE = (1.5, 0.1, 1.3)

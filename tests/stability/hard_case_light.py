@@ -13,8 +13,8 @@ from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, squ
 
 from datagen import Accuracy, Capture, Lambertian, Laser, OrenNayar, Part, Scene, Sensor, TimeAxis, simulate
 from datagen.records import Transient
-from datagen.transport import raycast
-from datagen.transport.fov import PixelCones
+from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.visibility import raycast
 
 APERTURE_M2 = math.pi * 0.02**2
 DEVICE = np.array([1.5, 0.1, 1.3])

@@ -24,23 +24,23 @@ import numpy as np
 from datagen.errors import InputError
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
-from datagen.transport.averages import Average
 from datagen.transport.brdf import LAMBERTIAN, MaterialTable
-from datagen.transport.connections import Clock, Receiver, Rows, Tally
-from datagen.transport.cost import Work, factorised_work
+from datagen.transport.error_control.cost import Work, factorised_work
 from datagen.transport.factorised import convolution
 from datagen.transport.factorised import secondary_kernels as kernels
 from datagen.transport.factorised import secondary_samples as samples
 from datagen.transport.factorised.convolution import SUB_BINS, Histograms, Paths, Sums
 from datagen.transport.factorised.secondary_kernels import FovPoints, Frame, LaserVicinity, Lookins, Pace, Surfaces
 from datagen.transport.factorised.secondary_samples import Placement, SecondaryTask
-from datagen.transport.fov import FovPool
+from datagen.transport.fields_of_view import FovPool
+from datagen.transport.path_tracing.averages import Average
+from datagen.transport.path_tracing.connections import Clock, Receiver, Rows, Tally
+from datagen.transport.path_tracing.replicate_spread import Sketch, standard_error
+from datagen.transport.path_tracing.trace import WalkTask
+from datagen.transport.path_tracing.vertices import AreaTarget, continued, draw_lookins, runs_of, scattered_rays
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
-from datagen.transport.spread import Sketch, standard_error
-from datagen.transport.vertices import AreaTarget, continued, draw_lookins, runs_of, scattered_rays
 from datagen.transport.visibility import clearance
 from datagen.transport.visibility.clearance import LightBuffer
-from datagen.transport.walk import WalkTask
 from datagen.units import path_from_time
 
 RAYS_PER_CHUNK = 1 << 17

@@ -17,8 +17,8 @@ from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, Vector, dot, evaluate, in_frame_of
 from datagen.transport.factorised.convolution import Paths
-from datagen.transport.raycast import lifted_and_scaled
 from datagen.transport.visibility.clearance import LightBuffer, lit_for_certain
+from datagen.transport.visibility.raycast import lifted_and_scaled
 
 
 class Frame(NamedTuple):

@@ -12,9 +12,9 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.brdf import cosine_directions
 from datagen.transport.factorised.secondary_kernels import FovPoints, Frame, LaserVicinity, Lookins, Pace, Surfaces
-from datagen.transport.fov import FovPool, fov_pool
+from datagen.transport.fields_of_view import FovPool, fov_pool
+from datagen.transport.path_tracing.trace import WalkTask
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
-from datagen.transport.walk import WalkTask
 
 FOV_POINTS_PER_POOL = 1 << 16
 RAYS_FROM_LASER_POINT = 1 / 8

@@ -1,1 +1,1 @@
-"""Proofs that nothing stands between two points, so that no shadow ray need be sent."""
+"""What is visible from where: rays, the BVH, and proofs that nothing stands between."""

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from datagen.records import Sensor
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.fov import FovPool
-from datagen.transport.lines_of_sight import lines_of_sight
-from datagen.transport.raycast import Raycaster
+from datagen.transport.fields_of_view import FovPool
 from datagen.transport.visibility import clear_sight_kernels as kernels
 from datagen.transport.visibility.clear_sight_kernels import Bodies, Grid, Tiles
+from datagen.transport.visibility.lines_of_sight import lines_of_sight
 from datagen.transport.visibility.occluders import occluders
+from datagen.transport.visibility.raycast import Raycaster
 
 CONNECTIONS_WORTH_PROVING = 1 << 16
 """Fewer are asked sooner than a grid is made."""

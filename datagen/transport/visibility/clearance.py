@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats
-from datagen.transport.raycast import Raycaster
+from datagen.transport.visibility.raycast import Raycaster
 
 CELLS = 64
 """Cells along each edge of a direction cube: 1.4° wide at the centre of a face."""

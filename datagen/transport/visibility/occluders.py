@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from datagen.records.arrays import Bools, Floats
-from datagen.transport.raycast import Raycaster
 from datagen.transport.visibility.clear_sight_kernels import Bodies
+from datagen.transport.visibility.raycast import Raycaster
 
 TRIANGLES_SAMPLED = 512
 """Largest triangles whose planes are tried as walls of the shell, with as many of the others."""

@@ -1,0 +1,244 @@
+"""FoV points: where a pixel's lines of sight first meet the scene, and what each is worth.
+
+A FoV point drawn uniformly on the pixel's quadrilateral stands for the solid angle J = dΩ/(du dv) of the sensor, so
+the photons it sends into an aperture of area A are f₃ E₃ · A J / M for M points a pixel (docs/physics.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.compiled import compiled
+from datagen.errors import InputError
+from datagen.records import Scene, Sensor
+from datagen.records.arrays import Floats, Ints
+from datagen.transport.sampling import scrambled_sobol
+from datagen.transport.visibility.lines_of_sight import lines_of_sight
+from datagen.transport.visibility.raycast import Raycaster
+
+
+@dataclass(frozen=True)
+class FovPool:
+    """Q FoV points for each of P pixels, grouped in blocks of M that each cover the whole pixel.
+
+    sets : independent sets of blocks side by side, as many of them in each; one for each replicate traced at once.
+
+    position, normal, to_sensor : (P, Q, 3) point in metres, unit normal facing the sensor, unit direction to it.
+    part : (P, Q) part index, −1 where the line of sight meets nothing.
+    weight : (P, Q) A J / M in m² sr, A the effective aperture.
+    footprint : (P, Q) wall area that one of M points stands for, m².
+    last_leg : (P, Q) distance to the sensor, m.
+    """
+
+    position: Floats
+    normal: Floats
+    to_sensor: Floats
+    part: Ints
+    weight: Floats
+    footprint: Floats
+    last_leg: Floats
+    sets: int = 1
+
+    def side_by_side(self, sets: int) -> FovPool:
+        """A pool of (sets · P, Q) points, set after set, as one of `sets` sets for P pixels: (P, sets · Q)."""
+        pixels = len(self.weight) // sets
+
+        def joined(values: NDArray[Any]) -> NDArray[Any]:
+            apart = values.reshape(sets, pixels, *values.shape[1:])
+            return np.ascontiguousarray(apart.swapaxes(0, 1)).reshape(pixels, -1, *values.shape[2:])
+
+        arrays = {f.name: joined(getattr(self, f.name)) for f in fields(self) if f.name != "sets"}
+        return FovPool(**arrays, sets=sets)
+
+
+@dataclass(frozen=True)
+class PixelCones:
+    """The pixels as cones of directions from the sensor.
+
+    planes : (P, 4, 3) inward normals of the four side planes; a direction inside has all four products ≥ 0.
+    solid_angle : (P,) sr.
+    """
+
+    planes: Floats
+    solid_angle: Floats
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> PixelCones:
+        """Raises `InputError` for a pixel that, seen from the sensor, is no convex quadrilateral with an area."""
+        w = sensor.pixels - sensor.position
+        length = np.linalg.norm(w, axis=2)
+        if (length == 0).any():
+            pixel = int(np.argwhere(length == 0)[0][0])
+            raise InputError(f"Sensor.pixels[{pixel}]: a corner equals the sensor's position; it gives no direction")
+        w = w / length[:, :, None]
+        signed = [_triangle_solid_angle(w[:, 0], w[:, a], w[:, b]) for a, b in ((1, 2), (2, 3))]
+        solid_angle = signed[0] + signed[1]
+        # From a point in its own plane a pixel covers half of all directions, or none.
+        inside = np.flatnonzero(np.abs(solid_angle) > 2 * np.pi * (1 - 1e-9))
+        if len(inside):
+            raise InputError(
+                f"Sensor.pixels[{inside[0]}]: the sensor's position lies within the pixel, which gives no "
+                "directions; move the corners ahead of the sensor"
+            )
+        orientation = np.where(solid_angle < 0, -1.0, 1.0)
+        planes = orientation[:, None, None] * np.cross(w, np.roll(w, -1, axis=1))
+        # Convex: each corner lies on the inner side of the two sides it does not touch.
+        for side in range(4):
+            for corner in ((side + 2) % 4, (side + 3) % 4):
+                inner = np.einsum("pk,pk->p", planes[:, side], w[:, corner])
+                bad = np.flatnonzero((inner < -1e-14) | (solid_angle == 0))
+                if len(bad):
+                    raise InputError(
+                        f"Sensor.pixels[{bad[0]}]: seen from the sensor its four corners, in order, must outline a "
+                        "convex quadrilateral with an area; reorder or move the corners"
+                    )
+        return cls(planes, np.abs(solid_angle))
+
+    def take(self, pixels: Ints) -> PixelCones:
+        """Those of some pixels."""
+        return PixelCones(self.planes[pixels], self.solid_angle[pixels])
+
+
+NEGLIGIBLE_SHARE = 0.05
+"""Largest share of a FoV point's footprint that one connection may fill before followed rays take part."""
+
+
+@dataclass(frozen=True)
+class PixelPatches:
+    """Roughly where each pixel's patch of wall lies, from a fixed 3 × 3 grid of lines of sight.
+
+    center : (P, 3) and radius : (P,) a ball about the patch, metres (infinite where a line of sight meets nothing).
+    reach : (P,) lookins nearer to the centre than this could overfill a footprint, so they follow rays too. A fixed
+        rule of position alone: whatever it says, the mean is the same.
+    """
+
+    center: Floats
+    radius: Floats
+    reach: Floats
+
+    @classmethod
+    def of(cls, caster: Raycaster, sensor: Sensor, cones: PixelCones, points_per_vertex: int) -> PixelPatches:
+        """Those of all pixels, for vertices that join so many FoV points of each."""
+        lines = lines_of_sight(caster, sensor, 3)
+        w, valid = lines.inner, lines.valid
+        position = np.where(valid[..., None], lines.met.position.reshape(w.shape), np.inf)
+        distance = np.linalg.norm(position - sensor.position, axis=2)
+        direction = w / np.linalg.norm(w, axis=2, keepdims=True)
+        cosine = np.abs(np.einsum("pqk,pqk->pq", lines.normal, direction))
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            center = position.mean(axis=1)
+            radius = np.linalg.norm(position - center[:, None], axis=2).max(axis=1)
+            footprint = (cones.solid_angle[:, None] * distance**2 / (cosine * points_per_vertex)).max(axis=1)
+        complete = valid.all(axis=1) & np.isfinite(radius) & np.isfinite(footprint)
+        reach = radius + np.sqrt(footprint / (np.pi * NEGLIGIBLE_SHARE))
+        return cls(
+            np.where(complete[:, None], center, 0.0),
+            np.where(complete, radius, np.inf),
+            np.where(complete, reach, np.inf),
+        )
+
+    def take(self, pixels: Ints) -> PixelPatches:
+        """Those of some pixels."""
+        return PixelPatches(self.center[pixels], self.radius[pixels], self.reach[pixels])
+
+
+def _triangle_solid_angle(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Signed solid angle of triangles of unit vectors (van Oosterom & Strackee, IEEE TBME 30 (1983)).
+
+    The triple product is taken of differences, which keeps its digits for a pixel far smaller than its distance.
+    """
+    triple = np.einsum("pk,pk->p", a, np.cross(b - a, c - a))
+    dots = 1 + sum(np.einsum("pk,pk->p", x, y) for x, y in ((a, b), (b, c), (c, a)))
+    return np.asarray(2 * np.arctan2(triple, dots))
+
+
+def fov_pool(
+    caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones, pixels: Ints, points_per_vertex: int,
+    blocks: int, seeds: NDArray[np.uint64],
+) -> FovPool:  # fmt: skip
+    """Draw `blocks` × `points_per_vertex` FoV points for each of `pixels`, with one seed of scrambling a pixel."""
+    uv = scrambled_sobol(seeds, blocks * points_per_vertex, 2)
+    return fov_points(caster, scene, sensor, cones, pixels, uv, points_per_vertex)
+
+
+def fov_points(
+    caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones, pixels: Ints, uv: Floats, each: int
+) -> FovPool:
+    """The FoV points at the places uv (P, Q, 2) of `pixels`' quadrilaterals, each of which stands for 1/`each`."""
+    direction, jacobian = _lines_of_sight(uv, sensor.pixels[pixels] - sensor.position)
+    hits = caster.closest(sensor.position, direction.reshape(-1, 3))
+    shape = jacobian.shape
+    part = np.where(hits.valid, scene.face_part[hits.face], -1).astype(np.int64).reshape(shape)
+    normal = hits.normal.reshape(*shape, 3)
+    position, weight, footprint, distance = _seen_points(
+        hits.position.reshape(*shape, 3), normal, part, direction, jacobian, sensor.position,
+        cones.solid_angle[pixels], sensor.aperture_area_m2,
+        sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0, each,
+    )  # fmt: skip
+    np.negative(direction, out=direction)
+    return FovPool(position, normal, direction, part, weight, footprint, distance)
+
+
+@compiled()
+def _lines_of_sight(uv: Floats, corner: Floats) -> tuple[Floats, Floats]:
+    """Unit directions (P, Q, 3) through the points uv (P, Q, 2) of quadrilaterals (P, 4, 3) about the sensor, and the
+    solid angle for each unit of uv (P, Q)."""
+    direction, jacobian = np.empty((uv.shape[0], uv.shape[1], 3)), np.empty(uv.shape[:2])
+    w, along_u, along_v = np.empty(3), np.empty(3), np.empty(3)
+    for p in range(len(uv)):
+        for q in range(uv.shape[1]):
+            u, v = uv[p, q]
+            square = 0.0
+            for k in range(3):
+                a, b, c, d = corner[p, 0, k], corner[p, 1, k], corner[p, 2, k], corner[p, 3, k]
+                w[k] = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+                along_u[k] = (1 - v) * (b - a) + v * (c - d)
+                along_v[k] = (1 - u) * (d - a) + u * (c - b)
+                square += w[k] * w[k]
+            length = math.sqrt(square)
+            volume = (
+                w[0] * (along_u[1] * along_v[2] - along_u[2] * along_v[1])
+                + w[1] * (along_u[2] * along_v[0] - along_u[0] * along_v[2])
+                + w[2] * (along_u[0] * along_v[1] - along_u[1] * along_v[0])
+            )
+            jacobian[p, q] = abs(volume) / (square * length)
+            for k in range(3):
+                direction[p, q, k] = w[k] / length
+    return direction, jacobian
+
+
+@compiled()
+def _seen_points(
+    found: Floats, normal: Floats, part: Ints, direction: Floats, jacobian: Floats, sensor: Floats,
+    solid_angle: Floats, aperture_area: float, aperture_square: float, points_per_vertex: int,
+) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
+    """Position, weight, footprint and distance of each FoV point, as in `FovPool`; `part` loses what faces away.
+
+    The effective aperture area A in f₃ E₃ A dΩ is that of a small aperture, or of a near disc that faces the point
+    (`aperture_square` > 0). From a point at distance R a facing disc of radius a fills a cone of
+    sin²α = a²/(R² + a²), over which ∫ cosθ dω = π sin²α cosθ₀ exactly: the small-aperture value π a²/R² becomes
+    π a²/(R² + a²).
+    """
+    weight, footprint, distance = np.zeros(part.shape), np.ones(part.shape), np.empty(part.shape)
+    position = found.copy()
+    for p in range(len(part)):
+        for q in range(part.shape[1]):
+            cosine = square = 0.0
+            for k in range(3):
+                if part[p, q] < 0:
+                    position[p, q, k] = 0.0
+                cosine -= normal[p, q, k] * direction[p, q, k]
+                square += (position[p, q, k] - sensor[k]) ** 2
+            distance[p, q] = math.sqrt(square)
+            if part[p, q] < 0 or cosine <= 0.0:
+                part[p, q] = -1
+                continue
+            effective = aperture_area * square / (square + aperture_square)
+            weight[p, q] = effective * jacobian[p, q] / points_per_vertex
+            footprint[p, q] = solid_angle[p] * square / (cosine * points_per_vertex)
+    return position, weight, footprint, distance

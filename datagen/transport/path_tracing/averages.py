@@ -1,0 +1,154 @@
+"""Averages over independent replicates of the walk: means by component, their standard error, and what they cost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from datagen.records import Spend
+from datagen.records.arrays import Floats, Ints
+from datagen.transport.error_control.cost import Work
+from datagen.transport.fields_of_view import FovPool
+from datagen.transport.path_tracing.connections import Tally
+from datagen.transport.path_tracing.replicate_spread import Sketch, standard_error
+from datagen.transport.path_tracing.trace import (
+    FOV_POINTS_PER_POOL,
+    Splits,
+    WalkTask,
+    blocks_for,
+    part_of,
+    pool_for,
+    trace_chunk,
+)
+from datagen.transport.path_tracing.vertices import runs_of
+from datagen.transport.sampling import Streams
+
+LOOKINS_PER_CHUNK = 1 << 17
+"""Lookins traced at once, over as many laser points as fit."""
+LOOKINS_TOGETHER = 1 << 14
+"""Lookins up to which replicates are traced in one call: of more, the call itself costs little."""
+HISTOGRAM_VALUES_PER_CHUNK = 1 << 22
+"""Histogram entries filled at once (32 MiB), over as many laser points as fit."""
+
+
+@dataclass(frozen=True)
+class Average:
+    """The mean over replicates.
+
+    Attributes
+    ----------
+    rows : one (L, P, T) array for each split of the task.
+    stderr : (L, P, T) standard error of their sum, NaN for one replicate.
+    overflow : (L, P) energy outside the window.
+    work : what was done.
+    """
+
+    rows: list[Floats]
+    stderr: Floats
+    overflow: Floats
+    work: Work
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a way of estimating hands to the solver; the fields are those of `Transient`."""
+
+    components: dict[str, Floats]
+    parts: dict[str, Floats]
+    stderr: Floats
+    overflow: Floats
+    spend: Spend
+    error_bound: float | None = None
+    met_target: bool | None = None
+    part_errors: dict[str, float] = field(default_factory=dict)
+
+
+def split_rows(rows: list[Floats], splits: Splits) -> tuple[dict[str, Floats], dict[str, Floats]]:
+    """One array for each split → arrays by component, and the primary's by part."""
+    components = dict(zip(splits.others, rows[splits.primary :], strict=True))
+    if splits.primary:
+        primary = rows[0].copy() if splits.primary > 1 else rows[0]
+        for row in rows[1 : splits.primary]:
+            primary += row
+        components["primary"] = primary
+    ordered = {name: components[name] for name in splits.components}
+    return ordered, dict(zip(splits.parts, rows, strict=False))
+
+
+def walk_average(task: WalkTask, sketch: Sketch | None = None) -> Average:
+    """Average over independent replicates; their spread is the standard error.
+
+    sketch : gets each replicate's transient too, for the correlations between bins.
+    """
+    lasers, pixels, bins = task.capture.shape
+    splits, lookins = task.splits, task.accuracy.lookins
+    replicates = min(task.accuracy.replicates, lookins)
+    squares = np.zeros((lasers, pixels, bins))
+    overflow = np.zeros((lasers, pixels))
+    rows = [np.zeros((lasers, pixels, bins)) for _ in range(splits.count)]
+    work = Work(calls=0)
+    counts = lookins // replicates + (np.arange(replicates) < lookins % replicates)
+    for count in np.unique(counts):
+        for replicate, first, tally, done in _traced(task, int(count), np.flatnonzero(counts == count)):
+            work += done
+            histogram = tally.histogram.reshape(-1, pixels, splits.count, bins)
+            place = slice(first, first + len(histogram))
+            total = histogram.sum(axis=2)
+            if sketch is not None:
+                sketch.add(replicate, total, first * pixels * bins)
+            squares[place] += np.square(total, out=total)
+            overflow[place] += tally.overflow.reshape(-1, pixels, splits.count).sum(axis=2)
+            for k, row in enumerate(rows):
+                row[place] += histogram[:, :, k]
+    for row in rows:
+        row /= replicates
+    return Average(rows, standard_error(rows, squares, replicates), overflow / replicates, work)
+
+
+def _traced(task: WalkTask, count: int, replicates: Ints) -> Iterator[tuple[int, int, Tally, Work]]:
+    """Trace `count` lookins of each laser point in each replicate: (replicate, first laser point, its light and
+    that of those after it, work) for one piece after the other.
+
+    A call of the tracing code costs some milliseconds, whatever it traces. So replicates of few lookins are traced
+    together, as copies of the laser points with random numbers of their own.
+    """
+    _, pixels, bins = task.capture.shape
+    existing = np.flatnonzero(task.points.part >= 0)
+    if not len(existing):
+        return
+    confocal = task.capture.pairing == "confocal"
+    seen = existing if confocal else np.arange(pixels)
+    fov_points = len(seen) * task.accuracy.fov_samples * blocks_for(task, seen, count)
+    values = HISTOGRAM_VALUES_PER_CHUNK // (pixels * task.splits.count * bins)
+    together = min(LOOKINS_TOGETHER // count, values) // len(existing)
+    together = max(1, min(together, FOV_POINTS_PER_POOL // fov_points, len(replicates)))
+    size = max(1, min(LOOKINS_PER_CHUNK // count, values) // together)
+    for few in np.split(replicates, range(together, len(replicates), together)):
+        shared, drawn = None, Work(calls=0)
+        if not confocal:
+            shared = _shared_pool(task, count, few)
+            drawn = Work(rays=shared.weight.size, calls=0)
+        for run in runs_of(existing, size):
+            if len(few) == 1:
+                part, chunk, streams = task, run, Streams.of(task.seed, few, np.arange(len(task.points.part)))
+            else:
+                part, chunk = part_of(task, np.tile(run, len(few))), np.arange(len(few) * len(run))
+                streams = Streams.of(task.seed, few, run)
+            pool = shared
+            if pool is None:
+                pool = pool_for(part, chunk, blocks_for(task, run, count), Streams.of(task.seed, few, run))
+                drawn = Work(rays=pool.weight.size, calls=0)
+            tally, done = trace_chunk(part, chunk, pool, count, streams)
+            for piece, replicate in zip(tally.apart(len(few)), few, strict=True):
+                yield int(replicate), int(run[0]), piece, done + drawn
+                done = drawn = Work(calls=0)
+
+
+def _shared_pool(task: WalkTask, count: int, replicates: Ints) -> FovPool:
+    """FoV points that all laser points share, a set for each replicate."""
+    pixels = np.arange(task.capture.shape[1])
+    streams = Streams.of(task.seed, replicates, pixels)
+    pool = pool_for(task, np.tile(pixels, len(replicates)), blocks_for(task, pixels, count), streams)
+    return pool.side_by_side(len(replicates))

@@ -1,0 +1,1 @@
+"""Quadrature over surface elements: light of three and four bounces without noise."""

@@ -1,0 +1,246 @@
+"""Cells that nothing can hide, on diffuse surfaces: most of a room, and so many of them at once.
+
+They need no candidates and no rays, only arithmetic, and what becomes of one does not depend on the others. So they
+wait on a stack of their own, and up to `WIDE` of them are taken from it together: their middles, the light there and
+the verdicts are found in loops without branches, which compilers turn into vector instructions. The numbers are those
+of `weights.weight` and `weights.judged`, operation by operation.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from datagen.compiled import compiled
+from datagen.records.arrays import Floats
+from datagen.transport.brdf import LAMBERTIAN, dot
+from datagen.transport.geometry import air, half, less
+from datagen.transport.quadrature.arrival_times import pour, tent, widened
+from datagen.transport.quadrature.waiting import KEPT, push
+from datagen.transport.quadrature.weights import outside, smeared, verdict
+
+WIDE = 64
+"""Cells taken together."""
+MOST_CLEAR = 1 << 12
+"""Cells that come to the stack; those cut from them find room behind."""
+CLEAR_ROOM = MOST_CLEAR + 256 * WIDE
+MOST_QUARTERED = 256
+"""Cells up to which more are taken before those whose patches are to be quartered are looked at."""
+# A batch holds of `WIDE` cells, one number after the other: what waits on the stack, which is three vertices with
+# light and path (15), the area, the triangle, the patch, how many times as large as itself that stands for, and the
+# product of the BRDFs; the triangle's normal, the patch's place, normal and footprint; a point, and w, R₁ and R₂
+# there; the longest side and which it is; what the patch makes of light, its size, whether it has quarters, the legs
+# to the device if they count, the sides of the patch and its direction to the device; verdict and bend; the
+# energy, and the seven numbers of its tent. As np.int64, because numba compiles a function anew for each plain int.
+FIRST, SECOND, THIRD = map(np.int64, (0, 5, 10))
+AREA, OF, PATCH, SHARE, BRDF, STACKED = 15, 16, 17, 18, 19, 20
+NORMAL, SEEN_FROM, NORMAL3, FOOTPRINT, POINT, LIGHT, LONG = map(np.int64, (20, 23, 26, 29, 30, 33, 36))
+GAIN, SIZE, QUARTERS, LEGS, ACROSS, TO_SENSOR, VERDICT, BEND = map(np.int64, (38, 39, 40, 41, 42, 48, 51, 52))
+ENERGY, TENT, NUMBERS = 53, 54, 61
+DROPPED, SPREAD, CUT, QUARTERED = 0.0, 1.0, 2.0, 3.0
+
+
+def room_for_clear() -> tuple[Floats, Floats, Floats]:
+    """The stack and two batches."""
+    return np.empty((CLEAR_ROOM, STACKED)), np.empty(NUMBERS * WIDE), np.empty(NUMBERS * WIDE)
+
+
+@compiled()
+def put_clear(clear, waiting, cell, k, f, q, lit_from, kind2, values2, seen_from):  # type: ignore[no-untyped-def]
+    """Waiting cell k, on triangle f and seen from patch q, as the last on the stack; returns how many wait there.
+
+    As many as before where it is full, one of the path's three surfaces is not diffuse, or an end of it faces away
+    from the device; `lit_from` and `seen_from` are those of `weights.weight`.
+    """
+    _, n1, to_laser, kind1, values1 = lit_from
+    _, n3, to_sensor, kind3, values3 = seen_from
+    if waiting >= MOST_CLEAR or kind1 != LAMBERTIAN or kind2 != LAMBERTIAN or kind3 != LAMBERTIAN:
+        return waiting
+    brdf = values1[0] / math.pi * (values2[0] / math.pi) * (values3[0] / math.pi)
+    if dot(n1, to_laser) <= 0.0 or dot(n3, to_sensor) <= 0.0 or not brdf > 0.0:
+        return waiting
+    for i in range(AREA + 1):
+        clear[waiting, i] = cell[k, i]
+    clear[waiting, OF], clear[waiting, PATCH], clear[waiting, SHARE], clear[waiting, BRDF] = f, q, cell[k, 16], brdf
+    return waiting + 1
+
+
+@compiled()
+def light_at_points(batch, count, x, n1, attenuation):  # type: ignore[no-untyped-def]
+    """`weights.weight` at the points of a batch."""
+    for j in range(min(count, WIDE)):
+        y = _at(batch, POINT, j)
+        d1, d3 = less(y, x), less(y, _at(batch, SEEN_FROM, j))
+        n, n3 = _at(batch, NORMAL, j), _at(batch, NORMAL3, j)
+        square1, square3 = dot(d1, d1), dot(d3, d3)
+        up1, up3 = dot(d1, n1), dot(d3, n3)
+        facing = -dot(d1, n) * -dot(d3, n)
+        w = batch[BRDF * WIDE + j] * (up1 * up3) * facing
+        w /= square1 * square1 * square3 * (square3 + batch[FOOTPRINT * WIDE + j] / math.pi)
+        batch[LIGHT * WIDE + j] = w if (up1 > 0.0) & (up3 > 0.0) & (facing > 0.0) else 0.0
+        batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j] = math.sqrt(square1), math.sqrt(square3)
+    # Apart, for exponentials are no vector instructions.
+    if attenuation > 0.0:
+        for j in range(min(count, WIDE)):
+            path = batch[(LIGHT + 1) * WIDE + j] + batch[(LIGHT + 2) * WIDE + j]
+            batch[LIGHT * WIDE + j] *= air(attenuation, path)
+
+
+@compiled()
+def _at(batch, row, j):  # type: ignore[no-untyped-def]
+    """Three numbers of cell j, from a row on."""
+    return (batch[row * WIDE + j], batch[(row + 1) * WIDE + j], batch[(row + 2) * WIDE + j])
+
+
+@compiled()
+def _middles(batch, count):  # type: ignore[no-untyped-def]
+    """The middles of the cells of a batch as its points, and their longest sides."""
+    for j in range(min(count, WIDE)):
+        a, b, c = _at(batch, FIRST, j), _at(batch, SECOND, j), _at(batch, THIRD, j)
+        u, v, w = less(b, a), less(c, b), less(a, c)
+        ab, bc, ca = dot(u, u), dot(v, v), dot(w, w)
+        for i in range(3):
+            batch[(POINT + i) * WIDE + j] = (a[i] + b[i] + c[i]) / 3
+        batch[LONG * WIDE + j] = math.sqrt(max(ab, bc, ca))
+        other = 1.0 if bc >= ca else 2.0
+        batch[(LONG + 1) * WIDE + j] = 0.0 if (ab >= bc) & (ab >= ca) else other
+
+
+@compiled()
+def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-untyped-def]
+    """What becomes of the cells of a batch whose light in the middle is known."""
+    per_metre, attenuation, opens, closes = clock.per_metre, clock.attenuation, clock.opens, clock.closes
+    for j in range(min(count, WIDE)):
+        z, n3 = _at(batch, SEEN_FROM, j), _at(batch, NORMAL3, j)
+        a, b, c = _at(batch, FIRST, j), _at(batch, SECOND, j), _at(batch, THIRD, j)
+        above1 = max(dot(less(a, x), n1), dot(less(b, x), n1), dot(less(c, x), n1))
+        above3 = max(dot(less(a, z), n3), dot(less(b, z), n3), dot(less(c, z), n3))
+        w = max(batch[LIGHT * WIDE + j], batch[3 * WIDE + j], batch[8 * WIDE + j], batch[13 * WIDE + j])
+        unseen = outside(
+            batch[4 * WIDE + j], batch[9 * WIDE + j], batch[14 * WIDE + j],
+            batch[(LIGHT + 1) * WIDE + j] + batch[(LIGHT + 2) * WIDE + j], batch[LEGS * WIDE + j],
+            batch[SIZE * WIDE + j], opens, closes,
+        )  # fmt: skip
+        cut, quarter, over, bend = verdict(
+            batch[4 * WIDE + j], batch[9 * WIDE + j], batch[14 * WIDE + j], batch[AREA * WIDE + j], w,
+            batch[LONG * WIDE + j], batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j],
+            batch[GAIN * WIDE + j], batch[FOOTPRINT * WIDE + j], batch[SIZE * WIDE + j], limit, 1.0, allowed,
+            batch[QUARTERS * WIDE + j] > 0.0, per_metre, attenuation, unseen,
+        )  # fmt: skip
+        becomes = CUT if cut else SPREAD
+        becomes = QUARTERED if quarter else becomes
+        gone = (above1 <= 0.0) | (above3 <= 0.0) | (not (quarter | (over > 0.0)))
+        batch[VERDICT * WIDE + j] = DROPPED if gone else becomes
+        batch[BEND * WIDE + j] = bend
+
+
+@compiled()
+def _tents(batch, count, per_metre, start, at_once):  # type: ignore[no-untyped-def]
+    """How the light of the cells of a batch arrives, as if each were spread."""
+    for j in range(min(count, WIDE)):
+        wa, wb, wc = batch[3 * WIDE + j], batch[8 * WIDE + j], batch[13 * WIDE + j]
+        energy = batch[GAIN * WIDE + j] * batch[AREA * WIDE + j]
+        energy *= 0.75 * batch[LIGHT * WIDE + j] + 0.25 * (wa + wb + wc) / 3
+        zero = (batch[LEGS * WIDE + j] - 0.75 * batch[BEND * WIDE + j]) * per_metre - start
+        a = batch[4 * WIDE + j] * per_metre + zero
+        b = batch[9 * WIDE + j] * per_metre + zero
+        c = batch[14 * WIDE + j] * per_metre + zero
+        d3, to_sensor = less(_at(batch, POINT, j), _at(batch, SEEN_FROM, j)), _at(batch, TO_SENSOR, j)
+        side, other = _at(batch, ACROSS, j), _at(batch, ACROSS + 3, j)
+        variance = smeared(d3, batch[(LIGHT + 2) * WIDE + j], to_sensor, side, other) * per_metre * per_metre
+        wide_a, wide_b, wide_c = widened(a, b, c, variance)
+        large = batch[SIZE * WIDE + j] * per_metre > at_once
+        a, b, c = wide_a if large else a, wide_b if large else b, wide_c if large else c
+        shape = tent(a, b, c, wa, wb, wc, energy)
+        batch[ENERGY * WIDE + j] = energy
+        for i in range(7):
+            batch[(TENT + i) * WIDE + j] = shape[i]
+
+
+@compiled()
+def _taken(clear, first, count, batch, normal, p, lit, leg1, device, patches):  # type: ignore[no-untyped-def]
+    """Take cells from the stack, `first` and those behind, into a batch."""
+    position3, normal3, to_sensor3, across3 = patches.position, patches.normal, patches.to_sensor, patches.across
+    weight3, footprint3, size3, leg3, quarters3 = (
+        patches.weight, patches.footprint, patches.size, patches.leg, patches.quarters
+    )  # fmt: skip
+    for j in range(min(count, WIDE)):
+        for i in range(STACKED):
+            batch[i * WIDE + j] = clear[first + j, i]
+        f, q = int(clear[first + j, OF]), int(clear[first + j, PATCH])
+        for i in range(3):
+            batch[(NORMAL + i) * WIDE + j] = normal[f, i]
+            batch[(SEEN_FROM + i) * WIDE + j], batch[(NORMAL3 + i) * WIDE + j] = position3[p, q, i], normal3[p, q, i]
+            batch[(ACROSS + i) * WIDE + j], batch[(ACROSS + 3 + i) * WIDE + j] = (
+                across3[p, q, 0, i],
+                across3[p, q, 1, i],
+            )
+            batch[(TO_SENSOR + i) * WIDE + j] = to_sensor3[p, q, i] if device else 0.0
+        batch[FOOTPRINT * WIDE + j], batch[SIZE * WIDE + j] = footprint3[p, q], size3[p, q]
+        batch[GAIN * WIDE + j] = lit * weight3[p, q] * clear[first + j, SHARE]
+        batch[QUARTERS * WIDE + j] = 1.0 if quarters3[q, 0] >= 0 else 0.0
+        batch[LEGS * WIDE + j] = leg1 + leg3[p, q] if device else 0.0
+
+
+@compiled()
+def spread_clear(  # type: ignore[no-untyped-def]
+    clear, waiting, batch, cuts, normal, x, n1, lit, leg1, p, patches, limit, allowed, clock, at_once, smallest,
+    histogram, into, tag, cell, free,
+):  # fmt: skip
+    """Take `waiting` cells from their stack, cut them and add their light to a histogram.
+
+    x, n1, lit, leg1 : the laser point, its normal, power and leg. p : the row of `patches`.
+
+    Returns how many wait there still, how many cells were spread, the light outside the window, and how many cells
+    wait now in `cell` to be seen from quarters of their patches, each with its candidates from `free` on: where these
+    are `MOST_QUARTERED`, no more are taken.
+    """
+    cells, lost, top = 0, 0.0, 0
+    while waiting > 0 and top < MOST_QUARTERED:
+        count = min(waiting, WIDE)
+        waiting -= count
+        _taken(clear, waiting, count, batch, normal, p, lit, leg1, clock.device, patches)
+        _middles(batch, count)
+        light_at_points(batch, count, x, n1, clock.attenuation)
+        _verdicts(batch, count, x, n1, limit, allowed, clock)
+        _tents(batch, count, clock.per_metre, clock.start, at_once)
+        halves = 0
+        for j in range(min(count, WIDE)):
+            what = batch[VERDICT * WIDE + j]
+            if what == SPREAD:
+                shape = (
+                    batch[TENT * WIDE + j], batch[(TENT + 1) * WIDE + j], batch[(TENT + 2) * WIDE + j],
+                    batch[(TENT + 3) * WIDE + j], batch[(TENT + 4) * WIDE + j], batch[(TENT + 5) * WIDE + j],
+                    batch[(TENT + 6) * WIDE + j],
+                )  # fmt: skip
+                lost += pour(histogram, into, shape, batch[ENERGY * WIDE + j])
+                cells += 1
+            elif what == CUT and batch[LONG * WIDE + j] > smallest:
+                side = 5 * int(batch[(LONG + 1) * WIDE + j])
+                y = half(_at(batch, side, j), _at(batch, (side + 5) % 15, j))
+                for i in range(3):
+                    cuts[(POINT + i) * WIDE + halves] = y[i]
+                for i in range(BRDF, FOOTPRINT + 1):
+                    cuts[i * WIDE + halves] = batch[i * WIDE + j]
+                cuts[halves] = j
+                halves += 1
+            elif what == QUARTERED:
+                for i in range(AREA + 1):
+                    cell[top, i] = batch[i * WIDE + j]
+                cell[top, 16], cell[top, 17] = batch[SHARE * WIDE + j], 0.0
+                f, q = int(batch[OF * WIDE + j]), int(batch[PATCH * WIDE + j])
+                top = push(tag, top, KEPT, f, q, free, free, free)
+        light_at_points(cuts, np.int64(halves), x, n1, clock.attenuation)
+        for k in range(min(halves, WIDE)):
+            j = int(cuts[k])
+            side = 5 * int(batch[(LONG + 1) * WIDE + j])
+            for vertex in (side, (side + 5) % 15):
+                for i in range(STACKED):
+                    clear[waiting, i] = batch[i * WIDE + j]
+                clear[waiting, AREA] *= 0.5
+                for i in range(4):
+                    clear[waiting, vertex + i] = cuts[(POINT + i) * WIDE + k]
+                clear[waiting, vertex + 4] = cuts[(LIGHT + 1) * WIDE + k] + cuts[(LIGHT + 2) * WIDE + k]
+                waiting += 1
+    return waiting, cells, lost, top

@@ -1,0 +1,226 @@
+"""Light of three bounces for pairs of laser point and pixel, with surfaces cut as finely as asked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.materials import GGX, Lambertian, Material, Phong, Retroreflector
+from datagen.seeding import LightStream
+from datagen.transport.path_tracing.trace import WalkTask
+from datagen.transport.quadrature.clusters import COARSEST
+from datagen.transport.quadrature.footprints import Patches, at_edges
+from datagen.transport.quadrature.three_bounce_kernel import AT_ONCE, gather, room_to_gather
+from datagen.transport.sampling import stream_seeds
+from datagen.transport.visibility.bvh import Hierarchy
+from datagen.transport.visibility.occluder_rows import Occluders
+from datagen.units import path_from_time
+
+LEVELS, SIZED, TINY = (1, 5), 64, 1e-4
+"""How often even pixels are quartered, if at all; how many of them are measured for that; and their size, relative to
+the scene and to the narrowest lobe, up to which they are points."""
+PATCHES_AT_ONCE = 1 << 17
+EDGE_LEVELS, MOST_AT_EDGES = range(2, 6), 1 << 14
+"""How often pixels that see more than one surface are quartered: as often as leaves no more than so many patches of
+all of them, for what one has too much others lack."""
+
+
+class Lasers(NamedTuple):
+    """Laser points as the loop wants them; the fields of `LaserPoints`, and `power` (L,), what arrives there."""
+
+    position: Floats
+    normal: Floats
+    to_laser: Floats
+    part: Ints
+    power: Floats
+    leg: Floats
+
+
+class Cutting(NamedTuple):
+    """How finely to cut.
+
+    Attributes
+    ----------
+    error : (K,) L2 error in a histogram, in photons, up to which a cell of each part is left as it is.
+    sharp : (K,) 1/width² of each part's narrowest lobe, 1 for a matt surface.
+    peak : (K,) largest value of each part's BRDF, 1/sr, but for its cosines.
+    coarsest : largest cell, relative to its distance.
+    rays_on_last_leg : whether it is asked what stands between a cell and the pixel.
+    proofs : whether rays are saved where it is proven that nothing can stand in their way.
+    seed : (K,) of the points of each part that stand for clusters of small triangles.
+    """
+
+    error: Floats
+    sharp: Floats
+    peak: Floats
+    coarsest: float
+    rays_on_last_leg: bool
+    proofs: bool
+    seed: Ints
+
+
+class Clock(NamedTuple):
+    """Path to bins: at = path · per_metre − start; `device` whether the legs of laser and sensor count;
+    `opens` and `closes` the window, metres of path."""
+
+    per_metre: float
+    start: float
+    device: bool
+    attenuation: float
+    opens: float
+    closes: float
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What some pairs receive.
+
+    Attributes
+    ----------
+    histogram : (n, rows, T) photons of each pair.
+    overflow : (n,) photons outside the window.
+    cells, rays : (K,) how many were spread and asked, part by part.
+    """
+
+    histogram: Floats
+    overflow: Floats
+    cells: Ints
+    rays: Ints
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Pairs whose pixels' patches are cut alike.
+
+    which : (n,) which of the pairs asked for. pairs : (n, 2) laser point and row of `patches`.
+    """
+
+    which: Ints
+    pairs: Ints
+    patches: Patches
+
+
+@dataclass(frozen=True)
+class Gathering:
+    """A scene and a capture as the compiled loop wants them."""
+
+    task: WalkTask
+    tree: Hierarchy
+    occluders: Occluders
+    lasers: Lasers
+    clock: Clock
+    width: Floats
+    """(K,) rad, half width of the narrowest lobe of each part."""
+    peak: Floats
+    at_edge: Bools
+    """(P,) pixels that see more than one surface, or past one."""
+    coarsest: float = COARSEST
+    """Largest cell, relative to its distance."""
+
+    @classmethod
+    def of(cls, task: WalkTask) -> Gathering:
+        """That of a task, with its surfaces in one tree."""
+        points, axis, air = task.points, task.capture.time, task.scene.attenuation_per_m
+        lasers = Lasers(
+            points.position, points.normal, points.to_laser, points.part, np.exp(-air * np.nan_to_num(points.leg)),
+            points.leg,
+        )  # fmt: skip
+        per_metre, start = 1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s
+        clock = Clock(
+            per_metre, start, axis.origin == "source", air, start / per_metre, (start + axis.bins) / per_metre
+        )
+        width = np.array([lobe_width(material) for material in task.scene.materials])
+        lobes = np.array([not isinstance(material, Lambertian) for material in task.scene.materials])
+        peak = task.materials.values[:, 0] / math.pi * (1.0 / width**2 + lobes)
+        tree = Hierarchy.of(task.scene)
+        past = np.isinf(task.patches.radius)
+        at_edge = past | at_edges(task.caster, task.scene, task.capture.sensor, task.cones)
+        return cls(
+            task, tree, Occluders.of(task.scene, tree), lasers, clock, width, peak, at_edge,
+        )  # fmt: skip
+
+    @property
+    def lobed(self) -> bool:
+        """Whether some surface is not of Lambert's law."""
+        return bool(self.task.materials.kind.any())
+
+    def levels(self) -> int:
+        """How often even pixels are quartered at most: once more than leaves patches of a bin."""
+        even = np.flatnonzero(~self.at_edge)
+        size = float(patches_of(self.task, even[:: len(even) // SIZED + 1], 0).size.max(initial=0.0))
+        if size * self.clock.per_metre <= AT_ONCE and size <= TINY * self.tree.extent * self.width.min():
+            return 0
+        return int(np.clip(math.ceil(math.log2(size * self.clock.per_metre)) + 1, *LEVELS))
+
+    def edge_levels(self) -> int:
+        """How often pixels at edges are quartered, to begin with."""
+        return max((k for k in EDGE_LEVELS if self.at_edge.sum() * 4**k <= MOST_AT_EDGES), default=1)
+
+    def seen(self, pairs: Ints, levels: int, edge_levels: int | None = None) -> Iterator[Seen]:
+        """What the pixels of some pairs see: the even ones quartered `levels` times, those at edges `edge_levels`
+        times, or as often as any scene allows; not too many at once."""
+        at_edge, edge_levels = self.at_edge[pairs[:, 1]], self.edge_levels() if edge_levels is None else edge_levels
+        for quartered, some in ((levels, np.flatnonzero(~at_edge)), (edge_levels, np.flatnonzero(at_edge))):
+            some = some[np.argsort(pairs[some, 1], kind="stable")]
+            first = np.flatnonzero(np.diff(pairs[some, 1], prepend=-1))
+            for which in np.split(some, first[:: max(PATCHES_AT_ONCE >> 2 * quartered, 1)][1:]):
+                if len(which):
+                    pixels, own = np.unique(pairs[which, 1], return_inverse=True)
+                    local = np.stack([pairs[which, 0], own.reshape(-1)], axis=1)
+                    yield Seen(which, local, patches_of(self.task, pixels, quartered))
+
+    def gathered(
+        self, pairs: Ints, seen: Iterable[Seen], error: Floats, row_of_part: Ints, draw: Ints | None = None,
+        matt: bool = False,
+    ) -> Gathered:  # fmt: skip
+        """The light of some pairs of laser point and pixel, with each part in its row.
+
+        error : (K,) L2 error that a cell of each part may make, photons; infinite for parts to be left out.
+        draw : (K,) number of the draw of each part's random points, zeros if nothing is said.
+        matt : as if every surface followed Lambert's law with its albedo.
+        """
+        task, parts, rows = self.task, len(error), int(row_of_part.max()) + 1
+        histogram = np.zeros((len(pairs) * rows, task.capture.time.bins))
+        overflow, work = np.zeros(len(histogram)), np.zeros((parts, 2), np.int64)
+        seed = stream_seeds(task.seed, LightStream.CLUSTERS, 0, np.zeros(parts, np.int64) if draw is None else draw)
+        materials, sharp = task.materials, 1.0 / self.width**2
+        if matt:
+            materials, sharp = replace(materials, kind=np.zeros_like(materials.kind)), np.ones(parts)
+        cutting = Cutting(
+            error, sharp, self.peak, self.coarsest, task.accuracy.occlusion != "off",
+            task.accuracy.occlusion == "auto", seed.astype(np.int64),
+        )  # fmt: skip
+        room = room_to_gather()
+        for some in seen:
+            gather(
+                some.pairs, some.which, self.tree, self.occluders, self.lasers, some.patches, materials.kind,
+                materials.values, cutting, self.clock, row_of_part * len(pairs), histogram, overflow, work,
+                *room,
+            )  # fmt: skip
+        # Row by row, so that each is one piece of memory.
+        of_rows = histogram.reshape(rows, len(pairs), task.capture.time.bins)
+        return Gathered(
+            np.moveaxis(of_rows, 0, 1), overflow.reshape(rows, len(pairs)).sum(axis=0), work[:, 0], work[:, 1]
+        )
+
+
+def patches_of(task: WalkTask, pixels: Ints, levels: int) -> Patches:
+    """Those of some pixels, quartered `levels` times at most."""
+    return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
+
+
+def lobe_width(material: Material) -> float:
+    """Half width of a BRDF's narrowest lobe, rad, at most 1."""
+    match material:
+        case Phong(exponent=exponent) if exponent > 0 and material.specular > 0:
+            return min(math.sqrt(2 * math.log(2) / exponent), 1.0)
+        case GGX():
+            return min(1.3 * float(material.roughness) ** 2, 1.0)
+        case Retroreflector() if material.retro > 0:
+            return min(float(material.half_width_rad), 1.0)
+    return 1.0

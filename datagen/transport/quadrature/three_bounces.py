@@ -1,0 +1,83 @@
+"""The primary of a scan without noise: light of three bounces, found by cutting surfaces into cells.
+
+What a pixel receives by way of the hidden surface is an integral over that surface, and one whose integrand is smooth
+wherever nothing hides it. So it is not sampled: each triangle is halved until a cell is small against its distance
+from the laser point and the pixel, and until the error that it can still make in the histogram is small
+(`three_bounce_kernel.py`); cells that are partly hidden are halved further. How large a cell may be is one number for
+each object and one for all else, the L2 error that it may make, and an accuracy target chooses these numbers: some
+laser points are gathered with ever smaller cells, until the difference that this makes is small in the whole and in
+each object's own light (`refinement.py`). The error of what is chosen is thus known without noise, a function of the
+scene alone.
+
+Clusters of small triangles, whose light would be lost in the rest, are seen through one random point each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from datagen.records.arrays import Floats
+from datagen.transport.error_control.refinement import Asked, Trial, choose, quarter
+from datagen.transport.quadrature.gathering import Gathering
+from datagen.transport.reference import pairs_of
+
+
+@dataclass(frozen=True)
+class Primary:
+    """The primary of all laser points and pixels.
+
+    Attributes
+    ----------
+    rows : one (L, P, T) array for each row of the task's splits.
+    overflow : (L, P) photons outside the window.
+    error : relative L2 error of the whole primary, as estimated.
+    part_errors : part → that of its own light, for the objects that bring any.
+    cells, rays : how many of them, the trials' with them.
+    """
+
+    rows: list[Floats]
+    overflow: Floats
+    error: float
+    part_errors: Mapping[str, float]
+    cells: int
+    rays: int
+
+
+def primary_by_cells(gathering: Gathering, target: float, part_target: float, faint: float = 0.0) -> Primary | None:
+    """The primary with a relative L2 error of at most `target`, and of `part_target` in each object's own light.
+
+    Returns nothing if that would take more work than `max_lookins`, or no light is found.
+
+    faint : photons, per emitted photon and over all histograms, under which an object's light is not held to that.
+    """
+    task = gathering.task
+    pairs = pairs_of(task.capture)
+    asked = Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
+    trial = Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
+    while True:
+        choice = choose(trial, asked)
+        quartering = None if choice is None else quarter(trial, choice, asked, len(pairs))
+        if choice is None or quartering is None:
+            return None
+        if quartering.levels <= trial.levels or quartering.gain <= asked.target * choice.whole:
+            break
+        # Smaller patches see light that those of the trial missed (a narrow lobe passes between their points): how
+        # finely its cells have to be cut is not known yet.
+        trial = replace(trial, levels=quartering.levels, seen={})
+    cutting, parts = choice.cutting[trial.group], len(asked.objects)
+    rows = np.arange(parts) if task.splits.parts else np.zeros(parts, np.int64)
+    seen = gathering.seen(pairs, quartering.levels, quartering.edge_levels)
+    found = gathering.gathered(pairs, seen, cutting, rows)
+    shape, names = task.capture.shape, task.scene.part_names
+    # Those of cells and of patches have nothing to do with each other.
+    errors = np.hypot(choice.still, quartering.of_parts) / np.where(choice.held, choice.own, 1.0)
+    return Primary(
+        [np.ascontiguousarray(found.histogram[:, k]).reshape(shape) for k in range(rows.max() + 1)],
+        found.overflow.reshape(shape[:2]), math.hypot(choice.error, quartering.error) / choice.whole,
+        {names[k]: float(errors[g]) for k, g in enumerate(trial.group) if choice.held[g]},
+        trial.work.cells + int(found.cells.sum()), trial.work.rays + int(found.rays.sum()),
+    )  # fmt: skip

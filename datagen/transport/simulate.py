@@ -1,0 +1,189 @@
+"""The transport solver: scene and capture in, transient out."""
+
+from __future__ import annotations
+
+import time as clock_time
+from dataclasses import replace
+from functools import cache, partial
+from warnings import warn
+
+import numpy as np
+
+from datagen.errors import InputWarning
+from datagen.records import Accuracy, Capture, Scene, Spend, Transient
+from datagen.records.arrays import Bools
+from datagen.records.checks import check_kind, check_seed
+from datagen.transport.brdf import MaterialTable
+from datagen.transport.error_control.meet_target import meet_target
+from datagen.transport.error_control.surroundings import CONTACT, surroundings
+from datagen.transport.factorised.secondary import factorising, secondary_transient
+from datagen.transport.fields_of_view import PixelCones, PixelPatches
+from datagen.transport.flood import flooded
+from datagen.transport.path_tracing.averages import Average, Estimate, split_rows, walk_average
+from datagen.transport.path_tracing.trace import Splits, WalkTask, components_asked
+from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints
+from datagen.transport.visibility.clear_sight import ClearSight
+from datagen.transport.visibility.raycast import Raycaster
+
+OBSERVED_IN_CONTACT = 64
+
+
+def simulate(
+    scene: Scene, capture: Capture, accuracy: Accuracy | None = None, seed: int = 0, *, split_parts: bool = True
+) -> Transient:
+    """Follow light from each laser point around the corner and back.
+
+    The photons that reach the aperture per emitted photon; with f the BRDFs, V the visibility, x₁ the laser point,
+    x₂ a lookin and x₃ a FoV point, the primary (three bounces) is (docs/physics.md; the paths are those of Eq. 6 of
+    Scholes & Leach, Sensors 24, 6522 (2024), with radiometric weights)
+
+        L = ∫∫ f₁ cosθ₁ cosθ₂ V₁₂/R₁₂² · f₂ · cosθ₂′ cosθ₃ V₂₃/R₂₃² · f₃ cosθ₃′ V₃ₛ A/R₃ₛ² dA₂ dA₃
+
+    and each further bounce adds a surface between x₂ and x₃. Light is traced from the laser point; every vertex is
+    joined to the FoV points, which gives all orders at once (the secondary is that of Eq. 8, all paths).
+
+    Parameters
+    ----------
+    scene, capture : what is looked at, and how.
+    accuracy : sample counts and effects, or the error to be met; default `Accuracy()`.
+    seed : any integer ≥ 0; the same arguments and seed give the same transient.
+    split_parts : also keep the primary split by part (`Transient.parts`), K times the memory for K parts.
+
+    Returns
+    -------
+    Transient with arrays (L, P, T), photons at the aperture per emitted photon and bin. A laser ray that meets
+    nothing, or a pixel that sees nothing, gives zeros. Flood illumination gives the mean over its laser points,
+    (1, P, T), with L as the number of points of its quadrature (`transport/flood.py`).
+
+    Raises
+    ------
+    InputError : for a pixel that is no convex quadrilateral, a negative seed, or an argument of another type.
+
+    Warns
+    -----
+    InputWarning : no light falls into the time axis, though some arrives outside it: mostly a scene in millimetres.
+
+    Examples
+    --------
+    >>> import datagen as dg, trimesh
+    >>> wall = trimesh.Trimesh([(0, -1, 0), (0, 1, 0), (0, 1, 2), (0, -1, 2)], [(0, 1, 2), (0, 2, 3)])
+    >>> box = trimesh.creation.box(bounds=[(1, 0.3, 0.5), (1.5, 0.8, 1)])
+    >>> scene = dg.Scene.from_parts([dg.Part("relay_wall", wall, dg.Lambertian(0.8)),
+    ...                              dg.Part("box", box, dg.Lambertian(0.5))])
+    >>> laser = dg.Laser((2, -1, 1), [(0, -0.2, 1)])
+    >>> sensor = dg.Sensor.grid((2, -1, 1), (0, 0.2, 1), (0, 0.1, 0), (0, 0, 0.1), rows=1, cols=2)
+    >>> capture = dg.Capture(laser, sensor, dg.TimeAxis(bins=200, width_s=1e-10, origin="wall"))
+    >>> t = dg.simulate(scene, capture, dg.Accuracy(lookins=1024, max_bounces=4), seed=0)
+    >>> t.total.shape, sorted(t.components), bool(t.parts["box"].sum() > 0)
+    ((1, 2, 200), ['primary', 'secondary'], True)
+    """
+    check_kind("scene", scene, Scene)
+    check_kind("capture", capture, Capture)
+    accuracy = Accuracy() if accuracy is None else accuracy
+    check_kind("accuracy", accuracy, Accuracy, remedy="an error to be met is Accuracy(target=0.05)")
+    check_seed(seed)
+    found = transient_of(scene, capture, accuracy, seed, split_parts=split_parts)
+    if found.overflow.any() and not found.total.any():
+        start, stop = capture.time.start_s * 1e9, capture.time.stop_s * 1e9
+        warn(
+            f"simulate: all light arrives outside the time axis, {start:.4g} … {stop:.4g} ns; is the scene in m?",
+            InputWarning, stacklevel=2,
+        )  # fmt: skip
+    return found
+
+
+def transient_of(
+    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool = True,
+    caster: Raycaster | None = None,
+) -> Transient:  # fmt: skip
+    """`simulate` of what was checked already, such as the scenes of a dataset; it warns of nothing.
+
+    caster : of the scene's triangles, where one was made already.
+    """
+    if capture.illumination == "flood":
+        one_by_one = replace(capture, illumination="scan")
+        return flooded(transient_of(scene, one_by_one, accuracy, seed, split_parts=split_parts, caster=caster))
+    began = clock_time.perf_counter()
+    task = prepared(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
+    ready = clock_time.perf_counter()
+    if accuracy.target is not None:
+        estimate, traced = meet_target(task), clock_time.perf_counter()
+    else:
+        average = walk_average(task)
+        traced = clock_time.perf_counter()
+        estimate = _with_factorised(task, average)
+    finished = clock_time.perf_counter()
+    seconds = {"prepare": ready - began, "trace": traced - ready, "secondary": finished - traced}
+    return Transient(
+        time=capture.time, laser_points=task.points.position, seconds=seconds, rays=task.sight.rays, **vars(estimate)
+    )
+
+
+def prepared(
+    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool,
+    caster: Raycaster | None = None,
+) -> WalkTask:  # fmt: skip
+    """What `simulate` works with: the scene as the kernels want it, and what is asked of it."""
+    caster = Raycaster(scene) if caster is None else caster
+    materials = MaterialTable.of(scene.materials)
+    cones = PixelCones.of(capture.sensor)
+    points = LaserPoints.of(caster, scene, capture.laser)
+    splits = Splits(scene.part_names if split_parts else (), components_asked(accuracy), len(scene.part_names))
+    task = WalkTask(
+        scene, capture, accuracy, caster, materials, cones,
+        PixelPatches.of(caster, capture.sensor, cones, accuracy.fov_samples), points,
+        cache(partial(AreaTarget.choose, caster, scene, materials, points, seed)), seed, splits,
+        ClearSight.of(caster, capture.sensor, accuracy.occlusion, *_connections(capture, accuracy)),
+        _walked(accuracy, materials),
+    )  # fmt: skip
+    if _needs_to_look_around(task):
+        task = replace(task, accuracy=replace(accuracy, observed=OBSERVED_IN_CONTACT), walked=~factorising(materials))
+    return task
+
+
+def _needs_to_look_around(task: WalkTask) -> bool:
+    """Whether the walk asked for would seldom meet the surfaces that give the field of view its secondary."""
+    accuracy = task.accuracy
+    asked = accuracy.target is None and accuracy.observed is None and accuracy.occlusion != "off"
+    if not asked or "secondary" not in task.splits.components or not factorising(task.materials).any():
+        return False
+    return surroundings(task, task.seed) > CONTACT
+
+
+def _connections(capture: Capture, accuracy: Accuracy) -> tuple[int, int]:
+    """The walk's connections for each vertex, and in all, about; 0 where a target decides."""
+    lasers, pixels, _ = capture.shape
+    each = pixels * accuracy.fov_samples
+    orders = 3 if accuracy.max_bounces is None else accuracy.max_bounces - 2
+    return each, 0 if accuracy.target is not None else lasers * accuracy.lookins * each * orders
+
+
+def _walked(accuracy: Accuracy, materials: MaterialTable) -> Bools:
+    if accuracy.secondary == "none":
+        return np.zeros(len(materials.kind), np.bool_)
+    return np.ones(len(materials.kind), np.bool_) if accuracy.observed is None else ~factorising(materials)
+
+
+def _with_factorised(task: WalkTask, average: Average) -> Estimate:
+    """The walk's average, with what the factorised form gives of the secondary; its error is independent."""
+    accuracy, splits = task.accuracy, task.splits
+    components, parts = split_rows(average.rows, splits)
+    stderr, overflow = average.stderr, average.overflow
+    costs = dict.fromkeys(components, average.work.cost / len(components))
+    way = dict.fromkeys(components, "walk")
+    if "secondary" in components and not task.walked.all():
+        assert accuracy.observed is not None
+        more = secondary_transient(task, accuracy.observed, ~task.walked)
+        components["secondary"] += more.rows[0]
+        np.hypot(stderr, more.stderr, out=stderr)
+        overflow += more.overflow
+        way["secondary"] = "walk + factorised" if task.walked.any() else "factorised"
+        costs["secondary"] = more.work.cost + costs["secondary"] * bool(task.walked.any())
+    total = sum(costs.values())
+    spend = Spend(
+        lookins=dict.fromkeys(components, float(accuracy.lookins)),
+        share={name: value / total if total > 0 else 0.0 for name, value in costs.items()}, way=way,
+        fov_samples=dict.fromkeys(components, int(accuracy.fov_samples)), rounds=1, cost=total,
+        outcome="sample counts as given",
+    )  # fmt: skip
+    return Estimate(components, parts, stderr, overflow, spend)
