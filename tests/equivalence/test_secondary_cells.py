@@ -20,6 +20,7 @@ from datagen.bench.foreign_scenes import foreign_scene
 from datagen.transport.error_control.meet_target import _sampled
 from datagen.transport.error_control.strategies import ForecastWalk
 from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.quadrature import four_bounces
 from datagen.transport.quadrature.four_bounces import Secondary, secondary_by_cells
 from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import pairs_of, reference

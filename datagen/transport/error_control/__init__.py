@@ -1,1 +1,1 @@
-"""Who decides how much effort each integrator gets, by pilots of error and cost, and the second opinion on the result."""
+"""Who decides how much effort each integrator gets, by pilots of error and cost; the second opinion on results."""
