@@ -15,6 +15,7 @@ import yaml
 
 import datagen
 from datagen.cli import cli
+from datagen.config.dataset import json_schema
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -104,6 +105,26 @@ def test_commands_and_options_exist(page: Path) -> None:
 def test_api_page_is_current() -> None:
     page = runpy.run_path(str(ROOT / "docs/make_api.py"))["page"]()
     assert page == TEXTS[ROOT / "docs/api.md"], "docstrings have changed since docs/api.md was written: make docs"
+
+
+def test_api_page_lists_every_configuration_key() -> None:
+    """Those of the JSON Schema, which pydantic writes: in the section of the model, or of one that it inherits from."""
+    page = TEXTS[ROOT / "docs/api.md"]
+    sections = {
+        name.lower(): text
+        for name, text in re.findall(r"^### Keys of (\w+)\n(.*?)(?=^### |\Z)", page, re.MULTILINE | re.DOTALL)
+    }
+
+    def keys(name: str) -> set[str]:
+        text = sections[name]
+        inherited = (keys(base) for base in re.findall(r"Also all keys of \[\S+\]\(#keys-of-(\w+)\)", text))
+        return set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)).union(*inherited)
+
+    schema = json_schema()
+    models = {**schema["$defs"], "DatasetConfig": schema}
+    assert len(models) > 40
+    for name, model in models.items():
+        assert {*model["properties"]} - {"kind"} <= keys(name.lower()), name
 
 
 def undocumented(tree: ast.Module | ast.ClassDef, where: str) -> Iterator[str]:
