@@ -181,7 +181,7 @@ def _allowed(kind: Any, metadata: list[Any] | tuple[Any, ...] = ()) -> Iterator[
         if isinstance(rule, FieldInfo):
             yield from _allowed(None, rule.metadata)
         elif isinstance(rule, AfterValidator):
-            given = inspect.getclosurevars(rule.func).nonlocals  # type: ignore[arg-type]
+            given = inspect.getclosurevars(rule.func).nonlocals
             if "low" in given:
                 yield f"{'>' if given['open_low'] else '≥'} {_number(given['low'])}" if given["low"] > -np.inf else ""
                 yield f"≤ {_number(given['high'])}" if given["high"] < np.inf else ""

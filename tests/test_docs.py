@@ -108,7 +108,7 @@ def test_api_page_is_current() -> None:
 
 
 def test_api_page_lists_every_configuration_key() -> None:
-    """Those of the JSON Schema, which pydantic writes: in the section of the model, or of one that it inherits from."""
+    """All keys of the JSON Schema are in the section of their model, or of a model that it inherits from."""
     page = TEXTS[ROOT / "docs/api.md"]
     sections = {
         name.lower(): text
