@@ -2,7 +2,7 @@
 
 An exposure to be found, scenes whose objects must have evidence, and the plan of a build rest on the same light at a
 coarser target: what evidence a measurement will hold then differs from what is stored by the coarser light alone, for
-the detector's law is the same (docs/evidence.md has how far)."""
+the detector's law is the same (docs/physics.md has how far)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The switchboard: only the effects a scene calls for are simulated (docs/effects.md)."""
+"""The switchboard: only the effects a scene calls for are simulated (docs/physics.md)."""
 
 from datagen.effects.decide import (
     EFFECTS,

@@ -103,7 +103,7 @@ def plan_effects(
     exposure: Exposure | None = None, *, settings: EffectsConfig | None = None, transient: Transient | None = None,
     tolerance: float = DEFAULT_TOLERANCE, seed: int = 0,
 ) -> EffectDecisions:  # fmt: skip
-    """Which effects a scene calls for (docs/effects.md): what changes the answer too little to matter is left out.
+    """Which effects a scene calls for (docs/physics.md): what changes the answer too little to matter is left out.
 
     What an effect changes is bounded, or measured by a trial run (twice the transport at about a hundredth of its
     cost). Those whose changes together stay within `settings.tolerance` are left out, the costliest first. Effects

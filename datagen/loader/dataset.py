@@ -77,7 +77,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         256 KiB. Noise that is drawn anew is that of the whole scan, cut.
     pixels : likewise of the pixels that each laser point is seen by.
     bins : a slice of the time bins; saves memory, and decoding only with the other two.
-    evidence_at_least : only scenes whose every object has at least this significance (docs/evidence.md), 3 for what
+    evidence_at_least : only scenes whose every object has at least this significance (docs/physics.md), 3 for what
         can be learnt at all; scenes without objects stay. `data.parameters("evidence.weakest")` has the numbers, and
         with the label `objects` the field `object_significance` that of each object.
 

@@ -92,7 +92,7 @@ def _page(runs: Runs, command: str, figures: tuple[str, ...]) -> Iterator[str]:
         "lengths in millimetres, and with <b>radiometric</b> weights. "
         f"Room: <code>{escape(runs.config.name)}</code>. Made by <code>{escape(command)}</code> on one core of "
         f"{escape(processor())}. All numbers: <code>{NUMBERS}</code>; what of the paper holds, and what its text "
-        "leaves open: <code>docs/paper.md</code>.</p>"
+        "leaves open: <code>docs/figures.md</code>.</p>"
     )
     for number in figures:
         yield f'<h2>Fig. {number}</h2><p><img alt="Fig. {number}, computed again" src="figure_{number}.png"></p>'

@@ -35,7 +35,7 @@ class Spend:
     way : component → "cells", "walk", "factorised", or "walk + factorised" where both find a part of the secondary.
     fov_samples : component → FoV points for each vertex and pixel.
     rounds : passes over the scene; 1 for fixed sample counts.
-    cost : all work in units of one connection with its shadow ray (`error_control/cost.py`), of counts alone.
+    cost : all work in units of one connection with its shadow ray (`transport/error_control/cost.py`), by counts.
     outcome : why it ended, in words.
     second_opinion : what unbiased samples say of light that was found by cells, in words; empty where none was.
 

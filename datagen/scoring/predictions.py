@@ -18,7 +18,7 @@ from datagen.records.arrays import Bools, Floats
 from datagen.scoring.truth import Truth
 
 QUANTITIES = ("depth", "mask", "points", "occupancy", "centers")
-_REMEDY = "docs/suites.md shows how to write predictions"
+_REMEDY = "docs/datasets.md shows how to write predictions"
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
     suite : the folder that `build_suite` made, or any dataset with the fields depth, part_id and objects.
     predictions : an `.npz` file, a Zarr group, or a mapping: `scene` (N,) and any of `depth` (N, row, column) in m,
         `mask` (N, row, column) where an object is seen, `points` (N, M, 3) and `centers` (N, K, 3) in the label
-        frame (rows of NaN are fill), `occupancy` (N, depth, row, column) in 0 … 1. docs/suites.md defines them.
+        frame (rows of NaN are fill), `occupancy` (N, depth, row, column) in 0 … 1. docs/datasets.md defines them.
     split : which scenes must be there, and are scored.
 
     Raises

@@ -27,7 +27,7 @@ COLUMNS = {
     "failure": "why the scene could not be made; null where it could",
     "split": "train, val, test or a split held out by the configuration",
     "transient.relative_error": "relative L2 error of the sample's transient; with a target its upper bound (95 %)",
-    "evidence.PART.detections, .brightest_bin, .significance": "of an object's own light; docs/evidence.md",
+    "evidence.PART.detections, .brightest_bin, .significance": "of an object's own light; docs/physics.md",
     "evidence.PART.presence, .presence_detections, .presence_floor": "of the scene with against without it",
     "evidence.weakest": "the least significance of any object of the scene; null where there is none",
     "evidence.placed_anew": "how often objects were placed anew until they had the evidence asked for; else absent",

@@ -2,7 +2,7 @@
 
     python tests/effects/promise_table.py --scenes 40
 
-takes about ten seconds of one core for each scene. Prints the tables of `docs/effects.md`. Ends with status 1 if a
+takes about ten seconds of one core for each scene. Prints the tables of `docs/physics.md`. Ends with status 1 if a
 scene differs by more than the tolerance, after naming it.
 """
 

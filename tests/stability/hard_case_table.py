@@ -1,4 +1,4 @@
-"""The table of docs/hard_cases.md: `python tests/stability/hard_case_table.py`.
+"""The table of docs/figures.md: `python tests/stability/hard_case_table.py`.
 
 Every case is measured anew; the tests hold the same numbers against their limits.
 """

@@ -1,4 +1,4 @@
-"""Every row of docs/hard_cases.md: our error within its limit, the naive way's beyond it."""
+"""Every row of docs/figures.md: our error within its limit, the naive way's beyond it."""
 
 from __future__ import annotations
 

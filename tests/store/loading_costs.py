@@ -1,4 +1,4 @@
-"""What parts of a sample cost to read: `python tests/store/loading_costs.py` prints the table of docs/training.md.
+"""What parts of a sample cost to read: `python tests/store/loading_costs.py` prints the table of docs/datasets.md.
 48 samples of 64 × 64 × 1024 counts, 3 % of bins filled, medians over samples and epochs.
 """
 

@@ -162,10 +162,10 @@ def test_earlier_datasets_have_splits_too() -> None:
 
 
 def test_the_example_of_the_docs_is_one() -> None:
-    page = (Path(__file__).parents[2] / "docs/training.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs/datasets.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"^```yaml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
     library = [{"kind": "library", "classes": ["chair", "table"]}]
-    config = small_config(scene={"contents": library}, **parse_yaml(example, "docs/training.md"))
+    config = small_config(scene={"contents": library}, **parse_yaml(example, "docs/datasets.md"))
     assert config.splits.names == (*SPLITS, "unseen_chairs", "near_the_wall", "plywood_to_the_left")
     turned = {"layout.turn": "left", "walls.material": "plywood"}
     assert splits_of([turned, {"a.class": "chair"}], config.splits) == ["plywood_to_the_left", "unseen_chairs"]
