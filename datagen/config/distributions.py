@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from datagen.config.base import Settings, tag
+from datagen.config.base import Settings, tag_of
 
 
 class Uniform(Settings):
@@ -119,20 +119,20 @@ def _check_range(name: str, low: float, high: float) -> None:
 
 
 def _member(value: Any) -> str | None:
-    if isinstance(value, bool):
-        return None
+    """The tag of the union's member that a value is to be read as; None for what is no distribution."""
     if isinstance(value, (int, float)):
-        return tag("constant")
+        return None if isinstance(value, bool) else "number"
     keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, Settings) else ()
-    return next((tag(key) for key in ("uniform", "log_uniform", "normal", "choice") if key in keys), None)
+    named = {"uniform": Uniform, "log_uniform": LogUniform, "normal": Normal, "choice": Choice}
+    return next((tag_of(model) for key, model in named.items() if key in keys), None)
 
 
 Distribution = Annotated[
-    Annotated[float, Tag(tag("constant"))]
-    | Annotated[Uniform, Tag(tag("uniform"))]
-    | Annotated[LogUniform, Tag(tag("log_uniform"))]
-    | Annotated[Normal, Tag(tag("normal"))]
-    | Annotated[Choice, Tag(tag("choice"))],
+    Annotated[float, Tag("number")]
+    | Annotated[Uniform, Tag("Uniform")]
+    | Annotated[LogUniform, Tag("LogUniform")]
+    | Annotated[Normal, Tag("Normal")]
+    | Annotated[Choice, Tag("Choice")],
     Discriminator(
         _member,
         custom_error_type="distribution",
