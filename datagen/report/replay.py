@@ -15,7 +15,6 @@ from datagen.config import DatasetConfig
 from datagen.design.light import light_of, transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, Spad, choose_sampler, detect, detector_for, expected_histogram
-from datagen.effects import EffectDecisions
 from datagen.errors import InputError
 from datagen.evidence.own import significance_in_time
 from datagen.labels import ViewFrame
@@ -63,7 +62,6 @@ class Replay:
     is_poisson : whether all counts are independent Poisson numbers of that mean.
     difference : relative L2 distance of the new transient from the stored one; None where none is stored.
     moved_m : how far the farthest laser point now lies from where it is stored, metres.
-    effects : what was simulated of the scene, and why.
     own : object → (bin,) its own light over the noise, √Σ s²/b over the scan; none where light is not split by part.
     stands_in : nothing was simulated, since mesh files are gone: the light is the stored one, of no part, and cuboids
         stand for the objects.
@@ -78,7 +76,6 @@ class Replay:
     moved_m: float = 0.0
     mean_is_exact: bool = True
     is_poisson: bool = True
-    effects: EffectDecisions = field(default_factory=lambda: EffectDecisions((), 0.0))
     own: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     stands_in: bool = False
 
@@ -144,9 +141,7 @@ def replay(stored: StoredScene) -> Replay:
         )
     difference, moved_m = _difference(stored, transient.total), _moved_m(stored, transient.laser_points)
     own = significance_in_time(transient, spad, exposure, scene.objects)
-    return Replay(
-        scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact, is_poisson, effects, own
-    )
+    return Replay(scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact, is_poisson, own)
 
 
 def _as_stored(stored: StoredScene) -> Replay:

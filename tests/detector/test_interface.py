@@ -13,8 +13,6 @@ from datagen.detector import (
     Exposure,
     Spad,
     choose_sampler,
-    coates_correction,
-    dead_time_correction,
     detect,
     detector_for,
     expected_histogram,
@@ -100,10 +98,6 @@ def spike(laser: int, pixel: int, bin_: int, value: float) -> np.ndarray:
             lambda: detect(BLOCK, TIME, Spad(crosstalk_probability=0.1, array_columns=4), EXPOSURE),
             ["array_columns", "whole rows"],
         ),
-        (lambda: coates_correction([5.0, 6.0], 10), ["11 counts for 10 cycles"]),
-        (lambda: coates_correction([np.nan], 10), ["finite"]),
-        (lambda: dead_time_correction(np.zeros(5), TIME, 1e-9, 1e7, 10), ["5 bins", "64"]),
-        (lambda: dead_time_correction(np.zeros(64), TIME, -1e-9, 1e7, 10), ["dead_time_s"]),
     ],
 )
 def test_bad_input_is_one_line_that_names_it(make, words):

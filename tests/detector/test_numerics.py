@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import binom, chi2, norm, poisson
 from statistics_kit import accept
 
-from datagen.detector import Exposure, Spad, coates_correction, detect, expected_histogram
+from datagen.detector import Exposure, Spad, detect, expected_histogram
 from datagen.detector.chain import draw_hazard_chain
 from datagen.detector.dead_time import equilibrium, most_in_window, synchronous_mean
 from datagen.detector.events import draw_free_running
@@ -177,7 +177,6 @@ def test_nothing_in_nothing_out(mode):
         counts = detect(np.zeros((2, 2, 100)), TIME, spad, Exposure())
         mean = expected_histogram(np.zeros((2, 2, 100)), TIME, spad, Exposure(), approximate=True)
     assert counts.sum() == 0 == mean.sum()
-    assert coates_correction(np.zeros(100), 10).sum() == 0
 
 
 def test_flux_of_ten_thousand_per_cycle():

@@ -10,7 +10,7 @@ import pytest
 
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.paper.envelopes import ComponentCurves, colors_of, component_curves, curve_window
+from datagen.paper.runs import ComponentCurves, colors_of, component_curves, curve_window
 
 FAST = {"lookins": 64, "fov_samples": 2, "replicates": 2}
 

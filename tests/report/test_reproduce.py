@@ -15,9 +15,8 @@ from datagen.cli import run
 from datagen.config import config_from_mapping, load_config
 from datagen.errors import InputError
 from datagen.paper import reproduce as command
-from datagen.paper.envelopes import PEAKS_NS, component_curves
 from datagen.paper.reproduce import peak_ns
-from datagen.paper.runs import Runs, Sizes, run_all
+from datagen.paper.runs import PEAKS_NS, Runs, Sizes, component_curves, run_all
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "configs" / "demonstration_room.yaml"
