@@ -249,6 +249,7 @@ def _quadrature(
                     square += x * x
                     to_wall += x * wall_normal[k]
                     to_plate += x * normal[k]
+                # Confocal light goes and returns by the same way: the geometry term counts twice.
                 cosines = to_wall * to_plate
                 energy = scale * (cosines / (square * square)) ** 2
                 position = 2.0 * math.sqrt(square) * per_metre - start

@@ -101,6 +101,7 @@ def _segments(
                 square += toward * toward
                 leaving += toward * normals[p, k]
                 arriving -= toward * lamp_normal[k]
+            # What lies behind either surface sends nothing, and needs no ray.
             if leaving > 0.0 and arriving > 0.0:
                 weight[p, q] = leaving * arriving / (square * square)
                 for k in range(3):
@@ -126,11 +127,13 @@ def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
     offset = np.empty((count, 3))
     height = np.empty(count)
     for p in range(len(points)):
+        # Corners as seen from the patch, and how high they stand above its plane.
         for c in range(count):
             height[c] = 0.0
             for k in range(3):
                 offset[c, k] = corners[c, k] - points[p, k]
                 height[c] += offset[c, k] * normals[p, k]
+        # The part of the polygon behind the patch's plane is cut off (Sutherland & Hodgman): it would count negative.
         held = 0
         for c in range(count):
             after = (c + 1) % count
@@ -153,6 +156,7 @@ def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
                 area += side * side
                 across += normals[p, k] * side
                 along += kept[c, k] * kept[after, k]
+            # By arctan2, which keeps small angles' digits where an arc cosine would lose half of them.
             length = np.sqrt(area)
             if length > 0.0:
                 total += np.arctan2(length, along) * across / length

@@ -207,6 +207,7 @@ def _add_primary(
     """Add A₁ · A₂A₃ for every lookin and each path out of it (Eq. 6)."""
     pixels = parts.shape[1]
     for row in range(len(out.first) - 1):
+        # Paths are listed lookin by lookin, and for each of them pixel by pixel.
         lookin, pixel = row // pixels, row % pixels
         for n in range(out.first[row], out.first[row + 1]):
             overflow[pixel] += put(

@@ -87,7 +87,7 @@ def _where_the_scan_is(scene: Scene, stored: StoredScene) -> str:
 
 
 def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray[Any]]) -> Figure:
-    """Every label there is, two or three in a row."""
+    """The page of all labels, two or three in a row."""
     text = (
         "Ground truth, seen from the plane of the relay wall through the green window of the room picture, "
         "orthographically along the wall's normal; up is up, and right is right as seen from the device facing the "
@@ -147,7 +147,7 @@ def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
 def overview_page(
     stored: StoredScene, again: Replay, room: RoomPicture, labels: Mapping[str, NDArray[Any]]
 ) -> Figure:
-    """One picture of everything: room, transient by part, counts, depth, scan."""
+    """The overview: room with its legend, transient by part, counts, depth, scan."""
     time, channel = again.capture.time, clear_channel(again.scene, again.transient)
     text = (
         "Above: the room in plan and opened; ceiling and walls in the way are taken off (dashed edges). "
@@ -188,7 +188,7 @@ def overview_page(
 
 
 def _legend_in(again: Replay, columns: int) -> float:
-    """Inches of a legend of all parts and four marks."""
+    """Height in inches of a legend of all parts and four marks."""
     return 0.2 * float(np.ceil((len(again.scene.part_names) + 4) / columns)) + 0.1
 
 

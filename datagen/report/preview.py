@@ -10,7 +10,7 @@ from typing import Any
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.records import Scene
-from datagen.report.evidence_pictures import kinds_told
+from datagen.report.evidence_pictures import kinds_report
 from datagen.report.explorer import explorer, scene_data
 from datagen.report.html import head, inside, table
 from datagen.report.parameter_plots import parameter_page, varying
@@ -86,7 +86,7 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
             for name, picture in pages(stored, again, ["overview", "evidence"]):
                 pictures.append(inside(picture, f"scene {record.index}, {name}"))
     yield explorer(shown) if roomless is None else f"<p>There are no rooms to show: {roomless}.</p>"
-    rests = kinds_told([scene.parameters for scene in made])
+    rests = kinds_report([scene.parameters for scene in made])
     if rests:
         yield "<h2>What the labels rest on</h2><p>Significance of each object's own light in the data, kind by kind: "
         yield f"how many objects have how many standard deviations; red: under {LEAST:g}, what no network can learn "

@@ -48,7 +48,7 @@ class StoredScene:
 
     @property
     def title(self) -> str:
-        """Dataset and scene, as pictures are headed."""
+        """The heading of its pictures: dataset and scene."""
         return f"{self.config.name}, scene {self.index}"
 
 
@@ -81,12 +81,12 @@ class Replay:
 
     @property
     def frame(self) -> ViewFrame | None:
-        """The frame of the labels, in which places on the wall are given, too."""
+        """The frame of the label images, in which pictures give places on the wall, too."""
         return None if self.scene.hidden_view is None else ViewFrame.of(self.scene)
 
     @property
     def reproduced(self) -> bool:
-        """Whether this is the stored scene, as far as what is stored shows."""
+        """Whether the simulated scene agrees with all that is stored of it."""
         return self.moved_m <= SAME_PLACE_M and (self.difference is None or self.difference <= REPRODUCED)
 
 
@@ -145,7 +145,7 @@ def replay(stored: StoredScene) -> Replay:
 
 
 def _as_stored(stored: StoredScene) -> Replay:
-    """A stored scene without simulating it; raises `InputError` where neither transient nor histogram is stored."""
+    """What is stored of a scene in place of a simulation; raises `InputError` where neither transient nor histogram is stored."""
     config, index, arrays = stored.config, stored.index, stored.arrays
     scene = stand_in(config.scene, config.seed, index, stored.parameters, arrays)
     capture = capture_for(config, scene, config.seed, index)

@@ -141,7 +141,7 @@ def _draw_places(
 
 
 def _listed(values: NDArray[np.float64]) -> tuple[str, NDArray[np.float64]]:
-    """What the channels of a scan without a grid are, and their histograms in its order, (1, N, bin)."""
+    """Of a scan without a grid: the name of its channels, "laser point" or "pixel", and their (1, N, bin) histograms."""
     if len(values) > 1 or values.shape[1] == 1:
         return "laser point", values.sum(axis=1)[None]
     return "pixel", values
@@ -153,13 +153,13 @@ def _rectangle(stored: StoredScene, name: str) -> Rectangle | None:
 
 
 def _frame(stored: StoredScene) -> ViewFrame | None:
-    """Of the labels, or of the relay wall: where its points are counted from in pictures."""
+    """The frame in which pictures give places: that of the labels, or else of the relay wall."""
     found = _rectangle(stored, "hidden_view") or _rectangle(stored, "relay_wall")
     return None if found is None else ViewFrame.about(found)
 
 
 def _capture(stored: StoredScene) -> Capture:
-    """The capture as it is stored. Of devices nobody knows the place of, which no picture here shows, some place."""
+    """The stored capture; a device without a stored place, which no picture here shows, gets some place."""
     arrays, settings = stored.arrays, stored.config.capture
     lit, pixels = np.asarray(arrays["laser_points"], np.float64), np.asarray(arrays["sensor_pixels"], np.float64)
     middle = pixels.mean(axis=(0, 1))
@@ -174,7 +174,7 @@ def _capture(stored: StoredScene) -> Capture:
 
 
 def _as_labelled(stored: StoredScene) -> Scene:
-    """What labels need of a scene, their window and the names of the parts: each a pane in that window."""
+    """A scene that stands for the unknown one where labels are drawn: their window, and a pane in it for each part."""
     import trimesh
 
     view = _rectangle(stored, "hidden_view")

@@ -240,5 +240,5 @@ def test_a_dataset_whose_mesh_files_are_gone_is_shown(tmp_path: Path) -> None:
         for end in (np.min, np.max):
             np.testing.assert_allclose(*(end(of, axis=0) for of in ends), atol=1e-3)
     written = show(tmp_path / "set.zarr", 0)
-    assert [path.name.split("-")[-1] for path in written] == [f"{name}.png" for name in PAGES if name != "effects"]
+    assert [path.name.split("-")[-1] for path in written] == [f"{name}.png" for name in PAGES]
     assert preview(tmp_path / "set.zarr", scenes=1).is_file()
