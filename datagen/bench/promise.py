@@ -185,8 +185,8 @@ def main(
     Running it again goes on with the scenes that OUT does not have yet. Configurations without a target, whose counts
     are fixed, promise nothing and are passed over.
 
-    With --foreign N no CONFIGS are wanted: N scenes of random shapes (and meshes), BRDFs, devices and scans are compared
-    with the definition of the transient.
+    With --foreign N no CONFIGS are wanted: N scenes of random shapes (and meshes), BRDFs, devices and scans are
+    compared with the definition of the transient.
     """
     if scenes < 1 or points < 1 or first < 0:
         raise InputError(f"--scenes {scenes} --points {points} --first {first}: must be ≥ 1, and first ≥ 0")

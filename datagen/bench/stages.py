@@ -76,7 +76,7 @@ def scanned(config: DatasetConfig, scan: str) -> DatasetConfig:
 
 
 def processor_seconds_of_scenes(config: DatasetConfig, scenes: int) -> list[float]:
-    """Processor seconds of each of `scenes` scenes, from seed to shard on disk; a first one, which compiles, left out."""
+    """Processor seconds of each of `scenes` scenes, from seed to shard, but for a first one, which compiles."""
     alone = config.store.model_copy(update={"scenes_per_shard": 1})
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "set"

@@ -168,7 +168,7 @@ def _decided(rows: Sequence[Effect[Any]], given: Any, settings: EffectsConfig | 
 
 
 def _applied(rows: Sequence[Effect[Any]], decisions: Sequence[Decision], given: Any) -> Any:
-    """The scene or detector with the decisions applied. Backwards through the table: dead time across cycles before pile-up."""
+    """The scene or detector with the decisions applied, last row first: dead time across cycles before pile-up."""
     made = {decision.effect: decision for decision in decisions}
     for row in reversed(rows):
         decision = made.get(row.name)

@@ -80,7 +80,9 @@ class Detection:
 
 
 def _timing(given: Detection) -> Change:
-    """Bound on what leaving the response out changes, by Young's inequality: a response that leaves the share w in its bin changes λ by 2 (1 − w) ‖λ‖ at most.
+    """Bound on the change without the response.
+
+    By Young's inequality a response that leaves the share w in its bin changes λ by 2 (1 − w) ‖λ‖ at most.
 
     The expected histogram is at least exp(−M) of what the response leaves in its bins, M the most events within a
     dead time. Events moved also move the dead time they cause; what that shifts shifts the next until nothing comes

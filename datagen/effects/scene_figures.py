@@ -174,7 +174,7 @@ def is_lambertian(material: Material) -> bool:
 
 @lru_cache(maxsize=1024)
 def mean_albedo(material: Material) -> float:
-    """Share of even light from all sides that the surface returns: 2 ∫ ρ(cosθ) cosθ dcosθ, ρ the directional albedo."""
+    """Share of even light that the surface returns: 2 ∫ ρ(cosθ) cosθ dcosθ, ρ the directional albedo."""
     if is_lambertian(material):
         return material.albedo
     match material:
@@ -186,7 +186,9 @@ def mean_albedo(material: Material) -> float:
 
 
 def _phong_share(exponent: float) -> float:
-    """Share of even light that the lobe (n + 2)/(2π) cosⁿα returns: 2/(3π) (π + W/(n + 2)), W = ∫ cosⁿα dα over 0 … π/2.
+    """Share of even light that the lobe (n + 2)/(2π) cosⁿα returns.
+
+    It is 2/(3π) (π + W/(n + 2)), W = ∫ cosⁿα dα over 0 … π/2.
 
     As α is the angle to a mirrored direction, which is as even as the first, it is averaged over all surfaces at a
     fixed angle between the two directions instead: the mean of max(n·ω, 0) max(n·ω′, 0) over the sphere of normals n

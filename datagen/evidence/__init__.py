@@ -8,7 +8,8 @@ and dead time) and s_i those of an object's own light among them (`detector/own_
 
     σ = √ Σ s_i² / b_i,
 
-over all bins, pixels and laser points. The mean of Σ (s_i/b_i) n_i over counts n_i differs by σ of its own standard deviations from that without the object's light.
+over all bins, pixels and laser points. The mean of Σ (s_i/b_i) n_i over counts n_i differs by σ of its own standard
+deviations from that without the object's light.
 With a dead time Σ s²/b is the Fisher information of a counting process with intensity λ(t) while the diode is armed;
 docs/evidence.md has the derivation and what is left out.
 

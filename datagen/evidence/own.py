@@ -81,8 +81,8 @@ def evidence_and_gain(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None,
     scan_pairs: ScanPairs | None = None, in_sight: Mapping[str, Floats] | None = None,
 ) -> tuple[dict[str, Evidence], Floats]:  # fmt: skip
-    """What `own_evidence` gives and, of the histograms of the scan pairs, (S, bin) `detections_per_photon`: the law of the
-    detector's dead time is solved once for both."""
+    """The result of `own_evidence`, and (S, bin) `detections_per_photon` of the scan pairs' histograms: the law of
+    the detector's dead time is solved once for both."""
     names = tuple(transient.parts) if parts is None else tuple(parts)
     for name in names:
         if name not in transient.parts:
@@ -136,7 +136,7 @@ def significance_in_time(
 
 
 def evidence_parameters(found: Mapping[str, Evidence]) -> dict[str, Scalar]:
-    """The evidence as scalars of a sample: `evidence.PART.…`, and `evidence.weakest`, the least significance of any object."""
+    """The evidence as scalars of a sample: `evidence.PART.…`, and the least significance, `evidence.weakest`."""
     if not found:
         return {}
     flat: dict[str, Scalar] = {"evidence.weakest": min(of.significance for of in found.values())}

@@ -123,8 +123,8 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
 
 
 def first_scenes(configs: Sequence[DatasetConfig], count: int) -> list[tuple[DatasetConfig, int]]:
-    """(configuration, scene number) of the first scenes, shared evenly among the configurations. Raises `InputError` for a mesh file
-    that cannot be used."""
+    """(configuration, scene number) of the first scenes, shared evenly among the configurations. Raises `InputError`
+    for a mesh file that cannot be used."""
     for config in configs:
         check_scene_config(config.scene)
     configs = [with_exposure_found(config) if config.scene.asks_for_evidence else config for config in configs]

@@ -28,7 +28,7 @@ class Camera:
 
     @classmethod
     def looking(cls, azimuth_deg: float, elevation_deg: float) -> Camera:
-        """The camera that looks from a direction (azimuth counted from +x towards +y, elevation above the floor) onto the scene."""
+        """A camera that looks at the scene: azimuth counted from +x towards +y, elevation above the floor."""
         a, e = np.radians([azimuth_deg, elevation_deg])
         into = -np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         right = np.array([-np.sin(a), np.cos(a), 0.0])
@@ -74,7 +74,7 @@ def room_faces(scene: Scene) -> tuple[NDArray[np.int64], NDArray[np.int64], NDAr
 
 
 def cut_open(scene: Scene, camera: Camera) -> Cutaway:
-    """The room without its ceiling and without every wall that hides more than a sliver of floor, objects or relay wall."""
+    """The room without ceiling and any wall that hides more than a sliver of floor, objects or relay wall."""
     walls, _, ceiling = room_faces(scene)
     shown = np.setdiff1d(np.arange(len(scene.triangles)), np.concatenate([walls, ceiling]))
     if len(walls) == 0:
@@ -94,7 +94,7 @@ def cut_open(scene: Scene, camera: Camera) -> Cutaway:
 
 
 def flat_groups(scene: Scene, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[NDArray[np.float64]]]:
-    """Groups of triangles that lie in one plane and touch: number of each face's group, and border (E, 2, 3) of each."""
+    """Groups of triangles that touch in one plane: number of each face's group, and the border (E, 2, 3) of each."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,4 +1,4 @@
-"""Pictures of evidence: how far each object stands out of the noise, as the SNR of a matched filter (its significance).
+"""Pictures of evidence: how far objects stand out of the noise, by the SNR of a matched filter (their significance).
 
 Of a scene each object's light over the noise; of a dataset the significance of each kind of object.
 """

@@ -162,7 +162,7 @@ def _draw_occupancy(figure: Figure, axes: Axes, scene: Scene, values: NDArray[An
 
 
 def _draw_sdf(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
-    """Draw one horizontal slice of the signed distance, from above: right across, depth upwards, the surface (distance 0) as a line."""
+    """Draw one level slice of the signed distance from above: right across, depth upwards, the surface as a line."""
     grid = VoxelGrid.of(scene, values.shape)
     row = int(np.argmin(values.mean(axis=(0, 2))))
     layer = values[:, row, :]

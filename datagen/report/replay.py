@@ -145,7 +145,7 @@ def replay(stored: StoredScene) -> Replay:
 
 
 def _as_stored(stored: StoredScene) -> Replay:
-    """What is stored of a scene in place of a simulation; raises `InputError` where neither transient nor histogram is stored."""
+    """What is stored of a scene in place of a simulation. Raises `InputError` where no light of it is stored."""
     config, index, arrays = stored.config, stored.index, stored.arrays
     scene = stand_in(config.scene, config.seed, index, stored.parameters, arrays)
     capture = capture_for(config, scene, config.seed, index)

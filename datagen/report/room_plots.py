@@ -93,7 +93,7 @@ def draw_plan(axes: Axes, room: RoomPicture) -> None:
 
 
 def draw_opened(axes: Axes, room: RoomPicture, arrows: bool = True) -> None:
-    """Draw the room in 3D without perspective, from the relay wall's front side; ceiling and walls in the way taken off."""
+    """Draw the room in 3D without perspective, from before the relay wall; ceiling and walls in the way taken off."""
     scene = room.scene
     camera, cut, picture = room.opened
     _show(axes, picture)
@@ -110,8 +110,8 @@ def draw_opened(axes: Axes, room: RoomPicture, arrows: bool = True) -> None:
 
 
 def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
-    """Camera and cut-open room: of a few directions in front of the relay wall, the one that shows most of the objects
-    and of that wall."""
+    """Camera and cut-open room: of a few directions before the relay wall, the one that shows most of the objects and
+    of that wall."""
     normal = np.array([-1.0, 0.0, 0.0]) if scene.relay_wall is None else scene.relay_wall.normal
     front = float(np.degrees(np.arctan2(normal[1], normal[0])))
     wanted = np.flatnonzero([role != "structure" for role in scene.roles])

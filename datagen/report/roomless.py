@@ -141,7 +141,7 @@ def _draw_places(
 
 
 def _listed(values: NDArray[np.float64]) -> tuple[str, NDArray[np.float64]]:
-    """Of a scan without a grid: the name of its channels, "laser point" or "pixel", and their (1, N, bin) histograms."""
+    """Name of the channels of a scan without a grid, "laser point" or "pixel", and their (1, N, bin) histograms."""
     if len(values) > 1 or values.shape[1] == 1:
         return "laser point", values.sum(axis=1)[None]
     return "pixel", values
@@ -174,7 +174,7 @@ def _capture(stored: StoredScene) -> Capture:
 
 
 def _as_labelled(stored: StoredScene) -> Scene:
-    """A scene that stands for the unknown one where labels are drawn: their window, and a pane in it for each part."""
+    """A scene that stands for the unknown one where labels are drawn: their window, and a pane in it for a part."""
     import trimesh
 
     view = _rectangle(stored, "hidden_view")
