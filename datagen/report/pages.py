@@ -230,11 +230,6 @@ def _objects(again: Replay) -> NDArray[np.float64]:
 
 def _provenance(again: Replay) -> str:
     """Where the curves come from, and whether they are the stored ones."""
-    if again.stands_in:
-        return (
-            "The mesh files of this scene are gone: its light is what is stored (without a transient, the "
-            "counts), not split by part, and a cuboid stands for each object."
-        )
     start = "Parts are not stored; they come from simulating this scene again from its stored configuration and seed"
     if not again.reproduced:
         far = "" if again.difference is None else f" (its transient differs by {again.difference:.2g}, relative L2)"

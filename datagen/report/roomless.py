@@ -1,4 +1,7 @@
-"""The pictures of a scene whose room nobody can draw: made in Python, or captured elsewhere. Only what is stored."""
+"""The pictures of a scene whose room cannot be drawn: made in Python, captured elsewhere, or without its mesh files.
+
+They show what is stored, and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -32,10 +35,15 @@ _LABELS = (
 )
 
 
-def why_roomless(config: DatasetConfig) -> str | None:
-    """Why the rooms of a dataset cannot be drawn, as a whole clause; None where they can."""
+def why_roomless(config: DatasetConfig, meshes: bool) -> str | None:
+    """Why the rooms of a dataset cannot be drawn, as a whole clause; None where they can.
+
+    meshes : whether the mesh files that the configuration names are there.
+    """
     layout = config.scene.layout
-    return layout.why if isinstance(layout, NoLayout) else None
+    if isinstance(layout, NoLayout):
+        return layout.why
+    return None if meshes else "the mesh files of its objects are gone; put them back to see the rooms"
 
 
 def roomless_pages(stored: StoredScene, labels: bool = True) -> Iterator[tuple[str, Figure]]:
@@ -48,7 +56,8 @@ def roomless_pages(stored: StoredScene, labels: bool = True) -> Iterator[tuple[s
     seen = labels and np.isfinite(stored.arrays["hidden_view"]).all()
     if not there and not (seen and images):
         raise InputError(
-            f"{stored.title}: {why_roomless(stored.config)}, and neither histogram, transient nor labels are stored"
+            f"{stored.title}: {why_roomless(stored.config, stored.meshes)}, and neither histogram, transient nor labels "
+            "are stored"
         )
     for name in there:
         yield name, _measured_page(stored, name)
@@ -65,9 +74,10 @@ def _measured_page(stored: StoredScene, name: str) -> Figure:
     laser, pixel = (int(k) for k in np.unravel_index(int(np.argmax(whole)), whole.shape))
     raster = scans.raster_of(capture, (laser, pixel), frame)
     source = f" File: {stored.parameters['capture.file']}." if "capture.file" in stored.parameters else ""
+    why = why_roomless(stored.config, stored.meshes)
     text = (
-        f"The stored {name}, and nothing beyond it: {why_roomless(stored.config)}.{source} Left: its sum at each "
-        "place on the relay wall. Middle: along the row that has most (brightness: logarithm). Right: over time, "
+        f"The stored {name}, and nothing beyond it: {why}.{source} Left: its "
+        "sum at each place on the relay wall. Middle: along the row that has most (brightness: logarithm). Right: over time, "
         "summed over all and at the place that has most."
     )
     if raster is not None:

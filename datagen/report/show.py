@@ -30,8 +30,9 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
     each object's light over the noise with its significance, the labels, and slices of the scan where it has several
     channels. The
     scene is simulated again from the stored configuration and seed for what a dataset does not hold (geometry, the
-    split by part); counts, labels and significances are the stored ones. Of scenes that were made in Python, and of
-    imported captures, whose rooms nobody can draw, what is stored is drawn: measurements over wall and time, labels.
+    split by part); counts, labels and significances are the stored ones. Where a room cannot be drawn (scenes made in
+    Python, imported captures, mesh files that are gone) what is stored is drawn: measurements over wall and time, and
+    labels.
 
     Parameters
     ----------
@@ -47,7 +48,8 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
     folder = root.with_name(f"{root.name}.show") if out is None else Path(out)
     stem = f"scene-{index:06d}"
     with house_style():
-        made = pages(stored, replay(stored)) if why_roomless(stored.config) is None else roomless_pages(stored)
+        roomless = why_roomless(stored.config, stored.meshes)
+        made = pages(stored, replay(stored)) if roomless is None else roomless_pages(stored)
         return [save_png(figure, folder / f"{stem}-{name}.png") for name, figure in made]
 
 
@@ -58,8 +60,6 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
     To be used within `house_style()`.
     """
     wanted = drawn.labels_of(stored)
-    if again.stands_in:
-        wanted = [name for name in wanted if name in stored.arrays]
     kept = {name: stored.arrays[name] for name in wanted if name in stored.arrays}
     made = make_labels(stored.config.labels, again.scene, [name for name in wanted if name not in kept])
     labels = {name: (kept | made)[name] for name in wanted}
