@@ -154,9 +154,7 @@ def support(distribution: Distribution) -> tuple[float, float]:
     return distribution._support()
 
 
-def within(
-    low: float = -np.inf, high: float = np.inf, *, open_low: bool = False, integer: bool = False
-) -> AfterValidator:
+def within(low: float = -np.inf, high: float = np.inf, *, open_low: bool = False) -> AfterValidator:
     """A pydantic validator: all values that can be drawn lie in low … high (low itself excluded if `open_low`)."""
 
     def check(value: Distribution) -> Distribution:
@@ -164,8 +162,6 @@ def within(
         if smallest < low or largest > high or (open_low and smallest <= low):
             drawn = f"{smallest:g}" if smallest == largest else f"{smallest:g} … {largest:g}"
             raise ValueError(f"{drawn} given; {_allowed(low, high, open_low)}")
-        if integer and isinstance(value, (int, float)) and value != int(value):
-            raise ValueError(f"{value:g} given; a whole number is needed")
         return value
 
     return AfterValidator(check)

@@ -46,18 +46,18 @@ def why_roomless(config: DatasetConfig, meshes: bool) -> str | None:
     return None if meshes else "the mesh files of its objects are gone; put them back to see the rooms"
 
 
-def roomless_pages(stored: StoredScene, labels: bool = True) -> Iterator[tuple[str, Figure]]:
+def roomless_pages(stored: StoredScene) -> Iterator[tuple[str, Figure]]:
     """(name, figure) of each stored measurement, `histogram` and `transient`, and of the stored `labels`.
 
     To be used within `house_style()`. Raises `InputError` where nothing of it is stored.
     """
     there = [name for name in QUANTITIES if name in stored.arrays]
     images = [name for name in (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS) if name in stored.arrays]
-    seen = labels and np.isfinite(stored.arrays["hidden_view"]).all()
+    seen = np.isfinite(stored.arrays["hidden_view"]).all()
     if not there and not (seen and images):
         raise InputError(
-            f"{stored.title}: {why_roomless(stored.config, stored.meshes)}, and neither histogram, transient nor labels "
-            "are stored"
+            f"{stored.title}: {why_roomless(stored.config, stored.meshes)}, and neither histogram, transient nor "
+            "labels are stored"
         )
     for name in there:
         yield name, _measured_page(stored, name)
@@ -76,9 +76,9 @@ def _measured_page(stored: StoredScene, name: str) -> Figure:
     source = f" File: {stored.parameters['capture.file']}." if "capture.file" in stored.parameters else ""
     why = why_roomless(stored.config, stored.meshes)
     text = (
-        f"The stored {name}, and nothing beyond it: {why}.{source} Left: its "
-        "sum at each place on the relay wall. Middle: along the row that has most (brightness: logarithm). Right: over time, "
-        "summed over all and at the place that has most."
+        f"The stored {name}, and nothing beyond it: {why}.{source} Left: its sum at each place on the relay wall. "
+        "Middle: along the row that has most (brightness: logarithm). Right: over time, summed over all and at the "
+        "place that has most."
     )
     if raster is not None:
         text += (
