@@ -45,18 +45,3 @@ def test_replay_simulates_what_was_simulated(dataset: Path) -> None:
     again = replay(read_scene(dataset, 0))
     assert again.reproduced
     assert set(again.transient.components) == {"direct", "primary"}
-
-
-def test_loader_redraws_with_the_decided_detector(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from datagen.loader import TransientDataset
-
-    seen: list[Any] = []
-    monkeypatch.setattr(
-        "datagen.effects.decide.EffectDecisions.apply_detector",
-        lambda decided, spad, exposure, tolerance: seen.append(decided) or (spad, exposure, tolerance),
-    )
-    data = TransientDataset(dataset, fields=("histogram",), redraw_noise=True)
-    first, again = np.asarray(data[0]["histogram"]), np.asarray(data[0]["histogram"])
-    assert first.shape == again.shape == (4, 1, 32)
-    assert len(seen) == 1, "decided once for a scene"
-    assert {d.stage for d in seen[0].decisions} == {"detector"}
