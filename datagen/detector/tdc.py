@@ -95,7 +95,7 @@ class Tdc:
         return out
 
     def _without_short(self, detections: NDArray[N]) -> NDArray[N]:
-        """Those of whole bins."""
+        """The detections less those in the short bin at the end of the period, if there is one."""
         if self._from_short is None:
             return detections
         full = detections.copy()

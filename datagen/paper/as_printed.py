@@ -194,7 +194,7 @@ def _each_lookin_alike(into: Paths, light: Lighting) -> Paths:
 
 
 def _present(paths: Paths) -> Paths:
-    """Without paths of no energy."""
+    """The paths that carry energy."""
     kept = paths.energy > 0
     first = np.concatenate([[0], np.cumsum(kept)])[paths.first]
     return Paths(first, paths.position[kept], paths.energy[kept])

@@ -171,13 +171,10 @@ def _frame(axes: Axes) -> NDArray[np.float64]:
     return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
-def sheet_figure(
-    rooms: Sequence[RoomPicture], names: Sequence[str], title: str, columns: int | None = None
-) -> Figure:
+def sheet_figure(rooms: Sequence[RoomPicture], names: Sequence[str], title: str) -> Figure:
     """Rooms in a grid, plan at the left of each cell and the opened room at its right; within `house_style()`."""
-    columns = columns or min(8, max(1, int(np.ceil(np.sqrt(len(rooms))))))
+    columns = min(8, max(1, int(np.ceil(np.sqrt(len(rooms))))))
     rows = -(-len(rooms) // columns)
-    columns = min(columns, len(rooms))
     width = columns * _CELL_IN[0]
     note = textwrap.fill(_NOTE, int(width * 15))
     foot = 0.15 + 0.15 * len(note.splitlines())
