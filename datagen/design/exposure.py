@@ -160,13 +160,13 @@ def _of_one_cycle(
 
 
 def _rounded_up(cycles: float) -> int:
-    """The number rounded up to two significant digits, which hides the last bits of another processor's arithmetic."""
+    """Rounded up to two significant digits, which hides the last bits of another processor's arithmetic."""
     unit = int(10 ** max(math.floor(math.log10(max(cycles, 1.0))) - 1, 0))
     return max(math.ceil(cycles / unit - 1e-6) * unit, 1)
 
 
 def _check_counts(config: DatasetConfig, asked: ExposureFor, pilots: list[_Pilot], cycles: int, enough: int) -> None:
-    """Raise `InputError` unless enough objects have their evidence with these cycles, too, and counts can be stored."""
+    """Raise `InputError` unless enough objects have their evidence after `cycles`, and counts can be stored."""
     least = asked.evidence * (1 - 1e-6)
     met = sum(pilot.significance(name, cycles) >= least for pilot in pilots for name in pilot.squares)
     if met < enough:
