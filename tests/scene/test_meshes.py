@@ -76,18 +76,9 @@ def test_up_turns_the_file_and_never_mirrors_it(tmp_path: Path, up: str) -> None
     np.testing.assert_allclose(np.unique(np.round(unit.vertices[:, 2], 4)), expected, atol=2e-4)
 
 
-def test_unit_of_the_file_does_not_matter(tmp_path: Path) -> None:
-    for name, scale in (("metres", 1.0), ("millimetres", 1e3), ("kilometres", 1e-3)):
-        lump().apply_scale(scale).export(tmp_path / f"{name}.ply")
-    corners = [object_corners(generate_scene(spec_with(f"{n}.ply", tmp_path).scene, 0, 0)) for n in
-               ("metres", "millimetres", "kilometres")]  # fmt: skip
-    np.testing.assert_allclose(corners[0], corners[1], atol=1e-5)
-    np.testing.assert_allclose(corners[0], corners[2], atol=1e-5)
-
-
-@pytest.mark.parametrize("scale", [1e-300, 1e-200, 1e200, 1e307])
-def test_no_unit_is_too_large_or_too_small(tmp_path: Path, scale: float) -> None:
-    """Squares and cubes of such coordinates are no numbers; the object is the same."""
+@pytest.mark.parametrize("scale", [1e-300, 1e-3, 1e3, 1e307])
+def test_the_unit_of_the_file_does_not_matter(tmp_path: Path, scale: float) -> None:
+    """Not even where squares and cubes of coordinates are no numbers."""
     mesh = lump()
     lines = ["v " + " ".join(map(repr, map(float, vertex * scale))) for vertex in mesh.vertices]
     lines += ["f " + " ".join(str(k + 1) for k in face) for face in mesh.faces]
