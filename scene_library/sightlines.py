@@ -76,7 +76,7 @@ def first_faces(
 
 
 def lattice_points(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 3) points on (F, 3, 3) triangles: all corners, and where these are few a lattice between them, about 4096."""
+    """(n, 3) points on (F, 3, 3) triangles: all corners, where these are few a lattice of about 4096."""
     steps = max(1, int(np.sqrt(2 * 4096 / len(triangles))) - 1)
     i, j = np.meshgrid(np.arange(steps + 1), np.arange(steps + 1), indexing="ij")
     inside = i + j <= steps
