@@ -92,7 +92,6 @@ nightly: setup
 	$(BIN)/python tests/store/harm_table.py
 	$(BIN)/python tests/cpu_types.py -n $(JOBS) tests/capture/test_configs_built.py
 	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
-	$(BIN)/python tests/scene/drawn_distributions.py --scenes $(ROOMS)
 
 cpu-types: setup
 	$(BIN)/python tests/cpu_types.py

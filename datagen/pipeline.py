@@ -20,7 +20,7 @@ from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, dete
 from datagen.effects import EffectDecisions, decide_detector_effects
 from datagen.errors import InputError
 from datagen.evidence import evidence_image, light_in_sight
-from datagen.evidence.image import stations_of
+from datagen.evidence.image import representative_pairs
 from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
 from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
@@ -96,11 +96,11 @@ def sample_of(
     with _timed(seconds, "evidence"):
         # A transient that another simulator made is not split by object.
         parts = scene.objects if given is None else ()
-        stations = stations_of(caster, scene, capture) if faded else None
+        scan_pairs = representative_pairs(caster, scene, capture) if faded else None
         plain = light_in_sight(light.scene, capture, light.accuracy, light.seed, caster) if parts else {}
-        evidence, gain = evidence_and_gain(transient, used, conditions, parts, stations, plain)
+        evidence, gain = evidence_and_gain(transient, used, conditions, parts, scan_pairs, plain)
         evidence = evidence if given is None else dict.fromkeys(scene.objects, UNKNOWN)
-        image = {} if surface is None else {"evidence": evidence_image(caster, surface, capture, stations, gain)}
+        image = {} if surface is None else {"evidence": evidence_image(caster, surface, capture, scan_pairs, gain)}
     presence = dict[str, Presence]()
     if "presence" in config.store.fields:
         with _timed(seconds, "presence"):

@@ -75,9 +75,9 @@ def first_faces(
     return np.where(hit < distance * (1 - slack), face, -1)
 
 
-def lattice_points(triangles: NDArray[np.float64], about: int = 4096) -> NDArray[np.float64]:
-    """(n, 3) points on (F, 3, 3) triangles: all corners, and where these are few a lattice between them."""
-    steps = max(1, int(np.sqrt(2 * about / len(triangles))) - 1)
+def lattice_points(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) points on (F, 3, 3) triangles: all corners, where these are few a lattice of about 4096."""
+    steps = max(1, int(np.sqrt(2 * 4096 / len(triangles))) - 1)
     i, j = np.meshgrid(np.arange(steps + 1), np.arange(steps + 1), indexing="ij")
     inside = i + j <= steps
     weights = np.stack([i[inside], j[inside], steps - i[inside] - j[inside]], axis=1) / steps

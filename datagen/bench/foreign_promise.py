@@ -1,4 +1,4 @@
-"""`datagen bench promise OUT --foreign N`: scenes that no configuration would draw, held against the definition.
+"""`datagen bench promise OUT --foreign N`: scenes that no configuration would draw, compared with the definition.
 
 Each scene (`foreign_scenes.py`) is simulated to a target; the error of the whole and of each object's own light is
 then measured against independent runs X₁ … X_K of `transport/sampled_paths.py`, which knows of no cells. With
@@ -54,8 +54,8 @@ WALKS, WALKED = 4, 1 << 13
 
 
 @dataclass(frozen=True)
-class ForeignHeld:
-    """The whole of a scene, or one of its objects, at one target.
+class ForeignCheck:
+    """The check of a whole scene, or of one of its objects, at one target.
 
     Attributes
     ----------
@@ -154,11 +154,11 @@ class Truth:
 
     @property
     def pairs(self) -> int:
-        """Histograms."""
+        """Number of histograms."""
         return len(pairs_of(self.foreign.capture))
 
     def add(self, samples: int) -> None:
-        """So many samples more for each pair of laser point and pixel, over all runs."""
+        """Add so many samples for each pair of laser point and pixel, over all runs."""
         each = max(samples // RUNS, 1)
 
         def draw() -> dict[str, Floats]:
@@ -194,8 +194,8 @@ def coarsened(light: Floats, bins: int, width_s: float) -> Floats:
     return np.asarray(padded.reshape(*shape.shape[:-1], -1, along).sum(axis=-1).reshape(*light.shape[:-1], -1))
 
 
-def held_foreign(index: int, targets: Sequence[float], meshes: Path | None = None) -> list[ForeignHeld]:
-    """Foreign scene `index`, simulated to each target and held against one truth."""
+def checks_of_foreign(index: int, targets: Sequence[float], meshes: Path | None = None) -> list[ForeignCheck]:
+    """Foreign scene `index`, simulated to each target and compared with one truth."""
     foreign = foreign_scene(index, meshes)
     runs = []
     for target in targets:
@@ -217,7 +217,7 @@ def held_foreign(index: int, targets: Sequence[float], meshes: Path | None = Non
     return [replace(one, walk_off=walk_off) if one.what == WHOLE else one for one in found]
 
 
-def _hopeless(one: ForeignHeld, truth: Truth) -> bool:
+def _hopeless(one: ForeignCheck, truth: Truth) -> bool:
     """Whether not even the last round would decide: the noise of products falls with the number of samples."""
     growth = 2 * MOST_SAMPLES / (one.samples * truth.pairs)
     return one.known > growth * WELL_KNOWN * one.asked**2
@@ -230,7 +230,7 @@ def _simulated(foreign: ForeignScene, accuracy: Accuracy, seed: int) -> Transien
 def _compared(
     index: int, meshes: Path | None, foreign: ForeignScene, truth: Truth, target: float, run: Transient,
     seconds: float,
-) -> list[ForeignHeld]:  # fmt: skip
+) -> list[ForeignCheck]:  # fmt: skip
     claimed = {WHOLE: run.error_bound or 0.0} | {name: error for name, error in run.part_errors.items() if error > 0}
     each_part = Accuracy(target=target).each_part
     axis, light, found = foreign.capture.time, lights(run), []
@@ -247,7 +247,7 @@ def _compared(
         energy = ours.sum() / energies.mean() if energies.mean() > 0 else float(ours.any())
         energy_known = stats.sem(energies) / energies.mean() if energies.mean() > 0 else 0.0
         ways = {component: way for component, way in run.spend.way.items() if name == WHOLE or component == "primary"}
-        case = ForeignHeld(
+        case = ForeignCheck(
             index, "" if meshes is None else meshes.name, target, name, foreign.shapes.get(name, ""),
             foreign.brdfs.get(name, ""), ", ".join(f"{c} {w}" for c, w in sorted(ways.items())), foreign.scan,
             foreign.surroundings, foreign.max_bounces, target if name == WHOLE else each_part, claim, square, known,
@@ -266,11 +266,11 @@ def _walk_off(foreign: ForeignScene, truth: Truth) -> float:
     return float((walks.mean() - energies.mean()) / noise) if noise > 0 else 0.0
 
 
-def table(found: Sequence[ForeignHeld]) -> str:
+def table(found: Sequence[ForeignCheck]) -> str:
     """Markdown: a line for wholes and objects at each target, then by way, BRDF, shape and scan."""
     head = ["of", "target", "cases", "undecided", "not promised", *KEPT, "beyond twice its claim"]
     wholes, objects = ([one for one in found if (one.what == WHOLE) == whole] for whole in (True, False))
-    groups: list[tuple[Sequence[ForeignHeld], str, Callable[[ForeignHeld], str]]] = [
+    groups: list[tuple[Sequence[ForeignCheck], str, Callable[[ForeignCheck], str]]] = [
         (wholes, "whole", lambda one: ""), (objects, "objects", lambda one: ""),
         (wholes, "whole, ", lambda one: one.way), (wholes, "whole, ", lambda one: one.scan),
         (wholes, "whole, ", lambda one: one.surroundings), (objects, "objects, ", lambda one: one.brdf),
@@ -284,7 +284,7 @@ def table(found: Sequence[ForeignHeld]) -> str:
     return markdown(head, rows, words=1)
 
 
-def _row(cases: Sequence[ForeignHeld]) -> list[str]:
+def _row(cases: Sequence[ForeignCheck]) -> list[str]:
     promised = [one for one in cases if one.promised]
     known = [one for one in promised if one.decided]
     counts = [str(len(cases)), str(len(promised) - len(known)), str(len(cases) - len(promised))]
@@ -295,7 +295,7 @@ def _row(cases: Sequence[ForeignHeld]) -> list[str]:
     return [*counts, *kept, overclaimed]
 
 
-def told(one: ForeignHeld) -> str:
+def line_of(one: ForeignCheck) -> str:
     """A case in one line, with what it takes to run it again."""
     what = one.what if one.what == WHOLE else f"{one.what} ({one.shape}, {one.brdf})"
     meshes = f" --meshes …/{one.meshes}" if one.meshes else ""
@@ -307,14 +307,14 @@ def told(one: ForeignHeld) -> str:
     )
 
 
-def hold_foreign(folder: Path, scenes: range, targets: Sequence[float], meshes: Path | None) -> None:
-    """Hold some foreign scenes; table and cases in a folder, where those that it has already are kept."""
+def report_foreign(folder: Path, scenes: range, targets: Sequence[float], meshes: Path | None) -> None:
+    """Compare some foreign scenes with the truth; table and cases go to a folder, whose cases so far are kept."""
     of = "" if meshes is None else meshes.name
     found = continued(
         folder / "foreign.json",
-        ForeignHeld,
+        ForeignCheck,
         lambda one: (one.scene, one.meshes, one.target),
-        lambda missing: held_foreign(missing[0][0], [target for *_, target in missing], meshes),
+        lambda missing: checks_of_foreign(missing[0][0], [target for *_, target in missing], meshes),
         [[(index, of, target) for target in targets] for index in scenes],
     )
     count = len({(one.scene, one.meshes) for one in found})
@@ -325,4 +325,4 @@ def hold_foreign(folder: Path, scenes: range, targets: Sequence[float], meshes: 
     for one in sorted(found, key=lambda one: one.error / one.asked, reverse=True):
         missed = one.promised and one.decided and not one.within
         if missed or one.overclaimed or one.disputed:
-            click.echo(told(one))
+            click.echo(line_of(one))

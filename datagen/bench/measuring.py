@@ -1,4 +1,4 @@
-"""What all benches share: the machine's name, processor seconds, tables in Markdown."""
+"""Helpers of all benches: the machine's name, processor seconds, tables in Markdown."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def machine() -> str:
 
 
 def processor_seconds(call: Callable[[], T]) -> tuple[T, float]:
-    """What a call returns, and its processor seconds, all threads together: a busy machine does not change them."""
+    """(result, processor seconds) of a call, all threads together: a busy machine does not change them."""
     began = time.process_time()
     result = call()
     return result, time.process_time() - began
@@ -71,8 +71,8 @@ KEPT = ("within", "exact 95 % interval", "true / asked: median", "95th", "worst"
 
 
 def promises_kept(shares: Sequence[float], within: Sequence[bool]) -> list[str]:
-    """How many of some cases are within what was asked, with Clopper and Pearson's interval, and the distribution of
-    true over asked error."""
+    """Cells of a table: the share of cases whose error is within what was asked, with Clopper and Pearson's interval,
+    and median, 95th percentile and maximum of true over asked error."""
     interval = stats.binomtest(sum(within), len(within)).proportion_ci(0.95, "exact")
     spread = np.median(shares), np.quantile(shares, 0.95), np.max(shares)
     kept = f"{sum(within) / len(within):.1%}", f"{interval.low:.1%} … {interval.high:.1%}"

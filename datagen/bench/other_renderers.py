@@ -239,6 +239,7 @@ def _quadrature(
     per_metre: float, start: float, out: Any,
 ) -> None:  # fmt: skip
     for p in range(len(points)):
+        # Midpoints, as shares of the plate's half extents: the integrand is smooth as nothing stands in between.
         for i in range(knots):
             u = (2 * i + 1) / knots - 1.0
             for j in range(knots):
@@ -249,6 +250,7 @@ def _quadrature(
                     square += x * x
                     to_wall += x * wall_normal[k]
                     to_plate += x * normal[k]
+                # Confocal light goes and returns by the same way: the geometry term counts twice.
                 cosines = to_wall * to_plate
                 energy = scale * (cosines / (square * square)) ** 2
                 position = 2.0 * math.sqrt(square) * per_metre - start

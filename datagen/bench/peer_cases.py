@@ -40,7 +40,7 @@ class Contender:
     asks: bool = False
 
     def asked(self, samples: int) -> str:
-        """What was asked of it, in words."""
+        """Its number of samples, or the error asked of it, in words."""
         return f"to {percent(1 / samples)}" if self.asks else f"{samples} {self.unit}"
 
 
@@ -84,7 +84,7 @@ def to_target(scene: Scene, capture: Capture, bounces: int, objects: bool = Fals
 
 
 def by_walk(scene: Scene, capture: Capture, bounces: int) -> Callable[[int, int], Array]:
-    """Ours by so many lookins, the plain estimator."""
+    """A call that runs ours by path tracing with so many lookins."""
     return lambda lookins, seed: ours(scene, capture, Accuracy(lookins, 1, bounces, replicates=1), seed)
 
 
@@ -173,7 +173,7 @@ def one_laser_point(points_a_side: int) -> Case:
 
 
 def path_axis(bins: int, width_m: float, start_m: float) -> TimeAxis:
-    """Bins of so much path, from the wall on."""
+    """A time axis whose bins are `width_m` of path wide and count from the wall."""
     return TimeAxis(bins, time_from_path(width_m), time_from_path(start_m), "wall")
 
 

@@ -45,7 +45,7 @@ class Run:
 
     @property
     def error(self) -> float:
-        """That of the whole."""
+        """Relative error of the whole."""
         return next(iter(self.errors.values()))
 
 
@@ -58,7 +58,7 @@ Turn = dict[str, list[Run]]
 
 
 def measured(case: Case, repeats: int) -> list[Turn]:
-    """Every contender at each of its numbers of samples, turn after turn with other seeds."""
+    """The runs of every contender at each of its numbers of samples, turn after turn with other seeds."""
 
     def once(contender: Contender, samples: int, seed: int) -> Run:
         time.sleep(RESTING_S)
@@ -89,7 +89,7 @@ def seconds_at(rows: Sequence[tuple[float, float]], target: float) -> tuple[floa
 
 
 def seconds_to_target(contender: Contender, runs: Sequence[Run], target: float) -> tuple[float, bool]:
-    """That of a contender in one turn: where it is asked for an error, the run that was asked for the target."""
+    """`seconds_at` of a contender in one turn; of one that is asked for an error, by the run asked for the target."""
     rows = [(run.seconds, run.error) for run in runs]
     if contender.asks:
         rows = [row for row, one_in in zip(rows, contender.samples, strict=True) if one_in * target >= 1] or rows

@@ -1,4 +1,4 @@
-"""`datagen bench promise`: scenes of configurations, simulated to their targets and held against the truth.
+"""`datagen bench promise`: scenes of configurations, simulated to their targets and compared with the truth.
 
 For each scene some laser points of its scan (pixels, where one laser point has many) are taken at random and
 simulated to a target, as a build would. The error of the whole and of every object's own light is then measured at
@@ -20,7 +20,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from datagen.bench.foreign_promise import hold_foreign
+from datagen.bench.foreign_promise import report_foreign
 from datagen.bench.measuring import KEPT, continued, machine, markdown, processor_seconds, promises_kept
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, load_config
@@ -40,8 +40,8 @@ WHOLE = "whole"
 
 
 @dataclass(frozen=True)
-class Held:
-    """The whole of a scene, or one of its objects.
+class Check:
+    """The check of a whole scene, or of one of its objects.
 
     Attributes
     ----------
@@ -79,8 +79,8 @@ class Held:
         return self.error <= self.asked
 
 
-def held(config: DatasetConfig, index: int, target: float, points: int = POINTS) -> list[Held]:
-    """Scene `index` of a configuration."""
+def checks_of(config: DatasetConfig, index: int, target: float, points: int = POINTS) -> list[Check]:
+    """The checks of scene `index` of a configuration: of the whole and of each object."""
     light = _light(config, index, points)
     run, seconds = processor_seconds(replace(light, accuracy=replace(light.accuracy, target=target)).transient)
     claimed = {WHOLE: run.error_bound or 0.0} | {name: error for name, error in run.part_errors.items() if error > 0}
@@ -107,12 +107,12 @@ def held(config: DatasetConfig, index: int, target: float, points: int = POINTS)
         asked = target if name == WHOLE else replace(light.accuracy, target=target).each_part
         itself = (truth.error_bound if name == WHOLE else truth.part_errors.get(name)) or 0.0
         errors = math.sqrt(off), error, asked, itself, float(each.sum()), known
-        found.append(Held(config.name, index, target, name, *errors, seconds))
+        found.append(Check(config.name, index, target, name, *errors, seconds))
     return found
 
 
 def _light(config: DatasetConfig, index: int, points: int) -> Light:
-    """What a build would simulate, at some laser points or pixels."""
+    """The light that a build would simulate, at some laser points or pixels."""
     scene = scene_for(config, index)
     whole = capture_for(config, scene, config.seed, index)
     effects = transport_effects(config, scene, whole, index)
@@ -138,7 +138,7 @@ def _parts(run: Transient, names: Mapping[str, float]) -> dict[str, Floats]:
     return {name: values.reshape(-1, values.shape[-1]) for name, values in found.items()}
 
 
-def table(found: Sequence[Held]) -> str:
+def table(found: Sequence[Check]) -> str:
     """Markdown, a line for each target and kind."""
     head = ["target", "of", "cases", "not promised", *KEPT, "claimed / true: median", "truth by walks: median",
             "beyond 4 σ"]  # fmt: skip
@@ -158,7 +158,7 @@ def table(found: Sequence[Held]) -> str:
     return markdown(head, rows, words=2)
 
 
-def _told(one: Held) -> str:
+def _line(one: Check) -> str:
     """A case in one line."""
     return (
         f"{one.config} scene {one.scene}, target {one.target:g}, {one.what}: true {one.error:.4f}, claimed "
@@ -180,30 +180,30 @@ def main(
     out: str, configs: tuple[str, ...], scenes: int, first: int, points: int, targets: tuple[float, ...],
     foreign: int | None, meshes: Path | None,
 ) -> None:  # fmt: skip
-    """Hold scenes of CONFIGS, and each of their objects, against the truth; table and JSON in the folder OUT.
+    """Compare scenes of CONFIGS, and each of their objects, with the truth; table and JSON in the folder OUT.
 
     Running it again goes on with the scenes that OUT does not have yet. Configurations without a target, whose counts
     are fixed, promise nothing and are passed over.
 
-    With --foreign N no CONFIGS are wanted: N scenes of random shapes (and meshes), BRDFs, devices and scans are held
-    against the definition of the transient.
+    With --foreign N no CONFIGS are wanted: N scenes of random shapes (and meshes), BRDFs, devices and scans are
+    compared with the definition of the transient.
     """
     if scenes < 1 or points < 1 or first < 0:
         raise InputError(f"--scenes {scenes} --points {points} --first {first}: must be ≥ 1, and first ≥ 0")
     if foreign is not None:
         if foreign < 1 or configs:
             raise InputError(f"--foreign {foreign}: must be ≥ 1, and stand without configurations")
-        return hold_foreign(Path(out), range(first, first + foreign), targets, meshes)
+        return report_foreign(Path(out), range(first, first + foreign), targets, meshes)
     if meshes is not None or not configs:
         raise InputError("datagen bench promise: name configurations, or --foreign N, if wanted with --meshes FOLDER")
     ready = {one.name: one for one in map(load_config, configs) if one.transport.target is not None}
 
-    def measure(missing: list[tuple[str, int, float]]) -> list[Held]:
-        return [one for name, index, target in missing for one in held(ready[name], index, target, points)]
+    def measure(missing: list[tuple[str, int, float]]) -> list[Check]:
+        return [one for name, index, target in missing for one in checks_of(ready[name], index, target, points)]
 
     jobs = [[(name, index, target)] for index in range(first, first + scenes) for target in targets for name in ready]
     file = Path(out) / "promise.json"
-    found = continued(file, Held, lambda one: (one.config, one.scene, one.target), measure, jobs)
+    found = continued(file, Check, lambda one: (one.config, one.scene, one.target), measure, jobs)
     if not found:
         raise InputError("datagen bench promise: none of the configurations has a target; name others")
     cases = {(one.config, one.scene) for one in found}
@@ -214,4 +214,4 @@ def main(
     click.echo(text)
     for one in found:
         if one.disputed or (one.promised and not one.within):
-            click.echo(_told(one))
+            click.echo(_line(one))

@@ -32,7 +32,7 @@ CORES = 16
 
 
 def shard_size(config: DatasetConfig, scenes: int) -> int:
-    """Scenes of a shard: as many as a dataset of so many would have, but for `LEAST_SHARDS`."""
+    """Scenes in a shard of a dataset of so many scenes, fewer where it would have less than `LEAST_SHARDS` shards."""
     return min(
         schema_of(config.with_scenes(scenes)).scenes_per_shard, 1 << ((scenes // LEAST_SHARDS).bit_length() - 1)
     )
@@ -48,7 +48,7 @@ def records_of_build(config: DatasetConfig, workers: int, scenes: int) -> list[S
 
 
 def scenes_per_second(records: Sequence[ShardRecord], workers: int) -> float:
-    """From the end of the last worker's first shard to the end of all."""
+    """Scenes per second, from the end of the last worker's first shard to the end of all."""
     warm = records[workers - 1].finished
     after = [record for record in records if record.finished > warm]
     return sum(len(record.scenes) for record in after) / (after[-1].finished - warm)
@@ -76,7 +76,7 @@ def scanned(config: DatasetConfig, scan: str) -> DatasetConfig:
 
 
 def processor_seconds_of_scenes(config: DatasetConfig, scenes: int) -> list[float]:
-    """Of each of `scenes` scenes, from its seed to its shard on disk; one before them, which compiles, left out."""
+    """Processor seconds of each of `scenes` scenes, from seed to shard, but for a first one, which compiles."""
     alone = config.store.model_copy(update={"scenes_per_shard": 1})
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "set"

@@ -1,13 +1,13 @@
-"""What all configuration models share: frozen, strict, and errors of one line that name the key."""
+"""What all configuration models share: they are frozen and strict, and an error is one line that names the key."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Collection, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import pydantic
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
 
 from datagen.errors import InputError
 
@@ -18,12 +18,14 @@ else:
     ModelMetaclass = type(BaseModel)
 
 
-class _ToldInALine(ModelMetaclass):
-    """Makes models: what is wrong with one made in Python is told as of one read from a file. A model within another
-    is made by pydantic itself, and its errors belong to that one."""
+class _OneLineErrors(ModelMetaclass):
+    """Makes models that are wrong in Python raise the same one-line error as models read from a file.
+
+    A model within another one is made by pydantic itself, and its errors belong to the outer one.
+    """
 
     def __call__(cls, *values: Any, **named: Any) -> Any:
-        """The model of these values; raises `InputError`, one line, for what is none."""
+        """The model of these values; raises `InputError` where they are not allowed."""
         if values:
             raise InputError(f"{cls.__name__}: takes keys by name, as in {cls.__name__}(key=value)")
         try:
@@ -33,7 +35,7 @@ class _ToldInALine(ModelMetaclass):
             raise
 
 
-class Settings(BaseModel, metaclass=_ToldInALine):
+class Settings(BaseModel, metaclass=_OneLineErrors):
     """A frozen section of the configuration; unknown keys and values of another type are refused.
 
     Raises `InputError`, one line, where it is made of values that are not allowed.
@@ -44,30 +46,53 @@ class Settings(BaseModel, metaclass=_ToldInALine):
         validate_default=True,
     )  # fmt: skip
 
+    is_offered: ClassVar[bool] = True
+    """Whether messages name its kind as one to choose; datagen alone writes the others."""
+
+    def unwritten(self) -> Collection[str]:
+        """Keys that are left out where the model is written: nobody asked for them, and reading them would fail or
+        change a fingerprint."""
+        return ()
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = written(self)
+        absent = self.unwritten()
+        return {key: value for key, value in values.items() if key not in absent} if absent else values
+
 
 def raise_input_error(source: str, error: pydantic.ValidationError, model: type[BaseModel]) -> None:
     """Raise `InputError` for the first problem in `error`: source, key, value, what is allowed."""
     details = error.errors(include_url=False)
     # An unknown key is often the cause of a missing one, so it is named first.
     details.sort(key=lambda d: d["type"] != "extra_forbidden")
-    first = details[0]
-    key = _dotted(first["loc"])
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    raise InputError(f"{source}: {_explain(key, first, model)}{more}") from None
+    raise InputError(f"{source}: {_explain(details[0], model)}{more}") from None
 
 
-def _explain(key: str, detail: Any, model: type[BaseModel]) -> str:
-    kind, value, context = detail["type"], detail["input"], detail.get("ctx", {})
-    if kind == "extra_forbidden":
-        parent, _, name = key.rpartition(".")
-        known = _known_keys(model, detail["loc"][:-1])
-        hint = near_hint(name, known, 0.5).rstrip() or f"known keys: {', '.join(sorted(known))}"
+def _explain(detail: Any, model: type[BaseModel]) -> str:
+    problem, value, context, location = detail["type"], detail["input"], detail.get("ctx", {}), detail["loc"]
+    if problem == "extra_forbidden":
+        parent, models = _place_of(location[:-1], model)
+        known = sorted({name for one in models for name in one.model_fields})
+        hint = near_hint(location[-1], known, 0.5).rstrip() or f"known keys: {', '.join(known)}"
+        key = f"{parent}.{location[-1]}" if parent else location[-1]
         return f"{key}: unknown key{f' in {parent!r}' if parent else ''}; {hint}"
-    if kind == "missing":
+    key, models = _place_of(location, model)
+    if problem == "missing":
         return f"{key}: missing; this key is required"
-    if kind == "value_error" and "error" in context:
+    kinds = [tag_of(one) for one in models if issubclass(one, Settings) and one.is_offered]
+    if problem == "union_tag_invalid":
+        kind = context["tag"]
+        return f"{key}: kind = {kind!r} is unknown; {near_hint(kind, kinds)}It must be one of {', '.join(kinds)}"
+    if problem == "union_tag_not_found" and isinstance(value, dict):
+        return f"{key}: the key kind is missing; it must be one of {', '.join(kinds)}"
+    if problem == "value_error" and "error" in context:
         return f"{key + ': ' if key else ''}{context['error']}"
     message = str(detail["msg"])
+    if problem in ("dict_type", "model_type", "model_attributes_type", "union_tag_not_found"):
+        with_kind = f" with the key kind, one of {', '.join(kinds)}" if len(kinds) > 1 else ""
+        message = f"a mapping is needed{with_kind}"
     shown = repr(value) if isinstance(value, (str, int, float, bool, type(None))) else f"a {_yaml_name(value)}"
     return f"{key} = {shown}: {message[:1].lower()}{message[1:]}"
 
@@ -82,47 +107,32 @@ def _yaml_name(value: object) -> str:
     return "mapping" if isinstance(value, dict) else "list" if isinstance(value, list) else type(value).__name__
 
 
-def _dotted(loc: Iterable[int | str]) -> str:
-    """The YAML path of a pydantic location: tags of unions are left out, list positions stay."""
-    tags = {f"<{name}>" for name in TAGS}
-    text = ""
-    for part in loc:
-        if isinstance(part, str) and (part in tags or part.startswith("function-")):
-            continue
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
-    return text
+def _place_of(location: Sequence[int | str], model: type[BaseModel]) -> tuple[str, list[type[BaseModel]]]:
+    """The YAML path of a pydantic location, and the models that a mapping there may stand for.
 
-
-TAGS: set[str] = set()
-"""Names of union members, registered by `tag`, which pydantic puts into locations although no YAML key has them."""
-
-
-def tag(name: str) -> str:
-    """A union tag that error messages leave out of the key's path."""
-    TAGS.add(name)
-    return f"<{name}>"
-
-
-def _known_keys(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """The keys allowed where `loc` points; a tag in `loc` picks the member of a union by its class name."""
-    current: set[type[BaseModel]] = {model}
-    for part in loc:
+    pydantic names the member of a union in its locations, too: no key of YAML, but it says which model is meant.
+    """
+    path, models = "", [model]
+    for part in location:
         if isinstance(part, int):
+            path += f"[{part}]"
             continue
-        if part.startswith("<"):
-            current = {m for m in current if tag_of(m) == part.strip("<>")} or current
-            continue
-        current = {m for c in current if part in c.model_fields for m in _models_in(c.model_fields[part].annotation)}
-    return sorted({f for m in current for f in m.model_fields})
+        fields = [one.model_fields[part] for one in models if part in one.model_fields]
+        if fields:
+            path += f".{part}" if path else part
+            models = [inner for field in fields for inner in _models_in(field.annotation)]
+        else:
+            models = [one for one in models if tag_of(one) == part] or models
+    return path, models
 
 
 def tag_of(model: type[BaseModel]) -> str:
-    """The tag of a union member: the default of its `kind` field, or its class name in lower case."""
+    """What tells a model from the others of a union: the default of its key `kind`, or the name of its class."""
     kind = model.model_fields.get("kind")
-    return str(kind.default) if kind is not None else model.__name__.lower()
+    return model.__name__ if kind is None else str(kind.default)
 
 
-def _models_in(annotation: Any) -> set[type[BaseModel]]:
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return {annotation}
-    return {m for argument in getattr(annotation, "__args__", ()) for m in _models_in(argument)}
+        return [annotation]
+    return [model for argument in getattr(annotation, "__args__", ()) for model in _models_in(argument)]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, Fraction, support, within
@@ -111,10 +111,7 @@ class DetectorConfig(Settings):
             raise ValueError("found_for: tells for what given cycles were found; to have them found set exposure_for")
         return self
 
-    @model_serializer(mode="wrap")
-    def _as_given(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without what nobody asked for, so that what is written can be read again."""
-        values: dict[str, Any] = written(self)
-        absent = [name for name in ("exposure_for", "found_for") if values.get(name) is None]
-        absent += ["cycles"] if self.exposure_for is not None else []
-        return {name: value for name, value in values.items() if name not in absent}
+    def unwritten(self) -> list[str]:
+        """What was not asked for of the keys that exclude each other."""
+        absent = [name for name in ("exposure_for", "found_for") if getattr(self, name) is None]
+        return absent if self.exposure_for is None else [*absent, "cycles"]

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from datagen.config.base import Settings, tag
+from datagen.config.base import Settings, tag_of
 
 
 class Uniform(Settings):
@@ -119,20 +119,20 @@ def _check_range(name: str, low: float, high: float) -> None:
 
 
 def _member(value: Any) -> str | None:
-    if isinstance(value, bool):
-        return None
+    """The tag of the union's member that a value is to be read as; None for what is no distribution."""
     if isinstance(value, (int, float)):
-        return tag("constant")
+        return None if isinstance(value, bool) else "number"
     keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, Settings) else ()
-    return next((tag(key) for key in ("uniform", "log_uniform", "normal", "choice") if key in keys), None)
+    named = {"uniform": Uniform, "log_uniform": LogUniform, "normal": Normal, "choice": Choice}
+    return next((tag_of(model) for key, model in named.items() if key in keys), None)
 
 
 Distribution = Annotated[
-    Annotated[float, Tag(tag("constant"))]
-    | Annotated[Uniform, Tag(tag("uniform"))]
-    | Annotated[LogUniform, Tag(tag("log_uniform"))]
-    | Annotated[Normal, Tag(tag("normal"))]
-    | Annotated[Choice, Tag(tag("choice"))],
+    Annotated[float, Tag("number")]
+    | Annotated[Uniform, Tag("Uniform")]
+    | Annotated[LogUniform, Tag("LogUniform")]
+    | Annotated[Normal, Tag("Normal")]
+    | Annotated[Choice, Tag("Choice")],
     Discriminator(
         _member,
         custom_error_type="distribution",
@@ -154,9 +154,7 @@ def support(distribution: Distribution) -> tuple[float, float]:
     return distribution._support()
 
 
-def within(
-    low: float = -np.inf, high: float = np.inf, *, open_low: bool = False, integer: bool = False
-) -> AfterValidator:
+def within(low: float = -np.inf, high: float = np.inf, *, open_low: bool = False) -> AfterValidator:
     """A pydantic validator: all values that can be drawn lie in low … high (low itself excluded if `open_low`)."""
 
     def check(value: Distribution) -> Distribution:
@@ -164,8 +162,6 @@ def within(
         if smallest < low or largest > high or (open_low and smallest <= low):
             drawn = f"{smallest:g}" if smallest == largest else f"{smallest:g} … {largest:g}"
             raise ValueError(f"{drawn} given; {_allowed(low, high, open_low)}")
-        if integer and isinstance(value, (int, float)) and value != int(value):
-            raise ValueError(f"{value:g} given; a whole number is needed")
         return value
 
     return AfterValidator(check)

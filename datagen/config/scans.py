@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 
 from datagen.config.base import Settings
-from datagen.config.scene_kinds import ByKind
 
 LARGEST_SCAN = 65536
 PointCount = Annotated[int, Field(ge=1, le=LARGEST_SCAN)]
@@ -124,20 +123,15 @@ class SubsetScan(_Spread, _CountedScan):
         return self
 
 
-class ImportedScan(Settings):
+class ImportedScan(_CountedScan):
     """Laser points wherever the files of an import have them: a dataset holds them scene by scene. Written by
     `datagen import`, and no scan to build with."""
 
-    model_config = ConfigDict(json_schema_extra=_kind_required)
+    is_offered = False
 
     kind: Literal["imported"] = "imported"
     count: Annotated[int, Field(ge=1, le=2**22)]
     """How many laser points."""
-
-    @property
-    def laser_points(self) -> int:
-        """The number of laser points."""
-        return self.count
 
 
 def _refuse_too_many(rows: int, columns: int) -> None:
@@ -148,7 +142,13 @@ def _refuse_too_many(rows: int, columns: int) -> None:
         )
 
 
+def _kind(scan: Any) -> str | None:
+    return str(scan.get("kind", "grid")) if isinstance(scan, dict) else getattr(scan, "kind", None)
+
+
 AnyScan = Annotated[
-    GridScan | PointsScan | CircleScan | RandomScan | SubsetScan | ImportedScan,
-    ByKind(default="grid", unlisted=("imported",)),
-]
+    Annotated[GridScan, Tag("grid")] | Annotated[PointsScan, Tag("points")] | Annotated[CircleScan, Tag("circle")]
+    | Annotated[RandomScan, Tag("random")] | Annotated[SubsetScan, Tag("subset")]
+    | Annotated[ImportedScan, Tag("imported")],
+    Discriminator(_kind),
+]  # fmt: skip

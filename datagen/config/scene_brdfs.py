@@ -6,10 +6,10 @@ import math
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, Fraction, draw, within
-from datagen.config.scene_kinds import ByKind
 from datagen.records import GGX, Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
 from scene_library.materials import MATERIALS
 
@@ -103,5 +103,6 @@ class RetroreflectorBrdf(_Brdf):
 
 
 BrdfSettings = Annotated[
-    LambertianBrdf | CatalogueBrdf | SinLobeBrdf | PhongBrdf | OrenNayarBrdf | GGXBrdf | RetroreflectorBrdf, ByKind()
+    LambertianBrdf | CatalogueBrdf | SinLobeBrdf | PhongBrdf | OrenNayarBrdf | GGXBrdf | RetroreflectorBrdf,
+    Field(discriminator="kind"),
 ]

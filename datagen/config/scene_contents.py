@@ -3,44 +3,76 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    Field,
-    PrivateAttr,
-    SerializerFunctionWrapHandler,
-    ValidationInfo,
-    model_serializer,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
 from datagen.config.base import near_hint
 from datagen.config.distributions import Count, Distribution, Fraction, Length, Uniform, support, within
-from datagen.config.scene_files import (
-    RESERVED_NAMES,
-    Axis,
-    FolderPath,
-    MeshPath,
-    TriangleBudget,
-    classed_files,
-    is_placed,
-    label_of,
-    resolved,
-)
-from datagen.config.scene_kinds import ByKind
 from datagen.config.scene_layouts import NonNegative
 from datagen.config.scene_materials import SurfaceMaterial
+from scene_library.meshes import SUFFIXES
 from scene_library.objects.classes import CLASSES, GROUPS, classes_of
 
 Angle = Annotated[Distribution, within(-360, 360)]
 ANY_ANGLE = Uniform(uniform=(0.0, 360.0))
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,40}$")]
+RESERVED_NAMES = ("relay_wall", "walls", "floor", "ceiling", "screen")
+"""Names of the room's own parts."""
 
 
-UNWRITTEN = ("evidence_at_least", "distance_m", "offset_m")
-"""Keys that are no part of a configuration, or of its fingerprint, where they are left out."""
+def resolved(path: str, info: ValidationInfo) -> Path:
+    """The absolute path; a relative one starts at the configuration's folder (validation context)."""
+    base = (info.context or {}).get("base_directory")
+    return Path(base or ".").resolve() / path
+
+
+def is_placed(info: ValidationInfo) -> bool:
+    """Whether there is a folder to start from: when an old dataset's settings are read, no file need be there."""
+    return (info.context or {}).get("base_directory") is not None
+
+
+def _existing_file(path: str, info: ValidationInfo) -> str:
+    place = resolved(path, info)
+    if is_placed(info) and not place.is_file():
+        found = "is a directory (kind: mesh_folder reads one)" if place.is_dir() else "no such file"
+        raise ValueError(f"{path!r}: {found} ({place}); paths start at the configuration's folder")
+    return path
+
+
+def _existing_folder(path: str, info: ValidationInfo) -> str:
+    place = resolved(path, info)
+    if is_placed(info) and not place.is_dir():
+        found = "is a file (kind: mesh reads one)" if place.is_file() else "no such folder"
+        raise ValueError(f"{path!r}: {found} ({place}); paths start at the configuration's folder")
+    if is_placed(info) and not classed_files(place):
+        raise ValueError(f"{path!r}: holds no mesh files ({place}); {' '.join(SUFFIXES)} are read")
+    return path
+
+
+MeshPath = Annotated[str, Field(min_length=1), AfterValidator(_existing_file)]
+FolderPath = Annotated[str, Field(min_length=1), AfterValidator(_existing_folder)]
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+
+
+def classed_files(folder: Path) -> dict[str, tuple[Path, ...]]:
+    """Class → mesh files: the first sub-folder on the way to a file, or its own name when there is none."""
+    found: dict[str, list[Path]] = {}
+    for file in sorted(folder.rglob("*")):
+        if file.suffix.lower() in SUFFIXES and file.is_file():
+            inner = file.relative_to(folder)
+            found.setdefault(inner.parts[0] if len(inner.parts) > 1 else inner.stem, []).append(file)
+    return {name: tuple(files) for name, files in sorted(found.items())}
+
+
+def label_of(path: str) -> str:
+    """A part name from the name of a file or folder: lower case letters, digits and underscores."""
+    stem = re.sub(r"[^a-z0-9]+", "_", Path(path).stem.lower()).strip("_")[:40]
+    if not stem or not stem[0].isalpha() or stem in RESERVED_NAMES:
+        stem = f"mesh_{stem}".rstrip("_")
+    return stem
 
 
 class Item(SurfaceMaterial):
@@ -74,10 +106,9 @@ class Item(SurfaceMaterial):
             raise ValueError(f"name = {self.name!r}: is a part of the room; choose another")
         return self
 
-    @model_serializer(mode="wrap")
-    def _as_given(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = written(self)
-        return {k: v for k, v in values.items() if k not in UNWRITTEN or v is not None}
+    def unwritten(self) -> list[str]:
+        """Keys younger than the first datasets, where nobody gives them: these keep their fingerprints."""
+        return [key for key in ("evidence_at_least", "distance_m", "offset_m") if getattr(self, key) is None]
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
@@ -189,7 +220,7 @@ class MeshItem(Standing):
     front: Axis | None = None
     """The axis of the file that the object's front looks along, across `up`; its width, depth and box follow from it.
     Left out: -y of a file that is z up, z of one that is y up."""
-    max_triangles: TriangleBudget = None
+    max_triangles: Annotated[int, Field(ge=4)] | None = None
     """Simplify to at most this many triangles; left out: never."""
     sizes = ("height_m",)
 
@@ -276,4 +307,4 @@ class MeshFolder(MeshItem):
         return total.hexdigest()
 
 
-Content = Annotated[Pillar | Box | Library | Mesh | MeshFolder, ByKind()]
+Content = Annotated[Pillar | Box | Library | Mesh | MeshFolder, Field(discriminator="kind")]

@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, Fraction, Length, Uniform, support, within
 from datagen.config.imported import ImportedFile, ImportOptions
-from datagen.config.scene_kinds import ByKind, kinds_of
 from datagen.config.scene_relay import RelayWall
 
 NonNegative = Annotated[Distribution, within(0)]
@@ -252,11 +251,9 @@ class IsolatedWall(Layout):
         if support(self.device_height_m)[0] >= self._largest("height_m"):
             raise ValueError("device_height_m: no wall is higher than the device; lower it or raise height_m")
 
-    @model_serializer(mode="wrap")
-    def _as_given(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = written(self)
-        dropped = {*self._keys_of_the_other, *(("place",) if self.place == "beside" else ())}
-        return {key: value for key, value in values.items() if key not in dropped}
+    def unwritten(self) -> tuple[str, ...]:
+        """The keys of the other place, and the usual place."""
+        return (*self._keys_of_the_other, *(("place",) if self.place == "beside" else ()))
 
     @property
     def _keys_of_the_other(self) -> tuple[str, ...]:
@@ -286,6 +283,7 @@ class IsolatedWall(Layout):
 class NoLayout(Layout):
     """Scenes that are there, and no rooms to draw: written into a dataset by what made it, and not to build from."""
 
+    is_offered = False
     why: ClassVar[str]
     """Why there is no room to draw, as a whole clause."""
 
@@ -325,6 +323,8 @@ class ImportedCaptures(NoLayout):
     """Whether the section `detector` is of these captures, and not what is taken where nothing is said."""
 
 
-_Layouts = StraightCorridor | LCorridor | TCorridor | ZCorridor | CorridorRoom | DoorwayRoom | IsolatedWall
-AnyLayout = Annotated[_Layouts | GivenScenes | ImportedCaptures, ByKind(unlisted=("given", "imported"))]
-LAYOUT_KINDS = tuple(kinds_of(_Layouts))
+AnyLayout = Annotated[
+    StraightCorridor | LCorridor | TCorridor | ZCorridor | CorridorRoom | DoorwayRoom | IsolatedWall | GivenScenes
+    | ImportedCaptures,
+    Field(discriminator="kind"),
+]  # fmt: skip

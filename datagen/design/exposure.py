@@ -66,7 +66,7 @@ class _Pilot:
         return most
 
     def significance(self, name: str, cycles: float) -> float:
-        """Of an object, with so many cycles."""
+        """The significance of an object's light after so many cycles."""
         first = 0 if self.counter_max is None else int(np.searchsorted(self.full, cycles, side="right"))
         squares = self.squares[name]
         return math.sqrt(cycles * float(squares[first])) if first < len(squares) else 0.0
@@ -160,13 +160,13 @@ def _of_one_cycle(
 
 
 def _rounded_up(cycles: float) -> int:
-    """To two significant digits, which hides the last bits of another processor's arithmetic."""
+    """Rounded up to two significant digits, which hides the last bits of another processor's arithmetic."""
     unit = int(10 ** max(math.floor(math.log10(max(cycles, 1.0))) - 1, 0))
     return max(math.ceil(cycles / unit - 1e-6) * unit, 1)
 
 
 def _check_counts(config: DatasetConfig, asked: ExposureFor, pilots: list[_Pilot], cycles: int, enough: int) -> None:
-    """That enough objects have what is asked for with these cycles, too, and that the counts can be stored."""
+    """Raise `InputError` unless enough objects have their evidence after `cycles`, and counts can be stored."""
     least = asked.evidence * (1 - 1e-6)
     met = sum(pilot.significance(name, cycles) >= least for pilot in pilots for name in pilot.squares)
     if met < enough:

@@ -40,7 +40,7 @@ class Light:
         return transient_of(self.scene, self.capture, self.accuracy, seed=self.seed, caster=self.caster)
 
     def background(self) -> Transient:
-        """That of the scene without its objects, from the same samples: what no object touches differs in nothing."""
+        """The light of the scene without its objects, from the same samples: what no object touches is the same."""
         empty = self.scene.without(*self.scene.objects)
         return transient_of(empty, self.capture, self.accuracy, seed=self.seed)
 

@@ -14,11 +14,10 @@ Not modelled:
 
 from datagen.detector.classes import DETECTOR_CLASSES, detector_for
 from datagen.detector.detect import choose_sampler, detect, detect_and_choice, expected_histogram
-from datagen.detector.inverse import coates_correction, dead_time_correction
 from datagen.detector.sampler_choice import Sampler, SamplerChoice
 from datagen.detector.spad import Exposure, Spad
 
 __all__ = [
-    "DETECTOR_CLASSES", "Exposure", "Sampler", "SamplerChoice", "Spad", "choose_sampler", "coates_correction",
-    "dead_time_correction", "detect", "detect_and_choice", "detector_for", "expected_histogram",
+    "DETECTOR_CLASSES", "Exposure", "Sampler", "SamplerChoice", "Spad", "choose_sampler",
+    "detect", "detect_and_choice", "detector_for", "expected_histogram",
 ]  # fmt: skip

@@ -117,6 +117,7 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) ->
         armed += arming[i]
         fired = binomial(armed, fires[i], stream)
         armed -= fired
+        # Those that were found to fire right upon their return, when they fired before.
         fired += firing[i]
         if fired == 0:
             continue

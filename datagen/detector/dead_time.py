@@ -81,6 +81,7 @@ def _parts(flux: Array, edges: Array, width: float, dead_time: float, shorter: b
     parts = np.ones(len(flux))
     for i in range(len(flux)):
         length = edges[i + 1] - edges[i]
+        # A bin that is as fine as everything asks stays whole: most bins are.
         is_short = not shorter or length * (1.0 + 1e-12) <= dead_time
         if is_short and flux[i] <= most and length <= 1.5 * width:
             continue
@@ -200,6 +201,7 @@ def return_table(flux: Array, edges: Array, dead_time: float) -> Table:
         offset[i + 1] = offset[i]
         if flux[i] <= 0.0:
             continue
+        # Pieces and their returns come in the same order, so that the target only ever moves on.
         while target < 2 * m and _edge_at(edges, target + 1, m, period) <= edges[i] + dead_time:
             target += 1
         count = _return_weights(edges[i] + dead_time, edges[i + 1] + dead_time, target, edges, flux, here)
@@ -218,6 +220,7 @@ def run_cycle(table: Table, armed: float, returning: Array, following: Array) ->
     detections = np.zeros(m)
     for i in range(m):
         armed += returning[i]
+        # Where nothing can happen the state is carried on unchanged.
         if q[i] <= 0.0:
             continue
         fired = armed * q[i]
@@ -229,6 +232,7 @@ def run_cycle(table: Table, armed: float, returning: Array, following: Array) ->
         detections[i] = fired
         armed -= fired
         for k in range(1 if first[i] == i else 0, offset[i + 1] - start):
+            # What returns after the end of this cycle is handed to the next one.
             where = first[i] + k
             if where < m:
                 returning[where] += weights[start + k] * fired

@@ -221,7 +221,7 @@ def _drawn(
 
 
 def _rows(wanted: NDArray[np.bool_]) -> Iterator[NDArray[np.int64] | slice]:
-    """What picks the rows that are wanted, if there are any; all of them without a copy."""
+    """An index of the rows that are wanted, a slice where all are (no copy); nothing where none is."""
     if wanted.all():
         yield slice(None)
     elif wanted.any():

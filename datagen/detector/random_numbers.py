@@ -56,6 +56,7 @@ def _mixed(words: Stream) -> Stream:
 def uniform(stream: Stream) -> float:
     """The stream's next number, uniform in [0, 1), a multiple of 2⁻⁵³."""
     a, b, c, d = stream[0], stream[1], stream[2], stream[3]
+    # The output is taken before the state moves on (the order of the published generator).
     total = a + d
     word = ((total << np.uint64(23)) | (total >> np.uint64(41))) + a
     c ^= a
@@ -106,6 +107,7 @@ def binomial(n: int, p: float, stream: Stream) -> int:
 @compiled()
 def _by_inversion(n: int, p: float, u: float) -> int:
     """Walk up the distribution until a uniform number is used up: P(0) = (1 − p)^n, by log1p."""
+    # By log1p: (1 − p)^n would lose every p below 1e-16.
     term = math.exp(n * math.log1p(-p))
     odds = p / (1.0 - p)
     left = (n + 1.0) * odds
@@ -115,6 +117,7 @@ def _by_inversion(n: int, p: float, u: float) -> int:
         k += 1
         left -= odds
         term *= left / k
+        # Beyond the mode terms fall, and what is left of u is rounding.
         if term < 1e-18 and k > n * p:
             break
     return k
@@ -160,6 +163,7 @@ def _binomial_rejection(n: int, p: float, stream: Stream) -> int:
 @compiled()
 def _stirling_rest(k: float) -> float:
     """log k! less Stirling's formula for it, (k + ½) log(k + 1) − (k + 1) + ½ log 2π."""
+    # Stirling's series is too coarse for small k.
     if k < 10:
         return float(_STIRLING[int(k)])
     s = (k + 1.0) * (k + 1.0)
@@ -201,6 +205,7 @@ def _poisson_counts(mean: Array, streams: Stream) -> NDArray[np.int64]:
         # Until the next event; bins drawn at once do not count, for what is left has no memory.
         ahead = exponential(stream)
         for i in range(bins):
+            # Such a bin takes one draw in place of an exponential number for each of its events.
             if mean[r, i] >= REJECTION_FROM:
                 counts[r, i] = _poisson_rejection(mean[r, i], stream)
                 continue

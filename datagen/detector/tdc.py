@@ -95,7 +95,7 @@ class Tdc:
         return out
 
     def _without_short(self, detections: NDArray[N]) -> NDArray[N]:
-        """Those of whole bins."""
+        """The detections less those in the short bin at the end of the period, if there is one."""
         if self._from_short is None:
             return detections
         full = detections.copy()
@@ -119,6 +119,7 @@ def _scatter(counts: Counts, weights: Array, offsets: Counts, streams: Stream) -
             left = counts[r, i]
             if left == 0:
                 continue
+            # Few counts are moved one by one, by a search from the likeliest displacement on.
             if left <= 2 * taps:
                 for _ in range(left):
                     u, k = uniform(stream) * cumulative[-1], 0
@@ -126,6 +127,7 @@ def _scatter(counts: Counts, weights: Array, offsets: Counts, streams: Stream) -
                         k += 1
                     out[r, i + offsets[k]] += 1
                 continue
+            # Many are dealt out as a multinomial: a binomial for each displacement, of what the ones before left.
             rest = 1.0
             for k in range(taps):
                 if left == 0:
@@ -146,6 +148,7 @@ def _share_out(
     for h in range(len(counts)):
         stream = streams[h]
         for r in range(len(places)):
+            # The same multinomial: a bin of the lattice that straddles bins of the period is split at random.
             left, rest = counts[h, places[r]], 1.0
             for e in range(starts[r], starts[r + 1]):
                 if left == 0:

@@ -1,4 +1,4 @@
-"""The switchboard: one table of effects, and for a scene the decisions which of them are simulated."""
+"""The switchboard: the table of all effects, and for a scene the decisions which of them are simulated."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FORESEEN_LOOKINS = 256
 
 @dataclass(frozen=True)
 class EffectDecisions:
-    """What is simulated of a scene, and why.
+    """The decisions for a scene: which effects are simulated, and why.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ def _decided(rows: Sequence[Effect[Any]], given: Any, settings: EffectsConfig | 
 
 
 def _applied(rows: Sequence[Effect[Any]], decisions: Sequence[Decision], given: Any) -> Any:
-    """What is given, with what was decided. Backwards through the table: dead time across cycles before pile-up."""
+    """The scene or detector with the decisions applied, last row first: dead time across cycles before pile-up."""
     made = {decision.effect: decision for decision in decisions}
     for row in reversed(rows):
         decision = made.get(row.name)

@@ -30,7 +30,7 @@ _MOST_MOVED = 0.1
 
 @dataclass(frozen=True)
 class Detection:
-    """A detection to be simulated.
+    """A transient and the detector that is to count it.
 
     Attributes
     ----------
@@ -80,7 +80,9 @@ class Detection:
 
 
 def _timing(given: Detection) -> Change:
-    """Young's inequality: a response that leaves the share w in its bin changes λ by 2 (1 − w) ‖λ‖ at most.
+    """Bound on the change without the response.
+
+    By Young's inequality a response that leaves the share w in its bin changes λ by 2 (1 − w) ‖λ‖ at most.
 
     The expected histogram is at least exp(−M) of what the response leaves in its bins, M the most events within a
     dead time. Events moved also move the dead time they cause; what that shifts shifts the next until nothing comes
@@ -137,7 +139,7 @@ def _without_pile_up(given: Detection) -> Detection:
 
 
 def _exactly(given: Detection, setting: str | int) -> Detection:
-    """No sampler that is only nearly right."""
+    """The same detection, by exact samplers alone."""
     return replace(given, tolerance=0.0)
 
 

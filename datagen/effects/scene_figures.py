@@ -29,7 +29,7 @@ FLAT = 1e-9
 
 @dataclass(frozen=True)
 class SceneFigures:
-    """A transport to be simulated, and figures of it; all follow from these four (`seed`: of the trial run).
+    """A transport to be simulated, and numbers by which its effects are judged (`seed`: of the trial run).
 
     caster : of the scene's triangles, where one was made already.
     """
@@ -136,7 +136,7 @@ class SceneFigures:
 
     @property
     def longest_path_m(self) -> float:
-        """No light recorded went farther, device legs included."""
+        """Length of the longest path that the time window can hold, device legs included, metres."""
         axis = self.capture.time
         longest = float(path_from_time(max(axis.stop_s, 0.0) + axis.width_s))
         if axis.origin == "source":
@@ -174,7 +174,7 @@ def is_lambertian(material: Material) -> bool:
 
 @lru_cache(maxsize=1024)
 def mean_albedo(material: Material) -> float:
-    """What the surface returns of even light from all sides: 2 ∫ ρ(cosθ) cosθ dcosθ, ρ the directional albedo."""
+    """Share of even light that the surface returns: 2 ∫ ρ(cosθ) cosθ dcosθ, ρ the directional albedo."""
     if is_lambertian(material):
         return material.albedo
     match material:
@@ -186,7 +186,9 @@ def mean_albedo(material: Material) -> float:
 
 
 def _phong_share(exponent: float) -> float:
-    """What the lobe (n + 2)/(2π) cosⁿα returns of even light: 2/(3π) (π + W/(n + 2)), W = ∫ cosⁿα dα over 0 … π/2.
+    """Share of even light that the lobe (n + 2)/(2π) cosⁿα returns.
+
+    It is 2/(3π) (π + W/(n + 2)), W = ∫ cosⁿα dα over 0 … π/2.
 
     As α is the angle to a mirrored direction, which is as even as the first, it is averaged over all surfaces at a
     fixed angle between the two directions instead: the mean of max(n·ω, 0) max(n·ω′, 0) over the sphere of normals n

@@ -13,7 +13,7 @@ the transport took 0.97 to 1.4 times as long with proofs as without, in rooms of
 
 
 def _measured(given: SceneFigures, component: str, what: str) -> Change:
-    """How much of the light a trial run saw in a component."""
+    """The change that leaving a component out makes: its share of the light of a trial run."""
     trial = given.trial
     if trial is None:
         return Change(None, "trial", "not measured: a trial run would cost too much of so small a transport")
@@ -24,8 +24,8 @@ def _measured(given: SceneFigures, component: str, what: str) -> Change:
 
 
 def _direct_return(given: SceneFigures) -> Change:
-    """Nothing but a proof that there is none leaves it out: whoever asks for it wants what few pairs of laser points
-    and pixels have, and a trial run with some of both may miss them all."""
+    """Left out only where a proof says that there is none: few pairs of laser points and pixels have a direct return,
+    and a trial run with some of both may miss them all."""
     if given.laser_point_in_view:
         return Change(None, "bound", "a pixel looks at a laser point: one bounce returns light")
     if not given.view_is_flush:
@@ -34,7 +34,7 @@ def _direct_return(given: SceneFigures) -> Change:
 
 
 def _without_needless_proofs(given: SceneFigures) -> SceneFigures:
-    """A proof of clear sight takes as long as some rays: it pays where it stands for many."""
+    """The same with rays in place of proofs of clear sight, where each proof would save too few rays to pay."""
     each = given.capture.shape[1] * given.accuracy.fov_samples
     few = given.accuracy.target is None and each < CONNECTIONS_PER_PROOF
     return given.with_accuracy(occlusion="on") if few and given.accuracy.occlusion == "auto" else given

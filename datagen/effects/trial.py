@@ -173,7 +173,7 @@ def run_trial(
 
 
 def few_samples(accuracy: Accuracy, lookins: int) -> Accuracy:
-    """The same effects with so many lookins, and one of all other samples."""
+    """The accuracy of a trial run: so many lookins, and one of every other sample."""
     secondary: Literal["none", "all"] = "none" if accuracy.secondary == "none" else "all"
     kept = {"max_bounces": accuracy.max_bounces, "direct": accuracy.direct, "occlusion": accuracy.occlusion}
     return Accuracy(lookins=lookins, fov_samples=1, replicates=1, secondary=secondary, **kept)  # type: ignore[arg-type]
@@ -191,7 +191,7 @@ def _paired(runs: list[Mapping[str, NDArray[np.float64]]], shape: tuple[int, int
 
 
 def _cost(capture: Capture, accuracy: Accuracy) -> float:
-    """Of the transport, in units of a shadow ray, for each order; see `transport.cost`."""
+    """Cost of the transport in units of a shadow ray, for each order; see `transport/error_control/cost.py`."""
     lasers, pixels = len(capture.laser.targets), capture.shape[1]
     return lasers * accuracy.lookins * (RAY + pixels * accuracy.fov_samples) + CALL * accuracy.replicates
 

@@ -7,7 +7,7 @@ middle of what a pixel of the sensor sees, the light of three bounces by way of 
 
 photons, W the sensor's share and a the area that it sees, and arrives in one bin; what the detector makes of a photon
 there is `detector.own_light.detections_per_photon`. Summed over the scan these are the expected detections from that
-surface. Of a scan a few pairs of laser point and pixel stand for the others (`Stations`); no number is drawn.
+surface. Of a scan a few pairs of laser point and pixel stand for the others (`ScanPairs`); no number is drawn.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from datagen.transport.quadrature.weights import weight
 from datagen.transport.visibility.raycast import Raycaster, lifted_and_scaled
 from datagen.units import path_from_time
 
-STATIONS = 16
+SCAN_PAIRS = 16
 """Pairs of laser point and pixel that stand for a scan. With half as many the image takes half the time, and shadows
 that move over the scan get half as many steps."""
 
 
 @dataclass(frozen=True)
-class Stations:
+class ScanPairs:
     """S pairs of laser point and pixel, and for how many of the scan's pairs each stands (of a flood, what share of
     its light).
 
@@ -50,20 +50,20 @@ class Stations:
     times: Floats
 
 
-def stations_of(caster: Raycaster, scene: Scene, capture: Capture) -> Stations | None:
-    """Those of a capture; none where no laser ray meets the scene or no pixel sees it."""
+def representative_pairs(caster: Raycaster, scene: Scene, capture: Capture) -> ScanPairs | None:
+    """Pairs that stand for all of a capture; None where no laser ray meets the scene or no pixel sees it."""
     lasers, sensor = LaserPoints.of(caster, scene, capture.laser), capture.sensor
     met = caster.closest(sensor.position, sensor.pixels.mean(axis=1) - sensor.position)
     lit, sees = np.flatnonzero(lasers.part >= 0), np.flatnonzero(met.valid)
     if capture.pairing == "confocal":
         both = np.intersect1d(lit, sees)
-        of, times = _spread_out(lasers.position[both], STATIONS)
+        of, times = _spread_out(lasers.position[both], SCAN_PAIRS)
         pairs = np.stack([both[of], both[of]], axis=1)
         histogram = np.stack([pairs[:, 0], np.zeros_like(of)], axis=1)
     else:
-        few = min(len(lit), max(STATIONS // max(len(sees), 1), math.isqrt(STATIONS)))
+        few = min(len(lit), max(SCAN_PAIRS // max(len(sees), 1), math.isqrt(SCAN_PAIRS)))
         of_laser, lasers_each = _spread_out(lasers.position[lit], few)
-        of_pixel, pixels_each = _spread_out(met.position[sees], STATIONS // max(few, 1))
+        of_pixel, pixels_each = _spread_out(met.position[sees], SCAN_PAIRS // max(few, 1))
         pairs = np.stack(np.meshgrid(lit[of_laser], sees[of_pixel], indexing="ij"), axis=-1).reshape(-1, 2)
         times, histogram = np.outer(lasers_each, pixels_each).reshape(-1), pairs.copy()
         if capture.illumination == "flood":
@@ -76,13 +76,14 @@ def stations_of(caster: Raycaster, scene: Scene, capture: Capture) -> Stations |
     )
     middle = np.full((len(pairs), 1, 2), 0.5)
     seen = fov_points(caster, scene, few_pixels, PixelCones.of(few_pixels), np.arange(len(pairs)), middle, 1)
-    return Stations(chosen, seen, histogram, times)
+    return ScanPairs(chosen, seen, histogram, times)
 
 
 def _spread_out(points: Floats, most: int) -> tuple[Ints, Floats]:
-    """At most so many of n points (n, 3), each in the middle of its share of them, and how many these are.
+    """Numbers of at most `most` of n points (n, 3), and how many points each of them stands for.
 
-    They are halved across their widest extent until there are enough.
+    The points are halved across their widest extent until there are enough groups; of each group the point
+    nearest to its middle is taken.
     """
     groups = [np.arange(len(points))] if len(points) else []
     while groups and len(groups) < most:
@@ -108,7 +109,7 @@ GRAZING = 0.02
 
 
 def evidence_image(
-    caster: Raycaster, found: HiddenSurface, capture: Capture, stations: Stations | None,
+    caster: Raycaster, found: HiddenSurface, capture: Capture, scan_pairs: ScanPairs | None,
     detections_per_photon: Floats,
 ) -> NDArray[np.float32]:  # fmt: skip
     """(rows, columns) expected detections of the light of three bounces by way of what each label pixel sees.
@@ -117,17 +118,17 @@ def evidence_image(
     ----------
     caster : of the scene's triangles.
     found : what the label pixels see.
-    stations : of the capture; None: nothing is lit or nothing looked at.
+    scan_pairs : of the capture; None: nothing is lit or nothing looked at.
     detections_per_photon : (S, T), expected detections of the exposure for each photon at the aperture per emitted
-        photon, of each bin of the stations' histograms.
+        photon, of each bin of the pairs' histograms.
 
     0 where nothing is seen, or no light comes from there. Over the pixels of an object that is wholly in view it adds
     up to the object's own detections, to some percent: of each label pixel only its middle is looked at.
     """
     there = found.face >= 0
-    if stations is None or not there.any():
+    if scan_pairs is None or not there.any():
         return np.zeros(there.shape, np.float32)
-    scene, lasers, seen = found.scene, stations.lasers, stations.seen
+    scene, lasers, seen = found.scene, scan_pairs.lasers, scan_pairs.seen
     materials = MaterialTable.of(scene.materials)
     points = _points_seen(found)
     lit = _Lit(lasers.position, lasers.normal, lasers.to_laser, lasers.part, lasers.leg)
@@ -135,8 +136,8 @@ def evidence_image(
         seen.position[:, 0], seen.normal[:, 0], seen.to_sensor[:, 0], seen.part[:, 0], seen.last_leg[:, 0],
         seen.weight[:, 0], seen.footprint[:, 0],
     )  # fmt: skip
-    # Each station counts for all pairs of laser point and pixel that it stands for.
-    gain = detections_per_photon * stations.times[:, None]
+    # Each pair counts for all pairs of laser point and pixel that it stands for.
+    gain = detections_per_photon * scan_pairs.times[:, None]
     bin_m = float(path_from_time(capture.time.width_s))
     first = capture.time.start_s / capture.time.width_s
     to_unit = np.array([*caster.center, caster.half_extent_m])
@@ -144,10 +145,10 @@ def evidence_image(
     apart = np.sum((lit.position - view.position) ** 2, axis=1) > view.footprint
     ends = ((lit.position, lit.normal, np.ones_like(apart)), (view.position, view.normal, apart))
     pixels = np.flatnonzero(there)
-    image = np.zeros((there.size, len(stations.times)))
-    # One station after the other, which bounds the rays in memory.
-    for station in range(len(stations.times)):
-        at = np.full(len(pixels), station)
+    image = np.zeros((there.size, len(scan_pairs.times)))
+    # One pair after the other, which bounds the rays in memory.
+    for pair in range(len(scan_pairs.times)):
+        at = np.full(len(pixels), pair)
         brought = _brought(
             pixels, at, points, lit, view, materials.kind, materials.values, scene.attenuation_per_m,
             capture.time.origin == "source", gain, bin_m, first,
@@ -157,7 +158,7 @@ def evidence_image(
             if len(rows):
                 spans = _spans(pixels[rows], at[rows], points, end, up, caster.offset_m, to_unit)
                 brought[rows[caster.occluded_scaled(*spans)]] = 0.0
-        image[pixels, station] = brought
+        image[pixels, pair] = brought
     return np.asarray(image.sum(axis=1).reshape(there.shape), np.float32)
 
 
@@ -172,7 +173,7 @@ class _Points(NamedTuple):
 
 
 class _Lit(NamedTuple):
-    """The laser points of S stations, (S, 3) or (S,); see `LaserPoints`."""
+    """The laser points of S scan pairs, (S, 3) or (S,); see `LaserPoints`."""
 
     position: Floats
     normal: Floats
@@ -182,7 +183,7 @@ class _Lit(NamedTuple):
 
 
 class _View(NamedTuple):
-    """What the pixels of S stations look at, (S, 3) or (S,); see `FovPool`."""
+    """What the pixels of S scan pairs look at, (S, 3) or (S,); see `FovPool`."""
 
     position: Floats
     normal: Floats
@@ -216,6 +217,7 @@ def _points(face, depth, center, axes, half_m, vertices, triangles):  # type: ig
                 continue
             a, b, c = triangles[face[row, column]]
             n = unit(cross(less(vertices[b], vertices[a]), less(vertices[c], vertices[a])))
+            # A tilted surface covers more than the pixel does.
             slant = dot(n, axes[2])
             area[row, column] = pixel_m2 / max(abs(slant), GRAZING)
             right = (2.0 * (column + 0.5) / columns - 1.0) * half_m[0]
@@ -230,7 +232,7 @@ def _points(face, depth, center, axes, half_m, vertices, triangles):  # type: ig
 def _brought(  # type: ignore[no-untyped-def]
     of_pixel, at, points, lit, view, kind, values, attenuation, device, gain, bin_m, first
 ):  # fmt: skip
-    """(n,) expected detections if nothing stood in the way, for label pixels `of_pixel` at stations `at`.
+    """(n,) expected detections if nothing stood in the way, for label pixels `of_pixel` and scan pairs `at`.
 
     gain : (S, T) detections for a photon of each bin. bin_m, first : length of a bin, and the start in bins.
     """
@@ -257,7 +259,7 @@ def _brought(  # type: ignore[no-untyped-def]
 
 @compiled()
 def _spans(of_pixel, at, points, end, up, offset, to_unit):  # type: ignore[no-untyped-def]
-    """Rays from stations to what pixels see, (n, 3) origins and spans in embree's unit frame."""
+    """Rays from the ends of scan pairs to what pixels see, (n, 3) origins and spans in embree's unit frame."""
     origins, spans = np.empty((len(at), 3), np.float32), np.empty((len(at), 3), np.float32)
     for k in range(len(at)):
         i, s = of_pixel[k], at[k]

@@ -12,17 +12,17 @@ from datagen.compiled import compiled
 from datagen.detector import Exposure, Spad
 from datagen.detector.own_light import detections_per_photon, own_light, squared_over
 from datagen.errors import InputError
-from datagen.evidence.image import Stations
+from datagen.evidence.image import ScanPairs
 from datagen.records import Scalar, Transient
 from datagen.records.arrays import Floats
 
 OBJECT_EVIDENCE = ("object_detections", "object_brightest_bin", "object_significance")
-"""The tables of it beside those of the objects' boxes."""
+"""Stored tables of evidence, a row for each object."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What an object's own light amounts to in a measurement.
+    """How far an object's own light stands out in a measurement.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Evidence:
 
 
 UNKNOWN = Evidence(np.nan, np.nan, np.nan)
-"""Of an object whose own light is not known apart."""
+"""Evidence of an object whose own light is not known apart."""
 
 
 def own_evidence(
@@ -79,16 +79,16 @@ def own_evidence(
 
 def evidence_and_gain(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None,
-    stations: Stations | None = None, in_sight: Mapping[str, Floats] | None = None,
+    scan_pairs: ScanPairs | None = None, in_sight: Mapping[str, Floats] | None = None,
 ) -> tuple[dict[str, Evidence], Floats]:  # fmt: skip
-    """What `own_evidence` gives and, of the histograms of stations, (S, bin) `detections_per_photon`: the law of the
-    detector's dead time is solved once for both."""
+    """The result of `own_evidence`, and (S, bin) `detections_per_photon` of the scan pairs' histograms: the law of
+    the detector's dead time is solved once for both."""
     names = tuple(transient.parts) if parts is None else tuple(parts)
     for name in names:
         if name not in transient.parts:
             known = ", ".join(transient.parts) or "no part; simulate it with split_parts=True"
             raise InputError(f"own_evidence: part {name!r}: this transient is split by {known}")
-    laser, pixel = np.empty((2, 0), np.int64) if stations is None else stations.histogram.T
+    laser, pixel = np.empty((2, 0), np.int64) if scan_pairs is None else scan_pairs.histogram.T
     sums, squares, most = np.zeros((3, len(names)))
     gain = np.empty((len(laser), transient.time.bins))
     if not names and not len(laser):
@@ -113,6 +113,7 @@ def evidence_and_gain(
 def _summed(own: Floats, everything: Floats) -> tuple[float, float, float]:
     """Σ s, Σ s²/b and the largest s, in one pass: arrays between would take longer than all else."""
     total = square = highest = 0.0
+    # Most bins hold no light of the object.
     for s, b in zip(own, everything):  # noqa: B905 (not in numba)
         if s > 0.0:
             total += s
@@ -124,7 +125,7 @@ def _summed(own: Floats, everything: Floats) -> tuple[float, float, float]:
 def significance_in_time(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str]
 ) -> dict[str, NDArray[np.float64]]:
-    """Of each part √Σ s²/b over laser points and pixels, (bin,): the root of the sum of its squares is the
+    """Part → (bin,) √Σ s²/b over laser points and pixels: the root of the sum of its squares is the
     significance."""
     names = tuple(parts)
     squares = np.zeros((len(names), transient.time.bins))
@@ -135,7 +136,7 @@ def significance_in_time(
 
 
 def evidence_parameters(found: Mapping[str, Evidence]) -> dict[str, Scalar]:
-    """As scalars of a sample: `evidence.PART.…`, and `evidence.weakest`, the least significance of any object."""
+    """The evidence as scalars of a sample: `evidence.PART.…`, and the least significance, `evidence.weakest`."""
     if not found:
         return {}
     flat: dict[str, Scalar] = {"evidence.weakest": min(of.significance for of in found.values())}
@@ -145,7 +146,7 @@ def evidence_parameters(found: Mapping[str, Evidence]) -> dict[str, Scalar]:
 
 
 def evidence_tables(found: Sequence[Evidence], rows: int) -> dict[str, NDArray[np.float32]]:
-    """Field → (rows,) of the objects in their order; 0 in rows without one."""
+    """Field → (rows,) table of the objects in their order; 0 in rows without one."""
     tables = np.zeros((len(OBJECT_EVIDENCE), rows), np.float32)
     for row, of in enumerate(found):
         tables[:, row] = of.detections, of.brightest_bin, of.significance

@@ -19,7 +19,7 @@ from datagen.transport import transient_of
 
 @dataclass(frozen=True)
 class Presence:
-    """What an object changes in a measurement: its own light, its shadow, and light that it takes from other things.
+    """How far an object changes a measurement: by its own light, its shadow, and light that it takes from others.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Presence:
 
 
 UNKNOWN = Presence(np.nan, np.nan, np.nan)
-"""Of an object in a transient that another simulator made."""
+"""Presence of an object in a transient that another simulator made."""
 
 
 def presence_evidence(
@@ -119,7 +119,7 @@ def _against(whole: Transient, without: Transient, spad: Spad, exposure: Exposur
 
 
 def presence_parameters(found: Mapping[str, Presence]) -> dict[str, Scalar]:
-    """As scalars of a sample: `evidence.PART.presence`, its significance, and `.presence_detections`, `_floor`."""
+    """Presence as scalars: `evidence.PART.presence` (its significance), `.presence_detections` and `_floor`."""
     flat: dict[str, Scalar] = {}
     for name, of in found.items():
         prefix = f"evidence.{name}.presence"

@@ -56,6 +56,7 @@ def _squares_by_blocks(start: Floats, step: Floats, shape: Ints, triangles: Floa
     blocks[0, 6], blocks[0, 7] = 0, len(triangles)
     held = 1
     while held > 0:
+        # Depth first: what `asked` lists beyond the triangles of this block belongs to blocks that are done.
         held -= 1
         for k in range(8):
             block[k] = blocks[held, k]
@@ -69,6 +70,7 @@ def _squares_by_blocks(start: Floats, step: Floats, shape: Ints, triangles: Floa
         for k in range(3):
             size *= block[3 + k] - block[k] + 1
             longest = k if block[3 + k] - block[k] > block[3 + longest] - block[longest] else longest
+        # A large block is halved across its longest side, and both halves inherit the triangles that were kept.
         if size > _FEW:
             middle = (block[longest] + block[3 + longest]) // 2
             for upper in range(2):
@@ -84,6 +86,7 @@ def _squares_by_blocks(start: Floats, step: Floats, shape: Ints, triangles: Floa
             points[1, p] = start[1] + step[1] * (block[1] + p // columns % rows)
             points[2, p] = start[2] + step[2] * (block[2] + p % columns)
             found[p] = np.inf
+        # Few points are left, and few triangles: each of these is tried for each of those.
         for k in range(block[7], last):
             _lower(triangles, asked[k], points, size, found)
         for p in range(size):
@@ -106,6 +109,7 @@ def _keep_nearest(triangles: Floats, asked: Ints, first: int, last: int, points:
         _lower(triangles, asked[first + k], points, table.shape[1], table[k])
         if table[k, 8] < table[nearest, 8]:
             nearest = k
+    # The point q of the module's inequality: the one nearest to the block's centre rules out most.
     u, v = _closest_point(triangles, asked[first + nearest], points)
     limit = np.zeros(8)
     for k in range(3):
@@ -145,6 +149,7 @@ def _lower(triangles: Floats, f: int, points: Floats, count: int, squares: Float
         c = min(max((along_v - along_u - uv + uu) * per_ww, 0.0), 1.0)
         d = 1.0 - c
         on_w = (x - d * ux - c * vx) ** 2 + (y - d * uy - c * vy) ** 2 + (z - d * uz - c * vz) ** 2
+        # The foot of the perpendicular counts only where it lies inside the triangle.
         r, s = (vv * along_u - uv * along_v) * per_area, (uu * along_v - uv * along_u) * per_area
         inside = (x - r * ux - s * vx) ** 2 + (y - r * uy - s * vy) ** 2 + (z - r * uz - s * vz) ** 2
         inside = inside if min(r, s, 1.0 - r - s) > 0.0 else on_u

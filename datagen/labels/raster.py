@@ -27,6 +27,7 @@ def _side(x0: float, y0: float, x1: float, y1: float, px: float, py: float) -> b
 
 @compiled()
 def _contains(t: Floats, px: float, py: float) -> bool:
+    # Inside means on the same side of all three edges, whichever way the triangle is wound.
     first = _side(t[0, 0], t[0, 1], t[1, 0], t[1, 1], px, py)
     return (
         _side(t[1, 0], t[1, 1], t[2, 0], t[2, 1], px, py) == first
@@ -56,9 +57,11 @@ def _depth(triangle: Floats, px: float, py: float) -> float:
     nz = ux * vy - uy * vx
     nearest: float = min(triangle[0, 2], triangle[1, 2], triangle[2, 2])
     farthest: float = max(triangle[0, 2], triangle[1, 2], triangle[2, 2])
+    # Seen edge on, a triangle covers no pixel but by rounding; any of its depths will do.
     if nz == 0.0:
         return nearest
     nx, ny = uy * vz - uz * vy, uz * vx - ux * vz
+    # Of a steep triangle the plane may leave the corners' depths within a pixel.
     depth: float = triangle[0, 2] - (nx * (px - triangle[0, 0]) + ny * (py - triangle[0, 1])) / nz
     return min(max(depth, nearest), farthest)
 
@@ -88,6 +91,7 @@ def first_hits(triangles: Floats, rows: int, columns: int, near: float) -> tuple
                 if not _contains(t, px, py):
                     continue
                 z = _depth(t, px, py)
+                # Strictly nearer: of triangles that coincide the first one stays, in any order of pixels.
                 if near <= z < depth[row, column]:
                     depth[row, column] = z
                     face[row, column] = f
@@ -136,6 +140,7 @@ def _odd_crossings(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
                 px, py = column + 0.5, row + 0.5
                 if not _contains(t, px, py):
                     continue
+                # A crossing before the first centre counts for all centres behind it, one after the last for none.
                 z = max(_depth(t, px, py) - 0.5, -0.5)
                 if z <= layers - 1:
                     layer = int(np.ceil(z))
@@ -156,6 +161,7 @@ def cut_voxels(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
     last = np.zeros(3, np.int64)
     for f in range(len(triangles)):
         t = triangles[f]
+        # Only voxels that the triangle's bounding box meets are worth a test.
         for k in range(3):
             first[k] = int(min(max(np.floor(min(t[0, k], t[1, k], t[2, k])), 0.0), counts[k]))
             last[k] = int(min(max(np.floor(max(t[0, k], t[1, k], t[2, k])) + 1.0, 0.0), counts[k]))

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.errors import InputError
+from datagen.labels.frame import image_points
 from datagen.labels.images import HiddenSurface, albedo_image, normal_image
 from datagen.records import Rectangle
 from datagen.records.arrays import Bools, Floats
@@ -47,20 +48,17 @@ def shaded_image(surface: HiddenSurface) -> NDArray[np.float32]:
             "label 'shaded': this scene names no relay wall, which is its lamp; give "
             "Scene.from_parts(..., relay_wall=Rectangle.of(center, right, up)) or leave shaded out of store.fields"
         )
-    rows, columns = surface.face.shape
-    row, column = np.nonzero(surface.face >= 0)
-    across = ((column + 0.5) / columns * 2 - 1) * frame.half_width_m
-    upward = (1 - (row + 0.5) / rows * 2) * frame.half_height_m
-    points = frame.to_world(np.stack([across, upward, surface.depth[row, column]], axis=1))
-    normals = normal_image(surface)[row, column].astype(np.float64) @ frame.axes
+    seen = surface.face >= 0
+    points = frame.to_world(image_points(surface.depth, seen, frame.half_width_m, frame.half_height_m))
+    normals = normal_image(surface)[seen].astype(np.float64) @ frame.axes
     occluders = scene.corners[np.array([role != "relay_wall" for role in scene.roles])[scene.face_part]]
     lift = _LIFT * float(np.ptp(scene.vertices, axis=0).max())
     blocked = occlusion_test(occluders)
     lit = np.empty(len(points))
     for some in (slice(k, k + _PIXELS_AT_ONCE) for k in range(0, len(points), _PIXELS_AT_ONCE)):
         lit[some] = _lit(points[some], normals[some], scene.relay_wall, blocked, lift)
-    image = np.zeros((rows, columns))
-    image[row, column] = lit + (1 - lit) * AMBIENT_RADIANCE
+    image = np.zeros(seen.shape)
+    image[seen] = lit + (1 - lit) * AMBIENT_RADIANCE
     return (image * albedo_image(surface)).astype(np.float32)
 
 
@@ -101,6 +99,7 @@ def _segments(
                 square += toward * toward
                 leaving += toward * normals[p, k]
                 arriving -= toward * lamp_normal[k]
+            # What lies behind either surface sends nothing, and needs no ray.
             if leaving > 0.0 and arriving > 0.0:
                 weight[p, q] = leaving * arriving / (square * square)
                 for k in range(3):
@@ -126,11 +125,13 @@ def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
     offset = np.empty((count, 3))
     height = np.empty(count)
     for p in range(len(points)):
+        # Corners as seen from the patch, and how high they stand above its plane.
         for c in range(count):
             height[c] = 0.0
             for k in range(3):
                 offset[c, k] = corners[c, k] - points[p, k]
                 height[c] += offset[c, k] * normals[p, k]
+        # The part of the polygon behind the patch's plane is cut off (Sutherland & Hodgman): it would count negative.
         held = 0
         for c in range(count):
             after = (c + 1) % count
@@ -153,6 +154,7 @@ def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
                 area += side * side
                 across += normals[p, k] * side
                 along += kept[c, k] * kept[after, k]
+            # By arctan2, which keeps small angles' digits where an arc cosine would lose half of them.
             length = np.sqrt(area)
             if length > 0.0:
                 total += np.arctan2(length, along) * across / length

@@ -17,7 +17,7 @@ from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.paper.printed_paths import Grid, Lighting, PrintedRoom, arriving, half_cube, leaving, lighting, ray_grid
 from datagen.records import Capture, Scene, Transient
-from datagen.records.checks import check_kind
+from datagen.records.checks import check_choice, check_integer, check_kind, check_number
 from datagen.transport.binning import put
 from datagen.transport.factorised.convolution import Paths, Sums, double_sum, keep_strongest
 
@@ -67,21 +67,15 @@ class AsPrinted:
         return 3 * self.pixels**2 // 4
 
     def __post_init__(self) -> None:
-        for name, high in (("rays", MAX_RAYS), ("pixels", MAX_PIXELS)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= high:
-                raise InputError(f"AsPrinted.{name} = {value!r}: must be an integer in 1 … {high}")
+        check_integer("AsPrinted", "rays", self.rays, 1, MAX_RAYS)
+        check_integer("AsPrinted", "pixels", self.pixels, 1, MAX_PIXELS)
         if self.pixels % 4:
             raise InputError(
                 f"AsPrinted.pixels = {self.pixels}: must be a multiple of 4, for half faces of pixels/2 × pixels/4"
             )
-        is_number = isinstance(self.unit_m, (int, float)) and not isinstance(self.unit_m, bool)
-        if not is_number or not 1e-9 <= self.unit_m <= 1e9:
-            raise InputError(f"AsPrinted.unit_m = {self.unit_m!r}: must be a length in 1e-9 … 1e9 m, such as 1e-3")
+        check_number("AsPrinted", "unit_m", self.unit_m, 1e-9, 1e9, "a length in metres, such as 1e-3")
         for name, kind in (("secondary", Secondary), ("grid", Grid), ("conserved", Conserved)):
-            if getattr(self, name) not in get_args(kind):
-                allowed = ", ".join(repr(choice) for choice in get_args(kind))
-                raise InputError(f"AsPrinted.{name} = {getattr(self, name)!r}: must be one of {allowed}")
+            check_choice(f"AsPrinted.{name}", getattr(self, name), get_args(kind))
 
 
 def simulate_as_printed(scene: Scene, capture: Capture, settings: AsPrinted | None = None) -> Transient:
@@ -200,7 +194,7 @@ def _each_lookin_alike(into: Paths, light: Lighting) -> Paths:
 
 
 def _present(paths: Paths) -> Paths:
-    """Without paths of no energy."""
+    """The paths that carry energy."""
     kept = paths.energy > 0
     first = np.concatenate([[0], np.cumsum(kept)])[paths.first]
     return Paths(first, paths.position[kept], paths.energy[kept])
@@ -213,6 +207,7 @@ def _add_primary(
     """Add A₁ · A₂A₃ for every lookin and each path out of it (Eq. 6)."""
     pixels = parts.shape[1]
     for row in range(len(out.first) - 1):
+        # Paths are listed lookin by lookin, and for each of them pixel by pixel.
         lookin, pixel = row // pixels, row % pixels
         for n in range(out.first[row], out.first[row + 1]):
             overflow[pixel] += put(

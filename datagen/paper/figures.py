@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from datagen.detector import detector_for
 from datagen.detector.irf import FWHM_PER_SIGMA
-from datagen.paper.envelopes import PEAKS_NS, SECONDARY, TIME_LABEL, colors_of, curve_window
 from datagen.paper.printed_paths import PrintedLookins, PrintedRoom, half_cube, leaving, lighting, ray_grid
-from datagen.paper.runs import Runs, Scheme, Simulation
+from datagen.paper.runs import PEAKS_NS, SECONDARY, TIME_LABEL, Runs, Scheme, Simulation, colors_of, curve_window
 from datagen.records import Scene, SinLobe
 from datagen.report.cutaway import normals_of
 from datagen.report.room_plots import RoomPicture, draw_opened

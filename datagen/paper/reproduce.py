@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from datagen.config import load_config
 from datagen.errors import InputError
-from datagen.paper.envelopes import PEAKS_NS
 from datagen.paper.figures import envelope_figure, light_figure, lookins_figure
-from datagen.paper.runs import FULL, QUICK, Runs, Simulation, run_all
+from datagen.paper.runs import FULL, PEAKS_NS, QUICK, Runs, Simulation, run_all
 from datagen.report.html import head, table
 from datagen.report.style import save_png
 from datagen.store.environment import processor

@@ -7,27 +7,7 @@ from datagen.records.sample import Sample, Scalar, Spend, Transient
 from datagen.records.scene import Part, Pose, Rectangle, Role, Scene
 
 __all__ = [
-    "GGX",
-    "Accuracy",
-    "Capture",
-    "Lambertian",
-    "Laser",
-    "Material",
-    "OrenNayar",
-    "Origin",
-    "Pairing",
-    "Part",
-    "Phong",
-    "Pose",
-    "Rectangle",
-    "Retroreflector",
-    "Role",
-    "Sample",
-    "Scalar",
-    "Scene",
-    "Sensor",
-    "SinLobe",
-    "Spend",
-    "TimeAxis",
-    "Transient",
-]
+    "GGX", "Accuracy", "Capture", "Lambertian", "Laser", "Material", "OrenNayar", "Origin", "Pairing", "Part",
+    "Phong", "Pose", "Rectangle", "Retroreflector", "Role", "Sample", "Scalar", "Scene", "Sensor", "SinLobe", "Spend",
+    "TimeAxis", "Transient",
+]  # fmt: skip

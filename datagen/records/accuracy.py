@@ -9,16 +9,25 @@ from datagen.errors import InputError
 from datagen.records.checks import check_choice, check_flag, check_integer, check_number, shown
 
 MAX_BOUNCES = 64
+LIMITS = {
+    "lookins": (1, 2**31), "fov_samples": (1, 2**20), "max_bounces": (3, MAX_BOUNCES), "replicates": (1, 1024),
+    "observed": (1, 2**24), "max_lookins": (2048, 2**40),
+}  # fmt: skip
+"""Count → least and largest value. The first round of a target and one more need the least `max_lookins`."""
 TARGETS = (1e-4, 1.0)
+"""Least and largest relative L2 error that can be asked for."""
+CHOSEN_BY_TARGET = ("lookins", "fov_samples", "replicates")
+"""The counts that the solver chooses where a target is given."""
+FIRST_FOV_SAMPLES = 16
+"""FoV points for each vertex in the first round of a target, from which a better number is looked for. Halved, the
+first round has fewer connections for each ray, and is noisier."""
 PARTS_PER_TARGET = 2.5
 """The default of `part_target`, in units of `target`: half as much would follow each object's light as closely as the
 whole, at several times the cost."""
-LEAST_MAX_LOOKINS = 2048
-"""The first round of a target and one more need as many."""
 
 
 class _Default(int):
-    """A count that the user left out: `target` may choose it, and refuses one that was given."""
+    """A count that the user left out. A target chooses such a count, and refuses one that was given."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +79,9 @@ class Accuracy:
     """
 
     lookins: int = _Default(2048)
-    fov_samples: int = _Default(16)
+    fov_samples: int = _Default(4)
     max_bounces: int | None = 3
-    replicates: int = _Default(8)
+    replicates: int = _Default(4)
     direct: bool = False
     observed: int | None = None
     secondary: Literal["all", "none", "strongest"] | int = "all"
@@ -96,14 +105,7 @@ class Accuracy:
         return self.secondary if isinstance(self.secondary, int) else None
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("lookins", 1, 2**31),
-            ("fov_samples", 1, 2**20),
-            ("max_bounces", 3, MAX_BOUNCES),
-            ("replicates", 1, 1024),
-            ("observed", 1, 2**24),
-            ("max_lookins", LEAST_MAX_LOOKINS, 2**40),
-        ):
+        for name, (low, high) in LIMITS.items():
             value = getattr(self, name)
             if name not in ("max_bounces", "observed") or value is not None:
                 check_integer("Accuracy", name, value, low, high)
@@ -119,26 +121,22 @@ class Accuracy:
             )
         check_flag("Accuracy.direct", self.direct)
         check_number("Accuracy", "faint_part", self.faint_part, 0.0, 1e30, "photons")
+        for name in ("target", "part_target"):
+            if getattr(self, name) is not None:
+                check_number("Accuracy", name, getattr(self, name), *TARGETS, "a relative L2 error; 2 % is 0.02")
         if self.target is not None:
-            self._check_target(self.target)
-        if self.part_target is not None:
-            if self.target is None:
-                raise InputError(f"Accuracy.part_target = {self.part_target!r}: needs a target; set target, too")
-            _check_error("part_target", self.part_target)
+            self._leave_to_target()
+        elif self.part_target is not None:
+            raise InputError(f"Accuracy.part_target = {self.part_target!r}: needs a target; set target, too")
 
-    def _check_target(self, target: float) -> None:
-        _check_error("target", target)
-        for name in ("lookins", "fov_samples", "replicates"):
+    def _leave_to_target(self) -> None:
+        """Refuse counts that were given with a target, which chooses them."""
+        for name in CHOSEN_BY_TARGET:
             if not isinstance(getattr(self, name), _Default):
                 raise InputError(chosen_by_target("Accuracy.", name, getattr(self, name)))
         if self.observed is not None and self.strongest is None:
             raise InputError(chosen_by_target("Accuracy.", "observed", self.observed))
-
-
-def _check_error(name: str, value: object) -> None:
-    low, high = TARGETS
-    if not isinstance(value, (int, float)) or isinstance(value, bool) or not low <= value <= high:
-        raise InputError(f"Accuracy.{name} = {value!r}: must be a number in {low} … {high}")
+        object.__setattr__(self, "fov_samples", _Default(FIRST_FOV_SAMPLES))
 
 
 def chosen_by_target(prefix: str, name: str, value: object) -> str:

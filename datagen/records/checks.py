@@ -27,10 +27,10 @@ def check_integer(record: str, name: str, value: object, low: int, high: int) ->
         raise InputError(f"{record}.{name} = {shown(value)}: must be an integer in {low} … {high}")
 
 
-def check_seed(value: object, name: str = "seed") -> None:
+def check_seed(value: object) -> None:
     """Raise `InputError` unless `value` is an integer in 0 … 2⁶⁴ − 1."""
     if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not 0 <= value < 2**64:
-        raise InputError(f"{name} = {shown(value)}: must be an integer in 0 … 2^64 − 1")
+        raise InputError(f"seed = {shown(value)}: must be an integer in 0 … 2^64 − 1")
 
 
 def check_flag(name: str, value: object) -> None:

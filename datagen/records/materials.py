@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 
 from datagen.errors import InputError
-from datagen.records.checks import shown
+from datagen.records.checks import check_number, shown
 
 
 @dataclass(frozen=True)
@@ -21,15 +20,11 @@ class Material:
     albedo: float
 
     def __post_init__(self) -> None:
-        self._check("albedo", 0.0, 1.0, "or the surface would create light")
+        self._check("albedo", 0.0, 1.0, "more would create light")
 
     def _check(self, name: str, low: float, high: float, reason: str) -> None:
-        """Raises `InputError` unless the field is a real number in low … high."""
-        value = getattr(self, name)
-        if not isinstance(value, Real) or isinstance(value, bool) or not low <= float(value) <= high:
-            raise InputError(
-                f"{type(self).__name__}.{name} = {shown(value)}: must lie in {low:g} … {high:g}, {reason}"
-            )
+        """Raise `InputError` unless the field is a real number in low … high."""
+        check_number(type(self).__name__, name, getattr(self, name), low, high, reason)
 
 
 @dataclass(frozen=True)
@@ -41,7 +36,7 @@ class Lambertian(Material):
     Lambertian(albedo=0.8)
     >>> dg.Lambertian(1.2)
     Traceback (most recent call last):
-    datagen.errors.InputError: Lambertian.albedo = 1.2: must lie in 0 … 1, or the surface would create light
+    datagen.errors.InputError: Lambertian.albedo = 1.2: must be a number in 0 … 1 (more would create light)
     """
 
 
@@ -181,10 +176,6 @@ class Retroreflector(Material):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check(
-            "half_width_rad",
-            MIN_RETRO_HALF_WIDTH,
-            math.pi / 4,
-            "radians; narrower is not met by samples, wider is no retroreflector",
-        )
+        reason = "radians; narrower is not met by samples, wider is no retroreflector"
+        self._check("half_width_rad", MIN_RETRO_HALF_WIDTH, math.pi / 4, reason)
         self._check("retro", 0.0, 1.0, "it is a share of the albedo")

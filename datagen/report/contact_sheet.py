@@ -123,8 +123,8 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
 
 
 def first_scenes(configs: Sequence[DatasetConfig], count: int) -> list[tuple[DatasetConfig, int]]:
-    """The first scenes of each, as many of one as of another but for the rest. Raises `InputError` for a mesh file
-    that cannot be used."""
+    """(configuration, scene number) of the first scenes, shared evenly among the configurations. Raises `InputError`
+    for a mesh file that cannot be used."""
     for config in configs:
         check_scene_config(config.scene)
     configs = [with_exposure_found(config) if config.scene.asks_for_evidence else config for config in configs]
@@ -141,7 +141,7 @@ def _name_of(scene: Scene, config: str, index: int) -> str:
 
 
 def mark_sight(axes: Axes, scene: Scene) -> None:
-    """Fill what the device sees in plan: but for lintels walls run from floor to ceiling, so the plan tells."""
+    """Fill the area of the plan that the device sees; walls reach from floor to ceiling, so that a plan is enough."""
     from matplotlib.collections import PolyCollection
 
     if scene.device_position is None:
@@ -165,19 +165,16 @@ def _plan_walls(scene: Scene, below_m: float) -> NDArray[np.float64]:
 
 
 def _frame(axes: Axes) -> NDArray[np.float64]:
-    """(4, 2, 2) the border of the picture, where sight ends in the open."""
+    """(4, 2, 2) the border of the picture: in the open, what the device sees ends there."""
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
     return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
-def sheet_figure(
-    rooms: Sequence[RoomPicture], names: Sequence[str], title: str, columns: int | None = None
-) -> Figure:
+def sheet_figure(rooms: Sequence[RoomPicture], names: Sequence[str], title: str) -> Figure:
     """Rooms in a grid, plan at the left of each cell and the opened room at its right; within `house_style()`."""
-    columns = columns or min(8, max(1, int(np.ceil(np.sqrt(len(rooms))))))
+    columns = min(8, max(1, int(np.ceil(np.sqrt(len(rooms))))))
     rows = -(-len(rooms) // columns)
-    columns = min(columns, len(rooms))
     width = columns * _CELL_IN[0]
     note = textwrap.fill(_NOTE, int(width * 15))
     foot = 0.15 + 0.15 * len(note.splitlines())

@@ -28,7 +28,7 @@ class Camera:
 
     @classmethod
     def looking(cls, azimuth_deg: float, elevation_deg: float) -> Camera:
-        """From the direction (azimuth counted from +x towards +y, elevation above the floor) onto the scene."""
+        """A camera that looks at the scene: azimuth counted from +x towards +y, elevation above the floor."""
         a, e = np.radians([azimuth_deg, elevation_deg])
         into = -np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         right = np.array([-np.sin(a), np.cos(a), 0.0])
@@ -36,7 +36,7 @@ class Camera:
 
     @classmethod
     def from_above(cls) -> Camera:
-        """The plan: x to the right, y up."""
+        """The camera of a plan: x to the right, y up."""
         return cls(np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, -1]]))
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -46,7 +46,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Cutaway:
-    """What to draw of a room.
+    """The part of a room that is drawn.
 
     faces : triangles that stay.
     outlines : (E, 2, 3) edges of walls that were taken away.
@@ -74,7 +74,7 @@ def room_faces(scene: Scene) -> tuple[NDArray[np.int64], NDArray[np.int64], NDAr
 
 
 def cut_open(scene: Scene, camera: Camera) -> Cutaway:
-    """Take off the ceiling and every wall that hides more than a sliver of floor, objects or relay wall."""
+    """The room without ceiling and any wall that hides more than a sliver of floor, objects or relay wall."""
     walls, _, ceiling = room_faces(scene)
     shown = np.setdiff1d(np.arange(len(scene.triangles)), np.concatenate([walls, ceiling]))
     if len(walls) == 0:
@@ -94,7 +94,7 @@ def cut_open(scene: Scene, camera: Camera) -> Cutaway:
 
 
 def flat_groups(scene: Scene, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[NDArray[np.float64]]]:
-    """Join triangles that lie in one plane and touch: group of each face, and each group's border edges (E, 2, 3)."""
+    """Groups of triangles that touch in one plane: number of each face's group, and the border (E, 2, 3) of each."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,4 +1,7 @@
-"""What objects rest on: of a scene their light over the noise, and its significance; of a dataset kind by kind."""
+"""Pictures of evidence: how far objects stand out of the noise, by the SNR of a matched filter (their significance).
+
+Of a scene each object's light over the noise; of a dataset the significance of each kind of object.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +24,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FAINT = 1.0
-"""Standard deviations under which an object is as good as absent."""
+"""Significance, in standard deviations, under which an object is as good as absent."""
 _WEAK = "#A33030"
 _EDGES = np.geomspace(0.01, 1000, 41)
 """Of the bins in which kinds are counted; what lies outside is counted in the first or the last."""
 
 
-def told(significance: float, presence: tuple[float, float] | None = None) -> str:
-    """In words what a significance means for whoever looks for the object in the data; `presence` with how far it may
-    be off."""
+def verdict(significance: float, presence: tuple[float, float] | None = None) -> str:
+    """In words, whether a network can find an object in the data, by its significance.
+
+    presence : significance of its presence, and how far that may be off.
+    """
     if significance >= LEAST:
         return "in the data"
     if presence is not None and presence[0] - presence[1] >= LEAST:
@@ -37,15 +42,16 @@ def told(significance: float, presence: tuple[float, float] | None = None) -> st
     return "doubtful" if significance >= FAINT else "not in the data"
 
 
-def stated(stored: StoredScene, scene: Scene) -> dict[str, float]:
-    """Object → its significance as the dataset states it; objects of which it states none are left out."""
+def stated_significance(stored: StoredScene, scene: Scene) -> dict[str, float]:
+    """Object → its stored significance; objects without one are left out."""
     found = {name: stored.parameters.get(f"evidence.{name}.significance") for name in scene.objects}
     return {name: float(value) for name, value in found.items() if isinstance(value, int | float) and value == value}
 
 
 def evidence_page(stored: StoredScene, again: Replay) -> Figure | None:
-    """Each object's light over the noise in time, and its significance; None where nothing is known of any."""
-    significance = stated(stored, again.scene) or {
+    """The page of evidence: each object's light over the noise in time, and its significance; None where no object
+    has a known one."""
+    significance = stated_significance(stored, again.scene) or {
         name: float(np.sqrt((curve**2).sum())) for name, curve in again.own.items()
     }
     if not significance:
@@ -121,7 +127,7 @@ def _draw_significance(
     axes.set_xlabel(f"standard deviations (line: {LEAST:g})")
     for row, name in enumerate(order):
         value, other = significance[name], presence.get(name)
-        words = told(value, other)
+        words = verdict(value, other)
         seen = words.startswith("in the data")
         axes.barh(row, max(value - low, 0.0), left=low, height=0.62, color=colors[name], alpha=1.0 if seen else 0.35)
         end = max(value, low)
@@ -143,7 +149,7 @@ def _short(value: float) -> str:
     return f"{value:,.0f}" if value >= 10 else f"{value:.1f}" if value >= 1 else f"{value:.2g}"
 
 
-def kinds_told(scenes: Sequence[Mapping[str, Scalar]]) -> str:
+def kinds_report(scenes: Sequence[Mapping[str, Scalar]]) -> str:
     """HTML: how the significance of each kind of object is distributed over scenes, with the line that says what to
     do; empty where no evidence is stored. Text is no picture, so that it can be read on any screen.
     """

@@ -19,7 +19,7 @@ from datagen.labels import ViewFrame
 from datagen.labels.boxes import classes_in
 from datagen.records import Scene
 from datagen.report import scan_plots as scans
-from datagen.report.evidence_pictures import stated
+from datagen.report.evidence_pictures import stated_significance
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.style import part_colors
 from datagen.report.time_plots import busy_window, clear_channel
@@ -41,13 +41,13 @@ def explorer(scenes: Sequence[dict[str, Any]]) -> str:
 
 
 def scene_data(stored: StoredScene, scene: Scene, error: float | None, again: Replay | None) -> dict[str, Any]:
-    """The room's triangles, its labels and what it is filtered by; with `again`, its light over the scan, too."""
+    """One scene as plain values: triangles, labels and the keys of the filters; with `again`, its light, too."""
     return {
         "index": stored.index,
         "layout": str(stored.parameters.get("layout.kind", "")),
         "classes": list(classes_in(scene)),
         "error": None if error is None or not np.isfinite(error) else float(error),
-        "parts": _parts(scene, stated(stored, scene)),
+        "parts": _parts(scene, stated_significance(stored, scene)),
         "device": None if scene.device_position is None else np.round(scene.device_position, 3).tolist(),
         "labels": _labels(stored, scene),
         "scan": None if again is None else _scan(again),
@@ -135,7 +135,7 @@ def _scan(again: Replay) -> dict[str, Any]:
 
 
 def _layers(again: Replay, total: NDArray[np.float64]) -> Mapping[str, NDArray[np.float64]]:
-    """All light, that of each object (the first five), and what is left."""
+    """Name → (laser, pixel, bin): all light, the light of each of the first five objects, and the rest."""
     chosen = {name: again.transient.parts[name] for name in again.scene.objects if name in again.transient.parts}
     chosen = dict(itertools.islice(chosen.items(), 5))
     if not chosen:
@@ -151,5 +151,5 @@ def _summed(values: NDArray[np.float64], step: int) -> NDArray[np.float64]:
 
 
 def _bytes(values: NDArray[np.float64]) -> str:
-    """Values in 0 … 1 as bytes, in text."""
+    """Values in 0 … 1 as one byte each, in base64."""
     return base64.b64encode(np.clip(np.rint(255 * values), 0, 255).astype(np.uint8).tobytes()).decode()

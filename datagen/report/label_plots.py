@@ -101,7 +101,7 @@ def _image(axes: Axes, scene: Scene, values: NDArray[Any], **style: Any) -> Axes
 
 
 def _draw_depth(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
-    """Near is bright; 0 means empty and stays white."""
+    """Draw depth: near is bright, empty (0) is white."""
     shown = np.ma.masked_where(values <= 0, values)
     image = _image(axes, scene, shown, cmap="viridis_r")
     if shown.count() == 0:
@@ -122,7 +122,7 @@ def _draw_shaded(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any])
 
 
 def _draw_evidence(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
-    """By powers of ten, down to one detection in a thousand exposures."""
+    """Draw expected detections by powers of ten, down to one in a thousand exposures."""
     shown = np.ma.masked_where(values < 1e-3, values)
     if shown.count() == 0:
         _image(axes, scene, shown)
@@ -153,7 +153,7 @@ def _draw_parts(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) 
 
 
 def _draw_occupancy(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
-    """Metres of taken voxels behind each point of the view."""
+    """Draw occupancy as metres of taken voxels behind each point of the view."""
     grid = VoxelGrid.of(scene, values.shape)
     extent = (grid.low[0], grid.high[0], grid.low[1], grid.high[1])
     thickness = values.sum(axis=0, dtype=np.float64) * grid.voxel_m[0]
@@ -162,7 +162,7 @@ def _draw_occupancy(figure: Figure, axes: Axes, scene: Scene, values: NDArray[An
 
 
 def _draw_sdf(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
-    """A horizontal slice from above: right across, depth upwards, the surface (distance 0) as a line."""
+    """Draw one level slice of the signed distance from above: right across, depth upwards, the surface as a line."""
     grid = VoxelGrid.of(scene, values.shape)
     row = int(np.argmin(values.mean(axis=(0, 2))))
     layer = values[:, row, :]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.effects import decision_lines
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS
 from datagen.labels.frame import scan_place
 from datagen.records import Scene
@@ -23,42 +21,11 @@ from datagen.report.time_plots import busy_window, clear_channel
 from datagen.store.summaries import OVER_M
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 UNDIVIDED = "all light"
 """Stands for the parts where light is not split by part."""
 _MOMENTS = 4
-_EFFECT_LETTERS, _EFFECT_LINE_IN = 180, 0.17
-
-
-def room_page(stored: StoredScene, again: Replay, room: RoomPicture) -> Figure:
-    """The room in plan and in 3D."""
-    lasers, pixels, _ = again.capture.shape
-    confocal = again.capture.pairing == "confocal"
-    looks = ", where each has its own pixel (confocal)" if confocal else f" ({_n(pixels, 'pixel')})"
-    flood = again.capture.illumination == "flood"
-    lit = (
-        f"as a flood over the relay wall (its {len(again.capture.laser.targets)} quadrature points are shown)"
-        if flood
-        else f"to {_n(lasers, 'laser point')} on the relay wall"
-    )
-    text = (
-        f"The room of this scene. Light goes from the laser {lit}, around "
-        f"the corner to the objects, back to the relay wall and into the sensor{looks}. In the 3D picture the "
-        "ceiling and the walls in the way are taken off (dashed edges). The green rectangle is the window that the "
-        "label images look through, along the arrow."
-    )
-    if room.boxes is not None:
-        text += " Black outlines in the plan: the objects' boxes as stored, a tick at the front of each."
-    if again.stands_in:
-        text += " The mesh files are gone: a cuboid stands for each object."
-    if not again.reproduced:
-        text += " CAUTION: simulating the stored scene again gave another one; this room may not be the stored one."
-    figure, grid = captioned(12, [5.6, _legend_in(again, 6)], text, f"{stored.title}: the room", 2, [1, 1.15])
-    _draw_room(figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1]), room)
-    draw_legend(figure, figure.add_subplot(grid[1, :]), room)
-    return figure
 
 
 def transient_page(stored: StoredScene, again: Replay) -> Figure:
@@ -120,7 +87,7 @@ def _where_the_scan_is(scene: Scene, stored: StoredScene) -> str:
 
 
 def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray[Any]]) -> Figure:
-    """Every label there is, two or three in a row."""
+    """The page of all labels, two or three in a row."""
     text = (
         "Ground truth, seen from the plane of the relay wall through the green window of the room picture, "
         "orthographically along the wall's normal; up is up, and right is right as seen from the device facing the "
@@ -180,17 +147,23 @@ def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
 def overview_page(
     stored: StoredScene, again: Replay, room: RoomPicture, labels: Mapping[str, NDArray[Any]]
 ) -> Figure:
-    """One picture of everything: room, transient by part, counts, depth, scan."""
+    """The overview: room with its legend, transient by part, counts, depth, scan."""
     time, channel = again.capture.time, clear_channel(again.scene, again.transient)
     text = (
-        "Above: the room from above and opened, with laser points on the relay wall; the green window is where the "
-        "depth label looks from. Below: the expected light of the whole scan split by part (stacked, logarithmic), "
-        f"photon counts over their {_mean_name(again)} in one channel, and the depth label. {_provenance(again)}"
+        "Above: the room in plan and opened; ceiling and walls in the way are taken off (dashed edges). "
+        f"{_way(again)} The green rectangle is the window that the label images look through, along the arrow. "
+        "Below: the expected light of the whole scan split by part (stacked, logarithmic), photon counts over their "
+        f"{_mean_name(again)} in one channel, and the depth label. {_provenance(again)}"
     )
+    if room.boxes is not None:
+        text += " Black outlines in the plan: the objects' boxes as stored, a tick at the front of each."
     figure, grid = captioned(15, [4.9, _legend_in(again, 8), 4.3], text, f"{stored.title}: overview", 6)
     raster = scans.raster_of(again.capture, channel, again.frame)
     plan, opened = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:4] if raster else grid[0, 2:])
-    _draw_room(plan, opened, room)
+    draw_plan(plan, room)
+    plan.set_title("Plan, from above")
+    draw_opened(opened, room)
+    opened.set_title("Opened: ceiling and near walls off")
     if raster is not None:
         scan, objects = scans.scan_of(again.transient.total, raster), scans.scan_of(_objects(again), raster)
         row = scans.clear_row(objects if objects.any() else scan)
@@ -214,39 +187,8 @@ def overview_page(
     return figure
 
 
-def effects_page(stored: StoredScene, again: Replay) -> Figure | None:
-    """A line for each effect; None where nothing was decided."""
-    if not again.effects.decisions:
-        return None
-    text = (
-        "What of this scene was simulated. An effect is left out if that changes the light of three bounces and more "
-        "(or, for the detector, the expected histogram) by less than its share of the tolerance, relative L2 over "
-        f"the whole scan: together at most {again.effects.tolerance:g}. “change” is how much leaving it out could "
-        "change: a bound is proven, a trial run measures with few samples. Effects that were switched on or off, and "
-        "those that cost no time, are not estimated."
-    )
-    indent = " " * decision_lines(again.effects)[0].index("why")
-    lines = [
-        piece
-        for line in decision_lines(again.effects)
-        for piece in textwrap.wrap(line.replace("`", ""), _EFFECT_LETTERS, subsequent_indent=indent)
-    ]
-    figure, grid = captioned(13, [_EFFECT_LINE_IN * len(lines) + 0.3], text, f"{stored.title}: effects")
-    axes = figure.add_subplot(grid[0])
-    axes.set_axis_off()
-    axes.text(0.0, 1.0, "\n".join(lines), family="DejaVu Sans Mono", fontsize=7.5, linespacing=1.3, va="top")
-    return figure
-
-
-def _draw_room(plan: Axes, opened: Axes, room: RoomPicture) -> None:
-    draw_plan(plan, room)
-    plan.set_title("Plan, from above")
-    draw_opened(opened, room)
-    opened.set_title("Opened: ceiling and near walls off")
-
-
 def _legend_in(again: Replay, columns: int) -> float:
-    """Inches of a legend of all parts and four marks."""
+    """Height in inches of a legend of all parts and four marks."""
     return 0.2 * float(np.ceil((len(again.scene.part_names) + 4) / columns)) + 0.1
 
 
@@ -264,6 +206,19 @@ def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, N
     return [(name, curve) for name, curve in curves if parts[name].any()]
 
 
+def _way(again: Replay) -> str:
+    """A sentence: the way of the light, and how laser points and pixels go together."""
+    lasers, pixels, _ = again.capture.shape
+    if again.capture.illumination == "flood":
+        count = len(again.capture.laser.targets)
+        lit = f"as a flood over the relay wall (its {count} quadrature points are shown)"
+    else:
+        lit = f"to {_n(lasers, 'laser point')} on the relay wall"
+    confocal = again.capture.pairing == "confocal"
+    looks = ", where each has its own pixel (confocal)" if confocal else f" ({_n(pixels, 'pixel')})"
+    return f"Light goes from the laser {lit}, around the corner to the objects, back and into the sensor{looks}."
+
+
 def _objects(again: Replay) -> NDArray[np.float64]:
     """(laser, pixel, bin) light that objects scattered."""
     total = np.zeros(again.capture.shape)
@@ -275,11 +230,6 @@ def _objects(again: Replay) -> NDArray[np.float64]:
 
 def _provenance(again: Replay) -> str:
     """Where the curves come from, and whether they are the stored ones."""
-    if again.stands_in:
-        return (
-            "The mesh files of this scene are gone: its light is what is stored (without a transient, the "
-            "counts), not split by part, and a cuboid stands for each object."
-        )
     start = "Parts are not stored; they come from simulating this scene again from its stored configuration and seed"
     if not again.reproduced:
         far = "" if again.difference is None else f" (its transient differs by {again.difference:.2g}, relative L2)"

@@ -9,16 +9,14 @@ from typing import Any
 
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
-from datagen.records import Scene
-from datagen.report.evidence_pictures import kinds_told
+from datagen.report.evidence_pictures import kinds_report
 from datagen.report.explorer import explorer, scene_data
 from datagen.report.html import head, inside, table
 from datagen.report.parameter_plots import parameter_page, varying
-from datagen.report.replay import StoredScene, config_of, read_scene, replay
+from datagen.report.replay import config_of, read_scene, replay
 from datagen.report.roomless import roomless_pages, why_roomless
 from datagen.report.show import pages
 from datagen.report.style import house_style
-from datagen.scene import stand_in
 from datagen.store import Manifest, committed, read_manifest
 from datagen.store.card import ranges
 from datagen.store.info import info, scenes_made
@@ -69,8 +67,8 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
 
 def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes: int) -> Iterator[str]:
     made = scenes_made(records)
-    config, _ = config_of(manifest)
-    roomless = why_roomless(config)
+    config, meshes = config_of(manifest)
+    roomless = why_roomless(config, meshes)
     yield head(config.name)
     full, shown, pictures = [record.index for record in made[:scenes]], list[dict[str, Any]](), list[str]()
     for record in made[: ROOMS if roomless is None else scenes]:
@@ -80,13 +78,13 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
                 pictures.append(inside(picture, f"scene {record.index}, {name}"))
             continue
         again = replay(stored) if record.index in full else None
-        scene = _room(stored) if again is None else again.scene
+        scene = scene_for(config, record.index) if again is None else again.scene
         shown.append(scene_data(stored, scene, _error(record), again))
         if again is not None:
             for name, picture in pages(stored, again, ["overview", "evidence"]):
                 pictures.append(inside(picture, f"scene {record.index}, {name}"))
     yield explorer(shown) if roomless is None else f"<p>There are no rooms to show: {roomless}.</p>"
-    rests = kinds_told([scene.parameters for scene in made])
+    rests = kinds_report([scene.parameters for scene in made])
     if rests:
         yield "<h2>What the labels rest on</h2><p>Significance of each object's own light in the data, kind by kind: "
         yield f"how many objects have how many standard deviations; red: under {LEAST:g}, what no network can learn "
@@ -109,13 +107,6 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
     yield _table(("field", "axes", "shape", "dtype", "unit", "meaning"), rows)
     yield "<h2>Configuration</h2><details><summary>as stored in <code>dataset.json</code></summary>"
     yield f"<pre>{escape(config.model_dump_json(indent=2))}</pre></details></body></html>"
-
-
-def _room(stored: StoredScene) -> Scene:
-    config, index = stored.config, stored.index
-    if stored.meshes:
-        return scene_for(config, index)
-    return stand_in(config.scene, config.seed, index, stored.parameters, stored.arrays)
 
 
 def _error(record: SceneRecord) -> float | None:

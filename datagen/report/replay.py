@@ -15,13 +15,11 @@ from datagen.config import DatasetConfig
 from datagen.design.light import light_of, transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, Spad, choose_sampler, detect, detector_for, expected_histogram
-from datagen.effects import EffectDecisions
 from datagen.errors import InputError
 from datagen.evidence.own import significance_in_time
 from datagen.labels import ViewFrame
 from datagen.pipeline import detector_effects
 from datagen.records import Capture, Scalar, Scene, TimeAxis, Transient
-from datagen.scene import stand_in
 from datagen.seeding import Purpose, derived_seed
 from datagen.store import Manifest
 from datagen.store.scenes import Scenes
@@ -49,7 +47,7 @@ class StoredScene:
 
     @property
     def title(self) -> str:
-        """Dataset and scene, as pictures are headed."""
+        """The heading of its pictures: dataset and scene."""
         return f"{self.config.name}, scene {self.index}"
 
 
@@ -63,10 +61,7 @@ class Replay:
     is_poisson : whether all counts are independent Poisson numbers of that mean.
     difference : relative L2 distance of the new transient from the stored one; None where none is stored.
     moved_m : how far the farthest laser point now lies from where it is stored, metres.
-    effects : what was simulated of the scene, and why.
     own : object → (bin,) its own light over the noise, √Σ s²/b over the scan; none where light is not split by part.
-    stands_in : nothing was simulated, since mesh files are gone: the light is the stored one, of no part, and cuboids
-        stand for the objects.
     """
 
     scene: Scene
@@ -78,18 +73,16 @@ class Replay:
     moved_m: float = 0.0
     mean_is_exact: bool = True
     is_poisson: bool = True
-    effects: EffectDecisions = field(default_factory=lambda: EffectDecisions((), 0.0))
     own: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
-    stands_in: bool = False
 
     @property
     def frame(self) -> ViewFrame | None:
-        """The frame of the labels, in which places on the wall are given, too."""
+        """The frame of the label images, in which pictures give places on the wall, too."""
         return None if self.scene.hidden_view is None else ViewFrame.of(self.scene)
 
     @property
     def reproduced(self) -> bool:
-        """Whether this is the stored scene, as far as what is stored shows."""
+        """Whether the simulated scene agrees with all that is stored of it."""
         return self.moved_m <= SAME_PLACE_M and (self.difference is None or self.difference <= REPRODUCED)
 
 
@@ -120,10 +113,7 @@ def config_of(manifest: Manifest) -> tuple[DatasetConfig, bool]:
 
 
 def replay(stored: StoredScene) -> Replay:
-    """Simulate a stored scene again: a scene depends on (configuration, seed, index) alone. Where mesh files are
-    gone, what is stored stands for it."""
-    if not stored.meshes:
-        return _as_stored(stored)
+    """The stored scene, simulated again: a scene depends on (configuration, seed, index) alone."""
     config, index = stored.config, stored.index
     scene = scene_for(config, index)
     capture = capture_for(config, scene, config.seed, index)
@@ -144,32 +134,7 @@ def replay(stored: StoredScene) -> Replay:
         )
     difference, moved_m = _difference(stored, transient.total), _moved_m(stored, transient.laser_points)
     own = significance_in_time(transient, spad, exposure, scene.objects)
-    return Replay(
-        scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact, is_poisson, effects, own
-    )
-
-
-def _as_stored(stored: StoredScene) -> Replay:
-    """A stored scene without simulating it; raises `InputError` where neither transient nor histogram is stored."""
-    config, index, arrays = stored.config, stored.index, stored.arrays
-    scene = stand_in(config.scene, config.seed, index, stored.parameters, arrays)
-    capture = capture_for(config, scene, config.seed, index)
-    spad, exposure = detector_for(config.detector, config.seed, index, capture.time)
-    kept, counts = arrays.get("transient"), arrays.get("histogram")
-    if kept is None and counts is None:
-        raise InputError(f"{stored.title}: its mesh files are gone, and neither transient nor histogram is stored")
-    scale = max(spad.pde * exposure.photons_per_pulse * exposure.cycles, 1e-300)
-    total = np.asarray(counts, np.float64) / scale if kept is None else kept.astype(np.float64)
-    transient = Transient(
-        capture.time, {"primary": total}, {}, np.full(total.shape, np.nan), np.zeros(total.shape[:2]),
-        arrays["laser_points"],
-    )  # fmt: skip
-    expected, mean_is_exact = _mean(total, capture.time, spad, exposure)
-    if counts is None:
-        counts = detect(total, capture.time, spad, exposure, seed=derived_seed(config.seed, index, Purpose.DETECTOR))
-    return Replay(
-        scene, capture, transient, counts, expected, None, 0.0, mean_is_exact, is_poisson=False, stands_in=True
-    )
+    return Replay(scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact, is_poisson, own)
 
 
 def _mean(

@@ -46,7 +46,7 @@ class RoomPicture:
 
     @cached_property
     def opened(self) -> tuple[Camera, Cutaway, Shaded]:
-        """Direction, what is left of the walls, and the shaded picture in 3D."""
+        """Camera, cut-open room, and its shaded picture in 3D."""
         camera, cut = best_view(self.scene)
         colors = self.colors or part_colors(self.scene)
         return camera, cut, shaded(self.scene, camera, cut.faces, colors, self.pixels)
@@ -71,7 +71,7 @@ class RoomPicture:
 
 
 def draw_plan(axes: Axes, room: RoomPicture) -> None:
-    """From above, x to the right and y up, ceiling off; walls are lines. Axes in metres."""
+    """Draw the room from above, x to the right and y up, ceiling off; walls are lines. Axes in metres."""
     scene, camera = room.scene, Camera.from_above()
     _show(axes, room.plan)
     walls = room_faces(scene)[0]
@@ -93,7 +93,7 @@ def draw_plan(axes: Axes, room: RoomPicture) -> None:
 
 
 def draw_opened(axes: Axes, room: RoomPicture, arrows: bool = True) -> None:
-    """In 3D without perspective, from the relay wall's front side; ceiling and walls in the way taken off."""
+    """Draw the room in 3D without perspective, from before the relay wall; ceiling and walls in the way taken off."""
     scene = room.scene
     camera, cut, picture = room.opened
     _show(axes, picture)
@@ -110,7 +110,8 @@ def draw_opened(axes: Axes, room: RoomPicture, arrows: bool = True) -> None:
 
 
 def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
-    """The one of a few directions in front of the relay wall from which most of the objects and that wall is seen."""
+    """Camera and cut-open room: of a few directions before the relay wall, the one that shows most of the objects and
+    of that wall."""
     normal = np.array([-1.0, 0.0, 0.0]) if scene.relay_wall is None else scene.relay_wall.normal
     front = float(np.degrees(np.arctan2(normal[1], normal[0])))
     wanted = np.flatnonzero([role != "structure" for role in scene.roles])

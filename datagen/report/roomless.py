@@ -1,4 +1,7 @@
-"""The pictures of a scene whose room nobody can draw: made in Python, or captured elsewhere. Only what is stored."""
+"""The pictures of a scene whose room cannot be drawn: made in Python, captured elsewhere, or without its mesh files.
+
+They show what is stored, and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -32,23 +35,29 @@ _LABELS = (
 )
 
 
-def why_roomless(config: DatasetConfig) -> str | None:
-    """Why the rooms of a dataset cannot be drawn, as a whole clause; None where they can."""
+def why_roomless(config: DatasetConfig, meshes: bool) -> str | None:
+    """Why the rooms of a dataset cannot be drawn, as a whole clause; None where they can.
+
+    meshes : whether the mesh files that the configuration names are there.
+    """
     layout = config.scene.layout
-    return layout.why if isinstance(layout, NoLayout) else None
+    if isinstance(layout, NoLayout):
+        return layout.why
+    return None if meshes else "the mesh files of its objects are gone; put them back to see the rooms"
 
 
-def roomless_pages(stored: StoredScene, labels: bool = True) -> Iterator[tuple[str, Figure]]:
+def roomless_pages(stored: StoredScene) -> Iterator[tuple[str, Figure]]:
     """(name, figure) of each stored measurement, `histogram` and `transient`, and of the stored `labels`.
 
     To be used within `house_style()`. Raises `InputError` where nothing of it is stored.
     """
     there = [name for name in QUANTITIES if name in stored.arrays]
     images = [name for name in (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS) if name in stored.arrays]
-    seen = labels and np.isfinite(stored.arrays["hidden_view"]).all()
+    seen = np.isfinite(stored.arrays["hidden_view"]).all()
     if not there and not (seen and images):
         raise InputError(
-            f"{stored.title}: {why_roomless(stored.config)}, and neither histogram, transient nor labels are stored"
+            f"{stored.title}: {why_roomless(stored.config, stored.meshes)}, and neither histogram, transient nor "
+            "labels are stored"
         )
     for name in there:
         yield name, _measured_page(stored, name)
@@ -65,10 +74,11 @@ def _measured_page(stored: StoredScene, name: str) -> Figure:
     laser, pixel = (int(k) for k in np.unravel_index(int(np.argmax(whole)), whole.shape))
     raster = scans.raster_of(capture, (laser, pixel), frame)
     source = f" File: {stored.parameters['capture.file']}." if "capture.file" in stored.parameters else ""
+    why = why_roomless(stored.config, stored.meshes)
     text = (
-        f"The stored {name}, and nothing beyond it: {why_roomless(stored.config)}.{source} Left: its sum at each "
-        "place on the relay wall. Middle: along the row that has most (brightness: logarithm). Right: over time, "
-        "summed over all and at the place that has most."
+        f"The stored {name}, and nothing beyond it: {why}.{source} Left: its sum at each place on the relay wall. "
+        "Middle: along the row that has most (brightness: logarithm). Right: over time, summed over all and at the "
+        "place that has most."
     )
     if raster is not None:
         text += (
@@ -141,7 +151,7 @@ def _draw_places(
 
 
 def _listed(values: NDArray[np.float64]) -> tuple[str, NDArray[np.float64]]:
-    """What the channels of a scan without a grid are, and their histograms in its order, (1, N, bin)."""
+    """Name of the channels of a scan without a grid, "laser point" or "pixel", and their (1, N, bin) histograms."""
     if len(values) > 1 or values.shape[1] == 1:
         return "laser point", values.sum(axis=1)[None]
     return "pixel", values
@@ -153,13 +163,13 @@ def _rectangle(stored: StoredScene, name: str) -> Rectangle | None:
 
 
 def _frame(stored: StoredScene) -> ViewFrame | None:
-    """Of the labels, or of the relay wall: where its points are counted from in pictures."""
+    """The frame in which pictures give places: that of the labels, or else of the relay wall."""
     found = _rectangle(stored, "hidden_view") or _rectangle(stored, "relay_wall")
     return None if found is None else ViewFrame.about(found)
 
 
 def _capture(stored: StoredScene) -> Capture:
-    """The capture as it is stored. Of devices nobody knows the place of, which no picture here shows, some place."""
+    """The stored capture; a device without a stored place, which no picture here shows, gets some place."""
     arrays, settings = stored.arrays, stored.config.capture
     lit, pixels = np.asarray(arrays["laser_points"], np.float64), np.asarray(arrays["sensor_pixels"], np.float64)
     middle = pixels.mean(axis=(0, 1))
@@ -174,7 +184,7 @@ def _capture(stored: StoredScene) -> Capture:
 
 
 def _as_labelled(stored: StoredScene) -> Scene:
-    """What labels need of a scene, their window and the names of the parts: each a pane in that window."""
+    """A scene that stands for the unknown one where labels are drawn: their window, and a pane in it for a part."""
     import trimesh
 
     view = _rectangle(stored, "hidden_view")

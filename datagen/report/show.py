@@ -19,18 +19,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-PAGES = ("overview", "room", "transient", "histogram", "evidence", "labels", "scan", "effects")
+PAGES = ("overview", "transient", "histogram", "evidence", "labels", "scan")
 """The pictures of a scene, in the order in which they are made."""
 
 
 def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list[Path]:
     """Draw scene `index` of a dataset as PNGs and return their paths, the overview first.
 
-    The room in plan and opened in 3D, the transient stacked by part, counts over their expectation, each object's
-    light over the noise with its significance, the labels, and slices of the scan where it has several channels. The
+    An overview with the room in plan and opened in 3D, the transient stacked by part, counts over their expectation,
+    each object's light over the noise with its significance, the labels, and slices of the scan where it has several
+    channels. The
     scene is simulated again from the stored configuration and seed for what a dataset does not hold (geometry, the
-    split by part); counts, labels and significances are the stored ones. Of scenes that were made in Python, and of
-    imported captures, whose rooms nobody can draw, what is stored is drawn: measurements over wall and time, labels.
+    split by part); counts, labels and significances are the stored ones. Where a room cannot be drawn (scenes made in
+    Python, imported captures, mesh files that are gone) what is stored is drawn: measurements over wall and time, and
+    labels.
 
     Parameters
     ----------
@@ -42,17 +44,13 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
         written.
     """
     stored = read_scene(dataset, index)
-    folder = default_folder(dataset) if out is None else Path(out)
+    root = Path(dataset).resolve()
+    folder = root.with_name(f"{root.name}.show") if out is None else Path(out)
     stem = f"scene-{index:06d}"
     with house_style():
-        made = pages(stored, replay(stored)) if why_roomless(stored.config) is None else roomless_pages(stored)
+        roomless = why_roomless(stored.config, stored.meshes)
+        made = pages(stored, replay(stored)) if roomless is None else roomless_pages(stored)
         return [save_png(figure, folder / f"{stem}-{name}.png") for name, figure in made]
-
-
-def default_folder(dataset: str | Path) -> Path:
-    """`DATASET.show` beside the dataset."""
-    root = Path(dataset).resolve()
-    return root.with_name(root.name + ".show")
 
 
 def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> Iterator[tuple[str, Figure]]:
@@ -62,21 +60,17 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
     To be used within `house_style()`.
     """
     wanted = drawn.labels_of(stored)
-    if again.stands_in:
-        wanted = [name for name in wanted if name in stored.arrays]
     kept = {name: stored.arrays[name] for name in wanted if name in stored.arrays}
     made = make_labels(stored.config.labels, again.scene, [name for name in wanted if name not in kept])
     labels = {name: (kept | made)[name] for name in wanted}
     room = RoomPicture(again.scene, again.capture, again.transient.laser_points, boxes=boxes_of(stored))
     makers: dict[str, Callable[[], Figure | None]] = {
         "overview": lambda: drawn.overview_page(stored, again, room, labels),
-        "room": lambda: drawn.room_page(stored, again, room),
         "transient": lambda: drawn.transient_page(stored, again),
         "histogram": lambda: drawn.histogram_page(stored, again),
         "evidence": lambda: evidence_page(stored, again),
         "labels": lambda: drawn.labels_page(stored, again, labels),
         "scan": lambda: drawn.scan_page(stored, again),
-        "effects": lambda: drawn.effects_page(stored, again),
     }
     for name in names:
         figure = makers[name]()

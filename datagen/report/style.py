@@ -131,7 +131,7 @@ def caption_height(width_in: float, text: str) -> float:
 
 
 def empty_note(axes: Axes, text: str) -> None:
-    """Say in the middle of an axes why it is empty."""
+    """Write in the middle of an axes why it is empty."""
     axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes, color="#777777", wrap=True)
 
 

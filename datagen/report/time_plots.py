@@ -21,7 +21,7 @@ _COUNTS = "#9A9A9A"
 
 
 def time_label(axis: TimeAxis) -> str:
-    """What the horizontal axis counts from."""
+    """The label of a time axis, which names where it starts to count."""
     start = "laser emission" if axis.origin == "source" else "the laser point"
     return f"time since {start} (ns)"
 

@@ -9,8 +9,18 @@ import numpy as np
 
 from datagen.config.distributions import draw, draw_count
 from datagen.config.scene import SceneConfig
-from datagen.config.scene_contents import Box, Content, Item, Library, Mesh, MeshFolder, MeshItem, Pillar, Standing
-from datagen.config.scene_files import label_of
+from datagen.config.scene_contents import (
+    Box,
+    Content,
+    Item,
+    Library,
+    Mesh,
+    MeshFolder,
+    MeshItem,
+    Pillar,
+    Standing,
+    label_of,
+)
 from datagen.config.scene_layouts import AnyLayout, Closed, IsolatedWall
 from datagen.config.scene_materials import SurfaceMaterial
 from datagen.errors import InputError

@@ -11,9 +11,7 @@ import pytest
 from datasets import write_dataset
 
 from datagen.bench import peer_cases, peers, stages
-from datagen.bench.accuracy import Truth, noise_and_bias, with_front
-from datagen.bench.accuracy_report import advice, picture, table
-from datagen.bench.accuracy_settings import Row, fewer_laser_points
+from datagen.bench.accuracy import Row, Truth, advice, fewer_laser_points, noise_and_bias, picture, table, with_front
 from datagen.bench.peers import seconds_at
 from datagen.capture import capture_for
 from datagen.cli import run

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from datagen.bench import foreign_promise
-from datagen.bench.foreign_promise import WHOLE, coarsened, held_foreign, hold_foreign, off_square, told
+from datagen.bench.foreign_promise import WHOLE, checks_of_foreign, coarsened, line_of, off_square, report_foreign
 from datagen.bench.foreign_scenes import foreign_scene, mesh_files
 from datagen.cli import run as run_command
 from datagen.errors import InputError
@@ -83,7 +83,7 @@ def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_wrong_transient_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Some of the light missing, or all of it a bin late, under a claim of 5 %; as it is, it is within."""
     plainly = foreign_promise._simulated
-    (right,) = [one for one in held_foreign(SIMPLE, [0.05]) if one.what == WHOLE]
+    (right,) = [one for one in checks_of_foreign(SIMPLE, [0.05]) if one.what == WHOLE]
     assert right.decided and right.within and right.promised and not right.overclaimed
     assert right.energy == pytest.approx(1, abs=0.02)
 
@@ -99,9 +99,9 @@ def test_a_wrong_transient_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None
             "_simulated",
             lambda *of, spoil=spoil: spoil(plainly(*of)) if of[1].target else plainly(*of),
         )
-        (wrong,) = [one for one in held_foreign(SIMPLE, [0.05]) if one.what == WHOLE]
+        (wrong,) = [one for one in checks_of_foreign(SIMPLE, [0.05]) if one.what == WHOLE]
         assert wrong.promised and wrong.decided and not wrong.within
-        assert f"--first {SIMPLE} --target 0.05" in told(wrong)
+        assert f"--first {SIMPLE} --target 0.05" in line_of(wrong)
     assert wrong.overclaimed
 
 
@@ -114,7 +114,7 @@ def test_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         printed.append(capsys.readouterr().out)
     assert printed[0] == printed[1] and "1 foreign scenes" in printed[0], "kept, not measured again"
     assert (tmp_path / "foreign.md").read_text().startswith("1 foreign scenes")
-    hold_foreign(tmp_path, range(SIMPLE, SIMPLE + 2), [0.1], None)
+    report_foreign(tmp_path, range(SIMPLE, SIMPLE + 2), [0.1], None)
     assert "2 foreign scenes" in capsys.readouterr().out
 
 

@@ -38,7 +38,7 @@ than COST. Its expected square is known and subtracted, so it need not be much s
 FAIR = 4.0
 """Largest cost, in units of the fixed counts', that should occur."""
 REPLICATES, USUAL_REPLICATES = 16, 8
-"""Of the runs with fixed counts by which their error is measured; and the default, for which it is stated."""
+"""Replicates of the runs with fixed counts by which their error is measured, and of those whose cost is stated."""
 CONNECTIONS_AT_MOST = 256
 """Connections of a vertex beyond which more FoV points are not tried."""
 LAYOUTS = ("l_corridor", "t_corridor", "corridor_room", "z_corridor", "straight_corridor")

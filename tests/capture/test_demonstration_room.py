@@ -10,7 +10,7 @@ import pytest
 
 import datagen as dg
 from datagen.config import load_config
-from datagen.paper.envelopes import component_curves
+from datagen.paper.runs import component_curves
 from datagen.records import Capture, Scene, Transient
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demonstration_room.yaml"

@@ -66,19 +66,6 @@ def test_impossible_places_are_refused(device: str, offset: list[float], words: 
         assert "\n" not in str(caught.value)
 
 
-def test_sight_ends_at_the_corner() -> None:
-    """The corner 3 m ahead hides the box from where its sight line through that corner passes, and not beyond."""
-    scene = furnished()
-    nearest = np.array([5.0, 2.3])
-    corner = np.array([3.0, 1.0])
-    slope = (nearest - corner)[1] / (nearest - corner)[0]
-    for x in (0.5, 1.5, 2.5):
-        line = 1.0 - slope * (3.0 - x)
-        fitted(scene, sensor_position_m=[x, line + 0.05, 1.0])
-        with pytest.raises(InputError, match="plain sight"):
-            fitted(scene, sensor_position_m=[x, line - 0.3, 1.0])
-
-
 def test_one_place_for_each_device() -> None:
     for device in ("laser", "sensor"):
         with pytest.raises(InputError, match=f"{device}_position_m.*{device}_offset_m"):

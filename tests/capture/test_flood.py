@@ -97,13 +97,6 @@ def test_points_are_midpoints_of_cells_that_fill_the_field_of_view(scene: Scene)
         np.testing.assert_allclose(targets[own].mean(axis=0), zone.mean(axis=0), atol=1e-12)
 
 
-def test_other_patterns_and_places_make_other_beams(scene: Scene) -> None:
-    spots = captured(4, scene, scan={"kind": "random", "count": 9})
-    assert len(spots.laser.targets) == 9 and spots.shape == (1, 16, 256)
-    narrow = captured(4, scene, scan={"rows": 5, "columns": 5, "width_m": 0.2, "height_m": 0.2})
-    assert np.ptp(narrow.laser.targets[:, 1]) == pytest.approx(0.2 * 4 / 5)
-
-
 def test_what_makes_no_flood_is_refused(scene: Scene) -> None:
     with pytest.raises(InputError, match=r"illumination = 'flood' with pairing 'confocal'"):
         flood(4, pairing="confocal", field_of_view={})

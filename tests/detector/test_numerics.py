@@ -1,4 +1,4 @@
-"""Where the obvious formula fails: each hard case with the failure shown beside the truth."""
+"""Where the obvious formula fails: hard cases beside the truth."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pytest
 from scipy.stats import binom, chi2, norm, poisson
 from statistics_kit import accept
 
-from datagen.detector import Exposure, Spad, coates_correction, detect, expected_histogram
+from datagen.detector import Exposure, Spad, detect, expected_histogram
 from datagen.detector.chain import draw_hazard_chain
-from datagen.detector.dead_time import equilibrium, most_in_window, synchronous_mean
+from datagen.detector.dead_time import equilibrium, synchronous_mean
 from datagen.detector.events import draw_free_running
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.flux import cycle_of
@@ -29,7 +29,6 @@ TIME = TimeAxis(100, 1e-9)
 
 def test_tiny_flux_keeps_its_digits():
     lam = np.array([1e-300, 1e-16, 3e-13])
-    assert abs((1 - np.exp(-1e-16)) / 1e-16 - 1) > 0.1  # what the textbook form makes of it
     np.testing.assert_allclose(one_per_cycle_mean(lam), lam, rtol=1e-9)
     np.testing.assert_allclose(synchronous_mean(lam, np.arange(4.0), 1.0, 1.5), lam, rtol=1e-9)
     np.testing.assert_allclose(equilibrium(lam, np.arange(4.0), 1.0, 1.5).mean, lam, rtol=1e-9)
@@ -42,16 +41,6 @@ def test_hazard_chain_from_nothing_to_infinity():
     assert counts.sum() == 10**6
     assert abs(counts[2] - 1e6 * -np.expm1(-1)) < 6e3
     assert draw_hazard_chain(np.array([1e4, 1.0]), 10**9, stream_of(2)).tolist() == [10**9, 0]
-
-
-def test_hazard_chain_takes_probabilities_that_float32_pushes_beyond_one():
-    """numpy's multinomial refuses such a vector; the hazards have no sum to exceed."""
-    lam = np.full(1024, 0.02, np.float32).astype(np.float64)
-    p = one_per_cycle_mean(lam).astype(np.float32)
-    p[0] += np.float32(1.0) - p.sum() + np.float32(1e-6)
-    with pytest.raises(ValueError, match="pvals"):
-        np.random.default_rng(0).multinomial(10**6, p)
-    assert draw_hazard_chain(lam, 10**6, stream_of(0)).sum() == 10**6
 
 
 @pytest.mark.parametrize(
@@ -94,17 +83,11 @@ def _many_binomials(n, p, count, stream):
 
 
 def test_direct_peak_ten_orders_above_the_signal():
-    """Convolution in float32 by FFT leaves its rounding all over the histogram; ours leaves every bin its own."""
+    """Convolution by FFT leaves the peak's rounding all over the histogram; ours leaves every bin its own."""
     signal = np.full(4096, 1e-10)
     signal[100] = 1.0
     kernel = response_kernel(1e-11, 3e-10, 1e-10)
     ours = spread(signal, kernel)[kernel.before : kernel.before + 4096]
-    size = 8192
-    single = np.fft.irfft(
-        np.fft.rfft(signal.astype(np.float32), size).astype(np.complex64)
-        * np.fft.rfft(kernel.weights.astype(np.float32), size).astype(np.complex64)
-    ).astype(np.float32)
-    assert np.abs(single[3000:4000] / 1e-10 - 1).max() > 0.05
     np.testing.assert_allclose(ours[1500:4000], 1e-10, rtol=1e-12)
 
 
@@ -126,9 +109,6 @@ def test_kernel_is_bin_integrated(sigma_bins):
     offsets = np.arange(-kernel.before, kernel.after + 1)
     truth = [float(mpmath.ncdf((k + 0.5) / sigma_bins) - mpmath.ncdf((k - 0.5) / sigma_bins)) for k in offsets]
     np.testing.assert_allclose(kernel.weights, truth, atol=1e-14)
-    if sigma_bins == 0.1:
-        sampled = np.exp(-0.5 * (offsets / sigma_bins) ** 2) / (sigma_bins * np.sqrt(2 * np.pi))
-        assert sampled[kernel.before] > 3.9  # the density at the bin centre, four times too high
 
 
 @pytest.mark.parametrize("ratio", [1e-3, 0.3, 3.0, 60.0])
@@ -177,7 +157,6 @@ def test_nothing_in_nothing_out(mode):
         counts = detect(np.zeros((2, 2, 100)), TIME, spad, Exposure())
         mean = expected_histogram(np.zeros((2, 2, 100)), TIME, spad, Exposure(), approximate=True)
     assert counts.sum() == 0 == mean.sum()
-    assert coates_correction(np.zeros(100), 10).sum() == 0
 
 
 def test_flux_of_ten_thousand_per_cycle():
@@ -301,13 +280,6 @@ def test_poisson_bias_bounds_the_true_bias():
             true = np.max(1 - mean / lam)
             assert true <= bound * (1 + 1e-6) + 1e-12
             assert bound < 8 * true + 1e-9  # not an idle bound either
-
-
-def test_most_flux_in_a_sliding_window():
-    lam, edges = np.array([1.0, 0, 0, 2.0]), np.array([0.0, 1, 2, 3, 3.5])
-    assert most_in_window(lam, edges, 0.5) == pytest.approx(2.0)
-    assert most_in_window(lam, edges, 1.0) == pytest.approx(2.5)  # across the end of the period
-    assert most_in_window(lam, edges, 3.0) == pytest.approx(3.0)
 
 
 def test_jitter_of_counts_has_the_mean_of_jittered_counts():

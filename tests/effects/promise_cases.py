@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.config.scene_layouts import LAYOUT_KINDS
+from scene_library.layouts import LAYOUTS
 
 LOOKINS = 2048
 
@@ -115,7 +115,7 @@ def _scene(rng: np.random.Generator) -> dict[str, Any]:
         for _ in range(int(rng.integers(1, 4)))
     ]
     return {
-        "layout": {"kind": _one_of(rng, list(LAYOUT_KINDS))},
+        "layout": {"kind": _one_of(rng, [*LAYOUTS])},
         "contents": objects,
         "materials": {
             "relay_wall": {"albedo": float(rng.uniform(0.3, 0.95)), "brdf": _brdf(rng, at_wall=True)},

@@ -1,19 +1,14 @@
-"""Decisions as people see them: in `info`, and as a picture of `show`."""
+"""Decisions as people see them in `info`, and as a replay and the loader follow them."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, cast
 
-import numpy as np
 import pytest
 
 from datagen.building.build import build
 from datagen.config import config_from_mapping
-from datagen.effects import EFFECTS
-from datagen.report.pages import effects_page
-from datagen.report.replay import Replay, read_scene, replay
-from datagen.report.style import house_style
+from datagen.report.replay import read_scene, replay
 from datagen.store.info import info
 
 
@@ -48,37 +43,3 @@ def test_replay_simulates_what_was_simulated(dataset: Path) -> None:
     again = replay(read_scene(dataset, 0))
     assert again.reproduced
     assert set(again.transient.components) == {"direct", "primary"}
-    assert not again.effects["secondary_bounce"].simulated
-
-
-def test_picture_lists_every_effect_with_its_reason(dataset: Path) -> None:
-    stored = read_scene(dataset, 0)
-    again = replay(stored)
-    with house_style():
-        figure = effects_page(stored, again)
-    assert figure is not None
-    lines = figure.axes[-1].texts[0].get_text().splitlines()
-    words = " ".join(" ".join(lines).split())
-    for row in EFFECTS:
-        assert any(line.startswith(f"{row.title} ") for line in lines)
-    for decision in again.effects.decisions:
-        assert decision.reason.replace("`", "") in words
-    states = [line[30:35].strip() for line in lines]
-    assert states.count("off") == sum(decision.left_out for decision in again.effects.decisions) > 0
-    nothing = cast(Replay, type("Undecided", (), {"effects": type(again.effects)((), 0.0)}))
-    assert effects_page(stored, nothing) is None
-
-
-def test_loader_redraws_with_the_decided_detector(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from datagen.loader import TransientDataset
-
-    seen: list[Any] = []
-    monkeypatch.setattr(
-        "datagen.effects.decide.EffectDecisions.apply_detector",
-        lambda decided, spad, exposure, tolerance: seen.append(decided) or (spad, exposure, tolerance),
-    )
-    data = TransientDataset(dataset, fields=("histogram",), redraw_noise=True)
-    first, again = np.asarray(data[0]["histogram"]), np.asarray(data[0]["histogram"])
-    assert first.shape == again.shape == (4, 1, 32)
-    assert len(seen) == 1, "decided once for a scene"
-    assert {d.stage for d in seen[0].decisions} == {"detector"}

@@ -12,7 +12,7 @@ import trimesh
 import datagen as dg
 from datagen.config import LabelsConfig
 from datagen.evidence import evidence_image
-from datagen.evidence.image import STATIONS, stations_of
+from datagen.evidence.image import SCAN_PAIRS, representative_pairs
 from datagen.evidence.own import evidence_and_gain
 from datagen.labels import make_labels
 from datagen.labels.images import hidden_surface
@@ -80,9 +80,9 @@ def image_and_truth(scan: str, spad: dg.Spad, hung: bool = False) -> dict[str, t
     capture = CAPTURES[scan]
     scene, t = lit(scan, hung)
     caster, surface = Raycaster(scene), hidden_surface(scene, LABELS.rows, LABELS.columns)
-    stations = stations_of(caster, scene, capture)
-    own, gain = evidence_and_gain(t, spad, EXPOSURE, stations=stations)
-    image = evidence_image(caster, surface, capture, stations, gain)
+    scan_pairs = representative_pairs(caster, scene, capture)
+    own, gain = evidence_and_gain(t, spad, EXPOSURE, scan_pairs=scan_pairs)
+    image = evidence_image(caster, surface, capture, scan_pairs, gain)
     part = make_labels(LABELS, scene, ["part_id"])["part_id"]
     assert image.dtype == np.float32 and np.array_equal(image > 0, (part >= 0) & (image > 0))
     return {
@@ -108,7 +108,7 @@ def test_pixels_of_an_object_in_view_add_up_to_its_own_detections(name: str, sca
 
 
 def test_stations_stand_for_a_scan() -> None:
-    assert len(CAPTURES["many points"].laser.targets) > 4 * STATIONS
+    assert len(CAPTURES["many points"].laser.targets) > 4 * SCAN_PAIRS
     for found, truth in image_and_truth("many points", SPADS["ideal"]).values():
         assert found == pytest.approx(truth, rel=0.05)
 
@@ -123,10 +123,10 @@ def test_a_curtain_takes_the_evidence_of_what_stands_behind_it() -> None:
 def unsimulated(scene: dg.Scene, capture: dg.Capture, gain: float = 1.0) -> np.ndarray:
     """The image of a detector to which every photon in the time axis counts alike."""
     caster = Raycaster(scene)
-    stations = stations_of(caster, scene, capture)
-    per_photon = np.full((0 if stations is None else len(stations.times), capture.time.bins), gain)
+    scan_pairs = representative_pairs(caster, scene, capture)
+    per_photon = np.full((0 if scan_pairs is None else len(scan_pairs.times), capture.time.bins), gain)
     surface = hidden_surface(scene, LABELS.rows, LABELS.columns)
-    return evidence_image(caster, surface, capture, stations, per_photon)
+    return evidence_image(caster, surface, capture, scan_pairs, per_photon)
 
 
 def test_evidence_is_that_of_the_exposure() -> None:

@@ -149,13 +149,6 @@ def test_empty_view_is_zero_everywhere() -> None:
     assert (labels["part_id"] == -1).all()
 
 
-def test_finer_images_agree_with_coarser_ones_at_shared_centres() -> None:
-    scene = l_corridor()
-    coarse = make_labels(LabelsConfig(rows=11, columns=13), scene, ("depth",))["depth"]
-    fine = make_labels(LabelsConfig(rows=33, columns=39), scene, ("depth",))["depth"]
-    np.testing.assert_allclose(coarse, fine[1::3, 1::3], rtol=1e-6)
-
-
 def test_unusable_requests_are_told_in_one_line() -> None:
     with pytest.raises(InputError, match="'shade' is no label; known are depth"):
         make_labels(CONFIG, l_corridor(), ("shade",))

@@ -134,19 +134,6 @@ def test_overlapping_solids_are_united() -> None:
     np.testing.assert_array_equal(labels["occupancy"], labels["sdf"] < 0)
 
 
-def test_sheet_is_unsigned_and_takes_the_voxels_it_touches() -> None:
-    sheet = trimesh.Trimesh(
-        [[4, 2, 0.5], [4, 3, 0.5], [4, 3, 1.5], [4, 2, 1.5]], [[0, 1, 2], [0, 2, 3]], process=False
-    )
-    scene = scene_of(sheet)
-    labels = make_labels(CONFIG, scene, ("occupancy", "sdf"))
-    flat = box_distance(centers(scene), np.array([0, 1.0, 1.0]), np.array([4, 2.5, 1.0]))
-    np.testing.assert_allclose(labels["sdf"], np.maximum(flat, 0), atol=1e-5)
-    half = VoxelGrid.of(scene, CONFIG.voxels).voxel_m / 2
-    gap = abs(centers(scene) - [4, 2.5, 1.0]) - [0, 0.5, 0.5]
-    np.testing.assert_array_equal(labels["occupancy"], (gap <= half[[0, 2, 1]] + 1e-12).all(axis=-1))
-
-
 def _clipped(polygon: list[np.ndarray], axis: int, limit: float, sign: float) -> list[np.ndarray]:
     """Sutherland and Hodgman: the part of a polygon on one side of an axis-aligned plane."""
     kept = []
@@ -169,12 +156,6 @@ def test_touched_voxels_are_those_that_hold_a_piece_of_the_triangle() -> None:
             for axis, low in enumerate((column, row, layer)):
                 piece = _clipped(_clipped(piece, axis, low + 1, 1), axis, low, -1)
             assert found[layer, row, column] == bool(piece)
-
-
-def test_panel_thinner_than_a_voxel_is_not_lost() -> None:
-    labels = make_labels(CONFIG, scene_of(box_mesh((0.004, 1.0, 1.0), (4.03, 2.5, 1.2))), ("occupancy",))
-    column = labels["occupancy"].any(axis=0)
-    assert 0.9 < column.sum() / (44 / 3 * 36 / 2.4) < 1.3
 
 
 def test_small_holes_are_bridged_and_large_ones_are_not() -> None:

@@ -214,7 +214,7 @@ def test_varying_keeps_numbers_and_few_words() -> None:
 
 @pytest.mark.usefixtures("without_ticks")
 def test_a_dataset_whose_mesh_files_are_gone_is_shown(tmp_path: Path) -> None:
-    """The room is the one that was drawn, and cuboids stand where its objects stood."""
+    """What is stored of it, as of a dataset that was imported."""
     (tmp_path / "panel.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 0 1\nv 0 0 1\nf 1 2 3\nf 1 3 4\n")
     config = config_from_mapping(
         {
@@ -228,17 +228,7 @@ def test_a_dataset_whose_mesh_files_are_gone_is_shown(tmp_path: Path) -> None:
         base_directory=tmp_path,
     )
     build(config, tmp_path / "set.zarr", 1, progress=False)
-    there = replay(read_scene(tmp_path / "set.zarr", 0))
     (tmp_path / "panel.obj").unlink()
-    gone = replay(read_scene(tmp_path / "set.zarr", 0))
-    assert gone.stands_in and not there.stands_in
-    np.testing.assert_array_equal(gone.counts, there.counts)
-    np.testing.assert_allclose(gone.transient.total, there.transient.total, rtol=1e-5, atol=1e-20)
-    np.testing.assert_allclose(gone.capture.laser.targets, there.capture.laser.targets)
-    for name in there.scene.part_names:
-        ends = [scene.corners[scene.faces_of(name)].reshape(-1, 3) for scene in (there.scene, gone.scene)]
-        for end in (np.min, np.max):
-            np.testing.assert_allclose(*(end(of, axis=0) for of in ends), atol=1e-3)
     written = show(tmp_path / "set.zarr", 0)
-    assert [path.name.split("-")[-1] for path in written] == [f"{name}.png" for name in PAGES if name != "effects"]
-    assert preview(tmp_path / "set.zarr", scenes=1).is_file()
+    assert [path.name.split("-")[-1] for path in written] == ["histogram.png", "transient.png", "labels.png"]
+    assert "mesh files of its objects are gone" in preview(tmp_path / "set.zarr", scenes=1).read_text()

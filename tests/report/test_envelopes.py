@@ -10,7 +10,7 @@ import pytest
 
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.paper.envelopes import ComponentCurves, colors_of, component_curves, curve_window
+from datagen.paper.runs import ComponentCurves, component_curves
 
 FAST = {"lookins": 64, "fov_samples": 2, "replicates": 2}
 
@@ -63,20 +63,3 @@ def test_efficiency_and_pulse_act_as_they_should() -> None:
     assert moments[1][0] == pytest.approx(moments[0][0], abs=1e-3)
     added = (1.5**2 + 0.8**2) / (8 * np.log(2))
     assert moments[1][1] - moments[0][1] == pytest.approx(added, rel=0.02)
-
-
-@pytest.mark.filterwarnings("ignore:simulate. all light arrives outside:datagen.InputWarning")
-@pytest.mark.parametrize(
-    ("capture", "scene"),
-    [
-        ({"scan": {"rows": 1, "columns": 1}, "time": {"bins": 1}}, {}),
-        ({"scan": {"rows": 2, "columns": 1}, "time": {"bins": 16, "bin_width_ps": 1}}, {}),
-        ({"scan": {"kind": "circle", "count": 3}}, {"contents": []}),
-        ({"scan": {"rows": 1, "columns": 1}}, {"contents": [{"kind": "box", "count": 8, "width_m": 0.2}]}),
-    ],
-    ids=["one bin", "no light", "no objects", "more objects than colours"],
-)
-def test_odd_scenes_have_curves(capture: dict[str, Any], scene: dict[str, Any]) -> None:
-    curves = curves_of(configured(capture, **scene))
-    low, high = curve_window(curves)
-    assert low < high and np.isfinite(curves.total).all() and set(colors_of(curves)) == set(curves.parts)

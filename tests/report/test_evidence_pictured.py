@@ -14,7 +14,7 @@ from test_show_pictures import replayed, scan, words
 import datagen as dg
 from datagen.evidence.own import significance_in_time
 from datagen.records import Transient
-from datagen.report.evidence_pictures import evidence_page, kinds_told, stated, told
+from datagen.report.evidence_pictures import evidence_page, kinds_report, stated_significance, verdict
 from datagen.report.explorer import scene_data
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.style import house_style
@@ -86,25 +86,32 @@ def test_significance_in_time_adds_up(seed: int) -> None:
 
 
 def test_words_follow_the_limits() -> None:
-    assert [told(sigma) for sigma in (0.99, 1.0, 2.99, 3.0)] == ["not in the data", *2 * ["doubtful"], "in the data"]
+    assert [verdict(sigma) for sigma in (0.99, 1.0, 2.99, 3.0)] == [
+        "not in the data",
+        *2 * ["doubtful"],
+        "in the data",
+    ]
 
 
 def test_kinds_are_counted_on_their_side_of_the_limit() -> None:
     scenes = [
         {"evidence.box.significance": sigma, "evidence.cone_2.significance": 50.0} for sigma in (0.5, 1.0, 20.0)
     ]
-    box, cone = kinds_told(scenes).split("<p>")[1:]
+    box, cone = kinds_report(scenes).split("<p>")[1:]
     assert box.startswith("box: 1 σ in the median of 3, 67% under 3 σ")
     heights = {color: sum(float(h) for h in re.findall(rf'height="([\d.]+)" fill="{color}"', box)) for color in
                ("#A33030", "#0072B2")}  # fmt: skip
     assert heights["#A33030"] == pytest.approx(2 * heights["#0072B2"]) and heights["#0072B2"] > 0
     assert "#A33030" not in cone and cone.startswith("cone: 50 σ")
-    assert kinds_told([{"evidence.ghost.significance": 0.0}]).count("<rect") == 2
-    assert kinds_told([{"scene": 1.0}]) == ""
+    assert kinds_report([{"evidence.ghost.significance": 0.0}]).count("<rect") == 2
+    assert kinds_report([{"scene": 1.0}]) == ""
 
 
 def test_the_explorer_has_it_beside_each_object() -> None:
     stored, again = scene_of(known())
     parts = {part["name"]: part for part in scene_data(stored, again.scene, None, None)["parts"]}
     assert parts["box"]["sigma"] == 98.0 and parts["pillar"]["sigma"] == 0.91 and "sigma" not in parts["relay_wall"]
-    assert stated(replace(stored, parameters={"evidence.box.significance": float("nan")}), again.scene) == {}
+    assert (
+        stated_significance(replace(stored, parameters={"evidence.box.significance": float("nan")}), again.scene)
+        == {}
+    )

@@ -18,9 +18,6 @@ from datagen.report.replay import Replay, StoredScene
 from datagen.report.show import PAGES, pages
 from datagen.report.style import house_style, save_png
 
-PICTURES = tuple(name for name in PAGES if name != "effects")
-"""What needs no decisions, which scenes made by hand have none of."""
-
 
 def scan(scene: Scene, rows: int = 5, columns: int = 6, bins: int = 200) -> Capture:
     """A confocal grid on the relay wall."""
@@ -90,10 +87,10 @@ def ordinary() -> dict[str, Figure]:
 
 
 def test_every_picture_is_there(ordinary: dict[str, Figure]) -> None:
-    assert tuple(ordinary) == PICTURES
+    assert tuple(ordinary) == PAGES
 
 
-@pytest.mark.parametrize("name", PICTURES)
+@pytest.mark.parametrize("name", PAGES)
 def test_picture_has_ink_title_and_units(ordinary: dict[str, Figure], name: str, tmp_path: Path) -> None:
     from matplotlib.image import imread
 
@@ -107,21 +104,20 @@ def test_picture_has_ink_title_and_units(ordinary: dict[str, Figure], name: str,
     assert 0.03 < (picture.min(axis=-1) < 0.95).mean() < 0.95
 
 
-def test_room_caption_says_how_points_and_pixels_go_together(ordinary: dict[str, Figure]) -> None:
-    assert "30 laser points" in words(ordinary["room"])
-    assert "into the sensor, where each has its own pixel (confocal)." in words(ordinary["room"])
+def test_the_caption_says_how_points_and_pixels_go_together(ordinary: dict[str, Figure]) -> None:
+    assert "30 laser points" in words(ordinary["overview"])
+    assert "into the sensor, where each has its own pixel (confocal)." in words(ordinary["overview"])
     scene = l_corridor()
     with house_style():
-        figure = dict(pages(*replayed(scene, exhaustive(scene, 1, 3)), ["room"]))["room"]
+        figure = dict(pages(*replayed(scene, exhaustive(scene, 1, 3)), ["overview"]))["overview"]
     assert "1 laser point on" in words(figure) and "into the sensor (9 pixels)." in words(figure)
 
 
 def test_legends_name_every_part_and_mark(ordinary: dict[str, Figure]) -> None:
     scene = l_corridor()
-    for name in ("room", "overview"):
-        text = words(ordinary[name])
-        for label in (*scene.part_names, "laser and sensor", "laser points", "field of view of the pixels"):
-            assert label in text
+    text = words(ordinary["overview"])
+    for label in (*scene.part_names, "laser and sensor", "laser points", "field of view of the pixels"):
+        assert label in text
     lit = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role != "relay_wall"]
     assert all(name in words(ordinary["transient"]) for name in lit)
 
@@ -147,8 +143,8 @@ def test_captions_say_whether_the_stored_transient_was_reproduced() -> None:
     assert "reproduces the stored transient" in words(same["transient"])
     assert "CAUTION: that gave another scene" in words(other["transient"])
     with house_style():
-        moved = dict(pages(stored, replace(again, difference=None, moved_m=0.01), ["room"]))
-    assert "may not be the stored one" in words(moved["room"])
+        moved = dict(pages(stored, replace(again, difference=None, moved_m=0.01), ["overview"]))
+    assert "CAUTION: that gave another scene" in words(moved["overview"])
     with house_style():
         bare = dict(pages(*replayed(scene, scan(scene), stored=False), ["histogram", "labels"]))
     assert "none stored" in words(bare["histogram"])
@@ -198,12 +194,12 @@ def test_stored_boxes_are_drawn_on_plan_and_labels() -> None:
     tables = make_labels(config.labels, scene, ("objects", "shaded"), slots)
     classes = config.scene.object_classes()
     stored = replace(stored, config=config, classes=classes, arrays={**stored.arrays, **tables})
-    figures = drawn(stored, again, ["room", "labels"])
-    assert "the objects' boxes as stored" in words(figures["room"])
+    figures = drawn(stored, again, ["overview", "labels"])
+    assert "the objects' boxes as stored" in words(figures["overview"])
     assert "Objects: boxes and classes" in words(figures["labels"])
     assert "Shaded view" in words(figures["labels"])
-    plain = drawn(*replayed(scene, scan(scene)), ["room"])["room"]
-    assert len(figures["room"].axes[1].collections) == len(plain.axes[1].collections) + 2
+    plain = drawn(*replayed(scene, scan(scene)), ["overview"])["overview"]
+    assert len(figures["overview"].axes[1].collections) == len(plain.axes[1].collections) + 2
 
 
 @pytest.mark.parametrize(
@@ -212,13 +208,13 @@ def test_stored_boxes_are_drawn_on_plan_and_labels() -> None:
         ("no objects", ["overview"], set()),
         ("zero photons", ["histogram"], set()),
         ("one bin", ["transient", "histogram"], set()),
-        ("one laser point", ["room", "scan"], {"scan"}),
-        ("many pixels", ["room"], set()),
+        ("one laser point", ["overview", "scan"], {"scan"}),
+        ("many pixels", ["overview"], set()),
         ("two lasers", ["scan"], set()),
         ("no light", ["transient", "scan"], set()),
-        ("bare wall", ["room", "labels"], set()),
-        ("missed wall", ["room"], set()),
-        ("turned round", ["room"], set()),
+        ("bare wall", ["overview", "labels"], set()),
+        ("missed wall", ["overview"], set()),
+        ("turned round", ["overview"], set()),
     ],
 )
 def test_corner_cases_are_drawn(case: str, wanted: list[str], missing: set[str]) -> None:
@@ -258,7 +254,7 @@ def test_same_scene_gives_the_same_bytes_and_no_setting_leaks(tmp_path: Path) ->
         matplotlib.rcParams["font.size"] = size
         try:
             with house_style():
-                figure = dict(pages(*replayed(scene, scan(scene)), ["room"]))["room"]
+                figure = dict(pages(*replayed(scene, scan(scene)), ["overview"]))["overview"]
                 written.append(save_png(figure, tmp_path / f"{number}.png").read_bytes())
             assert matplotlib.rcParams["font.size"] == size
         finally:

@@ -1,73 +1,104 @@
-"""What is drawn is distributed as it was declared, whether it is easy to place or not."""
+"""What is drawn is distributed as it was declared, whether it is easy to place or not.
+
+`tests/config/test_distributions.py` holds the distributions themselves against their laws. Here every number of a
+scene is declared uniform over a range of its own, and has to come out so.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from declared_draws import Draws, declared_spec, draws_of
-from drawn_distributions import LEVEL, departures, p_values_of, redrawn_share
 from random_specs import LAYOUTS
 from scipy import stats
 
 import datagen.scene.generate
 from datagen.config import SceneConfig, config_from_mapping
-from datagen.config.distributions import Choice, LogUniform, Normal, NormalShape, Uniform
+from datagen.config.distributions import support
 from datagen.scene import generate_scene
 
+LEVEL = 1e-3
+OBJECTS: dict[str, dict[str, Any]] = {
+    "post": {"kind": "pillar", "width_m": (0.05, 0.15), "depth_m": (0.04, 0.2), "rotation_deg": (0.0, 180.0)},
+    "chest": {"kind": "box", "width_m": (0.05, 0.2), "depth_m": (0.06, 0.2), "height_m": (0.15, 0.3),
+              "elevation_m": (0.05, 0.5), "rotation_deg": (-90.0, 200.0)},
+    "thing": {"kind": "library", "classes": ["digits", "sphere", "chair"], "height_m": (0.15, 0.3),
+              "elevation_m": (0.05, 0.5), "rotation_deg": (-90.0, 200.0), "placement": "hanging"},
+}  # fmt: skip
+"""Small, so that nearly every room can be furnished."""
+CLASSES = 12
+"""Of the object `thing`."""
+SURFACE = {"albedo": (0.1, 0.9), "brdf": {"kind": "phong", "exponent": (2.0, 60.0), "specular": (0.1, 0.9)}}
+PARTS = ("relay_wall", "walls", "floor", "ceiling", "screen")
 
-@pytest.mark.parametrize("scenes", [12, pytest.param(100, marks=pytest.mark.nightly)])
+
+def _uniform(declared: dict[str, Any]) -> dict[str, Any]:
+    """The settings, with every range as a uniform distribution."""
+    return {
+        key: {"uniform": list(value)} if isinstance(value, tuple)
+        else _uniform(value) if isinstance(value, dict) else value
+        for key, value in declared.items()
+    }  # fmt: skip
+
+
+def declared(kind: str) -> tuple[SceneConfig, dict[str, tuple[float, float]]]:
+    """Settings of a layout, and the range of each of its parameters by name."""
+    plan = config_from_mapping({"scene": {"layout": {"kind": kind}}}).scene.layout
+    layout: dict[str, Any] = {name: support(of) for name, of in plan.dimensions().items()}
+    wall = {"relief_m": (0.01, 0.05), "length_m": (1.0, 2.0)}
+    ranges = {f"layout.{name}": of for name, of in layout.items()} | {f"relay_wall.{n}": of for n, of in wall.items()}
+    for name, settings in [*OBJECTS.items(), *((part, {}) for part in PARTS)]:
+        drawn = {key: of for key, of in settings.items() if isinstance(of, tuple)}
+        drawn |= {"albedo": SURFACE["albedo"], "exponent": (2.0, 60.0), "specular": (0.1, 0.9)}
+        ranges |= {f"{name}.{key}": of for key, of in drawn.items()}
+    scene = {
+        "layout": {"kind": kind, **layout, "relay_wall": {"kind": "corrugated", **wall}},
+        "contents": [{"name": name, **settings, **SURFACE} for name, settings in OBJECTS.items()],
+        "materials": dict.fromkeys(PARTS, SURFACE),
+        "clearance_m": 0.005, "minimum_seen": 0.0,
+    }  # fmt: skip
+    scene = _uniform(scene) | {"contents": [_uniform(item) for item in scene["contents"]]}
+    return config_from_mapping({"scene": scene}).scene, ranges
+
+
+def departures(p_values: dict[str, float], level: float = LEVEL) -> list[str]:
+    """Names refused at a family-wise level (Holm 1979)."""
+    refused = []
+    for rank, name in enumerate(sorted(p_values, key=p_values.__getitem__)):
+        if p_values[name] > level / (len(p_values) - rank):
+            break
+        refused.append(name)
+    return refused
+
+
+@pytest.mark.parametrize("scenes", [12, pytest.param(400, marks=pytest.mark.nightly)])
 def test_every_declared_parameter_of_every_layout(scenes: int) -> None:
-    """KS and χ² over all parameters of all layouts, family-wise level 1e-3 (Holm). `drawn_distributions.py` does the
-    same with every family of distributions for every parameter, and as many rooms as one has time for.
-    """
+    """Kolmogorov–Smirnov, and χ² of sides and classes; over all of all layouts at the family-wise level 1e-3."""
     p_values: dict[str, float] = {}
-    for number, kind in enumerate(LAYOUTS):
-        own, rooms = p_values_of(kind, range(number % 4, number % 4 + 1), scenes=scenes, seed=21)
-        assert redrawn_share(rooms) < 0.1
-        p_values |= own
-    assert len(p_values) > 400
+    for kind in LAYOUTS:
+        spec, ranges = declared(kind)
+        drawn = [generate_scene(spec, 21, index).parameters for index in range(scenes)]
+        assert np.mean([room["draws"] > 1 for room in drawn]) < 0.1
+        for name, (low, high) in ranges.items():
+            values = [room[name] for room in drawn if name in room]
+            assert values or name.startswith(("walls", "floor", "ceiling", "screen")), name
+            if values and low < high:
+                p_values[f"{kind} {name}"] = stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue
+        for name, ways in (("layout.turn", 2), ("thing.class", CLASSES)):
+            counts = np.unique([room[name] for room in drawn], return_counts=True)[1]
+            every = np.pad(counts, (0, ways - len(counts)))
+            p_values[f"{kind} {name}"] = stats.chisquare(every).pvalue
+    assert len(p_values) > 200
     assert departures(p_values) == []
 
 
-def test_every_number_of_a_scene_is_tested() -> None:
-    """No parameter that is declared is left out: what the test looks at covers every range in the settings."""
-    spec = declared_spec("doorway_room", 1)
-    tested_names = set(draws_of(spec, [generate_scene(spec, 3, i) for i in range(30)]))
-    assert {f"layout.{name}" for name in spec.layout.dimensions()} <= tested_names
-    assert {"layout.turn", "layout.out_of_square_deg", "relay_wall.relief_m", "relay_wall.length_m"} <= tested_names
-    for item in spec.contents:
-        wanted = {"count", *(name for name in item.sizes if getattr(item, name) is not None)}
-        wanted |= {"material", "tint"} if item.material else {"albedo"}
-        wanted |= {f"brdf.{name}" for name in type(item.brdf).model_fields if name != "kind"}
-        wanted |= {"class"} if item.kind in ("library", "mesh_folder") else set()
-        assert {f"{item.name}.{name}" for name in wanted} <= tested_names
-
-
-RNG = np.random.default_rng(0)
-FAITHFUL = {
-    "uniform": Draws(list(RNG.uniform(1, 3, 2000)), Uniform(uniform=(1, 3))),
-    "log": Draws(list(np.exp(RNG.uniform(0, np.log(5), 2000))), LogUniform(log_uniform=(1, 5))),
-    "normal": Draws(
-        list(stats.truncnorm(-1, 2, 0, 1).rvs(2000, random_state=RNG)),
-        Normal(normal=NormalShape(mean=0, std=1, low=-1, high=2)),
-    ),
-    "choice": Draws(list(RNG.choice([1.0, 4.0], 2000, p=[0.2, 0.8])), Choice(choice=(1, 4), weights=(1, 4))),
-    "class": Draws(list(RNG.choice(["a", "b"], 2000)), {"a": 0.5, "b": 0.5}),
-}
-SKEWED = {
-    "uniform": Draws(list(3 - 2 * RNG.random(2000) ** 1.2), Uniform(uniform=(1, 3))),
-    "log": Draws(list(RNG.uniform(1, 5, 2000)), LogUniform(log_uniform=(1, 5))),
-    "normal": Draws(list(RNG.uniform(-1, 2, 2000)), Normal(normal=NormalShape(mean=0, std=1, low=-1, high=2))),
-    "choice": Draws(list(RNG.choice([1.0, 4.0], 2000, p=[0.3, 0.7])), Choice(choice=(1, 4), weights=(1, 4))),
-    "class": Draws(["a"] * 2000, {"a": 0.5, "b": 0.5}),
-    "stranger": Draws(["c", *"ab" * 1000], {"a": 0.5, "b": 0.5}),
-}
-
-
 def test_departures_are_noticed_and_nothing_else() -> None:
-    assert departures({name: draws.p_value() for name, draws in FAITHFUL.items()}) == []
-    skewed = {name: draws.p_value() for name, draws in SKEWED.items()}
-    assert sorted(departures(skewed)) == sorted(SKEWED)
+    rng = np.random.default_rng(0)
+    p_values = {f"{k}": stats.kstest(rng.random(2000), "uniform").pvalue for k in range(200)}
+    assert departures(p_values) == []
+    skewed = stats.kstest(rng.random(2000) ** 1.2, "uniform").pvalue
+    assert departures({**p_values, "skewed": skewed}) == ["skewed"]
 
 
 def _tight() -> SceneConfig:

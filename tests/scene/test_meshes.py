@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 from pathlib import Path
 
@@ -77,18 +76,9 @@ def test_up_turns_the_file_and_never_mirrors_it(tmp_path: Path, up: str) -> None
     np.testing.assert_allclose(np.unique(np.round(unit.vertices[:, 2], 4)), expected, atol=2e-4)
 
 
-def test_unit_of_the_file_does_not_matter(tmp_path: Path) -> None:
-    for name, scale in (("metres", 1.0), ("millimetres", 1e3), ("kilometres", 1e-3)):
-        lump().apply_scale(scale).export(tmp_path / f"{name}.ply")
-    corners = [object_corners(generate_scene(spec_with(f"{n}.ply", tmp_path).scene, 0, 0)) for n in
-               ("metres", "millimetres", "kilometres")]  # fmt: skip
-    np.testing.assert_allclose(corners[0], corners[1], atol=1e-5)
-    np.testing.assert_allclose(corners[0], corners[2], atol=1e-5)
-
-
-@pytest.mark.parametrize("scale", [1e-300, 1e-200, 1e200, 1e307])
-def test_no_unit_is_too_large_or_too_small(tmp_path: Path, scale: float) -> None:
-    """Squares and cubes of such coordinates are no numbers; the object is the same."""
+@pytest.mark.parametrize("scale", [1e-300, 1e-3, 1e3, 1e307])
+def test_the_unit_of_the_file_does_not_matter(tmp_path: Path, scale: float) -> None:
+    """Not even where squares and cubes of coordinates are no numbers."""
     mesh = lump()
     lines = ["v " + " ".join(map(repr, map(float, vertex * scale))) for vertex in mesh.vertices]
     lines += ["f " + " ".join(str(k + 1) for k in face) for face in mesh.faces]
@@ -98,20 +88,6 @@ def test_no_unit_is_too_large_or_too_small(tmp_path: Path, scale: float) -> None
     expected = object_corners(generate_scene(spec_with("reference.ply", tmp_path).scene, 0, 0))
     nearest, _ = cKDTree(corners.mean(axis=1)).query(expected.mean(axis=1))
     assert len(corners) == len(expected) and nearest.max() < 1e-5
-
-
-@pytest.mark.parametrize("scale", [2.0**-20, 2.0**10])
-def test_simplification_does_not_depend_on_the_unit(scale: float) -> None:
-    """Powers of two round nothing, so that the simplified object is the same to the last bit."""
-    rng = np.random.default_rng(1)
-    ball = trimesh.creation.icosphere(subdivisions=4)
-    ball.vertices *= 1 + 0.1 * rng.random((len(ball.vertices), 1))
-    solids = []
-    for factor in (1.0, scale):
-        vertices, faces = meshes.cleaned(ball.vertices * factor, ball.faces)
-        solids.append(meshes.cleaned(*meshes.simplified(vertices, faces, 400)))
-    np.testing.assert_array_equal(solids[0][0], solids[1][0])
-    np.testing.assert_array_equal(solids[0][1], solids[1][1])
 
 
 def test_seams_duplicates_degenerate_and_inverted_faces_are_repaired(tmp_path: Path) -> None:
@@ -126,23 +102,6 @@ def test_seams_duplicates_degenerate_and_inverted_faces_are_repaired(tmp_path: P
     assert len(unit.vertices) == len(np.unique(clean.vertices, axis=0))
 
 
-def test_non_manifold_and_inverted_meshes_are_taken_as_they_are(tmp_path: Path) -> None:
-    """Three sheets on one edge, and a box turned inside out: light meets both sides of every triangle anyway."""
-    fin = "v 0 0 0\nv 0 0 1\nv 1 0 0\nv 0 1 0\nv -1 -1 0\nf 1 2 3\nf 1 2 4\nf 1 2 5\n"
-    (tmp_path / "fin.obj").write_text(fin)
-    trimesh.Trimesh(*_inside_out(trimesh.creation.box()), process=False).export(tmp_path / "inverted.ply")
-    for name, triangles in (("fin.obj", 3), ("inverted.ply", 12)):
-        spec = spec_with(name, tmp_path).scene
-        for index in range(3):
-            scene = generate_scene(spec, 0, index)
-            assert len(object_corners(scene)) == triangles
-            assert_room_laws(scene, np.random.default_rng(index))
-
-
-def _inside_out(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
-    return mesh.vertices, mesh.faces[:, ::-1]
-
-
 def test_simplification_keeps_the_budget_and_the_shape(tmp_path: Path) -> None:
     trimesh.creation.icosphere(subdivisions=4).export(tmp_path / "ball.ply")
     config = spec_with("ball.ply", tmp_path, max_triangles=400)
@@ -152,25 +111,6 @@ def test_simplification_keeps_the_budget_and_the_shape(tmp_path: Path) -> None:
     middle = (corners.reshape(-1, 3).min(axis=0) + corners.reshape(-1, 3).max(axis=0)) / 2
     radius = np.linalg.norm(corners.reshape(-1, 3) - middle, axis=1)
     np.testing.assert_allclose(radius, 0.5, rtol=0.05)
-
-
-def test_meshes_stand_in_the_room_by_every_law(tmp_path: Path) -> None:
-    lump().export(tmp_path / "lump.obj")
-    items = [
-        {"kind": "mesh", "path": "lump.obj", "count": 2, "height_m": {"uniform": [0.3, 1.2]}},
-        {
-            "kind": "mesh",
-            "path": "lump.obj",
-            "name": "hung",
-            "placement": "hanging",
-            "height_m": 0.4,
-            "elevation_m": 0.05,
-        },
-        {"kind": "box"},
-    ]
-    spec = config_from_mapping({"scene": {"contents": items}}, base_directory=tmp_path).scene
-    for index in range(20):
-        assert_room_laws(generate_scene(spec, 0, index), np.random.default_rng(index))
 
 
 QUAD = "v 0 0 0\nv {x} {y} 0\nv {x} {y} 1\nv 0 0 1\nf 1 2 3\nf 1 3 4\n"
@@ -282,16 +222,6 @@ def test_bad_files_are_refused_in_one_line(tmp_path: Path, name: str) -> None:
     assert "\n" not in message
 
 
-def test_nan_in_a_binary_stl_is_refused(tmp_path: Path) -> None:
-    mesh = lump()
-    mesh.export(tmp_path / "nan.stl")
-    data = bytearray((tmp_path / "nan.stl").read_bytes())
-    data[84 + 12 : 84 + 16] = np.float32(np.nan).tobytes()
-    (tmp_path / "nan.stl").write_bytes(data)
-    with pytest.raises(InputError, match="NaN"):
-        check_scene_config(spec_with("nan.stl", tmp_path).scene)
-
-
 def test_coordinates_far_from_the_origin(tmp_path: Path) -> None:
     """In national coordinates a shape is lost in single precision, half a metre a step, and kept in decimals."""
     far = lump()
@@ -324,21 +254,6 @@ def test_missing_open3d_names_the_system_packages(tmp_path: Path, monkeypatch: p
         check_scene_config(spec_with("ball.ply", tmp_path, max_triangles=100).scene)
     packages = (Path(__file__).parents[2] / "docker" / "system-packages.txt").read_text().split()
     assert all(package in str(told.value) for package in packages)
-
-
-def test_a_file_is_read_once_and_again_when_it_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    reads: list[Path] = []
-    original = meshes._read
-    monkeypatch.setattr(meshes, "_read", lambda path: reads.append(path) or original(path))
-    lump().export(tmp_path / "lump.ply")
-    spec = spec_with("lump.ply", tmp_path).scene
-    for index in range(3):
-        generate_scene(spec, 0, index)
-    assert len(reads) == 1
-    trimesh.creation.box().export(tmp_path / "lump.ply")
-    os.utime(tmp_path / "lump.ply", ns=(1, 1))
-    assert len(object_corners(generate_scene(spec, 0, 0))) == 12
-    assert len(reads) == 2
 
 
 def test_paths_survive_dumping_and_pickling(tmp_path: Path) -> None:

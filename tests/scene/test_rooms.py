@@ -122,12 +122,6 @@ def test_left_and_right_are_mirror_images(kind: str) -> None:
             np.testing.assert_allclose(room.hidden_view.normal, [-1, 0, 0], atol=1e-12)
 
 
-def test_random_turn_goes_both_ways() -> None:
-    spec = config_from_mapping({"scene": {"contents": []}}).scene
-    lefts = sum(generate_scene(spec, 8, i).parameters["layout.turn"] == "left" for i in range(200))
-    assert stats.binomtest(lefts, 200, 0.5).pvalue > 1e-3
-
-
 @pytest.mark.parametrize("kind", LAYOUTS)
 def test_views_and_bounds_hold_the_objects(kind: str) -> None:
     for scene in ten_rooms(kind):
