@@ -18,9 +18,6 @@ from typing import Any, NoReturn, Protocol
 from datagen.errors import CheckError, InputError
 
 MOST_WORKERS = 4096
-SHARDS_PER_PROCESS = 16
-"""A worker process is replaced after so many shards, so that memory that a library leaks is freed. With half as many
-a build of short shards would spend a tenth of its time on starting processes."""
 PATIENCE_S = 3.0
 """Seconds that a worker has to end after SIGTERM before it is killed. Half as many would kill one that is syncing
 to a slow disk; nothing would be lost then either."""
@@ -91,9 +88,8 @@ class LocalProcesses:
         """Start a job; at most `capacity` may be under way, finished ones being those whose future is done."""
         for future in [future for future in self._busy if future.done()]:
             process = self._busy.pop(future)
-            died = isinstance(future.exception(), self.deaths)
-            if died or process.jobs >= SHARDS_PER_PROCESS:
-                process.stop(kill=died)
+            if isinstance(future.exception(), self.deaths):
+                process.stop(kill=True)
                 self._all.remove(process)
                 process = _Process()
                 self._all.append(process)
@@ -116,11 +112,9 @@ class _Process:
     """One worker process, started with its first job."""
 
     def __init__(self) -> None:
-        self.jobs = 0
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context(_START_METHOD), _start_worker)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        self.jobs += 1
         with _environment(ONE_THREAD), _interrupt_blocked():
             return self._pool.submit(function, *arguments)
 

@@ -3,14 +3,23 @@ none left out and nothing moved to another frame."""
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from datagen.export.hdf5 import h5py
+from datagen.errors import InputError
 from datagen.store.scenes import SceneContent
+
+
+def h5py() -> Any:
+    """The package h5py, which is installed only where somebody exports to HDF5; raises `InputError` without it."""
+    if importlib.util.find_spec("h5py") is None:
+        raise InputError("this format is HDF5, and h5py is not installed; pip install nlos-datagen[export]")
+    return importlib.import_module("h5py")
 
 
 def write_npz(scene: SceneContent, path: Path) -> None:
@@ -31,10 +40,8 @@ def write_h5(scene: SceneContent, path: Path) -> None:
             if field.classes:
                 stored.attrs["classes"] = list(field.classes)
         edges = file.create_dataset("bin_edges_s", data=scene.time.edges_s)
-        edges.attrs["units"], edges.attrs["long_name"] = (
-            "s",
-            f"edges of the bins, counted from the {scene.time.origin}",
-        )
+        edges.attrs["units"] = "s"
+        edges.attrs["long_name"] = f"edges of the bins, counted from the {scene.time.origin}"
         info = _info(scene)
         parameters = file.create_group("parameters").attrs
         for name, value in info.pop("parameters").items():

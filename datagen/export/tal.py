@@ -16,8 +16,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from datagen.export.hdf5 import h5py
 from datagen.export.measurement import Measurement, lattice, measurement
+from datagen.export.plain import h5py
 from datagen.records.arrays import Floats
 from datagen.store.scenes import SceneContent
 from datagen.units import path_from_time

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from datagen.building.engines import SHARDS_PER_PROCESS
 from datagen.config import DatasetConfig
 from datagen.errors import InputError
 from datagen.forecast.pilots import Pilots
@@ -77,14 +76,13 @@ class Forecast:
 def forecast(schema: Schema, pilots: Pilots, startup_s: float, workers: int, cores: int) -> Forecast:
     """The forecast of a build with `workers` processes on a machine with `cores` cores: pilots times scenes.
 
-    The wall clock is that of the busiest worker, who takes shard 0 and then every `workers`-th, and is replaced after
-    `SHARDS_PER_PROCESS` of them; more workers than cores share these.
+    The wall clock is that of the busiest worker, which takes shard 0 and then every `workers`-th; more workers than
+    cores share these.
     """
     scenes = [pilot.at_full_effort() for pilot in pilots.scenes]
     seconds = {stage: statistics.fmean(one.seconds[stage] for one in scenes) for stage in scenes[0].seconds}
     working = min(workers, schema.shards)
     busiest = sum(len(schema.scenes_of(shard)) for shard in range(0, schema.shards, working))
-    starts = math.ceil(math.ceil(schema.shards / working) / SHARDS_PER_PROCESS)
     sharing = max(1.0, working / cores)
     return Forecast(
         scenes=schema.scenes,
@@ -101,7 +99,7 @@ def forecast(schema: Schema, pilots: Pilots, startup_s: float, workers: int, cor
         workers=workers,
         working=working,
         startup_s=startup_s,
-        build_s=sharing * (busiest * sum(seconds.values()) + starts * startup_s),
+        build_s=sharing * (busiest * sum(seconds.values()) + startup_s),
         build_bytes=schema.scenes * sum(pilots.stored.values()) + pilots.fixed_bytes,
         shard_memory_bytes=schema.scenes_per_shard * schema.bytes_per_scene,
         evidence=pilots.evidence,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError, printable
-from datagen.export.hdf5 import h5py
+from datagen.export.plain import h5py
 from datagen.importing.matlab5 import read_matlab5
 
 LARGEST_BYTES = 2**33
@@ -22,6 +22,8 @@ LARGEST_BYTES = 2**33
 MOST_COMPRESSED = 1100
 """No more bytes come out of one that deflate has packed; a file that declares more holds less than it says."""
 LONGEST_TEXT = 2**20
+FACING = np.array([0.0, 0.0, 1.0])
+"""Normal of a relay wall that lies in the plane of x and y."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,15 @@ class Content:
         if not np.isfinite(points).all() or abs(points).max() > 1e6:
             raise InputError(f"{self.path}: {name}: holds coordinates that are NaN, infinite or beyond 1000 km")
         return points
+
+    def wall_normal(self, name: str) -> NDArray[np.float64]:
+        """(3,) the mean of a variable that is normals of the relay wall; along z where the file has none."""
+        value = self.arrays.get(name, np.zeros(0))
+        if value.ndim and value.shape[-1] == 3 and value.size and np.isfinite(value).all():
+            mean = value.reshape(-1, 3).mean(axis=0, dtype=np.float64)
+            if np.linalg.norm(mean) > 0.1:
+                return np.asarray(mean / np.linalg.norm(mean))
+        return FACING
 
 
 def is_hdf5(path: Path) -> bool:

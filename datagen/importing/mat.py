@@ -20,15 +20,13 @@ from numpy.typing import NDArray
 
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
-from datagen.importing.containers import Content, matlab_content
-from datagen.importing.recording import UNKNOWN, Recording
-from datagen.importing.times import SAME, time_bins
+from datagen.importing.containers import FACING, Content, matlab_content
+from datagen.importing.recording import SAME, UNKNOWN, Recording, time_bins
 from datagen.records.arrays import Floats
 
 _LISTED = ("trans_data", "camera_points", "laser_points", "camera_normals")
 _GRID = ("meas", "rect_data", "tofgrid", "wall_size", "width", "grid_points")
 _AXES = {"meas": "yxt", "rect_data": "xyt"}
-_FACING = np.array([0.0, 0.0, 1.0])
 
 
 def read_mat(path: Path, options: ImportOptions, delays: Path | None = None) -> Recording:
@@ -76,7 +74,7 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
     rows, columns, bins = values.shape
     points = _points(content, name, rows, columns, options).reshape(-1, 3)
     return Recording(
-        path, values.reshape(-1, 1, bins), True, points, points, time, UNKNOWN, UNKNOWN, _FACING
+        path, values.reshape(-1, 1, bins), True, points, points, time, UNKNOWN, UNKNOWN, FACING
     )  # fmt: skip
 
 
@@ -184,7 +182,9 @@ def _pairs(content: Content, options: ImportOptions) -> Recording:
     else:
         values = rows[:, None]
     paired = lasers * pixels != len(rows)
-    return Recording(content.path, values, paired, lit, seen, time, UNKNOWN, UNKNOWN, _normal(content))
+    return Recording(
+        content.path, values, paired, lit, seen, time, UNKNOWN, UNKNOWN, content.wall_normal("camera_normals")
+    )
 
 
 def _every_pixel(lit: Floats, seen: Floats) -> tuple[int, int]:
@@ -199,13 +199,3 @@ def _every_pixel(lit: Floats, seen: Floats) -> tuple[int, int]:
     in_order = np.array_equal(lit, np.repeat(lit[::pixels], pixels, axis=0))
     alike = np.array_equal(seen, np.tile(seen[:pixels], (lasers, 1)))
     return (lasers, pixels) if in_order and alike else (0, 0)
-
-
-def _normal(content: Content) -> Floats:
-    if "camera_normals" in content.arrays:
-        value = content.array("camera_normals")
-        if value.ndim == 2 and value.shape[1] == 3 and value.size and np.isfinite(value).all():
-            mean = value.mean(axis=0, dtype=np.float64)
-            if np.linalg.norm(mean) > 0.1:
-                return np.asarray(mean / np.linalg.norm(mean))
-    return _FACING

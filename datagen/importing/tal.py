@@ -14,8 +14,7 @@ from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
 from datagen.export.tal import HFormat
 from datagen.importing.containers import Content, hdf5_content
-from datagen.importing.recording import UNKNOWN, Recording
-from datagen.importing.times import time_bins
+from datagen.importing.recording import UNKNOWN, Recording, time_bins
 from datagen.records.arrays import Floats
 from datagen.units import time_from_path
 
@@ -61,8 +60,8 @@ def read_tal(path: Path, options: ImportOptions) -> Recording:
         origin="source" if from_source else "wall", named="delta_t",
     )  # fmt: skip
     return Recording(
-        path, values, paired, lit.reshape(-1, 3), seen.reshape(-1, 3), time, laser, sensor, _normal(content),
-        _hidden(content.texts.get("scene_info")),
+        path, values, paired, lit.reshape(-1, 3), seen.reshape(-1, 3), time, laser, sensor,
+        content.wall_normal("sensor_grid_normals"), _hidden(content.texts.get("scene_info")),
     )  # fmt: skip
 
 
@@ -98,17 +97,6 @@ def _check_grid(path: Path, name: str, axes: tuple[int, ...], points: Floats) ->
     there = points.shape[:-1]
     if math.prod(there) != math.prod(axes) or (len(there) == len(axes) and there != axes):
         raise InputError(f"{path}: {name}: shape {points.shape} does not fit H, which has {axes} of them")
-
-
-def _normal(content: Content) -> Floats:
-    """Of the relay wall; along z where the file says none."""
-    if "sensor_grid_normals" in content.arrays:
-        value = content.array("sensor_grid_normals")
-        if value.ndim and value.shape[-1] == 3 and value.size and np.isfinite(value).all():
-            mean = value.reshape(-1, 3).mean(axis=0, dtype=np.float64)
-            if np.linalg.norm(mean) > 0.1:
-                return np.asarray(mean / np.linalg.norm(mean))
-    return np.array([0.0, 0.0, 1.0])
 
 
 def _hidden(info: str | None) -> Floats | None:

@@ -16,6 +16,7 @@ LIBRARIES = (
     "numpy", "scipy", "numba", "llvmlite", "embreex", "trimesh", "zarr", "numcodecs", "pydantic", "pyarrow",
 )  # fmt: skip
 """The libraries whose versions can change a dataset's bytes."""
+SYSTEM = f"{platform.system()} {platform.machine()}"
 
 
 @functools.cache
@@ -34,7 +35,7 @@ def environment() -> dict[str, str]:
 def made_with() -> dict[str, str]:
     """The environment as a shard's record states it: versions, architecture, processor, system, commit."""
     versions = environment() | {"machine": platform.machine(), "processor": processor()}
-    return versions | {"system": _system(), "commit": commit() or "unknown"}
+    return versions | {"system": SYSTEM, "commit": commit() or "unknown"}
 
 
 def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
@@ -62,11 +63,7 @@ def together(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
 @functools.cache
 def hardware() -> dict[str, str | int]:
     """The machine: processor, cores that this process may use, system."""
-    return {"processor": processor(), "cores": cores(), "system": _system()}
-
-
-def _system() -> str:
-    return f"{platform.system()} {platform.machine()}"
+    return {"processor": processor(), "cores": cores(), "system": SYSTEM}
 
 
 def cores() -> int:
@@ -90,16 +87,12 @@ def commit() -> str | None:
     folder = Path(__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return None
-    try:
-        head = _git(folder, "rev-parse", "HEAD")
-        changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return head + ("+changes" if changed else "")
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    done = subprocess.run(
-        ["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True, timeout=10
-    )
-    return done.stdout.strip()
+    answers = []
+    for question in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"]):
+        command = ["git", "-C", str(folder), *question]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10)
+        except (OSError, subprocess.SubprocessError):
+            return None
+        answers.append(done.stdout.strip())
+    return answers[0] + ("+changes" if answers[1] else "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import hashlib
 import json
 import math
@@ -46,7 +47,13 @@ def write_atomically(path: Path, content: bytes) -> None:
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
-    sync_folder(path.parent)
+    # Without this a renamed file may lose its name in a power cut. Not all file systems can sync a folder.
+    with contextlib.suppress(OSError):
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _new_locked(partial: Path) -> BinaryIO:
@@ -153,13 +160,20 @@ def read_if_there(path: Location) -> bytes | None:
 
 def read_json(path: Location) -> Any:
     """The value a JSON file holds; raises `InputError` naming the file when it is no JSON."""
-    return parsed(path, read_whole(path), pydantic.TypeAdapter(Any))
+    return parsed(path, read_whole(path), Any)
 
 
-def parsed(path: Location, content: bytes, kind: pydantic.TypeAdapter[T]) -> T:
-    """The JSON `content` of a file as what it must describe; raises `InputError`, one line, for anything else."""
+@functools.cache
+def _adapter(kind: Any) -> pydantic.TypeAdapter[Any]:
+    """The validator of a type, which takes pydantic some milliseconds to make."""
+    return pydantic.TypeAdapter(kind)
+
+
+def parsed(path: Location, content: bytes, kind: type[T]) -> T:
+    """The JSON `content` of a file as a value of type `kind`; raises `InputError`, one line, for anything else."""
     try:
-        return kind.validate_json(content, strict=True)
+        value: T = _adapter(kind).validate_json(content, strict=True)  # type: ignore[arg-type]
+        return value
     except pydantic.ValidationError as error:
         first = error.errors(include_url=False, include_input=False, include_context=False)[0]
         where = ".".join(map(str, first["loc"]))
@@ -177,16 +191,6 @@ def own_path(root: Path, name: str) -> Path:
                 f"{path}: is a symbolic link, and a build writes in its own folder alone; put a folder or file there"
             )
     return path
-
-
-def sync_folder(path: Path) -> None:
-    """Sync a folder, so that renamed files keep their names after a power cut; not all file systems can."""
-    with contextlib.suppress(OSError):
-        handle = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 def sha256_of(path: Location) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,6 +17,7 @@ from datagen.config.scene_contents import Mesh
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 from datagen.records import TimeAxis
+from datagen.records.checks import shown
 from datagen.store.arrays import COORDINATES, GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_if_there, sealed
@@ -189,7 +189,7 @@ def read_manifest(root: str | Location) -> Manifest:
     try:
         if not is_intact(content, must_be_sealed=False):
             raise InputError(f"{path}: has changed since it was written (its checksum differs)")
-        stated = parsed(path, content, _mapping_kind())
+        stated = parsed(path, content, dict[str, Any])
     except InputError as error:
         raise DamagedManifest(f"{error}; {REMEDY}") from None
     version = stated.get("schema_version")
@@ -199,13 +199,13 @@ def read_manifest(root: str | Location) -> Manifest:
         )
     if not isinstance(version, int) or version not in SCHEMA_VERSIONS:
         raise InputError(
-            f"{path}: schema_version = {_shortened(version)}, this datagen reads 1 … {SCHEMA_VERSION}; "
+            f"{path}: schema_version = {shown(version)}, this datagen reads 1 … {SCHEMA_VERSION}; "
             "use the version of datagen that made it"
         )
     if not is_intact(content, must_be_sealed=version >= CHECKSUMS_SINCE):
         raise DamagedManifest(f"{path}: has lost its checksum; {REMEDY}")
     try:
-        return _manifest_of(parsed(path, content, _file_kind()), stated)
+        return _manifest_of(parsed(path, content, _File), stated)
     except InputError as error:
         raise DamagedManifest(f"{path}: damaged: {str(error).removeprefix(f'{path}: ')}; {REMEDY}") from None
 
@@ -270,16 +270,6 @@ class _File:
     stats: dict[str, dict[str, FieldStats]] | None = None
 
 
-@cache
-def _file_kind() -> pydantic.TypeAdapter[_File]:
-    return pydantic.TypeAdapter(_File)
-
-
-@cache
-def _mapping_kind() -> pydantic.TypeAdapter[dict[str, Any]]:
-    return pydantic.TypeAdapter(dict[str, Any])
-
-
 def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:
     """The manifest that a file states, if its parts fit together."""
     fields = tuple(
@@ -298,17 +288,10 @@ def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:
     due = {f"{GROUP}/zarr.json", *(f"{GROUP}/{field.name}/zarr.json" for field in fields)}
     if set(file.metadata) != due | set(COORDINATES if stated["schema_version"] >= COORDINATES_SINCE else ()):
         raise InputError("metadata: other files than its fields have")
-    if (
-        not {"datagen", "pyarrow"} <= file.versions.keys()
-        or not {"processor", "cores", "system"} <= file.hardware.keys()
-    ):
+    stated_by = file.versions.keys() | file.hardware.keys()
+    if not {"datagen", "pyarrow", "processor", "cores", "system"} <= stated_by:
         raise InputError("versions, hardware: incomplete")
     return Manifest(schema=schema, **{"stats": None} | {key: stated[key] for key in _KEPT if key in stated})
-
-
-def _shortened(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _field_row(field: Field, schema: Schema) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -135,17 +134,12 @@ def read_record(root: Location, shard: int, must_be_sealed: bool) -> ShardRecord
             return None
         if not is_intact(content, must_be_sealed):
             raise InputError(f"{path}: has changed since it was written (its checksum differs)")
-        record = parsed(path, content, _kind())
+        record = parsed(path, content, ShardRecord)
         if record.shard != shard or not {"store", "total"} <= set(record.seconds):
             raise InputError(f"{path}: is not the record of shard {shard}")
     except InputError as error:
         raise CheckError(f"{error}; run the same `datagen build` again to make shard {shard} anew") from None
     return record
-
-
-@cache
-def _kind() -> pydantic.TypeAdapter[ShardRecord]:
-    return pydantic.TypeAdapter(ShardRecord)
 
 
 def recorded_shards(root: Location) -> list[int]:

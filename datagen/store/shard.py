@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError, printable
 from datagen.records import Sample, Scalar
-from datagen.store.arrays import FieldOfShard, shard_file
+from datagen.store.arrays import fill_of, shard_content, shard_file
 from datagen.store.environment import made_with
 from datagen.store.files import PARTIAL, own_path, write_atomically
 from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, record_path
@@ -95,7 +95,11 @@ def write_shard(
     """
     started, scenes = time.time(), schema.scenes_of(shard)
     discard_shard(root, schema, shard)
-    made = {field: FieldOfShard(field, len(scenes), schema.scenes_per_shard) for field in schema.fields}
+    # A scene that could not be made keeps the fill value.
+    made: dict[Field, NDArray[np.generic]] = {
+        field: np.full((len(scenes), *field.shape), fill_of(field), np.dtype(field.dtype).newbyteorder("<"))
+        for field in schema.fields
+    }
     records, store_s = list[SceneRecord](), 0.0
     for index, sample in samples:
         begun = time.perf_counter()
@@ -108,7 +112,9 @@ def write_shard(
         writing = {}
         for field in schema.fields:
             name = shard_file(field, shard)
-            writing[name] = pool.submit(_write_new, root / name, made.pop(field).content())
+            writing[name] = pool.submit(
+                _write_new, root / name, shard_content(field, made.pop(field), schema.scenes_per_shard)
+            )
         files = {name: future.result() for name, future in writing.items()}
     now = time.time()
     seconds = {"store": store_s + time.perf_counter() - begun, "total": now - started}
@@ -131,7 +137,7 @@ def _write_new(path: Path, content: bytes) -> FileRecord:
     return FileRecord(hashlib.sha256(content).hexdigest(), len(content))
 
 
-def _keep(made: Mapping[Field, FieldOfShard], first: int, index: int, sample: Sample | str) -> SceneRecord:
+def _keep(made: Mapping[Field, NDArray[np.generic]], first: int, index: int, sample: Sample | str) -> SceneRecord:
     if isinstance(sample, str):
         return SceneRecord(index, failure=printable(sample))
     try:
@@ -143,7 +149,7 @@ def _keep(made: Mapping[Field, FieldOfShard], first: int, index: int, sample: Sa
         reason = str(error) if isinstance(error, InputError) else f"not a sample: {type(error).__name__}: {error}"
         return SceneRecord(index, failure=printable(" ".join(reason.split())))
     for field, value in values.items():
-        made[field].add(index - first, value)
+        made[field][index - first] = value
     digests = {field.name: digest(field, value) for field, value in values.items()}
     stats = {field.name: stats_of(field.name, value) for field, value in values.items() if field.name in WITH_STATS}
     return SceneRecord(index, None, digests, parameters, seconds, stats)

@@ -118,14 +118,11 @@ def _missing(there: Sequence[int], shards: int) -> Iterator[str]:
 
 
 def _metadata_problems(root: Location, manifest: Manifest) -> Iterator[str]:
-    yield from filter(None, (_metadata_problem(root, manifest, name) for name in manifest.metadata))
+    for name, sha256 in manifest.metadata.items():
+        if (wrong := difference(root / name, sha256)) is not None:
+            yield f"{name}: {wrong}"
     if fingerprint_of(manifest.config, manifest.meshes) != manifest.fingerprint:
         yield "dataset.json: its configuration is not the one its fingerprint was taken of"
-
-
-def _metadata_problem(root: Location, manifest: Manifest, name: str) -> str | None:
-    wrong = difference(root / name, manifest.metadata[name])
-    return None if wrong is None else f"{name}: {wrong}"
 
 
 def _shard_problems(root: Location, manifest: Manifest, record: ShardRecord, deep: bool) -> Iterator[str]:
