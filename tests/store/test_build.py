@@ -123,18 +123,6 @@ def start_slow_build(root: Path, script: Path) -> subprocess.Popen[bytes]:
     return child
 
 
-@pytest.mark.nightly
-def test_a_build_killed_in_the_middle_resumes_to_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
-    root = tmp_path / "set"
-    child = start_slow_build(root, tmp_path / "child.py")
-    child.kill()
-    child.communicate()
-    assert len(list(root.glob("build/shard-*.json"))) < 3, "nothing was left to interrupt"
-    assert not (root / "samples.parquet").exists()
-    quiet_build(small_config(), root, 2)
-    assert content(root) == whole
-
-
 def test_interrupted_build_leaves_whole_shards_only_and_resumes(whole: dict[str, bytes], tmp_path: Path) -> None:
     root = tmp_path / "set"
     child = start_slow_build(root, tmp_path / "child.py")
@@ -157,26 +145,6 @@ def test_building_again_changes_nothing(whole: dict[str, bytes], copied: Path) -
     result = quiet_build(small_config(), root)
     assert (result.built, result.kept) == (0, 3)  # type: ignore[attr-defined]
     assert {path: path.stat().st_mtime_ns for path in root.rglob("*") if path.is_file()}.items() <= times.items()
-
-
-@pytest.mark.parametrize("damage", ["flip", "truncate", "unlink", "record"])
-def test_damage_is_mended_by_building_again(whole: dict[str, bytes], copied: Path, damage: str) -> None:
-    root = copied
-    shard = root / "data.zarr/transient/c/1/0/0/0"
-    if damage == "flip":
-        data = bytearray(shard.read_bytes())
-        data[20] ^= 1
-        shard.write_bytes(data)
-    elif damage == "truncate":
-        shard.write_bytes(shard.read_bytes()[:-50])
-    elif damage == "unlink":
-        shard.unlink()
-    else:
-        (root / "build/shard-000001.json").write_text('{"shard": 1')
-    shard.with_name("0.0123.partial").write_bytes(b"half")
-    result = quiet_build(small_config(), root)
-    assert (result.built, result.kept) == (1, 2)  # type: ignore[attr-defined]
-    assert content(root) == whole
 
 
 def test_a_dataset_grows_and_keeps_its_scenes(tmp_path: Path) -> None:
@@ -244,15 +212,6 @@ def test_refusal_input_creates_nothing(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=message):
             quiet_build(small_config(), tmp_path / "a/b", workers, **options)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_where_a_build_died_over_its_first_file_is_taken(whole: dict[str, bytes], tmp_path: Path) -> None:
-    root = tmp_path / "set"
-    root.mkdir()
-    (root / "dataset.json.123.partial").write_text("{")
-    quiet_build(small_config(), root)
-    (root / "dataset.json.123.partial").unlink(missing_ok=True)
-    assert content(root) == whole
 
 
 def test_a_failing_scene_is_recorded_and_the_others_are_built(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from hypothesis import strategies as st
 import datagen as dg
 from datagen.building.build import build
 from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping
-from datagen.config.yaml_text import parse_yaml
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
 from datagen.store import verify
@@ -159,16 +157,6 @@ def test_failed_scenes_are_in_no_split(tmp_path: Path) -> None:
 def test_earlier_datasets_have_splits_too() -> None:
     earlier = Path(__file__).parents[1] / "regression/schema_3/dataset"
     assert sorted(chain(*(scenes_of(earlier, name) for name in SPLITS))) == [0, 1, 2]
-
-
-def test_the_example_of_the_docs_is_one() -> None:
-    page = (Path(__file__).parents[2] / "docs/training.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"^```yaml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
-    library = [{"kind": "library", "classes": ["chair", "table"]}]
-    config = small_config(scene={"contents": library}, **parse_yaml(example, "docs/training.md"))
-    assert config.splits.names == (*SPLITS, "unseen_chairs", "near_the_wall", "plywood_to_the_left")
-    turned = {"layout.turn": "left", "walls.material": "plywood"}
-    assert splits_of([turned, {"a.class": "chair"}], config.splits) == ["plywood_to_the_left", "unseen_chairs"]
 
 
 def test_a_split_without_scenes_is_refusal(tmp_path: Path) -> None:
