@@ -6,7 +6,6 @@ import json
 import os
 import re
 import resource
-import shutil
 import signal
 import socket
 import subprocess
@@ -65,24 +64,8 @@ def quiet_build(config: DatasetConfig, root: Path, workers: int = 1, **options: 
 
 
 @pytest.fixture(scope="module")
-def whole_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What an uninterrupted build with one worker leaves."""
-    root = tmp_path_factory.mktemp("whole") / "set"
-    result = quiet_build(small_config(), root)
-    assert (result.built, result.kept, result.complete) == (3, 0, True)  # type: ignore[attr-defined]
-    assert verify(root).problems == ()
-    return root
-
-
-@pytest.fixture(scope="module")
-def whole(whole_root: Path) -> dict[str, bytes]:
-    return content(whole_root)
-
-
-@pytest.fixture
-def copied(whole_root: Path, tmp_path: Path) -> Path:
-    """A copy of that dataset, to be harmed."""
-    return shutil.copytree(whole_root, tmp_path / "set")
+def whole(pristine: Path) -> dict[str, bytes]:
+    return content(pristine)
 
 
 def test_two_workers_write_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
@@ -138,8 +121,8 @@ def test_interrupted_build_leaves_whole_shards_only_and_resumes(whole: dict[str,
     assert content(root) == whole
 
 
-def test_building_again_changes_nothing(whole: dict[str, bytes], copied: Path) -> None:
-    root = copied
+def test_building_again_changes_nothing(whole: dict[str, bytes], dataset: Path) -> None:
+    root = dataset
     times = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
     assert content(root) == whole
     result = quiet_build(small_config(), root)
@@ -161,8 +144,8 @@ def test_a_dataset_grows_and_keeps_its_scenes(tmp_path: Path) -> None:
         quiet_build(small_config(scenes=6), root)
 
 
-def test_another_configuration_is_refusal_and_nothing_changes(whole: dict[str, bytes], copied: Path) -> None:
-    root = copied
+def test_another_configuration_is_refusal_and_nothing_changes(whole: dict[str, bytes], dataset: Path) -> None:
+    root = dataset
     with pytest.raises(InputError, match=r"capture\.time\.bins = 16, this configuration has 17"):
         quiet_build(small_config(capture={"scan": {"rows": 2, "columns": 2}, "time": {"bins": 17}}), root)
     with pytest.raises(InputError, match=r"seed = 3, this configuration has 4"):

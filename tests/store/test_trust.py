@@ -35,18 +35,6 @@ def again(root: Path, config: DatasetConfig | None = None, workers: int = 1, **o
     return build(config or small_config(), root, workers, **made)  # type: ignore[arg-type]
 
 
-@pytest.fixture(scope="module")
-def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("trust") / "set"
-    again(root)
-    return root
-
-
-@pytest.fixture
-def dataset(pristine: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(pristine, tmp_path / "set")
-
-
 def flip(path: Path, place: int, bit: int = 0) -> None:
     data = bytearray(path.read_bytes())
     data[place] ^= 1 << bit

@@ -9,9 +9,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import zarr
-from fake_samples import fake_sample, reseal, small_config
+from fake_samples import reseal
 
-from datagen.building.build import build
 from datagen.errors import InputError
 from datagen.store import DatasetReader, committed, read_manifest, verify
 from datagen.store.card import readable
@@ -19,19 +18,6 @@ from datagen.store.croissant import croissant
 from datagen.store.info import info
 
 SHARD = "data.zarr/histogram/c/1/0/0/0"
-
-
-@pytest.fixture(scope="module")
-def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("pristine") / "set"
-    build(small_config(), root, progress=False, sample_function=fake_sample)
-    return root
-
-
-@pytest.fixture
-def dataset(pristine: Path, tmp_path: Path) -> Path:
-    shutil.copytree(pristine, tmp_path / "set")
-    return tmp_path / "set"
 
 
 def the_problem(dataset: Path) -> str:
