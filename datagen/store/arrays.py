@@ -1,4 +1,5 @@
-"""The Zarr v3 group of a dataset: its metadata, made by the parent alone, and the codec chain of every array."""
+"""The Zarr v3 group of a dataset: its metadata, which the parent process alone writes, and the codecs of each
+array."""
 
 from __future__ import annotations
 
@@ -25,12 +26,13 @@ times the time."""
 
 
 def shard_file(field: Field, shard: int) -> str:
-    """The one file that holds shard `shard` of a field, relative to the dataset: one writer, one file, one field."""
+    """Path of the file that holds shard `shard` of a field, relative to the dataset. Each file has one field, one
+    shard and one writer."""
     return "/".join([GROUP, field.name, "c", str(shard), *["0"] * len(field.shape)])
 
 
 def metadata_files(schema: Schema, time: TimeConfig) -> dict[str, bytes]:
-    """Every `zarr.json` of the group, and its coordinates, path relative to the dataset → content, made in memory."""
+    """Path relative to the dataset → content, of every `zarr.json` of the group and of its coordinates."""
     store = MemoryStore()
     geometry = " ".join(name for name, field in schema.by_name.items() if field.dtype == "float64")
     group = zarr.create_group(store, attributes={"coordinates": geometry})
@@ -45,7 +47,7 @@ def metadata_files(schema: Schema, time: TimeConfig) -> dict[str, bytes]:
 
 
 COORDINATES = (f"{GROUP}/bin/zarr.json", f"{GROUP}/bin/c/0")
-"""Files of arrays that are not of scenes but of an axis; named as it is, as xarray and others expect."""
+"""Files of the array of arrival times. It bears the name of its axis, as xarray and others expect of a coordinate."""
 
 
 def _create_arrival_times(group: zarr.Group, time: TimeConfig) -> None:
@@ -67,12 +69,12 @@ def chunk_grid(field: Field) -> tuple[int, ...]:
 
 
 def fill_of(field: Field) -> float | int:
-    """The values of a scene that could not be made: NaN, or 0 for whole numbers."""
+    """The value that a scene is filled with when it could not be made: NaN, or 0 for whole numbers."""
     return float("nan") if np.dtype(field.dtype).kind == "f" else 0
 
 
 def shard_shape(field: Field, scenes_per_shard: int) -> tuple[int, ...]:
-    """The shard of a sharded field: K scenes, every other axis whole (rounded up to whole chunks)."""
+    """The shape of a shard of a sharded field: K scenes, every other axis whole (rounded up to whole chunks)."""
     return scenes_per_shard, *(c * n for c, n in zip(field.chunk, chunk_grid(field), strict=True))
 
 

@@ -1,4 +1,4 @@
-"""The environment that a dataset is made in: versions, commit, hardware."""
+"""The environment that a dataset is made in: versions of libraries, commit of the code, hardware."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SYSTEM = f"{platform.system()} {platform.machine()}"
 
 @functools.cache
 def environment() -> dict[str, str]:
-    """Versions of what computes and writes."""
+    """Name → version, of datagen, Python and `LIBRARIES`."""
     versions = {"datagen": __version__, "python": platform.python_version()}
     for name in LIBRARIES:
         try:
@@ -33,16 +33,16 @@ def environment() -> dict[str, str]:
 
 @functools.cache
 def made_with() -> dict[str, str]:
-    """The environment as a shard's record states it: versions, architecture, processor, system, commit."""
+    """The environment that a shard's record states: versions, architecture, processor, system, commit."""
     versions = environment() | {"machine": platform.machine(), "processor": processor()}
     return versions | {"system": SYSTEM, "commit": commit() or "unknown"}
 
 
 def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
-    """Differences of several environments that may make other bytes of the same seed: `numpy 2.3.1 and 2.4.6`.
+    """Differences between environments that may give other bytes for the same seed: `numpy 2.3.1 and 2.4.6`.
 
-    Not datagen's own version, which raises the schema version when it does, nor the processor of one architecture,
-    nor what an older record lacks.
+    The version of datagen is no such difference (the schema version is raised when its bytes change), nor is the
+    processor within one architecture, nor an entry that an older record lacks.
     """
     found = []
     for name in ("python", *LIBRARIES, "machine"):
@@ -54,8 +54,8 @@ def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
 
 
 def together(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
-    """The environment of a shard whose scenes were made in two: values that differ are joined by "and", which `mixed`
-    takes apart again."""
+    """The environment of a shard whose scenes were made in two environments. Values that differ are joined by "and";
+    `mixed` takes them apart again."""
     both = {name: f"{old[name]} and {value}" for name, value in new.items() if old.get(name, value) != value}
     return {**old, **new, **both}
 

@@ -1,4 +1,5 @@
-"""`dataset.json`: what a dataset is. It is the first file of a dataset, and says which folder is one."""
+"""`dataset.json`, the manifest: configuration, fields and origin of a dataset. A folder that holds one is a
+dataset."""
 
 from __future__ import annotations
 
@@ -63,7 +64,8 @@ class Manifest:
     meshes : mesh file → digest of its bytes.
     mesh_folder : where relative mesh paths start; None when there are none, so that no machine's paths are stored.
     metadata : `zarr.json` files, and those of coordinates → SHA-256.
-    stats : of a complete dataset: split → field → `mean`, `std` and `nonzero` of its values (`stats_of`).
+    stats : split → field → `mean`, `std` and `nonzero` of its values (`stats_of`); None before the dataset is
+        complete.
     """
 
     config: dict[str, Any]
@@ -90,7 +92,7 @@ class Manifest:
 
     @property
     def imported(self) -> tuple[ImportedFile, ...]:
-        """The files that its captures were imported from; none where they were simulated.
+        """The files that the captures were imported from; empty where they were simulated.
 
         Raises `InputError` for what an import does not write.
         """
@@ -170,8 +172,8 @@ def mesh_folder(config: DatasetConfig) -> str | None:
 
 
 def read_manifest(root: str | Location) -> Manifest:
-    """Read `dataset.json`, of any schema version so far. It may come from anywhere: names, sizes and types in it are
-    such as datagen writes, or it is refused; settings are looked at by `Manifest.parsed_config`.
+    """The manifest of a dataset of any schema version. The file may come from anywhere: names, sizes and types that
+    datagen does not write are refused. `Manifest.parsed_config` checks the settings.
 
     Raises `InputError` when the folder is no dataset or one of a later schema version, and `DamagedManifest`.
     """
@@ -254,7 +256,7 @@ class _Config:
 
 @dataclass(frozen=True)
 class _File:
-    """`dataset.json`, as far as anything is done with it."""
+    """The keys of `dataset.json` that are used."""
 
     scenes: Annotated[int, pydantic.Field(ge=1, le=MOST_SCENES)]
     scenes_per_shard: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256]

@@ -1,4 +1,4 @@
-"""One shard, written by one writer: stale files unlinked, fields written whole and synced, and the record last."""
+"""Writing one shard: stale files are unlinked, fields are written whole and synced, and the record comes last."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from datagen.store.schema import Field, Schema
 from datagen.store.stats import COUNTS, WITH_STATS, stats_of
 
 FINITE = ("transient", "background_transient", "depth", "normal", "albedo", "shaded", "sdf", "evidence")
-"""Fields that have no use for NaN and infinity."""
+"""Fields in which NaN and infinity are refused."""
 MOST_FILES = 8
-"""Written side by side."""
+"""Files written at the same time; with half as many a disk that takes long to sync is waited for twice as often."""
 
 
 def discard_shard(root: Path, schema: Schema, shard: int) -> None:
@@ -88,7 +88,7 @@ def write_shard(
     root: Path, schema: Schema, shard: int, fingerprint: str, samples: Iterable[tuple[int, Sample | str]],
     made_by: Mapping[str, str] | None = None,
 ) -> ShardRecord:  # fmt: skip
-    """Write one shard and commit it.
+    """Write one shard and commit it; returns its record.
 
     samples : (index, sample) for each scene of the shard in order, or (index, reason) for one that could not be made.
     made_by : what made them; left out: this process, now.
@@ -128,7 +128,7 @@ def write_shard(
 
 
 def _write_new(path: Path, content: bytes) -> FileRecord:
-    """Write a file, which must not be there, and have the disk hold it."""
+    """Write a new file and sync it; returns its hash and size."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("xb") as file:
         file.write(content)
@@ -145,7 +145,7 @@ def _keep(made: Mapping[Field, NDArray[np.generic]], first: int, index: int, sam
         parameters = {name: _plain(name, value) for name, value in sample.parameters.items()}
         seconds = {name: _finite(name, value) for name, value in sample.seconds.items()}
     except Exception as error:
-        # Whatever a sample function gave that is no sample costs its scene, not the build.
+        # A value that is no sample costs its scene, not the build.
         reason = str(error) if isinstance(error, InputError) else f"not a sample: {type(error).__name__}: {error}"
         return SceneRecord(index, failure=printable(" ".join(reason.split())))
     for field, value in values.items():
