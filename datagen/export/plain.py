@@ -1,5 +1,4 @@
-"""A scene as plain arrays: `.npz` for NumPy, `.h5` for anything that reads HDF5. Every field as it is stored,
-none left out and nothing moved to another frame."""
+"""A scene as plain arrays: `.npz` for NumPy, `.h5` for all that reads HDF5. Every field is as it is stored."""
 
 from __future__ import annotations
 
@@ -23,13 +22,13 @@ def h5py() -> Any:
 
 
 def write_npz(scene: SceneContent, path: Path) -> None:
-    """All fields by name, `bin_edges_s`, and `info`: a JSON text of what `h5` has as attributes."""
+    """Write all fields by name, `bin_edges_s`, and `info`, a JSON text with the attributes of the `.h5` file."""
     arrays: dict[str, Any] = {**scene.arrays, "bin_edges_s": scene.time.edges_s}
     np.savez_compressed(path, info=np.array(json.dumps(_info(scene))), **arrays)
 
 
 def write_h5(scene: SceneContent, path: Path) -> None:
-    """All fields by name, with attributes `units` and `long_name` and labelled axes; `parameters` of the scene."""
+    """Write all fields by name, with attributes `units` and `long_name` and labelled axes, and `parameters`."""
     with h5py().File(path, "w") as file:
         for field in scene.manifest.schema.fields:
             value = scene.arrays[field.name]

@@ -1,4 +1,4 @@
-"""Files of captures as one dataset, a scene for each: `datagen import`."""
+"""Captures of other programs and of laboratories as a dataset, a scene for each file: `datagen import`."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def import_captures(
 
 @dataclass(frozen=True)
 class ImportedSamples:
-    """The sample function of captures in files, which are read again as the configuration says."""
+    """The sample function of an import. Workers read each file again, with the options in the configuration."""
 
     files: tuple[str, ...]
     delays: str | None
@@ -208,7 +208,7 @@ def _recording(path: Path, format: str, options: ImportOptions, delays: Path | N
 def _config(
     given: list[_Summary], field: str | None, options: ImportOptions, settings: dict[str, Any], named: dict[str, Any]
 ) -> DatasetConfig:
-    """The configuration that the dataset states: the files by their digests, the scan as the first has it."""
+    """The configuration that the dataset states: the digests of the files, and the scan of the first."""
     first = given[0]
     for other in given:
         if (other.shape, other.paired, other.time) != (first.shape, first.paired, first.time):
@@ -244,7 +244,7 @@ def _config(
 
 
 def _stored(given: list[_Summary], field: str | None) -> dict[str, Any]:
-    """Counts where all values are whole numbers that fit, else light."""
+    """The section `store`: counts where all values are whole numbers that fit, else light."""
     fraction = next((of for of in given if not of.whole), None)
     most = max(given, key=lambda of: of.most)
     if field == "histogram" and fraction is not None:

@@ -48,7 +48,7 @@ def _bin_width_s(content: Content) -> float | None:
 
 
 def _grid(content: Content, name: str, options: ImportOptions, delays: Path | None) -> Recording:
-    """A confocal grid of points."""
+    """The recording of a confocal grid."""
     path, stored = content.path, content.array(name)
     if stored.ndim != 3 or stored.size == 0:
         raise InputError(f"{path}: {name}: shape {stored.shape}; one capture has two axes of the grid and time")
@@ -79,7 +79,7 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
 
 
 def _shifted(values: NDArray[Any], shifts: NDArray[np.int64], kept: int) -> NDArray[Any]:
-    """So many bins of each point of the grid, from its shift on."""
+    """(row, column, kept) bins of each point of the grid, from its shift on."""
     found = np.empty((*shifts.shape, kept), values.dtype)
     for shift in np.unique(shifts):
         alike = shifts == shift
@@ -88,7 +88,8 @@ def _shifted(values: NDArray[Any], shifts: NDArray[np.int64], kept: int) -> NDAr
 
 
 def _axes_of(name: str, shape: tuple[int, ...]) -> str:
-    """Time last; first where the other two are alike and these are not."""
+    """The order of the axes: time comes last, or first where the other two are of one size and the last two are
+    too."""
     usual = _AXES[name]
     return f"t{usual[:2]}" if shape[1] == shape[2] != shape[0] else usual
 
@@ -101,7 +102,7 @@ def _shifts(
     options: ImportOptions,
     delays: Path | None,
 ) -> NDArray[np.int64]:
-    """Of the grid: whole bins from the laser to the wall and back, 0 where times count from the wall."""
+    """(row, column) whole bins from the laser to the wall and back; 0 where times count from the wall."""
     if delays is not None:
         if "tofgrid" in content.arrays:
             raise InputError(f"{content.path}: has a tofgrid of its own; leave --tof out")
@@ -161,7 +162,7 @@ def _wall(content: Content, name: str, options: ImportOptions) -> tuple[float, f
 
 
 def _pairs(content: Content, options: ImportOptions) -> Recording:
-    """A row for each pair: a confocal scan or any other one for one, or every pixel for every laser point."""
+    """The recording of a list of pairs: every pixel for every laser point, or one pixel for each (as if confocal)."""
     for flag, value in (("wall", options.wall_m), ("axes", options.axes), ("tof", options.delays)):
         if value is not None:
             raise InputError(f"--{flag}: {content.path} lists its points itself; leave the option out")
@@ -188,9 +189,8 @@ def _pairs(content: Content, options: ImportOptions) -> Recording:
 
 
 def _every_pixel(lit: Floats, seen: Floats) -> tuple[int, int]:
-    """(lasers, pixels) of a list that has every pixel for one laser point after the other; (0, 0) of any other,
-    and of one for one.
-    """
+    """(lasers, pixels) of a list that has every pixel for one laser point after the other; (0, 0) of any other
+    list."""
     changes = np.flatnonzero((lit != lit[0]).any(axis=1))
     pixels = int(changes[0]) if len(changes) else len(lit)
     if len(lit) % pixels or (pixels == 1 and (seen != seen[0]).any()):

@@ -24,7 +24,7 @@ _WANTED = (
 )  # fmt: skip
 _GRIDS = {HFormat.T_Sx_Sy: (2, False), HFormat.T_Lx_Ly_Sx_Sy: (2, True), HFormat.T_Si: (1, False),
           HFormat.T_Li_Si: (1, True)}  # fmt: skip
-"""Axes of each set of points, and whether lasers have axes of their own."""
+"""Format → number of axes of each set of points, and whether laser points have axes of their own."""
 
 
 def read_tal(path: Path, options: ImportOptions) -> Recording:
@@ -66,7 +66,7 @@ def read_tal(path: Path, options: ImportOptions) -> Recording:
 
 
 def _values(content: Content, lit: Floats, seen: Floats) -> tuple[NDArray[Any], bool]:
-    """H as (L, P, T), and whether its pixels go with one laser point each."""
+    """H as (L, P, T), and whether each pixel has one laser point of its own."""
     h, number = content.array("H"), content.number("H_format")
     try:
         form = HFormat(int(number))
@@ -100,12 +100,12 @@ def _check_grid(path: Path, name: str, axes: tuple[int, ...], points: Floats) ->
 
 
 def _hidden(info: str | None) -> Floats | None:
-    """(2, 3) the box that `scene_info` says to hold what is hidden, if it says so in plain YAML."""
+    """(2, 3) corners of the hidden box that `scene_info` states in plain YAML; None where it does not."""
     try:
         volume = yaml.safe_load(info or "")["volume"]
         center, size = (np.asarray(volume[name], np.float64).reshape(3) for name in ("center", "size"))
     except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):
-        # Notes of any kind, which nothing here rests on.
+        # The text may be notes of any kind.
         return None
     corners = np.stack([center - size / 2, center + size / 2])
     return corners if np.isfinite(corners).all() else None
