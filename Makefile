@@ -15,12 +15,13 @@ CONFIG ?= configs/quickstart.yaml
 OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
-.PHONY: help setup demo test tests check lint types format schema fuzz nightly cpu-types digests hard-cases bench bench-scaling \
+.PHONY: help setup demo smoke test tests check lint types format schema fuzz nightly cpu-types digests hard-cases bench bench-scaling \
 	bench-detector bench-loaders bench-forecasts bench-evidence bench-targets peers wheel clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
 	@echo "make setup   the virtual environment .venv and nothing else"
+	@echo "make smoke   one tiny scene from its configuration to a training batch, in seconds"
 	@echo "make tests   the tests alone;  make check   lint, format and types alone"
 	@echo "make format  rewrite the sources in house style;  make schema   regenerate configs/schema.json"
 	@echo "make fresh   drop compiled kernels, after an edit of one that others call (make test does it, too)"
@@ -44,6 +45,9 @@ demo: setup
 	$(BIN)/datagen build $(CONFIG) $(OUT) --workers 2
 	$(BIN)/datagen info $(OUT)
 	$(BIN)/datagen show $(OUT) 0
+
+smoke: setup
+	$(BIN)/python tests/smoke.py
 
 # Types are checked beside the tests: mypy keeps one core busy for a minute.
 test: lint

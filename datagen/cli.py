@@ -189,8 +189,7 @@ def reproduce(out: str, config: str | None, quick: bool, quiet: bool) -> None:
 @click.option("--quiet", is_flag=True, help="No progress.")
 def suite(name: str | None, out: str | None, workers: int, quiet: bool) -> None:
     """Build the benchmark set NAME in the folder OUT; without either, list the sets."""
-    from datagen.suites.catalogue import find_suite
-    from datagen.suites.make import build_suite, listing
+    from datagen.suites.catalogue import build_suite, find_suite, listing
 
     if name is None:
         click.echo(listing())

@@ -15,7 +15,7 @@ INTERRUPTED = 130
 
 
 def guarded(command: click.Command, arguments: Sequence[str] | None = None, name: str | None = None) -> int:
-    """Run any click command; errors of the user's become one line on standard error. Returns the exit status."""
+    """The exit status of a click command, which is run; errors for the user become one line on standard error."""
     try:
         status = command.main(arguments, prog_name=name, standalone_mode=False)
         sys.stdout.flush()
@@ -29,7 +29,7 @@ def guarded(command: click.Command, arguments: Sequence[str] | None = None, name
     except (KeyboardInterrupt, click.Abort):
         return _complain("interrupted; what is committed stays, run the same command again to go on", INTERRUPTED)
     except BrokenPipeError:
-        # The reader of our output (such as `head`) has seen enough. Nothing more may be written, not even at exit.
+        # The reader of our output (such as `head`) has closed it. Nothing more may be written, not even at exit.
         _silence(sys.stdout)
         return 0
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Locks on open files, which go with the process that holds them."""
+"""Locks on open files; the system releases them when their process ends."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ except ImportError:  # Windows.
 
 
 def locked(handle: int, otherwise: bool) -> bool:
-    """Lock an open file until it is closed, or its process ends; False where another process holds it, and
-    `otherwise` where the file system has no locks.
+    """Whether this process now has the lock of an open file, until that is closed or the process ends; `otherwise`
+    where the file system has no locks.
     """
     if fcntl is None:
         return otherwise

@@ -1,4 +1,4 @@
-"""What a suite's scores are to be compared with: `datagen baseline`."""
+"""Baselines, with which the scores on a suite can be compared: `datagen baseline`."""
 
 from datagen.baselines.predict import BASELINES, write_baseline
 

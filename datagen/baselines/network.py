@@ -18,12 +18,12 @@ EPOCHS = 40
 BATCH = 32
 RATE = 3e-3
 THRESHOLDS = np.linspace(0.05, 0.95, 19)
-"""Of the chance that an object is there; the one with which silhouettes (or voxels) overlap best in scenes of the
-split val is taken."""
+"""Probabilities above which a pixel (or voxel) may count as an object; the one is taken with which silhouettes (or
+volumes) overlap best in the split val."""
 
 
 def small_network(outputs: int) -> torch.nn.Sequential:
-    """Histograms (scene, laser, pixel, bin) → (scene, outputs)."""
+    """A network from histograms (scene, laser, pixel, bin) to (scene, outputs)."""
     layers = (
         torch.nn.LazyLinear(HIDDEN),
         torch.nn.LayerNorm(HIDDEN),
@@ -50,10 +50,10 @@ class Normalized(torch.nn.Module):
 
 
 def predicted(train: SuiteScenes, val: SuiteScenes, asked: SuiteScenes, seed: int) -> dict[str, NDArray[Any]]:
-    """`depth`, `mask` and `occupancy` of scenes asked for: three networks, trained alike.
+    """`depth`, `mask` and `occupancy` of the scenes `asked`, by three networks that are trained alike.
 
-    Depth is learnt where an object is seen, from its mean over the training scenes; silhouettes and voxels are learnt
-    as the chance that one is there. Of each network the epoch is taken that is best in scenes of the split val.
+    Depth is learnt where an object is seen, less its mean over the training scenes; silhouettes and voxels are learnt
+    as the probability of an object. For each network the epoch with the least loss in the split val is taken.
     """
     mean = float(train.depth[train.mask].mean())
     depth = _trained(train, val, lambda of: (of.depth - mean, of.mask), seed)
@@ -70,8 +70,8 @@ def predicted(train: SuiteScenes, val: SuiteScenes, asked: SuiteScenes, seed: in
 def _trained(
     train: SuiteScenes, val: SuiteScenes, due: Callable[[SuiteScenes], tuple[NDArray[Any], Bools | None]], seed: int
 ) -> Normalized:
-    """A network whose outputs are near the targets (scene, …) of `due`, in the mean square over the places beside
-    them; where it names no places, outputs are the logarithms of odds of the targets."""
+    """A network trained for the targets (scene, …) of `due`, in the mean square over the places that `due` names;
+    where it names none, the outputs are log odds of the targets."""
     counts, unseen = torch.from_numpy(train.histogram), torch.from_numpy(val.histogram)
     (target, weight), (val_target, val_weight) = (_flat(*due(of)) for of in (train, val))
     model = Normalized(counts, target.shape[1], seed)
@@ -110,8 +110,7 @@ def _applied(model: Normalized, histogram: NDArray[np.float32]) -> Floats:
 
 
 def best_threshold(odds: Floats, there: Bools) -> float:
-    """The logarithm of odds (scene, place) above which places overlap best with those that are there, of
-    `THRESHOLDS`."""
+    """The log odds, of `THRESHOLDS`, above which the places in `odds` (scene, place) overlap best with `there`."""
     levels = np.log(THRESHOLDS / (1 - THRESHOLDS))
     overlaps = []
     for level in levels:

@@ -1,4 +1,4 @@
-"""Baselines: what each predicts of a suite's test scenes, written in the form that `datagen score` reads."""
+"""The baselines: their predictions for a suite's test scenes, written in the form that `datagen score` reads."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from datagen.store.scenes import Scenes
 Predicted = dict[str, NDArray[Any]]
 
 LAYERS = 32
-"""Of the grid that backprojection finds depth on."""
+"""Layers of the grid in which backprojection finds depth; half as many make depth twice as coarse."""
 BRIGHT = 0.5
-"""What is brighter than this share of the brightest is an object."""
+"""Fraction of the brightest voxel above which a voxel counts as an object; half of it would count most noise."""
 SMALLEST = 4
-"""Pixels of an object."""
+"""The fewest pixels of an object; half as many would count single bright pixels."""
 
 
 def mean_of_training(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predicted:
-    """What objects are like on average, whatever is measured: their mean depth and centre, and of pixels and voxels
-    those that they cover most often, as many as they cover on average.
+    """Predictions that ignore the measurement: mean depth and centre of the training objects, and the pixels and
+    voxels that objects cover most often, as many as they cover on average.
     """
     count, depth = len(asked.scene), float(train.depth[train.mask].mean())
     center = np.nanmean(train.centers.reshape(-1, 3), axis=0)
@@ -45,7 +45,7 @@ def mean_of_training(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predi
 
 
 def _objects(train: SuiteScenes) -> int:
-    """How many a scene has on average."""
+    """The mean number of objects in a scene."""
     return max(1, round(float((~np.isnan(train.centers[..., 0])).sum(axis=1).mean())))
 
 
@@ -86,11 +86,11 @@ def network(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predicted:
 BASELINES: dict[str, Callable[[SuiteScenes, SuiteScenes, int], Predicted]] = {
     "mean": mean_of_training, "backprojection": backprojection, "network": network,
 }  # fmt: skip
-"""Name → what it predicts of scenes, from training scenes and a seed."""
+"""Name → function of (training scenes, scenes to predict, seed)."""
 
 
 def write_baseline(method: str, suite: str | Path, out: str | Path, split: str = "test", seed: int = 0) -> Path:
-    """Predict the scenes of a suite's split, and write them as the `.npz` file that `datagen score` reads.
+    """Predict the scenes of a suite's split, and write an `.npz` file that `datagen score` reads; returns its path.
 
     method : `mean`, `backprojection` or `network`.
 
@@ -112,8 +112,8 @@ def write_baseline(method: str, suite: str | Path, out: str | Path, split: str =
 
 
 def centers_of(depth: Floats, mask: Bools, view: Floats, least: int = 1) -> Floats:
-    """(N, K, 3) middle of the pixels of each connected patch of a mask, at their mean depth, label frame. Where there
-    are fewer patches than `least`, they stand for several objects; else the fewer are filled up with NaN.
+    """(N, K, 3) middle of each connected patch of a mask at its mean depth, label frame. Where a scene has fewer
+    patches than `least`, patches are repeated; other missing rows are NaN.
 
     depth, mask : (N, row, column). view : (N, 2) half extents of the images, metres.
     """

@@ -1,10 +1,9 @@
-"""What a baseline may know of a suite's scenes."""
+"""The scenes of a suite as a baseline sees them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,14 +54,10 @@ def suite_scenes(root: str | Path, split: str) -> SuiteScenes:
         )
     data = TransientDataset(root, ("histogram", *FIELDS), split=split)
     batch = {name: of.numpy() for name, of in collate(data.__getitems__(range(len(data)))).items()}
-    return _of(Path(root), batch)
-
-
-def _of(root: Path, batch: dict[str, NDArray[Any]]) -> SuiteScenes:
     mask = objects_seen(batch["part_id"], batch["object_part"]) >= 0
     centers = np.where((batch["object_part"] >= 0)[..., None], batch["object_box_center"].astype(np.float64), np.nan)
     view = np.linalg.norm(batch["hidden_view"][:, 1:].astype(np.float64), axis=-1)
     return SuiteScenes(
-        root, batch["scene"].astype(np.int64), batch["histogram"].astype(np.float32),
+        Path(root), batch["scene"].astype(np.int64), batch["histogram"].astype(np.float32),
         batch["depth"].astype(np.float32), mask, batch["occupancy"] > 0, centers, view,
     )  # fmt: skip

@@ -1,6 +1,6 @@
-"""Building a dataset: shards → workers → commit records. Running it again resumes.
+"""Building a dataset: workers make shards and commit each with a record. Building again resumes.
 
-One job is one shard and has one writer; this process alone creates metadata. A sample depends on (dataset seed, scene
+One job is one shard and has one writer; this process alone writes metadata. A sample depends on (dataset seed, scene
 index) only and the division into shards on the configuration only, so the bytes are the same for any number of
 workers, any engine, and any number of interruptions.
 """
@@ -59,7 +59,7 @@ where rooms are hard to furnish."""
 
 @dataclass(frozen=True)
 class BuildResult:
-    """What a build did.
+    """The outcome of a build.
 
     Attributes
     ----------
@@ -67,8 +67,8 @@ class BuildResult:
     scenes : in the dataset.
     built, kept : shards made now, and found committed.
     complete : whether every shard is there.
-    told : of scenes whose objects were placed anew for the evidence asked of them; "" where none is asked.
-    noisy : that the simulated light is more than a fifth noise, and what to change; "" where it is not.
+    told : a sentence on scenes whose objects were placed anew for `evidence_at_least`; "" without that key.
+    noisy : a sentence that the simulated light is more than a fifth noise, with a remedy; "" where it is not.
     """
 
     path: Path | str
@@ -110,7 +110,7 @@ def build(
     sample_function, input_check : what makes a sample, and what examines the configuration before anything is
         created; left out, the whole simulation (`datagen.pipeline`). Must be importable by the workers.
     accept_mixed : go on with a dataset that was made with other versions of libraries, or on another architecture:
-        the same seed may then give other bytes. Told on its card.
+        the same seed may then give other bytes, which the card states.
     scene_seconds : a scene that takes longer is given up (local workers only); compiling counts.
 
     Returns
@@ -174,8 +174,8 @@ def build(
     try:
         with started(engine, workers, scheduler) as running:
             if uncompiled:
-                # One worker fills the cache of compiled kernels, or each would compile all of them. Should this scene
-                # fail, that is told when it is built.
+                # One worker fills the cache of compiled kernels, or each would compile all of them. An error of this
+                # scene shows when the scene is built.
                 wait([running.submit(sample_function, config, 0)])
             manifest = store.prepare(root, config)
             if bucket is not None:
@@ -273,7 +273,7 @@ def _check_unmixed(root: Path, records: Iterable[store.ShardRecord]) -> None:
 
 @dataclass
 class _Build:
-    """The loop over shards, and what it must remember of workers that died."""
+    """The loop over shards, and its memory of workers that died."""
 
     config: DatasetConfig
     root: Path
@@ -284,7 +284,7 @@ class _Build:
     scene_seconds: float | None
     bucket: Bucket | None = None
     deaths: Counter[int] = field(default_factory=Counter)
-    """Scene → workers that died over it; −1 counts those in a row that died before any scene."""
+    """Scene → workers that died over it; −1 → workers in a row that died before any scene."""
     given_up: dict[int, str] = field(default_factory=dict)
 
     @property
@@ -292,7 +292,7 @@ class _Build:
         return self.manifest.schema
 
     def run(self, wanted: Sequence[int], there: Sequence[store.ShardRecord], shown: bool) -> int:
-        """Make the wanted shards that are not there, or lack scenes; returns how many were."""
+        """The number of wanted shards that were there with all scenes; the other wanted ones are made."""
         kept = {record.shard for record in there if not record.failures}
         for shard in kept:
             store.running_path(self.root, shard).unlink(missing_ok=True)
@@ -306,7 +306,7 @@ class _Build:
         if len(waiting) < len(wanted):
             progress.say(f"{len(wanted) - len(waiting)} of {len(wanted)} shards are there already")
         running: dict[Future[Any], int] = {}
-        # Ctrl-C may come between handing a shard out and noting its future, or taking it up: this is on both sides.
+        # Ctrl-C may come after a shard was handed out and before its future is in `running`: this set has it then.
         begun: set[int] = set()
         made = failed = 0
         try:
@@ -328,7 +328,7 @@ class _Build:
                     if failures is None:
                         waiting.appendleft(shard)
                         continue
-                    # Workers do begin: the others that died did so by chance.
+                    # Workers do get to their first scene, so the others that died did so by chance.
                     self.deaths[-1] = 0
                     if self.bucket is not None:
                         for record in store.committed(self.root, self.manifest, [shard]):
@@ -341,7 +341,7 @@ class _Build:
                         stops = f"all of the first {made} scenes failed, so the build stops"
                         raise CheckError(f"{stops}; scene {scene}: {reason}")
         except BaseException:
-            # Their writers must be gone before what they left is cleared.
+            # The writers must be gone before their files are removed.
             self.engine.close(kill=True)
             for shard in begun:
                 self._clear(shard)
@@ -364,7 +364,7 @@ class _Build:
         return 0 if scene is None else scene - self.schema.scenes_of(shard).start
 
     def _outcome(self, future: Future[Any], shard: int) -> dict[int, str] | None:
-        """The failures of a finished shard; None when its worker died and it must be made again."""
+        """Scene → failure of a finished shard; None when its worker died and the shard must be made again."""
         error = future.exception()
         if error is None:
             failures: dict[int, str] = future.result()
@@ -384,7 +384,7 @@ class _Build:
             and self.scene_seconds is not None
             and scene_age_s(self.root, shard) > self.scene_seconds
         ):
-            # Where no exception could reach it, its worker ended itself.
+            # No exception could reach the scene, so its worker ended itself.
             self.given_up[scene] = overtime(self.scene_seconds)
         elif scene is not None and self.deaths[scene] >= DEATHS_ALLOWED:
             self.given_up[scene] = f"{DEATHS_ALLOWED} worker processes died over it (killed, or out of memory)"
@@ -400,7 +400,7 @@ class _Build:
 
 
 def parse_shards(text: str | None, shards: int) -> list[int]:
-    """`"0-99"`, `"3,7-9"` → shard numbers, ascending; None: all of them."""
+    """Shard numbers, ascending, of a text such as `"0-99"` or `"3,7-9"`; all of them for None."""
     if text is None:
         return list(range(shards))
     check_kind("shards", text, str, remedy="such as '0-99'")

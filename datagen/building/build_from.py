@@ -1,4 +1,4 @@
-"""A dataset of scenes that were made in Python: handed over one by one, instead of drawn from a configuration."""
+"""Datasets of scenes that a user made in Python, instead of scenes drawn from a configuration."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def build_from(
 
 @dataclass(frozen=True)
 class Given:
-    """One sample to make: a scene, how it is measured, and its transient where another simulator made it."""
+    """The input of one sample: a scene, its capture, and its transient where another simulator made that."""
 
     scene: Scene
     capture: Capture
@@ -91,7 +91,7 @@ class Given:
 
     @property
     def digest(self) -> str:
-        """Hex SHA-256 of all of it."""
+        """Hex SHA-256 of scene, capture and transient."""
         s, c = self.scene, self.capture
         values = (s.part_names, s.materials, s.roles, dict(s.parameters), s.attenuation_per_m, c.time, c.pairing)
         poses = [(name, pose.label, pose.axes.tolist()) for name, pose in sorted(s.poses.items())]
@@ -135,8 +135,8 @@ def _given(number: int, item: object, capture: Capture | Callable[[Scene], Captu
 
 
 def _with_digest(item: Given) -> Scene:
-    """The scene with its digest among its parameters: splits recognise a room by its parameters, and two scenes
-    without any would count as one."""
+    """The scene with its digest as a parameter. Splits recognise a room by its parameters, and would take two scenes
+    without any for one room."""
     digest = replace(item, transient=None).digest[:16]
     return replace(item.scene, parameters={**item.scene.parameters, "given.scene": digest})
 
@@ -146,7 +146,7 @@ def _pair(item: Any) -> tuple[Any, Any]:
 
 
 def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, settings: dict[str, Any]) -> DatasetConfig:
-    """The configuration that the dataset states: its scenes by their digest, its scan as the first has it."""
+    """The configuration that the dataset states: the digest of the scenes, and the capture of the first."""
     first = given[0].capture
     for number, item in enumerate(given):
         other = item.capture

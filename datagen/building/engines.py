@@ -1,4 +1,4 @@
-"""Engines that compute shards: local processes, or a Dask cluster. Both are a `submit` that returns futures."""
+"""Engines that run the jobs of a build: local processes, or a Dask cluster. `submit` returns a future."""
 
 from __future__ import annotations
 
@@ -18,29 +18,26 @@ from typing import Any, NoReturn, Protocol
 from datagen.errors import CheckError, InputError
 
 MOST_WORKERS = 4096
-SHARDS_PER_PROCESS = 16
-"""A worker process is replaced after so many shards, so that memory that a library leaks is freed. With half as many
-a build of short shards would spend a tenth of its time on starting processes."""
 PATIENCE_S = 3.0
 """Seconds that a worker has to end after SIGTERM before it is killed. Half as many would kill one that is syncing
 to a slow disk; nothing would be lost then either."""
 RETURN_S = 300.0
 """Seconds for which a lost Dask scheduler is waited for. Half as many are too few for a restart in a SLURM queue."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-"""Workers are the parallelism, and a sum split over threads could round differently."""
+"""Variables for worker processes: one core each, and a sum that is split over threads could round differently."""
 
 _START_METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-"""Workers fork from a server that has imported what they need once. It runs nothing of ours, and has no thread but
-that of Arrow's allocator, which minds forks."""
+"""Workers fork from a server process that has imported the modules they need. The server has no thread but that of
+Arrow's allocator, which is safe to fork."""
 
 
 class Terminated(SystemExit):
-    """Raised in a worker that got SIGTERM. Any other `SystemExit` comes from the sample function, and fails its
+    """Raised in a worker that got SIGTERM. Any other `SystemExit` comes from the sample function and fails its
     scene."""
 
 
 def start_imports(*modules: str) -> None:
-    """Let local workers import these modules from now on, in one process for all of them, while this one goes on."""
+    """Start to import these modules in the server process from which local workers fork; this process goes on."""
     if _START_METHOD == "forkserver":
         from multiprocessing import forkserver
 
@@ -60,11 +57,11 @@ class Engine(Protocol):
     deaths: tuple[type[BaseException], ...]
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Start a job. It is cancelled where the engine loses whoever hands jobs to workers."""
+        """The future of a job. It is cancelled where the engine loses its scheduler."""
         ...
 
     def restore(self, say: Callable[[str], None]) -> None:
-        """After jobs were cancelled: be ready for others. `say` gets a line where that takes a while.
+        """Make the engine ready again after jobs were cancelled. `say` gets a line where that takes a while.
 
         Raises `CheckError` where it takes too long.
         """
@@ -76,7 +73,8 @@ class Engine(Protocol):
 
 
 class LocalProcesses:
-    """`workers` processes, each in its own pool: when one dies only its job is lost, and the blame is certain."""
+    """`workers` processes, each in its own pool: when one dies, its job alone is lost, and is known to be to
+    blame."""
 
     deaths: tuple[type[BaseException], ...] = (BrokenExecutor,)
 
@@ -84,16 +82,15 @@ class LocalProcesses:
         self.capacity = workers
         self._idle: list[_Process] = [_Process() for _ in range(workers)]
         self._busy: dict[Future[Any], _Process] = {}
-        # One that Ctrl-C finds between the two lists is to end with the others.
+        # Ctrl-C may find a process between the two lists above; it must end with the others.
         self._all = list(self._idle)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Start a job; at most `capacity` may be under way, finished ones being those whose future is done."""
+        """The future of a job; at most `capacity` jobs may be under way."""
         for future in [future for future in self._busy if future.done()]:
             process = self._busy.pop(future)
-            died = isinstance(future.exception(), self.deaths)
-            if died or process.jobs >= SHARDS_PER_PROCESS:
-                process.stop(kill=died)
+            if isinstance(future.exception(), self.deaths):
+                process.stop(kill=True)
                 self._all.remove(process)
                 process = _Process()
                 self._all.append(process)
@@ -116,11 +113,9 @@ class _Process:
     """One worker process, started with its first job."""
 
     def __init__(self) -> None:
-        self.jobs = 0
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context(_START_METHOD), _start_worker)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        self.jobs += 1
         with _environment(ONE_THREAD), _interrupt_blocked():
             return self._pool.submit(function, *arguments)
 
@@ -147,7 +142,7 @@ def _start_worker() -> None:
 
 
 def _terminate(*_: object) -> NoReturn:
-    # What it was just handing over finds no one to take it: that is no one's concern.
+    # A result that the worker is handing over finds no reader, and must not be complained about.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     raise Terminated(1)
 
@@ -165,7 +160,7 @@ def _die_with(sentinel: int) -> None:
 
 @contextmanager
 def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Variables that a process started inside inherits, and that are as before afterwards."""
+    """Set environment variables for processes that are started inside the block."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:
@@ -180,7 +175,7 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 
 @contextmanager
 def _interrupt_blocked() -> Iterator[None]:
-    """Ctrl-C goes to a terminal's whole process group: processes started inside never see it, we see it after."""
+    """Hold Ctrl-C back during the block. A terminal sends it to all processes; those started inside never get it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -192,10 +187,10 @@ def _interrupt_blocked() -> Iterator[None]:
 
 
 class DaskCluster:
-    """The workers of a Dask cluster that see the same file system; `scheduler` None starts one on this machine."""
+    """The workers of a Dask cluster that share a file system; without `scheduler` a cluster is started here."""
 
     def __init__(self, workers: int, scheduler: str | None) -> None:
-        # Without annotations of its own, whether it is installed or not.
+        # It has no annotations, and may not be installed.
         dask: Any = importlib.import_module("distributed")
         self.deaths: tuple[type[BaseException], ...] = (dask.KilledWorker, BrokenExecutor)
         self._cluster = None
@@ -220,12 +215,12 @@ class DaskCluster:
         self._executor = self._client.get_executor(pure=False, retries=0)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Start a job. It is cancelled when the scheduler is lost."""
+        """The future of a job, which is cancelled when the scheduler is lost."""
         future: Future[Any] = self._executor.submit(function, *arguments)
         return future
 
     def restore(self, say: Callable[[str], None]) -> None:
-        """Wait for a scheduler that was lost to be there again, and a worker of its.
+        """Wait until a lost scheduler is there again with a worker.
 
         Workers of a lost scheduler end by themselves, so that none goes on with a shard that others then make.
         """
@@ -233,7 +228,7 @@ class DaskCluster:
             return
         say(f"the scheduler {self._scheduler} was lost; waiting for it to be there again")
         last = time.monotonic() + RETURN_S
-        # A client that gives up prints its traceback: what there is to say was said.
+        # A client that gives up would print a traceback after the line above.
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         while True:
             self._client.close(timeout=1)

@@ -1,4 +1,4 @@
-"""Samples without files: each is generated and simulated by the loader's worker that hands it over."""
+"""Samples without files: each is simulated by the loader's worker that reads it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from datagen.store.stats import COUNTS
 
 
 class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
-    """A configuration's samples, made by whoever iterates: the same as in a dataset that is built with it.
+    """The samples of a configuration, simulated while they are read: the same as in a dataset built with it.
 
-    With workers each makes every n-th scene; the order is that of the scenes where there are none or one. An epoch
-    ends after the configuration's number of `scenes`, and the next makes the same ones again: build a dataset to read
+    Each of n loader workers makes every n-th scene; with no worker or one, scenes come in order. An epoch ends after
+    the configuration's number of `scenes`, and the next epoch makes the same ones again: build a dataset to read
     scenes twice, and ask for more `scenes` to see none twice.
 
     Parameters

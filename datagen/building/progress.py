@@ -27,13 +27,13 @@ class Progress:
             self._bar = tqdm(total=total, initial=done, unit="scene", **size)
 
     def under_way(self, scenes: int) -> None:
-        """Scenes finished in shards that are not."""
+        """Show the number of scenes that are finished in unfinished shards."""
         if self._bar is not None:
             self._advance(self._done + scenes)
             self._bar.refresh()
 
     def shard_done(self, shard: int, scenes: int, failures: int) -> None:
-        """Count a shard, of whose scenes so many failed."""
+        """Count a finished shard of so many scenes, of which `failures` failed."""
         self._done += scenes
         self._failures += failures
         if self._bar is not None:
@@ -52,7 +52,7 @@ class Progress:
         self._bar.n = max(self._bar.n, min(self._total, scenes))
 
     def say(self, line: str) -> None:
-        """A line of text, above the bar where there is one."""
+        """Print a line of text, above the bar where there is one."""
         if self._bar is not None:
             self._bar.write(line, file=sys.stderr)
         elif self._shown:

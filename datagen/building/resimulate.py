@@ -1,4 +1,4 @@
-"""Scenes of a dataset simulated again, and compared bit for bit with what is stored."""
+"""Scenes of a dataset simulated again and compared bit for bit with the stored values."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from datagen.store.shard import digest, encoded
 
 
 def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]:
-    """Simulate so many scenes again, chosen at random, other ones each time; all where there are fewer.
+    """Simulate `scenes` scenes again, drawn at random at each call; all where there are fewer.
 
     Returns
     -------
-    Their indices, and in a line each the fields that came out otherwise.
+    The indices of the scenes, and a line for each scene of which fields differ.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The job of a worker: it makes the scenes of one shard one after the other, writes the shard and commits it."""
+"""The job of a worker: make the scenes of one shard one after the other, write the shard and commit it."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ Half as many would be close to that on a busy machine."""
 
 @dataclass(frozen=True)
 class ShardJob:
-    """Everything a worker needs.
+    """The input of a job, as it is sent to a worker.
 
     Attributes
     ----------
-    skip : scenes not to be tried, and why.
-    handed_out : Unix time.
-    made_with : what the other shards are made with; None where any mixture is accepted.
+    skip : scene that is not to be tried → reason.
+    handed_out : Unix time at which the job was submitted.
+    made_with : the environment of the other shards; None where any mixture is accepted.
     scene_seconds : after which a scene is given up; None: never.
     """
 
@@ -63,10 +63,10 @@ class ShardJob:
 
 
 def run_shard(job: ShardJob) -> dict[int, str]:
-    """Make one shard and commit it; returns its failures, scene → reason.
+    """Make one shard and commit it; returns scene → reason of its failures.
 
-    Of a shard that is there only the scenes that failed are tried anew. Raises `CheckError` where this worker would
-    make other bytes than the rest.
+    In a shard that is there only the scenes that failed are tried anew. Raises `CheckError` where the environment of
+    this worker may give other bytes than that of the other shards.
     """
     path = running_path(job.root, job.shard)
     with _sole_writer(path, LOCK_PATIENCE_S) as running:
@@ -86,7 +86,7 @@ def run_shard(job: ShardJob) -> dict[int, str]:
 
 
 def _committed(job: ShardJob) -> ShardRecord | None:
-    """The shard, if it is there, sound, and made as it would be made here, or any mixture is accepted."""
+    """The record of the shard, if it is sound and of this environment, or any mixture is accepted; else None."""
     for record in committed(job.root, read_manifest(job.root), [job.shard], hashes=True):
         alike = job.made_with is None or not mixed([record.environment, made_with()])
         if record.fingerprint == job.fingerprint and alike:
@@ -95,7 +95,7 @@ def _committed(job: ShardJob) -> ShardRecord | None:
 
 
 def _tried_anew(job: ShardJob, record: ShardRecord, running: int) -> list[tuple[int, Sample | str]] | None:
-    """All scenes of a shard, as stored but for those that had failed; None when these failed again."""
+    """All scenes of a shard, the failed ones made anew and the others as stored; None when all failed again."""
     anew = dict(_samples(job, running, record.failures))
     if not any(isinstance(sample, Sample) for sample in anew.values()):
         return None
@@ -142,8 +142,8 @@ def _samples(job: ShardJob, running: int, scenes: Iterable[int] | None = None) -
 
 
 def _attempt(job: ShardJob, index: int) -> Sample | str:
-    """The sample, or in one line why there is none. Bad input stays bad, and what takes too long would take as long;
-    anything else gets a second chance.
+    """The sample, or one line on why there is none. Any error gets a second try, but for bad input and a scene that
+    takes too long.
     """
     reason = ""
     for _ in range(2):
@@ -162,7 +162,7 @@ def _attempt(job: ShardJob, index: int) -> Sample | str:
 
 
 def _last_line_of(error: BaseException) -> str:
-    """File and line of an error, for people who have only the record."""
+    """File and line of an error, as text for the record."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
@@ -171,11 +171,12 @@ def _last_line_of(error: BaseException) -> str:
 
 @contextmanager
 def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
-    """Hold a lock that the kernel releases with the process: two writers in one shard would lose data silently."""
+    """The handle of a locked file; the system unlocks it when this process ends. Two writers in one shard would lose
+    data silently."""
     deadline = time.monotonic() + patience_s
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
-        # Without locks the person at the keyboard is the only guard.
+        # Where the file system has no locks, nothing keeps a user from starting two builds of one shard.
         if locked(handle, otherwise=True) and os.fstat(handle).st_nlink > 0:
             break
         os.close(handle)
@@ -190,18 +191,18 @@ def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
 
 
 class Overtime(BaseException):
-    """The time is up. No `Exception`: what runs too long must not catch it."""
+    """Raised when a scene takes too long. It is no `Exception`, so that the sample function does not catch it."""
 
 
 def overtime(seconds: float) -> str:
-    """Why a scene was given up."""
+    """The reason that is recorded for a scene that took too long."""
     return f"took longer than {seconds:g} s (--scene-seconds)"
 
 
 @contextmanager
 def limited(seconds: float | None) -> Iterator[None]:
-    """Raise `Overtime` when the block takes longer; a block that cannot be reached, such as compiled code that never
-    returns, takes this process with it. Works in a process's main thread alone; None: no limit.
+    """Raise `Overtime` when the block takes longer than `seconds`; None: no limit. A block that no exception can
+    reach, such as compiled code that never returns, ends this process. Works in a process's main thread alone.
     """
     if (
         seconds is None

@@ -61,7 +61,7 @@ def export(
         write, ending, written = _writer(format, field), _ENDINGS.get(format, format), []
         for scene in map(root.read, wanted):
             path = target / f"scene-{scene.index:06d}.{ending}"
-            # Its ending stays the last one: writers go by it.
+            # The ending stays the last part of the name, because the writers choose the format by it.
             unfinished = path.with_name(f"{path.stem}{PARTIAL}.{ending}")
             try:
                 write(scene, unfinished)

@@ -20,7 +20,7 @@ from datagen.store.scenes import SceneContent
 
 _MARK_M = 0.04
 _TINTS = {"relay_wall": (0.55, 0.75, 1.0), "structure": (1.0, 1.0, 1.0), "object": (1.0, 0.65, 0.3)}
-"""By role; times the albedo, which has no colour of its own."""
+"""Role → colour, which is multiplied by the albedo."""
 _UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
@@ -35,7 +35,7 @@ def write_glb(scene: SceneContent, path: Path) -> None:
 
 
 def glb_of(room: Scene, arrays: dict[str, NDArray[Any]] | Any) -> bytes:
-    """The file of a scene; of a stored scene's `arrays` those that say where device and scan are."""
+    """The glTF file of a room; `arrays` are the fields of a stored scene, which place the device and the scan."""
     import trimesh
 
     world = trimesh.Scene(base_frame="world")
@@ -69,7 +69,7 @@ def _outlines(pixels: Floats) -> Any:
 
 
 def _look(material: Material, role: str) -> Any:
-    """How a surface looks: albedo as grey, tinted by role; how shiny it is as roughness."""
+    """The glTF material of a surface: albedo in the tint of its role, width of the lobe as roughness."""
     import trimesh
 
     color = np.clip(material.albedo, 0, 1) * np.array(_TINTS[role])
@@ -92,7 +92,7 @@ def _roughness(material: Material) -> float:
         case GGX():
             return float(material.roughness)
         case Phong():
-            # The width of a lobe cosⁿ, as that of a microfacet lobe: n = 2 / α⁴ − 2.
+            # A lobe cosⁿ is as wide as that of a microfacet surface of roughness α with n = 2 / α⁴ − 2.
             return float((2.0 / (material.exponent + 2.0)) ** 0.25)
         case Retroreflector():
             return 0.2

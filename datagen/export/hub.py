@@ -29,14 +29,14 @@ from datagen.store.table import TABLE, read_table
 VIEWER, DATASET = "viewer", "dataset"
 MOST_FILES = 100_000
 MOST_IN_A_FOLDER = 10_000
-"""What the Hub asks of a repository: https://huggingface.co/docs/hub/storage-limits."""
+"""Limits of a repository of the Hub: https://huggingface.co/docs/hub/storage-limits."""
 _ROWS_AT_ONCE = 100
 _THUMBNAIL = 128
 _IMAGE = {"_type": "Image"}
 
 
 def write_hub(scenes: Scenes, out: Path) -> list[Path]:
-    """Write the folder; the dataset's files are linked where the disk can, else copied. Returns what was made.
+    """Write the folder; returns the files that were made. The dataset's files are linked where possible, else copied.
 
     Raises `InputError` for a dataset that is not complete, more files than the Hub takes, and an output with files of
     anything else in it.
@@ -87,7 +87,7 @@ def _link(path: Path, to: Path) -> None:
 
 
 def _write_rows(scenes: Scenes, table: pa.Table, rows: list[int], path: Path) -> None:
-    """Scene by scene, so that a dataset of any size fits into memory."""
+    """Write one Parquet file, some rows at a time, so that a dataset of any size fits into memory."""
     writer: pq.ParquetWriter | None = None
     for begin in range(0, len(rows), _ROWS_AT_ONCE):
         some = rows[begin : begin + _ROWS_AT_ONCE]
@@ -108,7 +108,7 @@ def _write_rows(scenes: Scenes, table: pa.Table, rows: list[int], path: Path) ->
 
 
 def _features(table: pa.Table) -> dict[str, Any]:
-    """What the `datasets` library is to make of each column."""
+    """Column → its type in the `datasets` library."""
     features: dict[str, Any] = {}
     for column in table.schema:
         if pa.types.is_struct(column.type):
@@ -120,7 +120,8 @@ def _features(table: pa.Table) -> dict[str, Any]:
 
 
 def _pictures(scene: SceneContent) -> dict[str, bytes]:
-    """Thumbnail: detections by place on the wall, or by pair and time where there is no grid. Labels beside it."""
+    """Name → PNG: `thumbnail`, detections by place on the wall (by pair and time where there is no grid), and
+    `depth`."""
     pictures = {"thumbnail": _png(_thumbnail(scene), "inferno")}
     if "depth" in scene.arrays:
         depth = scene.arrays["depth"]
@@ -132,7 +133,7 @@ def _thumbnail(scene: SceneContent) -> NDArray[np.float64]:
     try:
         m = measurement(scene)
     except InputError:
-        # Nothing to draw it on, such as a flood or a wall that nobody named.
+        # There is no grid to draw on, such as for a flood or an unknown wall.
         name = next((name for name in ("histogram", "transient") if name in scene.arrays), None)
         values = scene.arrays[name] if name is not None else np.zeros((1, 1, 1))
         return _streaks(values)
@@ -165,7 +166,7 @@ def _png(image: NDArray[Any], colors: str) -> bytes:
 
 
 def _with_configs(card: str, splits: list[str]) -> str:
-    """The dataset's card, whose rows for the viewer are those with pictures."""
+    """The card of the dataset, with the tables in `viewer` named as its rows."""
     configs = [
         {
             "config_name": "scenes",

@@ -60,7 +60,7 @@ def _confocal_grid(m: Measurement, place: NDArray[np.int64]) -> dict[str, NDArra
 
 
 def _legs_s(m: Measurement, lit: Floats, seen: Floats) -> Floats:
-    """(N,) s: the way from the laser to the wall and from there to the sensor, as far as arrival times hold it."""
+    """(N,) s from the laser to the wall and from there to the sensor; 0 where times count from the wall."""
     if m.time.origin == "wall":
         return np.zeros(len(lit))
     ways = np.linalg.norm(lit - m.laser_position, axis=1) + np.linalg.norm(seen - m.sensor_position, axis=1)

@@ -1,4 +1,4 @@
-"""One scene of a dataset as what other programs read: values, times, and points in the frame of the relay wall."""
+"""One scene of a dataset in the terms of other programs: values, times, and points in the frame of the relay wall."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class WallFrame:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was measured, in the frame of the relay wall.
+    """A measurement in the frame of the relay wall.
 
     Attributes
     ----------
@@ -64,15 +64,15 @@ class Measurement:
     hidden: Floats | None
 
     def from_time_zero(self) -> Measurement:
-        """The same with empty bins before the first and after the last, so that time begins at 0 (or less than a bin
-        later) and the number of bins is a power of two: what methods in the frequency domain take for granted.
+        """The measurement with empty bins before the first and after the last, so that time begins at 0 (or less
+        than a bin later) and the number of bins is a power of two, which methods in the frequency domain need.
         """
         lead = max(0, int(np.floor(self.time.start_s / self.time.width_s + 1e-6)))
         bins = 1 << (lead + self.time.bins - 1).bit_length()
         values = np.zeros((*self.values.shape[:2], bins), self.values.dtype)
         values[..., lead : lead + self.time.bins] = self.values
         start_s = self.time.start_s - lead * self.time.width_s
-        # Of a start that is a whole number of bins nothing but rounding is left.
+        # If the start was a whole number of bins, what is left is rounding.
         start_s = 0.0 if abs(start_s) < 1e-6 * self.time.width_s else start_s
         return replace(self, values=values, time=replace(self.time, bins=bins, start_s=start_s))
 
@@ -109,7 +109,7 @@ def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement
     paired = capture["pairing"] == "confocal"
     halves = np.linalg.norm(corners[:, 0] - corners[:, 2], axis=1) / 2
     if paired and (np.linalg.norm(seen - lit, axis=1) <= halves + _SAME_PLACE_M).all():
-        # The pixels lie around the laser points: on an uneven wall these are where the light goes.
+        # The pixels lie around the laser points, which are exact also on an uneven wall.
         seen = lit
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
     frame = WallFrame(center + axes[:2].T @ (axes[:2] @ (middle - center)), axes)
@@ -124,7 +124,7 @@ def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement
 
 
 def _on_plane(eye: Floats, towards: Floats, point: Floats, normal: Floats) -> Floats:
-    """(N, 3): where rays from `eye` through (N, 3) points meet a plane; a point itself, where its ray does not."""
+    """(N, 3) points where rays from `eye` through (N, 3) points meet a plane; the point itself where they do not."""
     along = towards - eye
     slope = along @ normal
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -133,8 +133,8 @@ def _on_plane(eye: Floats, towards: Floats, point: Floats, normal: Floats) -> Fl
 
 
 def lattice(points: Floats) -> NDArray[np.int64] | None:
-    """(columns, rows): which of (N, 3) points of the wall's frame stands where in their grid, x and y ascending; None
-    where they form none.
+    """(columns, rows) index of the point at each place of the grid that (N, 3) points form, x and y ascending; None
+    where they form no grid.
     """
     extent = float(np.ptp(points[:, :2], axis=0).max())
     for tolerance in (1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 3e-2):

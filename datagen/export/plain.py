@@ -1,26 +1,34 @@
-"""A scene as plain arrays: `.npz` for NumPy, `.h5` for anything that reads HDF5. Every field as it is stored,
-none left out and nothing moved to another frame."""
+"""A scene as plain arrays: `.npz` for NumPy, `.h5` for all that reads HDF5. Every field is as it is stored."""
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from datagen.export.hdf5 import h5py
+from datagen.errors import InputError
 from datagen.store.scenes import SceneContent
 
 
+def h5py() -> Any:
+    """The package h5py, which is installed only where somebody exports to HDF5; raises `InputError` without it."""
+    if importlib.util.find_spec("h5py") is None:
+        raise InputError("this format is HDF5, and h5py is not installed; pip install nlos-datagen[export]")
+    return importlib.import_module("h5py")
+
+
 def write_npz(scene: SceneContent, path: Path) -> None:
-    """All fields by name, `bin_edges_s`, and `info`: a JSON text of what `h5` has as attributes."""
+    """Write all fields by name, `bin_edges_s`, and `info`, a JSON text with the attributes of the `.h5` file."""
     arrays: dict[str, Any] = {**scene.arrays, "bin_edges_s": scene.time.edges_s}
     np.savez_compressed(path, info=np.array(json.dumps(_info(scene))), **arrays)
 
 
 def write_h5(scene: SceneContent, path: Path) -> None:
-    """All fields by name, with attributes `units` and `long_name` and labelled axes; `parameters` of the scene."""
+    """Write all fields by name, with attributes `units` and `long_name` and labelled axes, and `parameters`."""
     with h5py().File(path, "w") as file:
         for field in scene.manifest.schema.fields:
             value = scene.arrays[field.name]
@@ -31,10 +39,8 @@ def write_h5(scene: SceneContent, path: Path) -> None:
             if field.classes:
                 stored.attrs["classes"] = list(field.classes)
         edges = file.create_dataset("bin_edges_s", data=scene.time.edges_s)
-        edges.attrs["units"], edges.attrs["long_name"] = (
-            "s",
-            f"edges of the bins, counted from the {scene.time.origin}",
-        )
+        edges.attrs["units"] = "s"
+        edges.attrs["long_name"] = f"edges of the bins, counted from the {scene.time.origin}"
         info = _info(scene)
         parameters = file.create_group("parameters").attrs
         for name, value in info.pop("parameters").items():

@@ -16,15 +16,15 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from datagen.export.hdf5 import h5py
 from datagen.export.measurement import Measurement, lattice, measurement
+from datagen.export.plain import h5py
 from datagen.records.arrays import Floats
 from datagen.store.scenes import SceneContent
 from datagen.units import path_from_time
 
 
 class HFormat(Enum):
-    """Axes of H: time, then laser points and pixels, in grids (x, y) or one after the other (i)."""
+    """The axes of H: time, then laser points (L) and pixels (S), each in a grid (x, y) or in a list (i)."""
 
     UNKNOWN = 0
     T_Sx_Sy = 1
@@ -34,7 +34,7 @@ class HFormat(Enum):
 
 
 class GridFormat(Enum):
-    """Axes of points: a list, or a grid."""
+    """The axes of points: a list, or a grid."""
 
     UNKNOWN = 0
     N_3 = 1
@@ -42,7 +42,7 @@ class GridFormat(Enum):
 
 
 class VolumeFormat(Enum):
-    """Axes of volumes; deprecated there, and must be there."""
+    """The axes of volumes: y-tal has deprecated the key, and refuses files without it."""
 
     UNKNOWN = 0
     N_3 = 1
@@ -52,7 +52,7 @@ class VolumeFormat(Enum):
 
 @dataclass(frozen=True)
 class _Shaped:
-    """Values and points with their axes as y-tal wants them."""
+    """Values and points with the axes of y-tal."""
 
     h: NDArray[np.float32]
     h_format: HFormat

@@ -1,4 +1,5 @@
-"""From pilot scenes to the whole build: arithmetic only, so that the same pilots always give the same forecast."""
+"""From pilot scenes to a forecast of the whole build. It is arithmetic alone: the same pilots give the same
+forecast."""
 
 from __future__ import annotations
 
@@ -9,7 +10,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from datagen.building.engines import SHARDS_PER_PROCESS
 from datagen.config import DatasetConfig
 from datagen.errors import InputError
 from datagen.forecast.pilots import Pilots
@@ -20,7 +20,7 @@ from datagen.store.summaries import KindEvidence
 
 @dataclass(frozen=True)
 class Forecast:
-    """What building a dataset is expected to take and to give.
+    """The expected time, size and error of a dataset.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Forecast:
     startup_s : of each worker process.
     build_s : the whole build, wall clock.
     build_bytes : the whole dataset on disk. shard_memory_bytes : what a worker holds of the shard it fills.
-    evidence : how far objects stand out of the noise, kind by kind, in the pilot scenes.
+    evidence : significance of the objects of the pilot scenes against the noise, by kind.
     """
 
     scenes: int
@@ -69,7 +69,7 @@ class Forecast:
         return min(1.0, self.processor_s / total) if total > 0 else 1.0
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; NaN, which JSON has not, becomes None."""
+        """The forecast as plain values for JSON, with None in place of NaN."""
         values = {**asdict(self), "bytes_per_scene": self.bytes_per_scene, "processor_share": self.processor_share}
         return dict(finite(values))
 
@@ -77,14 +77,13 @@ class Forecast:
 def forecast(schema: Schema, pilots: Pilots, startup_s: float, workers: int, cores: int) -> Forecast:
     """The forecast of a build with `workers` processes on a machine with `cores` cores: pilots times scenes.
 
-    The wall clock is that of the busiest worker, who takes shard 0 and then every `workers`-th, and is replaced after
-    `SHARDS_PER_PROCESS` of them; more workers than cores share these.
+    The wall clock is that of the busiest worker, which takes shard 0 and then every `workers`-th; more workers than
+    cores share these.
     """
     scenes = [pilot.at_full_effort() for pilot in pilots.scenes]
     seconds = {stage: statistics.fmean(one.seconds[stage] for one in scenes) for stage in scenes[0].seconds}
     working = min(workers, schema.shards)
     busiest = sum(len(schema.scenes_of(shard)) for shard in range(0, schema.shards, working))
-    starts = math.ceil(math.ceil(schema.shards / working) / SHARDS_PER_PROCESS)
     sharing = max(1.0, working / cores)
     return Forecast(
         scenes=schema.scenes,
@@ -101,7 +100,7 @@ def forecast(schema: Schema, pilots: Pilots, startup_s: float, workers: int, cor
         workers=workers,
         working=working,
         startup_s=startup_s,
-        build_s=sharing * (busiest * sum(seconds.values()) + starts * startup_s),
+        build_s=sharing * (busiest * sum(seconds.values()) + startup_s),
         build_bytes=schema.scenes * sum(pilots.stored.values()) + pilots.fixed_bytes,
         shard_memory_bytes=schema.scenes_per_shard * schema.bytes_per_scene,
         evidence=pilots.evidence,
@@ -115,7 +114,7 @@ def _spread(values: Sequence[float]) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """One number of a build: what was expected, and what it came to. unit : "s", "bytes" or "" for a share."""
+    """One number of a build, as predicted and as it was. unit : "s", "bytes" or "" for a fraction."""
 
     name: str
     unit: str
@@ -149,7 +148,8 @@ def records_of(config: DatasetConfig, dataset: str | Path) -> list[ShardRecord]:
 
 
 def outcomes(expected: Forecast, records: Sequence[ShardRecord], dataset: str | Path) -> list[Outcome]:
-    """A forecast beside the dataset that was built: medians over scenes of seconds and error, bytes of all files."""
+    """A forecast compared with the dataset that was built: medians over scenes of seconds and error, bytes of
+    files."""
     made = [scene for record in records for scene in record.scenes if scene.failure is None]
     scenes = sum(len(record.scenes) for record in records)
     staged_s = sum(sum(scene.seconds.values()) for record in records for scene in record.scenes)

@@ -1,9 +1,8 @@
 """Pilot scenes: a few of a dataset's scenes, simulated and written as a build would, to forecast the whole of it.
 
-They have the configured accuracy, so what they take and give needs no model. Only where a single such scene would be
-far beyond the budget do two trials stand for it, with 1/16 and 1/256 of the paths, on whose line the scene is taken
-to lie: what grows more slowly with the paths takes less. Effects are decided with the configured accuracy, so that
-trials and scene simulate the same.
+Pilots have the configured accuracy, so their seconds and bytes need no model. Only where a single scene would take
+far more than the budget, two trials with 1/16 and 1/256 of the paths are run, and the scene is extrapolated on the
+line through both. Effects are decided with the configured accuracy, so that trials simulate the same effects.
 """
 
 from __future__ import annotations
@@ -25,17 +24,21 @@ from datagen.store.summaries import KindEvidence, evidence_by_kind
 from datagen.store.table import table_bytes, table_of
 
 MOST = 8
-"""Pilot scenes, at most."""
+"""The most pilot scenes; with half as many the spread from scene to scene is missed."""
 REDUCTION = 16
-"""How many times fewer paths than configured the trial has, and the second trial than that."""
+"""The first trial has so many times fewer paths than configured, the second so many fewer than the first. With half,
+trials of large scenes take twice as long."""
 LOOSEST_TARGET = 0.5
+"""The loosest target of a trial; with a looser one nothing would be simulated."""
 FAR = 4.0
-"""A scene expected to take more than this many times the budget is not run."""
+"""A scene that is expected to take more than so many times the budget is extrapolated; half would do so more
+often."""
 SURPRISING = 1.5
-"""A pilot that takes so many times longer than the trial lets expect is run again: a kernel was compiled for it."""
+"""A pilot that takes so many times longer than its trial predicts is run again, as a kernel was compiled for it. Half
+would run most pilots twice."""
 
 LIGHT_STAGES = ("transport", "background", "presence")
-"""Stages that take as long as the light they follow."""
+"""Stages whose time grows with the number of paths."""
 
 SampleFunction = Callable[[DatasetConfig, int], Sample]
 
@@ -46,10 +49,10 @@ class Pilot:
 
     Attributes
     ----------
-    effort : share of the configured lookins (or of the paths that the configured target takes) it was run with.
+    effort : fraction of the configured paths (or of those that the configured target takes) that were followed.
     seconds : stage → wall-clock seconds. processor_s : of all stages together.
     error : estimated relative L2 error of its transient; NaN when nothing estimates it.
-    target : the error that is asked of the scene, if one is. less : the same with less effort still.
+    target : the configured error, if there is one. smaller : the second trial, with still fewer paths.
     """
 
     index: int
@@ -58,7 +61,7 @@ class Pilot:
     processor_s: float
     error: float
     target: float | None = None
-    less: Pilot | None = None
+    smaller: Pilot | None = None
 
     @property
     def total_s(self) -> float:
@@ -66,8 +69,9 @@ class Pilot:
         return sum(self.seconds.values())
 
     def at_full_effort(self) -> Pilot:
-        """Light along the line through both trials, or in proportion to effort where there is one; noise over signal
-        (both squared) in proportion to 1 / effort, or the error that is asked for."""
+        """The pilot extrapolated to the configured effort: stages of light on the line through both trials (in
+        proportion to effort without a second one), noise² / signal² in proportion to 1 / effort, or the configured
+        target."""
         if self.effort >= 1.0:
             return self
         light = {stage: self._light_s(stage) for stage in LIGHT_STAGES if stage in self.seconds}
@@ -78,17 +82,17 @@ class Pilot:
         return replace(self, effort=1.0, seconds=seconds, processor_s=self.processor_s * slower, error=error)
 
     def _light_s(self, stage: str) -> float:
-        """Seconds of a stage at full effort: no less than now, and no more than in proportion."""
+        """Seconds of a stage at full effort: at least those now, and at most in proportion to effort."""
         now = self.seconds[stage]
-        if self.less is None or self.less.effort >= self.effort:
+        if self.smaller is None or self.smaller.effort >= self.effort:
             return now / self.effort
-        slope = (now - self.less.seconds.get(stage, 0.0)) / (self.effort - self.less.effort)
+        slope = (now - self.smaller.seconds.get(stage, 0.0)) / (self.effort - self.smaller.effort)
         return min(now + max(slope, 0.0) * (1.0 - self.effort), now / self.effort)
 
 
 @dataclass(frozen=True)
 class Pilots:
-    """What the pilots measured.
+    """The measurements of all pilots.
 
     Attributes
     ----------
@@ -96,7 +100,7 @@ class Pilots:
     failed : scene → why it could not be made.
     stored : field → bytes on disk of one scene, mean; "records": its commit record and its row of the table.
     fixed_bytes : of all that a dataset holds once.
-    evidence : how far the objects of the pilot scenes stand out of the noise, kind by kind.
+    evidence : significance of the objects of the pilot scenes against the noise, by kind.
     """
 
     scenes: tuple[Pilot, ...]
@@ -147,8 +151,8 @@ def run_pilots(
             made = attempt(index, REDUCTION) and attempt(index, REDUCTION)
             if made is not None:
                 compiled(index)
-                if made[0].at_full_effort().processor_s > FAR * budget_s and (less := attempt(index, REDUCTION**2)):
-                    made = replace(made[0], less=less[0]), made[1]
+                if made[0].at_full_effort().processor_s > FAR * budget_s and (second := attempt(index, REDUCTION**2)):
+                    made = replace(made[0], smaller=second[0]), made[1]
                 expected_s = made[0].at_full_effort().processor_s
         if expected_s <= FAR * budget_s:
             made = attempt(index)
@@ -170,7 +174,7 @@ def _written(
     failed: dict[int, str],
     clock: Callable[[], float],
 ) -> Pilots:
-    """The pilots written as a dataset of their own, in shards as large as the build's."""
+    """The pilots with the seconds and bytes of writing them, in shards as large as those of the build."""
     with tempfile.TemporaryDirectory(prefix="datagen-plan-") as folder:
         root, count = Path(folder), max(len(pilots), 1)
         store = config.store.model_copy(update={"scenes_per_shard": min(schema_of(config).scenes_per_shard, count)})
@@ -209,12 +213,13 @@ def _written(
 
 
 def _with_distances(sample: Sample) -> dict[str, Scalar]:
-    """A sample's parameters, and of each object `PART.away_m`: in plan, from the middle of the visible relay wall."""
-    told, middle = dict(sample.parameters), sample.arrays["relay_wall"][0]
-    for name in [key.removesuffix(".x_m") for key in told if key.endswith(".x_m")]:
-        x_m, y_m = float(told[f"{name}.x_m"]), float(told[f"{name}.y_m"])
-        told[f"{name}.away_m"] = math.hypot(x_m - float(middle[0]), y_m - float(middle[1]))
-    return told
+    """The parameters of a sample, with `PART.away_m` of each object: its distance in plan from the middle of the
+    relay wall."""
+    named, middle = dict(sample.parameters), sample.arrays["relay_wall"][0]
+    for name in [key.removesuffix(".x_m") for key in named if key.endswith(".x_m")]:
+        x_m, y_m = float(named[f"{name}.x_m"]), float(named[f"{name}.y_m"])
+        named[f"{name}.away_m"] = math.hypot(x_m - float(middle[0]), y_m - float(middle[1]))
+    return named
 
 
 def spread_indices(scenes: int, count: int) -> list[int]:
@@ -224,8 +229,8 @@ def spread_indices(scenes: int, count: int) -> list[int]:
 
 
 def with_less_effort(config: DatasetConfig, reduction: float) -> tuple[DatasetConfig, float]:
-    """The configuration with (about) so many times fewer paths, and the share of them that is left; the number of
-    paths that a target takes is ∝ target⁻²."""
+    """The configuration with about `reduction` times fewer paths, and the fraction of paths that is left. A target
+    takes a number of paths ∝ target⁻²."""
     transport = config.transport
     if transport.target is not None:
         target = max(transport.target, min(LOOSEST_TARGET, transport.target * reduction**0.5))
@@ -237,8 +242,8 @@ def with_less_effort(config: DatasetConfig, reduction: float) -> tuple[DatasetCo
 
 
 def startup_seconds(config: DatasetConfig, index: int, asked: float) -> float:
-    """Seconds from asking for a worker process until its scenes go as quickly as ever: imports, kernels loaded. Run
-    by that worker, which simulates scene `index` twice with little effort.
+    """Seconds from asking for a worker process until imports are done and kernels loaded. It is run by that worker,
+    which simulates scene `index` twice with few paths.
 
     asked : Unix time when it was asked for.
     """

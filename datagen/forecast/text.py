@@ -1,4 +1,4 @@
-"""What a build would make, how, and what it would take, before it is begun."""
+"""The plan of a build: decisions, expected time, error and size, before the build is begun."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from datagen.store.files import finite, json_bytes, write_atomically
 from datagen.store.summaries import evidence_lines
 
 BUDGET_S = 1.5
-"""Enough for three or four scenes of an ordinary scan; a plan is to be answered at once."""
+"""Processor seconds for pilots: three or four scenes of an ordinary scan. Half would often be one scene."""
 BUSY = 0.8
-"""Pilots that got a smaller share of a core than this were held up by other processes, which the plan then says."""
+"""Pilots that had less than this fraction of a core were slowed by other processes, which the plan then states."""
 
 
 def make_forecast(config: DatasetConfig, workers: int = 1, budget_s: float = BUDGET_S) -> Forecast:
@@ -66,7 +66,7 @@ def plan(
     json_path: str | Path | None = None,
     dataset: str | Path | None = None,
 ) -> str:
-    """The plan as text; also written to `json_path` for machines, and held against a `dataset` built before.
+    """The plan as text; it is also written to `json_path` as JSON, and compared with a `dataset` that was built.
 
     Raises `InputError` as `make_forecast` and `records_of` do, before any pilot where that is possible.
     """
@@ -75,24 +75,24 @@ def plan(
     config = with_exposure_found(config)
     records = None if dataset is None else records_of(config, dataset)
     expected = make_forecast(config, workers, budget_s)
-    held = [] if records is None or dataset is None else outcomes(expected, records, dataset)
+    compared = [] if records is None or dataset is None else outcomes(expected, records, dataset)
     if json_path is not None:
         values = {
             "name": config.name,
             "fingerprint": config.fingerprint(),
             "forecast": expected.as_json(),
-            "against": [finite(asdict(row)) for row in held],
+            "against": [finite(asdict(row)) for row in compared],
             "machine": hardware(),
             "versions": environment(),
         }
         write_atomically(Path(json_path), json_bytes(values))
-    return plan_text(config, expected, held)
+    return plan_text(config, expected, compared)
 
 
-def plan_text(config: DatasetConfig, expected: Forecast, held: Sequence[Outcome] = ()) -> str:
-    """The plan for people: what is made, what is decided and why, what one scene and the whole build take.
+def plan_text(config: DatasetConfig, expected: Forecast, compared: Sequence[Outcome] = ()) -> str:
+    """The plan as text: what is made, what is decided and why, what one scene and the whole build take.
 
-    held : what a build of it came to (`forecast.outcomes`), shown beside what was expected.
+    compared : the numbers of a build (`forecast.outcomes`), shown beside the forecast.
     """
     schema = schema_of(config)
     lines = [
@@ -108,7 +108,7 @@ def plan_text(config: DatasetConfig, expected: Forecast, held: Sequence[Outcome]
         *_whole_build(expected),
         "",
         *_fields(config, schema, expected),
-        *_outcomes(held),
+        *_outcomes(compared),
     ]
     return "\n".join(lines)
 
@@ -236,11 +236,11 @@ def _fields(config: DatasetConfig, schema: Schema, expected: Forecast) -> Iterat
     yield f"{'all scenes':51}{readable(decoded):>10}{readable(_two(expected.build_bytes)):>10}"
 
 
-def _outcomes(held: Sequence[Outcome]) -> Iterator[str]:
-    if held:
+def _outcomes(compared: Sequence[Outcome]) -> Iterator[str]:
+    if compared:
         yield ""
         yield f"{'against the dataset':22}{'predicted':>12}{'actual':>12}{'ratio':>8}"
-    for row in held:
+    for row in compared:
         predicted, actual = (quantity(value, row.unit) for value in (row.predicted, row.actual))
         yield f"{row.name:22}{predicted:>12}{actual:>12}{row.ratio:8.2f}"
 
@@ -255,7 +255,7 @@ def _check_file(path: Path) -> None:
 
 
 def duration(seconds: float) -> str:
-    """Seconds for people: `8.1 s`, `12 min`, `3.4 h`, `5.2 days`."""
+    """Seconds as text: `8.1 s`, `12 min`, `3.4 h`, `5.2 days`."""
     for least, size, unit in ((172800, 86400, "days"), (5400, 3600, "h"), (100, 60, "min")):
         if seconds >= least:
             return f"{_digits(seconds / size)} {unit}"
@@ -270,12 +270,12 @@ def _digits(value: float) -> str:
 
 
 def _two(size: float) -> float:
-    """A forecast claims no more than two digits."""
+    """A size rounded to two digits, which is all that a forecast knows."""
     return float(f"{size:.2g}")
 
 
 def quantity(value: float, unit: str) -> str:
-    """A number of an `Outcome` for people."""
+    """A number of an `Outcome` as text."""
     if math.isnan(value):
         return "unknown"
     if unit == "bytes":
@@ -292,8 +292,10 @@ def _count(number: int, thing: str) -> str:
 
 
 PILOTS_WORTH = 20.0
-"""So many times the longest pilot: rooms differ, and machines are busy."""
+"""The time limit is so many times the longest pilot: rooms differ, and machines are busy. Half could end a sound
+scene."""
 AT_LEAST_S = 60.0
+"""The least time limit of a scene; half could end a scene that waits for a busy disk."""
 
 
 def scene_limit(asked: str, config: DatasetConfig) -> float:

@@ -1,4 +1,4 @@
-"""Files of captures as one dataset, a scene for each: `datagen import`."""
+"""Captures of other programs and of laboratories as a dataset, a scene for each file: `datagen import`."""
 
 from __future__ import annotations
 
@@ -19,9 +19,8 @@ from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 from datagen.importing.mat import read_mat
-from datagen.importing.recording import Recording, numbers_in
+from datagen.importing.recording import Recording, metres_of, numbers_in, seconds_of
 from datagen.importing.tal import read_tal
-from datagen.importing.times import metres_of, seconds_of
 from datagen.records import Sample, Scalar
 from datagen.records.checks import check_choice, check_kind, check_number
 from datagen.store.files import sha256_of
@@ -83,7 +82,7 @@ def import_captures(
     if field is not None:
         check_choice("--field", field, FIELDS)
     options, delays = _options(bin_width, wall, tof, axes, bins)
-    given = [_read(number, file, format, options, delays) for number, file in enumerate(paths)]
+    given = [_summary(file, format, options, delays) for file in paths]
     config = _config(given, field, options, dict(settings or {}), {
         "name": name, "description": description, "license": license,
     })  # fmt: skip
@@ -93,7 +92,7 @@ def import_captures(
 
 @dataclass(frozen=True)
 class ImportedSamples:
-    """The sample function of captures in files, which are read again as the configuration says."""
+    """The sample function of an import. Workers read each file again, with the options in the configuration."""
 
     files: tuple[str, ...]
     delays: str | None
@@ -102,19 +101,19 @@ class ImportedSamples:
         """Sample number `index`."""
         began, layout = time.perf_counter(), config.scene.layout
         assert isinstance(layout, ImportedCaptures)
-        told, delays = layout.files[index], None if self.delays is None else Path(self.delays)
+        file, delays = layout.files[index], None if self.delays is None else Path(self.delays)
         path = Path(self.files[index])
-        if sha256_of(path) != told.sha256:
+        if sha256_of(path) != file.sha256:
             raise InputError(f"{path}: has changed since the import began; import it again")
-        recording = _recording(path, told.format, layout.options, delays)
+        recording = _recording(path, file.format, layout.options, delays)
         field = config.store.fields[0]
         dtype = config.store.histogram_dtype if field == "histogram" else "float32"
         recording = replace(recording, values=recording.values.astype(dtype)).in_order()
         total = recording.values.sum(dtype=np.float64)
         parameters: dict[str, Scalar] = {
-            "capture.file": told.name,
-            "imported.format": told.format,
-            "imported.sha256": told.sha256,
+            "capture.file": file.name,
+            "imported.format": file.format,
+            "imported.sha256": file.sha256,
             **({"histogram.counts": int(total)} if field == "histogram" else {"transient.energy": float(total)}),
         }
         arrays = {field: recording.values, **recording.geometry()}
@@ -122,16 +121,23 @@ class ImportedSamples:
 
 
 @dataclass(frozen=True)
-class _Looked:
-    """What is remembered of a file that was looked through."""
+class _Summary:
+    """What a capture contributes to the configuration: its file, the shape (L, P, T) of its values, and their kind.
+
+    whole, most : whether all values are whole numbers, and the largest of them.
+    """
 
     file: ImportedFile
     shape: tuple[int, ...]
-    pixels: int
     paired: bool
     time: TimeConfig
     whole: bool
     most: float
+
+    def __str__(self) -> str:
+        """Shape, pairing and time axis, for people."""
+        time, pairing = self.time, "confocal" if self.paired else "exhaustive"
+        return f"{self.shape} {pairing}, {time.bin_width_ps:g} ps from {time.start_ns:g} ns ({time.origin})"
 
 
 def _paths(files: str | Path | Sequence[str | Path]) -> list[Path]:
@@ -150,7 +156,7 @@ def _paths(files: str | Path | Sequence[str | Path]) -> list[Path]:
 def _options(
     bin_width: object, wall: object, tof: str | Path | None, axes: str | None, bins: int | None
 ) -> tuple[ImportOptions, Path | None]:
-    """As the dataset states them, and where `tofgrid` is."""
+    """The options as the dataset states them, and the file that holds `tofgrid`, where it is one of its own."""
     width_s = seconds_of(bin_width) if isinstance(bin_width, str) else bin_width
     if width_s is not None:
         check_number("import", "bin_width", width_s, 1e-16, 1e-3, "seconds, or a text such as '4ps'")
@@ -165,51 +171,44 @@ def _options(
         check_choice("--axes", axes, AXES)
     if bins is not None and (not isinstance(bins, int) or isinstance(bins, bool) or not 1 <= bins <= 1_000_000):
         raise InputError(f"--bins {bins}: must be an integer in 1 … 1000000")
-    told: ImportedFile | Literal["none"] | None = None
+    stated: ImportedFile | Literal["none"] | None = None if tof is None else "none"
     delays = None
     if tof is not None and str(tof) != "none":
         check_kind("tof", tof, str, os.PathLike)
         delays = Path(tof)
         if not delays.is_file():
             raise InputError(f"--tof {tof}: no such file; name the one with tofgrid, or none")
-        told = ImportedFile(name=delays.name, sha256=sha256_of(delays), format="mat")
+        stated = ImportedFile(name=delays.name, sha256=sha256_of(delays), format="mat")
         delays = delays.resolve()
-    elif tof is not None:
-        told = "none"
     return ImportOptions(
         bin_width_ps=None if width_s is None else float(f"{float(cast(float, width_s)) * 1e12:.12g}"),
-        wall_m=None if size is None else (float(size[0]), float(size[1])), axes=cast(Any, axes), delays=told,
+        wall_m=None if size is None else (float(size[0]), float(size[1])), axes=cast(Any, axes), delays=stated,
         bins=bins,
     ), delays  # fmt: skip
 
 
-def _read(number: int, path: Path, format: str | None, options: ImportOptions, delays: Path | None) -> _Looked:
-    """Look through one file, all of it."""
+def _summary(path: Path, format: str | None, options: ImportOptions, delays: Path | None) -> _Summary:
+    """The summary of one file, all of which is read."""
     form = format or _BY_SUFFIX.get(path.suffix.lower())
+    if form is None:
+        raise InputError(f"{path}: its suffix says no format; say --format tal or --format mat")
     if form not in FORMATS:
-        raise InputError(
-            f"{path}: --format {format}: must be one of {', '.join(FORMATS)}"
-            if format is not None
-            else f"{path}: its suffix says no format; say --format tal or --format mat"
-        )
-    digest = sha256_of(path)
-    recording = _recording(path, cast(Literal["tal", "mat"], form), options, delays)
+        raise InputError(f"{path}: --format {format}: must be one of {', '.join(FORMATS)}")
+    file = ImportedFile(name=path.name, sha256=sha256_of(path), format=cast(Literal["tal", "mat"], form))
+    recording = _recording(path, form, options, delays)
     whole, most = numbers_in(path, recording.values)
-    file = ImportedFile(name=path.name, sha256=digest, format=cast(Literal["tal", "mat"], form))
-    shape = recording.values.shape
-    return _Looked(file, shape, len(recording.seen_points), recording.paired, recording.time, whole, most)
+    return _Summary(file, recording.values.shape, recording.paired, recording.time, whole, most)
 
 
 def _recording(path: Path, format: str, options: ImportOptions, delays: Path | None) -> Recording:
-    if format == "tal":
-        return read_tal(path, options).first_bins(options.bins)
-    return read_mat(path, options, delays).first_bins(options.bins)
+    recording = read_tal(path, options) if format == "tal" else read_mat(path, options, delays)
+    return recording.first_bins(options.bins)
 
 
 def _config(
-    given: list[_Looked], field: str | None, options: ImportOptions, settings: dict[str, Any], named: dict[str, Any]
+    given: list[_Summary], field: str | None, options: ImportOptions, settings: dict[str, Any], named: dict[str, Any]
 ) -> DatasetConfig:
-    """The configuration that the dataset states: the files by their digests, the scan as the first has it."""
+    """The configuration that the dataset states: the digests of the files, and the scan of the first."""
     first = given[0]
     for other in given:
         if (other.shape, other.paired, other.time) != (first.shape, first.paired, first.time):
@@ -218,7 +217,7 @@ def _config(
             only_bins = (other.shape[:2], other.paired, len(times)) == (first.shape[:2], first.paired, 1)
             remedy = f"take --bins {shorter} of all" if only_bins else "import them into several"
             raise InputError(
-                f"{other.file.name}: {_told(other)}, {first.file.name}: {_told(first)}; all of a dataset have one "
+                f"{other.file.name}: {other}, {first.file.name}: {first}; all of a dataset have one "
                 f"shape, time axis and pairing: {remedy}"
             )
     for key in settings:
@@ -244,13 +243,8 @@ def _config(
     return config_from_mapping(json.loads(json.dumps(whole, default=str)), source="import")
 
 
-def _told(of: _Looked) -> str:
-    time, pairing = of.time, "confocal" if of.paired else "exhaustive"
-    return f"{of.shape} {pairing}, {time.bin_width_ps:g} ps from {time.start_ns:g} ns ({time.origin})"
-
-
-def _stored(given: list[_Looked], field: str | None) -> dict[str, Any]:
-    """Counts where all values are whole numbers that fit, else light."""
+def _stored(given: list[_Summary], field: str | None) -> dict[str, Any]:
+    """The section `store`: counts where all values are whole numbers that fit, else light."""
     fraction = next((of for of in given if not of.whole), None)
     most = max(given, key=lambda of: of.most)
     if field == "histogram" and fraction is not None:

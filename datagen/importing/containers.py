@@ -1,4 +1,4 @@
-"""Numbers out of HDF5 and MATLAB files that may come from anywhere: nothing is run, followed or believed on sight."""
+"""Arrays in HDF5 and MATLAB files that may come from anywhere: no code is run, no link followed, no size believed."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError, printable
-from datagen.export.hdf5 import h5py
+from datagen.export.plain import h5py
 from datagen.importing.matlab5 import read_matlab5
 
 LARGEST_BYTES = 2**33
-"""Of one variable in memory."""
+"""The most bytes of one variable in memory."""
 MOST_COMPRESSED = 1100
-"""No more bytes come out of one that deflate has packed; a file that declares more holds less than it says."""
+"""The most bytes that deflate packs into one, rounded up; a variable that declares more is not in the file."""
 LONGEST_TEXT = 2**20
+FACING = np.array([0.0, 0.0, 1.0])
+"""Normal of a relay wall that lies in the plane of x and y."""
 
 
 @dataclass(frozen=True)
 class Content:
-    """Variables of a file.
+    """The variables of a file.
 
-    arrays : name → numbers, of those asked for that are there. texts : likewise. names : of all there are.
+    arrays, texts : name → numbers, or text, of the variables asked for. names : of all variables.
     """
 
     path: Path
@@ -38,7 +40,7 @@ class Content:
 
     @property
     def listed(self) -> str:
-        """What there is, for people: names may be anything in a file from anywhere."""
+        """The names of the variables, as text that is safe to print."""
         return ", ".join(" ".join(printable(name[:40]).split()) for name in self.names[:12]) or "nothing"
 
     def array(self, name: str) -> NDArray[Any]:
@@ -48,7 +50,7 @@ class Content:
         return self.arrays[name]
 
     def number(self, name: str) -> float:
-        """A variable that is one finite number; raises `InputError` for what is none."""
+        """The value of a variable that is one finite number; raises `InputError` for any other."""
         value = self.array(name)
         if value.size != 1 or value.dtype.kind not in "fiub" or not math.isfinite(float(value.reshape(-1)[0])):
             raise InputError(
@@ -57,7 +59,7 @@ class Content:
         return float(value.reshape(-1)[0])
 
     def points(self, name: str) -> NDArray[np.float64]:
-        """(…, 3) a variable that is points, metres; raises `InputError` for what are none."""
+        """(…, 3) a variable that holds points, metres; raises `InputError` for any other."""
         value = self.array(name)
         if value.ndim < 1 or value.shape[-1] != 3 or value.size == 0:
             raise InputError(f"{self.path}: {name}: shape {value.shape}, (…, 3) needed: points in metres")
@@ -65,6 +67,15 @@ class Content:
         if not np.isfinite(points).all() or abs(points).max() > 1e6:
             raise InputError(f"{self.path}: {name}: holds coordinates that are NaN, infinite or beyond 1000 km")
         return points
+
+    def wall_normal(self, name: str) -> NDArray[np.float64]:
+        """(3,) the mean of a variable that is normals of the relay wall; along z where the file has none."""
+        value = self.arrays.get(name, np.zeros(0))
+        if value.ndim and value.shape[-1] == 3 and value.size and np.isfinite(value).all():
+            mean = value.reshape(-1, 3).mean(axis=0, dtype=np.float64)
+            if np.linalg.norm(mean) > 0.1:
+                return np.asarray(mean / np.linalg.norm(mean))
+        return FACING
 
 
 def is_hdf5(path: Path) -> bool:
@@ -76,15 +87,15 @@ def is_hdf5(path: Path) -> bool:
 
 
 def hdf5_content(path: Path, wanted: tuple[str, ...], matlab: bool = False) -> Content:
-    """Variables at the root of an HDF5 file; of a MATLAB file with their axes in MATLAB's order.
+    """Variables at the root of an HDF5 file; those of a MATLAB file have their axes in MATLAB's order.
 
-    Raises `InputError` for a file that cannot be read, what are no numbers, what lies in another file, and what is
-    larger than `LARGEST_BYTES` or than the file can hold.
+    Raises `InputError` for a file that cannot be read, variables that are no numbers or lie in another file, and
+    those that are larger than `LARGEST_BYTES` or than the file can hold.
     """
     kind = "MATLAB 7.3" if matlab else "HDF5"
     arrays, texts = dict[str, NDArray[Any]](), dict[str, str]()
-    with _told(path, kind), h5py().File(path, "r") as file:
-        # What is no UTF-8 comes as bytes.
+    with _one_line(path, kind), h5py().File(path, "r") as file:
+        # A name that is no UTF-8 comes as bytes.
         names = tuple(name.decode("utf-8", "replace") if isinstance(name, bytes) else name for name in file)
         for name in wanted:
             if name not in names:
@@ -131,7 +142,7 @@ def matlab_content(path: Path, wanted: tuple[str, ...]) -> Content:
     """Variables of a MATLAB file of any version, axes in MATLAB's order. Raises as `hdf5_content` does."""
     if is_hdf5(path):
         return hdf5_content(path, wanted, matlab=True)
-    with _told(path, "MATLAB"):
+    with _one_line(path, "MATLAB"):
         arrays, names = read_matlab5(path, wanted, LARGEST_BYTES // 8)
     return Content(path, arrays, {}, tuple(names))
 
@@ -142,8 +153,8 @@ def _check_size(path: Path, name: str, shape: tuple[int, ...], size: int) -> Non
 
 
 @contextmanager
-def _told(path: Path, kind: str) -> Iterator[None]:
-    """Whatever a reader stumbles over in a damaged file, in one line."""
+def _one_line(path: Path, kind: str) -> Iterator[None]:
+    """Turn any error that a reader raises over a damaged file into one line."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

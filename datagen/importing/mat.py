@@ -20,15 +20,13 @@ from numpy.typing import NDArray
 
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
-from datagen.importing.containers import Content, matlab_content
-from datagen.importing.recording import UNKNOWN, Recording
-from datagen.importing.times import SAME, time_bins
+from datagen.importing.containers import FACING, Content, matlab_content
+from datagen.importing.recording import SAME, UNKNOWN, Recording, time_bins
 from datagen.records.arrays import Floats
 
 _LISTED = ("trans_data", "camera_points", "laser_points", "camera_normals")
 _GRID = ("meas", "rect_data", "tofgrid", "wall_size", "width", "grid_points")
 _AXES = {"meas": "yxt", "rect_data": "xyt"}
-_FACING = np.array([0.0, 0.0, 1.0])
 
 
 def read_mat(path: Path, options: ImportOptions, delays: Path | None = None) -> Recording:
@@ -50,7 +48,7 @@ def _bin_width_s(content: Content) -> float | None:
 
 
 def _grid(content: Content, name: str, options: ImportOptions, delays: Path | None) -> Recording:
-    """A confocal grid of points."""
+    """The recording of a confocal grid."""
     path, stored = content.path, content.array(name)
     if stored.ndim != 3 or stored.size == 0:
         raise InputError(f"{path}: {name}: shape {stored.shape}; one capture has two axes of the grid and time")
@@ -76,12 +74,12 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
     rows, columns, bins = values.shape
     points = _points(content, name, rows, columns, options).reshape(-1, 3)
     return Recording(
-        path, values.reshape(-1, 1, bins), True, points, points, time, UNKNOWN, UNKNOWN, _FACING
+        path, values.reshape(-1, 1, bins), True, points, points, time, UNKNOWN, UNKNOWN, FACING
     )  # fmt: skip
 
 
 def _shifted(values: NDArray[Any], shifts: NDArray[np.int64], kept: int) -> NDArray[Any]:
-    """So many bins of each point of the grid, from its shift on."""
+    """(row, column, kept) bins of each point of the grid, from its shift on."""
     found = np.empty((*shifts.shape, kept), values.dtype)
     for shift in np.unique(shifts):
         alike = shifts == shift
@@ -90,7 +88,8 @@ def _shifted(values: NDArray[Any], shifts: NDArray[np.int64], kept: int) -> NDAr
 
 
 def _axes_of(name: str, shape: tuple[int, ...]) -> str:
-    """Time last; first where the other two are alike and these are not."""
+    """The order of the axes: time comes last, or first where the other two are of one size and the last two are
+    too."""
     usual = _AXES[name]
     return f"t{usual[:2]}" if shape[1] == shape[2] != shape[0] else usual
 
@@ -103,7 +102,7 @@ def _shifts(
     options: ImportOptions,
     delays: Path | None,
 ) -> NDArray[np.int64]:
-    """Of the grid: whole bins from the laser to the wall and back, 0 where times count from the wall."""
+    """(row, column) whole bins from the laser to the wall and back; 0 where times count from the wall."""
     if delays is not None:
         if "tofgrid" in content.arrays:
             raise InputError(f"{content.path}: has a tofgrid of its own; leave --tof out")
@@ -163,7 +162,7 @@ def _wall(content: Content, name: str, options: ImportOptions) -> tuple[float, f
 
 
 def _pairs(content: Content, options: ImportOptions) -> Recording:
-    """A row for each pair: a confocal scan or any other one for one, or every pixel for every laser point."""
+    """The recording of a list of pairs: every pixel for every laser point, or one pixel for each (as if confocal)."""
     for flag, value in (("wall", options.wall_m), ("axes", options.axes), ("tof", options.delays)):
         if value is not None:
             raise InputError(f"--{flag}: {content.path} lists its points itself; leave the option out")
@@ -184,13 +183,14 @@ def _pairs(content: Content, options: ImportOptions) -> Recording:
     else:
         values = rows[:, None]
     paired = lasers * pixels != len(rows)
-    return Recording(content.path, values, paired, lit, seen, time, UNKNOWN, UNKNOWN, _normal(content))
+    return Recording(
+        content.path, values, paired, lit, seen, time, UNKNOWN, UNKNOWN, content.wall_normal("camera_normals")
+    )
 
 
 def _every_pixel(lit: Floats, seen: Floats) -> tuple[int, int]:
-    """(lasers, pixels) of a list that has every pixel for one laser point after the other; (0, 0) of any other,
-    and of one for one.
-    """
+    """(lasers, pixels) of a list that has every pixel for one laser point after the other; (0, 0) of any other
+    list."""
     changes = np.flatnonzero((lit != lit[0]).any(axis=1))
     pixels = int(changes[0]) if len(changes) else len(lit)
     if len(lit) % pixels or (pixels == 1 and (seen != seen[0]).any()):
@@ -199,13 +199,3 @@ def _every_pixel(lit: Floats, seen: Floats) -> tuple[int, int]:
     in_order = np.array_equal(lit, np.repeat(lit[::pixels], pixels, axis=0))
     alike = np.array_equal(seen, np.tile(seen[:pixels], (lasers, 1)))
     return (lasers, pixels) if in_order and alike else (0, 0)
-
-
-def _normal(content: Content) -> Floats:
-    if "camera_normals" in content.arrays:
-        value = content.array("camera_normals")
-        if value.ndim == 2 and value.shape[1] == 3 and value.size and np.isfinite(value).all():
-            mean = value.mean(axis=0, dtype=np.float64)
-            if np.linalg.norm(mean) > 0.1:
-                return np.asarray(mean / np.linalg.norm(mean))
-    return _FACING

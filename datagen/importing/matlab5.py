@@ -1,7 +1,7 @@
-"""MATLAB files of version 5 (which later versions write, too, up to 7): arrays of numbers, and nothing else of them.
+"""MATLAB files of versions 5 to 7: their arrays of numbers, and nothing else.
 
-The format is MathWorks' *MAT-File Format* (2019), chapter 1. Readers that make every kind of object of a file end the
-process on one that is damaged; this one looks at sizes before it believes them.
+The format is MathWorks' *MAT-File Format* (2019), chapter 1. `scipy.io.loadmat` ends the process on some damaged
+files; this reader checks sizes before it uses them.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _MOST_AXES = 32
 
 @dataclass(frozen=True)
 class Variable:
-    """What stands before a variable's numbers.
+    """The head of a variable.
 
-    kind : MATLAB's class, by number. at : where its data element begins in the matrix.
+    kind : number of MATLAB's class. at : offset of the numbers within the matrix.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Variable:
 
 
 def read_matlab5(path: Path, wanted: tuple[str, ...], largest: int) -> tuple[Mapping[str, NDArray[Any]], list[str]]:
-    """Of the variables wanted those that are there, in MATLAB's order of axes, and the names of all there are.
+    """The wanted variables that are there, axes in MATLAB's order, and the names of all variables.
 
     Whole numbers may come in a narrower type than MATLAB has them in, as they are stored. Raises `InputError` for
     what is damaged, no array of real numbers, or more than `largest` bytes.
@@ -82,7 +82,7 @@ def _elements(content: mmap.mmap) -> Iterator[tuple[int, int, int]]:
 
 
 def _unpacked(packed: bytes, most: int) -> bytes:
-    """The beginning of what is compressed: the matrix's own tag (8 bytes), and it."""
+    """The first `most` bytes of a compressed element: the tag of the matrix (8 bytes), then the matrix."""
     found = zlib.decompressobj().decompress(packed, most)
     if len(found) < 8 or struct.unpack("<I", found[:4])[0] != _MATRIX:
         raise ValueError("holds a compressed element that is no array")
@@ -114,7 +114,8 @@ def _variable(head: bytes) -> Variable:
 
 
 def _check(path: Path, found: Variable, largest: int, held: int) -> None:
-    """Refuse what are no real numbers, or more than there can be: deflate packs a thousand bytes into one at most."""
+    """Refuse a variable that is no array of real numbers, or has more than `held` bytes can hold: deflate packs at
+    most a thousand bytes into one."""
     count = math.prod(found.shape)
     if found.kind not in _NUMBERS or found.is_complex:
         kind = "complex array" if found.is_complex else _NO_NUMBERS.get(found.kind, "thing of no known kind")

@@ -1,24 +1,32 @@
-"""What a file holds of one capture, whichever format it has, and how a dataset holds the same."""
+"""One capture of a file, whatever its format, and the fields of a dataset that hold it."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.config.capture import TimeConfig
+from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
 from datagen.export.measurement import WallFrame, lattice
 from datagen.records.arrays import Floats
 
 UNKNOWN = np.full(3, np.nan)
 SMALLEST_WALL_M = 0.01
-"""Where all points are one, the relay wall is so wide about it."""
+"""The least width of the relay wall, for a scan of a single point."""
 _AT_ONCE = 2**22
+SAME = 1e-6
+"""Relative difference up to which the values of a file and of an option count as equal; half as much would refuse
+values that were stored as float32."""
+_SECONDS = {"fs": 1e-15, "ps": 1e-12, "ns": 1e-9, "us": 1e-6, "s": 1.0}
+_METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_NUMBER = r"(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)"
 
 
 @dataclass(frozen=True)
@@ -59,7 +67,7 @@ class Recording:
         return WallFrame(middle, np.stack([np.cross(up, self.normal), up, self.normal]))
 
     def in_order(self) -> Recording:
-        """The same with grids row by row from the top left, as somebody sees them who faces the wall; points that
+        """The recording with grids row by row from the top left, as seen by somebody who faces the wall; points that
         form no grid keep their order."""
         if self.paired:
             order = _rows(self.frame.of(self.seen_points))
@@ -72,7 +80,7 @@ class Recording:
         )
 
     def first_bins(self, bins: int | None) -> Recording:
-        """The same with so many of the first bins; raises `InputError` where there are fewer."""
+        """The recording with its first `bins` bins alone; raises `InputError` where there are fewer."""
         if bins is None:
             return self
         if bins > self.time.bins:
@@ -80,7 +88,7 @@ class Recording:
         return replace(self, values=self.values[..., :bins], time=self.time.model_copy(update={"bins": bins}))
 
     def geometry(self) -> dict[str, Floats]:
-        """The fields of a dataset that say where things are. Pixels have a place and no extent: files say no more."""
+        """Field → value, of the fields that say where things are. Pixels have no extent, since files state none."""
         frame = self.frame
         both = frame.of(np.concatenate([self.laser_points, self.seen_points]))[:, :2]
         low, high = both.min(axis=0), both.max(axis=0)
@@ -98,7 +106,7 @@ class Recording:
 
 
 def _rows(points: Floats) -> NDArray[np.int64]:
-    """(N,): the numbers of points row by row from the top left, or as they come where they form no grid."""
+    """(N,) indices of points row by row from the top left; in their own order where they form no grid."""
     place = lattice(points)
     return np.arange(len(points)) if place is None else place.T[::-1].ravel()
 
@@ -124,7 +132,51 @@ def numbers_in(path: Path, values: NDArray[Any]) -> tuple[bool, float]:
 
 
 def _pieces(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
-    """All values in the order of memory, some at a time."""
+    """Pieces of all values, in the order of memory."""
     flat = values.ravel(order="K")
     for begin in range(0, flat.size, _AT_ONCE):
         yield flat[begin : begin + _AT_ONCE]
+
+
+def time_bins(
+    path: Path, bins: int, width_s: float | None, options: ImportOptions, *, start_s: float,
+    origin: Literal["source", "wall"], named: str,
+) -> TimeConfig:  # fmt: skip
+    """The time axis, its width from the file (`width_s`) or the options.
+
+    Raises `InputError` where neither states the width or both state different ones, and for no valid time axis.
+    """
+    asked = None if options.bin_width_ps is None else options.bin_width_ps * 1e-12
+    if width_s is None and asked is None:
+        raise InputError(f"{path}: {named}: missing; say how wide a bin is: --bin 4ps")
+    if width_s is not None and asked is not None and abs(width_s - asked) > SAME * asked:
+        raise InputError(f"{path}: says {named} of {width_s * 1e12:g} ps, --bin {asked * 1e12:g}ps; leave --bin out")
+    width = width_s if width_s is not None else asked
+    assert width is not None
+    try:
+        # Digits beyond the twelfth come from the conversion of units.
+        return TimeConfig(
+            bins=bins, bin_width_ps=float(f"{width * 1e12:.12g}"), start_ns=float(f"{start_s * 1e9:.12g}"),
+            origin=origin,
+        )  # fmt: skip
+    except InputError as error:
+        raise InputError(f"{path}: {str(error).removeprefix('TimeConfig: ')}") from None
+
+
+def seconds_of(text: str) -> float:
+    """Seconds of a text: `"4ps"` → 4e-12. Raises `InputError` for any other text."""
+    found = re.fullmatch(rf"{_NUMBER}\s*(fs|ps|ns|us|s)", text.strip())
+    if found is None or float(found[1]) <= 0:
+        raise InputError(f"--bin {text}: must be a time such as 4ps or 0.032ns")
+    return float(found[1]) * _SECONDS[found[2]]
+
+
+def metres_of(text: str) -> tuple[float, float]:
+    """Width and height of a text, metres: `"2m"` → (2, 2), `"2m x 150cm"` → (2, 1.5). Raises `InputError` for
+    others."""
+    unit = r"\s*(mm|cm|m)"
+    found = re.fullmatch(rf"{_NUMBER}{unit}(?:\s*[x×]\s*{_NUMBER}{unit})?", text.strip())
+    if found is None:
+        raise InputError(f"--wall {text}: must be a size such as 2m, or width and height such as 2m x 150cm")
+    width = float(found[1]) * _METRES[found[2]]
+    return width, width if found[3] is None else float(found[3]) * _METRES[found[4]]

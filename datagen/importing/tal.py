@@ -14,8 +14,7 @@ from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
 from datagen.export.tal import HFormat
 from datagen.importing.containers import Content, hdf5_content
-from datagen.importing.recording import UNKNOWN, Recording
-from datagen.importing.times import time_bins
+from datagen.importing.recording import UNKNOWN, Recording, time_bins
 from datagen.records.arrays import Floats
 from datagen.units import time_from_path
 
@@ -25,7 +24,7 @@ _WANTED = (
 )  # fmt: skip
 _GRIDS = {HFormat.T_Sx_Sy: (2, False), HFormat.T_Lx_Ly_Sx_Sy: (2, True), HFormat.T_Si: (1, False),
           HFormat.T_Li_Si: (1, True)}  # fmt: skip
-"""Axes of each set of points, and whether lasers have axes of their own."""
+"""Format → number of axes of each set of points, and whether laser points have axes of their own."""
 
 
 def read_tal(path: Path, options: ImportOptions) -> Recording:
@@ -61,13 +60,13 @@ def read_tal(path: Path, options: ImportOptions) -> Recording:
         origin="source" if from_source else "wall", named="delta_t",
     )  # fmt: skip
     return Recording(
-        path, values, paired, lit.reshape(-1, 3), seen.reshape(-1, 3), time, laser, sensor, _normal(content),
-        _hidden(content.texts.get("scene_info")),
+        path, values, paired, lit.reshape(-1, 3), seen.reshape(-1, 3), time, laser, sensor,
+        content.wall_normal("sensor_grid_normals"), _hidden(content.texts.get("scene_info")),
     )  # fmt: skip
 
 
 def _values(content: Content, lit: Floats, seen: Floats) -> tuple[NDArray[Any], bool]:
-    """H as (L, P, T), and whether its pixels go with one laser point each."""
+    """H as (L, P, T), and whether each pixel has one laser point of its own."""
     h, number = content.array("H"), content.number("H_format")
     try:
         form = HFormat(int(number))
@@ -100,24 +99,13 @@ def _check_grid(path: Path, name: str, axes: tuple[int, ...], points: Floats) ->
         raise InputError(f"{path}: {name}: shape {points.shape} does not fit H, which has {axes} of them")
 
 
-def _normal(content: Content) -> Floats:
-    """Of the relay wall; along z where the file says none."""
-    if "sensor_grid_normals" in content.arrays:
-        value = content.array("sensor_grid_normals")
-        if value.ndim and value.shape[-1] == 3 and value.size and np.isfinite(value).all():
-            mean = value.reshape(-1, 3).mean(axis=0, dtype=np.float64)
-            if np.linalg.norm(mean) > 0.1:
-                return np.asarray(mean / np.linalg.norm(mean))
-    return np.array([0.0, 0.0, 1.0])
-
-
 def _hidden(info: str | None) -> Floats | None:
-    """(2, 3) the box that `scene_info` says to hold what is hidden, if it says so in plain YAML."""
+    """(2, 3) corners of the hidden box that `scene_info` states in plain YAML; None where it does not."""
     try:
         volume = yaml.safe_load(info or "")["volume"]
         center, size = (np.asarray(volume[name], np.float64).reshape(3) for name in ("center", "size"))
     except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):
-        # Notes of any kind, which nothing here rests on.
+        # The text may be notes of any kind.
         return None
     corners = np.stack([center - size / 2, center + size / 2])
     return corners if np.isfinite(corners).all() else None

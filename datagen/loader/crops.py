@@ -1,4 +1,4 @@
-"""Which laser points, pixels and bins of a scan are read: what a user writes, as parts of fields."""
+"""Crops: the laser points, pixels and bins that a user asks for, as parts of fields."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _SUCH_AS = "such as slice(0, 256), a list of numbers, or np.s_[8:24, 8:24] of a 
 
 
 class Crops:
-    """The part of each axis of a dataset's scans that is read.
+    """The indices that are read of each axis of a dataset's scans.
 
-    chosen : axis → indices, of the axes that are not read whole.
+    chosen : axis → indices, for the axes that are not read whole.
     """
 
     def __init__(self, manifest: Manifest, lasers: Crop | None, pixels: Crop | None, bins: slice | None) -> None:
@@ -57,7 +57,7 @@ class Crops:
 
 
 def _grid(settings: Mapping[str, Any], size: int) -> tuple[int, int] | None:
-    """Rows and columns of an axis that is a grid in this order."""
+    """Rows and columns of an axis that is a grid row by row; None for any other."""
     rows, columns = settings.get("rows"), settings.get("columns")
     if settings.get("kind", "grid") != "grid" or not isinstance(rows, int) or not isinstance(columns, int):
         return None
@@ -65,7 +65,7 @@ def _grid(settings: Mapping[str, Any], size: int) -> tuple[int, int] | None:
 
 
 def _indices(name: str, crop: Crop, size: int, grid: tuple[int, int] | None) -> NDArray[np.int64]:
-    """The numbers, in 0 … size − 1, that a crop of an axis chooses, in its order."""
+    """The indices, in 0 … size − 1, that a crop of an axis chooses, in the order of the crop."""
     every = np.arange(size, dtype=np.int64)
     if isinstance(crop, tuple) and len(crop) == 2 and any(isinstance(one, slice) for one in crop):
         if grid is None:
@@ -94,7 +94,7 @@ def _sliced(name: str, crop: Any, numbers: NDArray[np.int64]) -> NDArray[np.int6
 
 
 def _numbers(name: str, crop: object, size: int) -> NDArray[np.generic]:
-    """The indices, counted from the end where they are negative, or the mask that a user gives."""
+    """The indices (negative ones count from the end) or the mask that a user gives, as an array."""
     try:
         given = np.asarray(crop)
     except (TypeError, ValueError):

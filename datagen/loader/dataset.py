@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
 from datagen.errors import CheckError, InputError
-from datagen.loader.batch import Batch, room_for
+from datagen.loader.batch import Batch
 from datagen.loader.crops import Crops
 from datagen.loader.events import events_of
 from datagen.loader.redrawn_noise import TRANSIENT_OF, DrawCounter, NoiseSource
@@ -348,9 +348,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """(len(scenes), *shape): values as they are stored, counts in the dtype that `counts` names."""
         field = self._schema.by_name[name]
         dtype = self._counts if name in COUNTS and self._counts is not None else np.dtype(field.dtype)
-        tensor = room_for((len(scenes), *self.shape(name)), dtype)
-        self._stored(name, scenes, self._parts[name], tensor.numpy())
-        return tensor
+        return torch.from_numpy(
+            self._stored(name, scenes, self._parts[name], np.empty((len(scenes), *self.shape(name)), dtype))
+        )
 
     def _cast(self, counts: NDArray[np.generic]) -> NDArray[np.generic]:
         if self._counts is None:

@@ -1,4 +1,4 @@
-"""The detector's noise drawn anew from a stored transient, and which draw of its noise a scene is at."""
+"""Histograms drawn anew from stored transients, and the number of the next draw of each scene."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PURPOSE = {"transient": Purpose.LOADER, "background_transient": Purpose.LOADER_
 
 
 class NoiseSource:
-    """Counts from a stored transient, with the detector that the scene was given."""
+    """Draws counts from a stored transient, with the detector of the scene."""
 
     def __init__(self, manifest: Manifest) -> None:
         config = manifest.config
@@ -49,8 +49,7 @@ class NoiseSource:
     def draw(
         self, field: str, transient: NDArray[np.generic], scene: int, seed: int, number: int, stream: int = 0
     ) -> NDArray[np.integer[Any]]:
-        """Counts of a scene's field with light, (laser, pixel, bin): a function of (field, seed, number of the draw,
-        stream, scene)."""
+        """(laser, pixel, bin) counts of a scene: a function of (field, seed, number of the draw, stream, scene)."""
         from datagen.detector import detect
 
         spad, exposure, tolerance = self._detector_of(field, scene, transient)
@@ -62,7 +61,7 @@ class NoiseSource:
         )  # fmt: skip
 
     def _detector_of(self, field: str, scene: int, transient: NDArray[np.generic]) -> tuple[Spad, Exposure, float]:
-        """The detector of a scene with the effects that its transient calls for, decided once."""
+        """The detector of a scene with the effects that its transient calls for; decided at the first draw."""
         if (field, scene) not in self._decided:
             from datagen.detector import detector_for
             from datagen.effects import decide_detector_effects
@@ -75,14 +74,14 @@ class NoiseSource:
 
 
 class DrawCounter:
-    """Every read of a scene is its next draw; a fixed epoch makes each scene's next read the draw of that number.
+    """The number of the next draw of each scene: every read takes one, and `fix` sets the number.
 
-    A count belongs to a scene, not to an epoch, since nothing tells a dataset that one begins: wrappers, samplers and
-    workers that live on hand it indices, and no more. What a scene is at depends on how often it was read alone, so
-    neither workers nor prefetching nor the order of scenes enter.
+    Each scene has a number of its own, because a dataset is not told that an epoch begins: wrappers, samplers and
+    workers hand it indices alone. The number depends only on how often the scene was read, not on workers,
+    prefetching or the order of scenes.
 
-    The processes of distributed training count each for itself, and which scene meets which process changes from
-    epoch to epoch: each draws from streams of its own, save right after an epoch was fixed, when all know the number.
+    The processes of distributed training count separately, and a scene changes hands between them: each process draws
+    from a stream of its own, except right after `fix`, when all of them know the number.
     """
 
     def __init__(self, scenes: int) -> None:

@@ -1,4 +1,4 @@
-"""The order of an epoch, the same for everyone who names its seed and number."""
+"""The order of an epoch: a function of its seed and number."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from datagen.seeding import Purpose, generator
 class EpochSampler(Sampler[int]):
     """The order of an epoch, a function of (seed, epoch): shuffled, then dealt out to `ranks` training processes.
 
-    `rank` is the number of this one. Each gets the same number of items: the order is continued from its start where
-    the items do not divide evenly. Every iteration is the next epoch, the first of them 0 or what `set_epoch` says.
+    `rank` is the number of this process. Each process gets the same number of items: where the items do not divide
+    evenly, some come twice. Every iteration is the next epoch; the first is 0, or the one that `set_epoch` names.
 
     When an epoch begins, redrawn noise of the items becomes that of (seed of the dataset, epoch, scene), also through
     `Subset` (`random_split`) and `ConcatDataset`: a run is repeated to the bit from any epoch on, for any number of
@@ -37,7 +37,7 @@ class EpochSampler(Sampler[int]):
         self._rank, self._ranks, self._epoch = rank, ranks, 0
 
     def set_epoch(self, epoch: int) -> None:
-        """The epoch that the next iteration is; those that follow count on from there."""
+        """Set the number of the next epoch; later epochs count on from it."""
         check_integer("EpochSampler", "epoch", epoch, 0, 2**62)
         self._epoch = epoch
 
@@ -45,7 +45,7 @@ class EpochSampler(Sampler[int]):
         return -(-len(self._data) // self._ranks)
 
     def __iter__(self) -> Iterator[int]:
-        # A generator starts with its first item: before that, workers may still read for the epoch before.
+        # Nothing runs before the first item is asked for: workers may still read for the last epoch until then.
         epoch, self._epoch = self._epoch, self._epoch + 1
         order = np.arange(len(self._data))
         _fix_noise(self._data, epoch, order)

@@ -1,4 +1,4 @@
-"""Histograms as volumes: where in the hidden part their counts may have come from."""
+"""Histograms as volumes: backprojections over the hidden part of each scene."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a measurement says of the places that light may have come from: grids of voxels, and backprojection."""
+"""Reconstruction of the hidden part from a measurement: backprojection and f-k migration on grids of voxels."""

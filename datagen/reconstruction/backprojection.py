@@ -1,7 +1,8 @@
-"""Filtered backprojection: each count is laid out over all places that it may have come from.
+"""Filtered backprojection: each count is added to all places that it may have come from.
 
-A histogram says when light came back, so where from: for laser point l and pixel p an ellipsoid with both as foci (a
-sphere, where they are one). The sum over the scan of the counts n at the arrival time of every place x,
+The arrival time of a count gives the length of its path: for laser point l and pixel p its place lies on an ellipsoid
+with both as foci (a sphere, where they are one). The sum over the scan of the counts n at the arrival time of every
+place x,
 
     B(x) = Σ_lp n_lp((|x − x_l| + |x − x_p|) / c),
 
@@ -26,14 +27,14 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.units import time_from_path
 
 GEOMETRY = ("hidden_view", "hidden_bounds", "laser_points", "sensor_pixels", "laser_position", "sensor_position")
-"""Fields that say where a measurement was made, and where what it shows may be."""
+"""Fields that state where a measurement was made, and where the hidden part is."""
 LASERS_OF_A_FLOOD = 16
-"""Points that stand for all of a flood's, which are lit at once."""
+"""Laser points that represent all points of a flood, which are lit at once. Half as many blur near objects."""
 
 
 @dataclass(frozen=True)
 class Scan:
-    """What backprojection needs of a measurement.
+    """A measurement as backprojection needs it.
 
     Attributes
     ----------
@@ -59,7 +60,7 @@ def scan_of(
     capture: Mapping[str, Any],
     time: TimeAxis,
 ) -> Scan:
-    """A stored scene's scan: confocal, exhaustive or flooded.
+    """The scan of a stored scene: confocal, exhaustive or a flood.
 
     counts : (laser, pixel, bin). geometry : the fields `GEOMETRY` of the scene. capture : that section of the
     configuration. time : of the bins of `counts`. Laser points and pixels that lie nowhere (NaN) are left out.
@@ -91,8 +92,8 @@ def scan_of(
 
 
 def whitened(counts: Floats) -> Floats:
-    """(pair, bin) counts less the mean over the scan in each bin, over its root: light that is alike all over the
-    wall, such as that of walls around, is taken away, and noise is the same everywhere.
+    """(pair, bin) counts minus the mean over the scan in each bin, divided by the root of that mean. Light that is
+    alike all over the wall, such as that of other walls, goes away, and noise becomes the same everywhere.
     """
     if not len(counts):
         return counts
@@ -104,7 +105,7 @@ def whitened(counts: Floats) -> Floats:
 def backprojected(scan: Scan, places: Floats) -> Floats:
     """(V,) B at places (V, 3) of the label frame."""
     total = np.zeros(len(places), np.float32)
-    lay_out(
+    add_to_places(
         np.pad(scan.signal, ((0, 0), (1, 1))).astype(np.float32), _in_bins(scan.laser_points, scan),
         _in_bins(scan.pixels, scan), np.ascontiguousarray(scan.laser), np.ascontiguousarray(scan.pixel),
         scan.first.astype(np.float32), _in_bins(places, scan), total,
@@ -118,15 +119,15 @@ def _in_bins(points: Floats, scan: Scan) -> NDArray[np.float32]:
 
 
 def backprojected_volume(scan: Scan, grid: HiddenGrid) -> Floats:
-    """(depth, row, column) B on a grid over the root of the number of histograms: where there is nothing but noise,
-    it has a standard deviation of about 1.
+    """(depth, row, column) B on a grid, divided by the root of the number of histograms: noise alone then has a
+    standard deviation of about 1.
     """
     total = backprojected(scan, grid.centers.reshape(-1, 3)).reshape(grid.shape)
     return np.asarray(total / np.sqrt(max(len(scan.signal), 1)))
 
 
 def filtered(volume: Floats, spread: float = 1.0) -> Floats:
-    """(depth, row, column): minus the Laplacian of a Gaussian of so many voxels, what is negative cut off."""
+    """(depth, row, column) minus the Laplacian of a Gaussian of `spread` voxels, negative values set to 0."""
     return np.asarray(np.maximum(-gaussian_laplace(volume, spread), 0.0))
 
 
@@ -137,11 +138,12 @@ def reconstructed(scan: Scan, grid: HiddenGrid) -> Floats:
 
 Singles = NDArray[np.float32]
 BLOCK = 1024
-"""Places whose distances to all laser points and pixels are kept at a time."""
+"""Places whose distances to all laser points and pixels are computed together, to stay in a core's cache. Half as
+many cost a few percent of the time."""
 
 
 @compiled(nogil=True)
-def lay_out(
+def add_to_places(
     signal: Singles, laser_points: Singles, pixels: Singles, laser: Ints, pixel: Ints, first: Singles,
     places: Singles, total: Singles,
 ) -> None:  # fmt: skip
@@ -154,6 +156,7 @@ def lay_out(
     to_laser = np.empty((laser_points.shape[1], BLOCK), np.float32)
     to_pixel = to_laser if same else np.empty((pixels.shape[1], BLOCK), np.float32)
     for begin in range(0, len(total), BLOCK):
+        # Distances depend on laser point or pixel alone: computed here, not for each of their many pairs.
         x, y, z = places[0][begin : begin + BLOCK], places[1][begin : begin + BLOCK], places[2][begin : begin + BLOCK]
         _distances(laser_points, x, y, z, to_laser)
         if not same:
@@ -161,10 +164,11 @@ def lay_out(
         out = total[begin : begin + BLOCK]
         for r in range(len(signal)):
             there, back, row = to_laser[laser[r]], to_pixel[pixel[r]], signal[r]
+            # One bin more, for the column of zeros before the first bin.
             offset = np.float32(1) - first[r]
             for k in range(len(out)):
                 at = there[k] + back[k] + offset
-                # Whatever else it is, huge or no number at all, is outside.
+                # A place that is too far, or NaN, takes the column of zeros.
                 out[k] += row[np.int32(at)] if at > 0 and at < last else row[0]
 
 

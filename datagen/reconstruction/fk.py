@@ -1,9 +1,9 @@
-"""f-k migration: what a confocal grid shows, by resampling its spectrum.
+"""f-k migration: the hidden part seen by a confocal grid, by resampling its spectrum.
 
-The root of what comes back at each point of the wall is taken for a wave field Ψ(x, y, z = 0, t) that left all
-surfaces at time 0 at half of the speed of light. In free space a wave of wave number (k_x, k_y, k_z), cycles a metre,
-has the frequency f = (c/2) √(k_x² + k_y² + k_z²), so that the field at time 0 has the spectrum (Stolt, Geophysics 43,
-23 (1978); Lindell, Wetzstein & O'Toole, ACM Transactions on Graphics 38, 116 (2019))
+The root of the light that comes back to each point of the wall is taken for a wave field Ψ(x, y, z = 0, t) that left
+all surfaces at time 0 at half of the speed of light. In free space a wave of wave number (k_x, k_y, k_z), cycles a
+metre, has the frequency f = (c/2) √(k_x² + k_y² + k_z²), so that the field at time 0 has the spectrum (Stolt,
+Geophysics 43, 23 (1978); Lindell, Wetzstein & O'Toole, ACM Transactions on Graphics 38, 116 (2019))
 
     Ψ(k_x, k_y, k_z; t = 0) = (c/2) k_z / √(k_x² + k_y² + k_z²) · Ψ(k_x, k_y, f).
 """
@@ -24,11 +24,11 @@ from datagen.units import path_from_time
 def migrated(counts: Floats, width_m: float, height_m: float, time: TimeAxis) -> tuple[Floats, Floats]:
     """Brightness (depth, row, column) over a confocal grid, and the depths of its layers (depth,), metres.
 
-    counts : (row, column, bin) what came back to each point of the grid, row 0 at the top; a transient or counts.
+    counts : (row, column, bin) counts or transient at each point of the grid, row 0 at the top.
     width_m, height_m : from the first to the last column, and row.
     time : of the bins; its origin is the wall.
 
-    Each column of voxels stands before a point of the grid. Places are found as far to the side as the grid reaches.
+    Each column of voxels stands before a point of the grid, so the volume is as wide as the grid.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Grids of voxels over what is hidden, in the label frame: right, up, depth from the middle of `hidden_view`."""
+"""Grids of voxels over the hidden part, in the label frame: right, up, depth from the middle of `hidden_view`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from datagen.records.arrays import Floats
 
 
 def label_frame(hidden_view: Floats) -> Callable[[Floats], Floats]:
-    """From points of the scene to the label frame, both (..., 3); `hidden_view` (3, 3) is the field of that name."""
+    """The map from points of the scene to the label frame, both (..., 3); `hidden_view` (3, 3) is the stored
+    field."""
     return ViewFrame.about(Rectangle(*hidden_view)).to_view
 
 
@@ -36,7 +37,7 @@ class HiddenGrid:
 
     @classmethod
     def behind_images(cls, view: Floats, bounds: Floats, shape: tuple[int, int, int]) -> HiddenGrid:
-        """Rows and columns are those of label images, depth reaches as far as the hidden part."""
+        """The grid with rows and columns of the label images, as deep as the hidden part."""
         far = cls.of_volumes(view, bounds, shape).high[2]
         half = np.linalg.norm(view[1:], axis=1)
         return cls(np.array([-half[0], -half[1], 0.0]), np.array([half[0], half[1], far]), shape)

@@ -1,4 +1,4 @@
-"""The metrics, of one scene each: arrays in, a number out."""
+"""The metrics of one scene: arrays in, a number out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Predictions, from a file or a mapping, held to a form: one line for every way in which they can be wrong."""
+"""Predictions, from a file or a mapping, checked: one line for each way in which they can be wrong."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _REMEDY = "docs/datasets.md shows how to write predictions"
 
 @dataclass(frozen=True)
 class Predictions:
-    """What was predicted of the scenes of a `Truth`, in its order; what was not is None.
+    """Predictions for the scenes of a `Truth`, in its order; quantities that were not predicted are None.
 
     depth, mask : (N, R, C). occupancy : (N, D, H, W). points : (N, M, 3) and centers : (N, K, 3) in the label frame,
     rows of NaN are fill.
@@ -37,14 +37,14 @@ class Predictions:
 
     @property
     def shows(self) -> Bools | None:
-        """(N, R, C) whether a pixel shows an object; None where no depth was predicted."""
+        """(N, R, C) whether a pixel shows an object; None without depth and mask."""
         if self.mask is not None:
             return self.mask > 0.5
         return None if self.depth is None else self.depth > 0
 
 
 def read_predictions(source: str | Path | Mapping[str, Any], truth: Truth) -> Predictions:
-    """Predictions for the scenes of `truth`; those for other scenes are left aside.
+    """The predictions for the scenes of `truth`; those for other scenes are ignored.
 
     source : an `.npz` file, a Zarr group, or a mapping, of `scene` (N,) and any of `QUANTITIES`.
 
@@ -92,7 +92,7 @@ def _loaded(path: str | Path) -> dict[str, NDArray[Any]]:
 
 
 def _rows(where: str, scene: NDArray[Any], truth: Truth) -> NDArray[np.intp]:
-    """(N,) the row of each scene of `truth` in the predictions."""
+    """(N,) row in the predictions of each scene of `truth`."""
     if scene.ndim != 1 or scene.dtype.kind not in "iu":
         raise InputError(f"{where}: scene is {scene.dtype} {scene.shape}; must be whole numbers of shape (N,)")
     values, first = np.unique(scene, return_index=True)

@@ -1,4 +1,4 @@
-"""Predictions against the labels of a suite."""
+"""The scores of predictions against the labels of a suite."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Metrics = dict[str, float]
 
 @dataclass(frozen=True)
 class Scores:
-    """How good predictions are.
+    """The scores of predictions.
 
     Attributes
     ----------
@@ -48,8 +48,8 @@ class Scores:
     published : whether it is a suite with the published bytes.
     split, scenes, scenes_with_evidence : the split, how many scenes it has, and in how many of them every object has
         evidence.
-    all, with_evidence : metric → value, over everything, and over what has evidence (3 σ) alone; what was not
-        predicted is left out.
+    all, with_evidence : metric → value, over all objects, and over those with evidence (3 σ) alone; metrics of
+        quantities that were not predicted are left out.
     """
 
     dataset: str
@@ -61,7 +61,7 @@ class Scores:
     with_evidence: Mapping[str, float]
 
     def table(self) -> str:
-        """For people."""
+        """The scores as a table for people."""
         state = "as published" if self.published else "not one of the published suites"
         width = max(map(len, TITLES.values()))
         lines = [
@@ -75,7 +75,7 @@ class Scores:
         return "\n".join(lines)
 
     def json(self) -> str:
-        """For programs; what could not be had is null."""
+        """The scores as JSON; NaN becomes null."""
         values = asdict(self)
         for part in ("all", "with_evidence"):
             values[part] = {name: None if np.isnan(of) else of for name, of in values[part].items()}
@@ -83,7 +83,7 @@ class Scores:
 
 
 def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split: str = "test") -> Scores:
-    """Hold predictions against the labels of a suite's test scenes.
+    """Score predictions against the labels of a suite's test scenes.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
     predictions : an `.npz` file, a Zarr group, or a mapping: `scene` (N,) and any of `depth` (N, row, column) in m,
         `mask` (N, row, column) where an object is seen, `points` (N, M, 3) and `centers` (N, K, 3) in the label
         frame (rows of NaN are fill), `occupancy` (N, depth, row, column) in 0 … 1. docs/datasets.md defines them.
-    split : which scenes must be there, and are scored.
+    split : the scenes that must be predicted, and are scored.
 
     Raises
     ------
@@ -121,7 +121,8 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
 def _metrics(
     found: Predictions, truth: Truth, each: dict[str, Floats], centers: list[Floats], evident: bool
 ) -> Metrics:
-    """Metric → value, over everything or over what has evidence: pixels and centres by object, the rest by scene."""
+    """Metric → value over all, or (`evident`) over those with evidence: pixels and centres by object, else by
+    scene."""
     values: Metrics = {}
     if found.depth is not None:
         off = (found.depth - truth.depth)[truth.on_evident if evident else truth.on_object]
@@ -139,7 +140,7 @@ def _metrics(
 
 
 def _by_scene(found: Predictions, truth: Truth) -> dict[str, Floats]:
-    """Metrics of which every scene has one value: name → (N,)."""
+    """Metric → (N,) values, of the metrics that have one value for each scene."""
     of: dict[str, Callable[[int], float]] = {}
     depth, shows = found.depth, found.shows
     if depth is not None and shows is not None:
@@ -154,13 +155,14 @@ def _by_scene(found: Predictions, truth: Truth) -> dict[str, Floats]:
 
 
 def _ssim(depth: Floats, mask: Bools, truth: Truth, k: int) -> float:
-    """Of depth as a share of the hidden part's, 0 where no object is seen."""
+    """SSIM of depth as a fraction of the depth of the hidden part, 0 where no object is seen."""
     true = np.where(truth.on_object[k], truth.depth[k], 0.0)
     return ssim(np.where(mask[k], depth[k], 0.0) / truth.reach[k], true / truth.reach[k])
 
 
 def _chamfer(found: Predictions, truth: Truth, k: int) -> float:
-    """NaN where no object is to be seen; the diagonal of the hidden part where none was predicted."""
+    """Chamfer distance of scene `k`, metres: NaN where it shows no object, the diagonal of the hidden part where
+    none was predicted."""
     true = image_points(truth.depth[k], truth.on_object[k], *truth.view[k])
     if not len(true):
         return float("nan")
@@ -173,7 +175,7 @@ def _chamfer(found: Predictions, truth: Truth, k: int) -> float:
 
 
 def _center_errors(found: Predictions, truth: Truth) -> list[Floats]:
-    """Of each scene, of each object in it; empty where no centres were predicted."""
+    """For each scene the distance of each of its objects, metres; empty where no centres were predicted."""
     if found.centers is None:
         return []
     return [

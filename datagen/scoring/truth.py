@@ -1,4 +1,4 @@
-"""What predictions are held against: the labels of one split, and which objects have evidence."""
+"""The truth that predictions are scored against: labels of one split, and which objects have evidence."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ NEEDED = (
     "depth", "part_id", "object_part", "object_box_center", "object_significance", "hidden_view", "hidden_bounds",
 )  # fmt: skip
 LEAST_SIGMA = 3.0
-"""An object has evidence where its own light stands out of the noise by so many standard deviations."""
+"""Standard deviations over the noise from which an object counts as having evidence; with half as many one empty
+room in 15 would seem to have an object."""
 
 
 @dataclass(frozen=True)
@@ -68,12 +69,12 @@ class Truth:
 
     @property
     def all_evident(self) -> Bools:
-        """(N,) whether every object of a scene has."""
+        """(N,) whether every object of a scene has evidence."""
         return np.asarray((self.evident | np.isnan(self.sigma)).all(axis=1))
 
 
 def read_truth(dataset: str | Path, split: str) -> Truth:
-    """Labels of a dataset's split.
+    """The labels of one split of a dataset.
 
     Raises `InputError` where it is no dataset, has no such split, or lacks labels that scores need; `CheckError` for
     what is damaged.

@@ -1,4 +1,5 @@
-"""The Zarr v3 group of a dataset: its metadata, made by the parent alone, and the codec chain of every array."""
+"""The Zarr v3 group of a dataset: its metadata, which the parent process alone writes, and the codecs of each
+array."""
 
 from __future__ import annotations
 
@@ -19,21 +20,19 @@ GROUP = "data.zarr"
 BLOCK_BYTES = 2**18
 """Decoded bytes of a block of blosc, the least that a reader decodes. It fits into a core's cache; half as many cost
 a few percent of the disk."""
-WAITING_BYTES = 8 * 2**20
-"""Raw bytes of a field that wait to be encoded together, since zarr copies the shard for every assignment. Half as
-many double the copies; all scenes at once would keep a shard in memory as it is, not as it is compressed."""
 LEVEL = 1
 """Level of zstd. Higher ones gain mostly by longer blocks: with these blocks level 5 saves 3 % of the disk for five
 times the time."""
 
 
 def shard_file(field: Field, shard: int) -> str:
-    """The one file that holds shard `shard` of a field, relative to the dataset: one writer, one file, one field."""
+    """Path of the file that holds shard `shard` of a field, relative to the dataset. Each file has one field, one
+    shard and one writer."""
     return "/".join([GROUP, field.name, "c", str(shard), *["0"] * len(field.shape)])
 
 
 def metadata_files(schema: Schema, time: TimeConfig) -> dict[str, bytes]:
-    """Every `zarr.json` of the group, and its coordinates, path relative to the dataset → content, made in memory."""
+    """Path relative to the dataset → content, of every `zarr.json` of the group and of its coordinates."""
     store = MemoryStore()
     geometry = " ".join(name for name, field in schema.by_name.items() if field.dtype == "float64")
     group = zarr.create_group(store, attributes={"coordinates": geometry})
@@ -48,7 +47,7 @@ def metadata_files(schema: Schema, time: TimeConfig) -> dict[str, bytes]:
 
 
 COORDINATES = (f"{GROUP}/bin/zarr.json", f"{GROUP}/bin/c/0")
-"""Files of arrays that are not of scenes but of an axis; named as it is, as xarray and others expect."""
+"""Files of the array of arrival times. It bears the name of its axis, as xarray and others expect of a coordinate."""
 
 
 def _create_arrival_times(group: zarr.Group, time: TimeConfig) -> None:
@@ -70,46 +69,25 @@ def chunk_grid(field: Field) -> tuple[int, ...]:
 
 
 def fill_of(field: Field) -> float | int:
-    """The values of a scene that could not be made: NaN, or 0 for whole numbers."""
+    """The value that a scene is filled with when it could not be made: NaN, or 0 for whole numbers."""
     return float("nan") if np.dtype(field.dtype).kind == "f" else 0
 
 
 def shard_shape(field: Field, scenes_per_shard: int) -> tuple[int, ...]:
-    """The shard of a sharded field: K scenes, every other axis whole (rounded up to whole chunks)."""
+    """The shape of a shard of a sharded field: K scenes, every other axis whole (rounded up to whole chunks)."""
     return scenes_per_shard, *(c * n for c, n in zip(field.chunk, chunk_grid(field), strict=True))
 
 
-class FieldOfShard:
-    """The content of a field's `shard_file`, encoded by zarr in memory while the scenes are made.
+def shard_content(field: Field, values: NDArray[np.generic], scenes_per_shard: int) -> bytes:
+    """The content of a field's `shard_file`, encoded by zarr in memory.
 
-    scenes : how many the shard holds; the last one of a dataset has fewer than `scenes_per_shard`.
+    values : (scenes, *field.shape) of the shard's scenes; the last shard of a dataset has fewer than
+        `scenes_per_shard`.
     """
-
-    def __init__(self, field: Field, scenes: int, scenes_per_shard: int) -> None:
-        self._store, self._scenes, self._first = MemoryStore(), scenes, 0
-        self._array = _create(zarr.create_group(self._store), field, Schema((field,), scenes, scenes_per_shard))
-        # A field that is not sharded is one chunk: it is encoded once, when all of it is there.
-        together = min(scenes, max(1, WAITING_BYTES // field.bytes_per_scene)) if field.sharded else scenes
-        self._waiting = np.full((together, *field.shape), fill_of(field), np.dtype(field.dtype).newbyteorder("<"))
-        self._fill, self._key = fill_of(field), shard_file(field, 0).removeprefix(f"{GROUP}/")
-
-    def add(self, row: int, value: NDArray[np.generic]) -> None:
-        """Scene `row` of the shard, in ascending order. A scene that is never given has the fill value."""
-        while row >= self._first + len(self._waiting):
-            self._encode()
-        self._waiting[row - self._first] = value
-
-    def content(self) -> bytes:
-        """The file's content, when all scenes are given."""
-        while self._first < self._scenes:
-            self._encode()
-        return self._store._store_dict[self._key].to_bytes()
-
-    def _encode(self) -> None:
-        stop = min(self._first + len(self._waiting), self._scenes)
-        self._array[self._first : stop] = self._waiting[: stop - self._first]
-        self._waiting[...] = self._fill
-        self._first = stop
+    store = MemoryStore()
+    array = _create(zarr.create_group(store), field, Schema((field,), len(values), scenes_per_shard))
+    array[...] = values
+    return store._store_dict[shard_file(field, 0).removeprefix(f"{GROUP}/")].to_bytes()
 
 
 def _create(group: zarr.Group, field: Field, schema: Schema) -> zarr.Array[Any]:

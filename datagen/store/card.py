@@ -29,12 +29,12 @@ _TAGS = ["non-line-of-sight", "single-photon", "transient-imaging"]
 
 
 def write_card(root: Path, manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | None = None) -> None:
-    """Write the card; it says how much of the dataset is there."""
+    """Write the card. Of a dataset that is not complete it says how much is there."""
     write_if_changed(root / CARD, card(manifest, records, table).encode())
 
 
 def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | None = None) -> str:
-    """The card's text, from the manifest and the commit records alone: no date, no timing, no claim beyond them."""
+    """The text of the card. It follows from the manifest and the commit records alone: no date, no timing."""
     schema, config = manifest.schema, manifest.config
     failures = {scene: reason for record in records for scene, reason in record.failures.items()}
     stored = sum(file.bytes for record in records for file in record.files.values())
@@ -128,7 +128,7 @@ def _origin_lines(manifest: Manifest) -> list[str]:
 
 
 def _made_lines(manifest: Manifest) -> list[str]:
-    """The origin of the scenes: a seed, or the files that were imported."""
+    """Lines that name the origin of the scenes: a seed, or the files that were imported."""
     files = manifest.imported
     if not files:
         return [f"- seed {manifest.seed}; each scene depends on (seed, scene index) only"]
@@ -146,7 +146,7 @@ def _option(value: Any) -> str:
 
 
 def _front_matter(manifest: Manifest, whole: bool) -> list[str]:
-    """The YAML header that the Hugging Face Hub reads: its viewer then shows the rows of the table."""
+    """The YAML header that the Hugging Face Hub reads. It names the table, whose rows the Hub's viewer shows."""
     scenes, terms = manifest.schema.scenes, manifest.config.get("license", "")
     size = next((name for most, name in _SIZES if scenes < most), "n>1M")
     tags = [*_TAGS] if manifest.imported else [*_TAGS, "synthetic"]
@@ -160,7 +160,7 @@ def _front_matter(manifest: Manifest, whole: bool) -> list[str]:
 
 
 def readable(size: float) -> str:
-    """A number of bytes for people: `12.3 MB`."""
+    """A number of bytes as text: `12.3 MB`."""
     power = min(int(math.log(max(size, 1.0), 1000)), 4)
     return f"{size / 1000**power:.{3 if power else 12}g} {('bytes', 'kB', 'MB', 'GB', 'TB')[power]}"
 

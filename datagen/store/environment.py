@@ -1,4 +1,4 @@
-"""The environment that a dataset is made in: versions, commit, hardware."""
+"""The environment that a dataset is made in: versions of libraries, commit of the code, hardware."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ LIBRARIES = (
     "numpy", "scipy", "numba", "llvmlite", "embreex", "trimesh", "zarr", "numcodecs", "pydantic", "pyarrow",
 )  # fmt: skip
 """The libraries whose versions can change a dataset's bytes."""
+SYSTEM = f"{platform.system()} {platform.machine()}"
 
 
 @functools.cache
 def environment() -> dict[str, str]:
-    """Versions of what computes and writes."""
+    """Name → version, of datagen, Python and `LIBRARIES`."""
     versions = {"datagen": __version__, "python": platform.python_version()}
     for name in LIBRARIES:
         try:
@@ -32,16 +33,16 @@ def environment() -> dict[str, str]:
 
 @functools.cache
 def made_with() -> dict[str, str]:
-    """The environment as a shard's record states it: versions, architecture, processor, system, commit."""
+    """The environment that a shard's record states: versions, architecture, processor, system, commit."""
     versions = environment() | {"machine": platform.machine(), "processor": processor()}
-    return versions | {"system": _system(), "commit": commit() or "unknown"}
+    return versions | {"system": SYSTEM, "commit": commit() or "unknown"}
 
 
 def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
-    """Differences of several environments that may make other bytes of the same seed: `numpy 2.3.1 and 2.4.6`.
+    """Differences between environments that may give other bytes for the same seed: `numpy 2.3.1 and 2.4.6`.
 
-    Not datagen's own version, which raises the schema version when it does, nor the processor of one architecture,
-    nor what an older record lacks.
+    The version of datagen is no such difference (the schema version is raised when its bytes change), nor is the
+    processor within one architecture, nor an entry that an older record lacks.
     """
     found = []
     for name in ("python", *LIBRARIES, "machine"):
@@ -53,8 +54,8 @@ def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
 
 
 def together(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
-    """The environment of a shard whose scenes were made in two: values that differ are joined by "and", which `mixed`
-    takes apart again."""
+    """The environment of a shard whose scenes were made in two environments. Values that differ are joined by "and";
+    `mixed` takes them apart again."""
     both = {name: f"{old[name]} and {value}" for name, value in new.items() if old.get(name, value) != value}
     return {**old, **new, **both}
 
@@ -62,11 +63,7 @@ def together(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
 @functools.cache
 def hardware() -> dict[str, str | int]:
     """The machine: processor, cores that this process may use, system."""
-    return {"processor": processor(), "cores": cores(), "system": _system()}
-
-
-def _system() -> str:
-    return f"{platform.system()} {platform.machine()}"
+    return {"processor": processor(), "cores": cores(), "system": SYSTEM}
 
 
 def cores() -> int:
@@ -90,16 +87,12 @@ def commit() -> str | None:
     folder = Path(__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return None
-    try:
-        head = _git(folder, "rev-parse", "HEAD")
-        changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return head + ("+changes" if changed else "")
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    done = subprocess.run(
-        ["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True, timeout=10
-    )
-    return done.stdout.strip()
+    answers = []
+    for question in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"]):
+        command = ["git", "-C", str(folder), *question]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10)
+        except (OSError, subprocess.SubprocessError):
+            return None
+        answers.append(done.stdout.strip())
+    return answers[0] + ("+changes" if answers[1] else "")

@@ -1,9 +1,10 @@
-"""Files that are either wholly there or not at all, that know when they were changed, and that are what they seem."""
+"""Files that are wholly there or not at all, checksums that tell whether a file has changed, and safe reading."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import hashlib
 import json
 import math
@@ -35,7 +36,8 @@ T = TypeVar("T")
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write beside `path`, fsync, rename: a reader sees the old content or the new one, whenever we are killed."""
+    """Write beside `path`, fsync, rename: a reader sees the old content or the new one, whenever this process
+    dies."""
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
     try:
         with _new_locked(partial) as file:
@@ -46,13 +48,19 @@ def write_atomically(path: Path, content: bytes) -> None:
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
-    sync_folder(path.parent)
+    # Without this a renamed file may lose its name in a power cut. Not all file systems can sync a folder.
+    with contextlib.suppress(OSError):
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _new_locked(partial: Path) -> BinaryIO:
-    """A new file, locked, so that `clear_partials` of another build sees that it is in use and leaves it alone."""
+    """A new file, locked: `clear_partials` of another build then leaves it alone."""
     while True:
-        # Whatever stands there, such as a link to somewhere else, is not written through.
+        # A link to somewhere else may stand there, and must not be written through.
         partial.unlink(missing_ok=True)
         file = partial.open("xb")
         if locked(file.fileno(), otherwise=True) and os.fstat(file.fileno()).st_nlink > 0:
@@ -95,15 +103,14 @@ def holds(path: Location, content: bytes) -> bool:
 
 
 def json_bytes(value: Any) -> bytes:
-    """JSON as every file of a dataset holds it: keys in the order given, floats that round-trip, a final newline.
-
-    Records are written as mappings of their fields.
+    """JSON as the files of a dataset hold it: keys in the order given, floats that round-trip, a final newline. A
+    dataclass is written as a mapping of its fields.
     """
     return (json.dumps(value, indent=2, ensure_ascii=False, default=vars) + "\n").encode()
 
 
 def finite(value: Any) -> Any:
-    """Nested mappings, lists and tuples with None in place of NaN and infinities, which JSON has not."""
+    """The value with None in place of every NaN and infinity, which JSON cannot hold."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -118,8 +125,8 @@ def sealed(values: dict[str, Any]) -> bytes:
 
 
 def is_intact(content: bytes, must_be_sealed: bool) -> bool:
-    """Whether a file's content matches the checksum at its end; content without one is intact unless it must have
-    one."""
+    """Whether a file's content matches the checksum at its end. Without a checksum it is intact unless
+    `must_be_sealed`."""
     seal = _SEAL.search(content, max(0, len(content) - 100))
     if seal is None:
         return not must_be_sealed
@@ -127,7 +134,7 @@ def is_intact(content: bytes, must_be_sealed: bool) -> bool:
 
 
 def read_whole(path: Location) -> bytes:
-    """The content of a JSON file of a dataset; raises `InputError` for none, an endless or a huge one."""
+    """The content of a JSON file of a dataset; raises `InputError` where there is none, or one without end."""
     content = read_if_there(path)
     if content is None:
         raise InputError(f"{path}: missing, or not a plain file")
@@ -153,13 +160,20 @@ def read_if_there(path: Location) -> bytes | None:
 
 def read_json(path: Location) -> Any:
     """The value a JSON file holds; raises `InputError` naming the file when it is no JSON."""
-    return parsed(path, read_whole(path), pydantic.TypeAdapter(Any))
+    return parsed(path, read_whole(path), Any)
 
 
-def parsed(path: Location, content: bytes, kind: pydantic.TypeAdapter[T]) -> T:
-    """The JSON `content` of a file as what it must describe; raises `InputError`, one line, for anything else."""
+@functools.cache
+def _adapter(kind: Any) -> pydantic.TypeAdapter[Any]:
+    """The validator of a type, which takes pydantic some milliseconds to make."""
+    return pydantic.TypeAdapter(kind)
+
+
+def parsed(path: Location, content: bytes, kind: type[T]) -> T:
+    """The JSON `content` of a file as a value of type `kind`; raises `InputError`, one line, for anything else."""
     try:
-        return kind.validate_json(content, strict=True)
+        value: T = _adapter(kind).validate_json(content, strict=True)  # type: ignore[arg-type]
+        return value
     except pydantic.ValidationError as error:
         first = error.errors(include_url=False, include_input=False, include_context=False)[0]
         where = ".".join(map(str, first["loc"]))
@@ -179,16 +193,6 @@ def own_path(root: Path, name: str) -> Path:
     return path
 
 
-def sync_folder(path: Path) -> None:
-    """Sync a folder, so that renamed files keep their names after a power cut; not all file systems can."""
-    with contextlib.suppress(OSError):
-        handle = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
 def sha256_of(path: Location) -> str:
     """Hex SHA-256 of a file's bytes."""
     with sized_chunks(path) as (_, chunks):
@@ -203,9 +207,11 @@ def _sha256(chunks: Iterable[bytes]) -> str:
 
 
 def difference(path: Location, sha256: str | None, due_bytes: int | None = None) -> str | None:
-    """How a file differs from what was written (its SHA-256, and its size where that is known), or None if it does
-    not. Without `sha256` only its size is looked at. A file of another size is not read, nor one of unknown size that
-    is larger than a JSON file can be.
+    """A sentence on how a file differs from what was written, or None if it does not differ.
+
+    sha256 : of what was written; without it only the size is compared.
+    due_bytes : size of what was written. A file of another size is not read; without `due_bytes` none is read that is
+        larger than a JSON file can be.
     """
     try:
         if sha256 is None:

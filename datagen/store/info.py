@@ -1,12 +1,13 @@
-"""The text of `datagen info`: what a dataset holds and how its build went."""
+"""The text of `datagen info`: the fields of a dataset, its accuracy and decisions, and the seconds of its build."""
 
 from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 
 from datagen.errors import InputError, printable
+from datagen.records import Scalar
 from datagen.store.card import readable
 from datagen.store.environment import mixed
 from datagen.store.location import Location, location_of
@@ -15,6 +16,9 @@ from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.summaries import evidence_by_kind, evidence_lines, label_place_line, placed_anew_lines
 from datagen.store.verify import committed
 
+Parameters = Sequence[Mapping[str, Scalar]]
+"""The parameters of each scene that could be made."""
+
 STAGES = (
     "read", "scene", "effects", "transport", "detector", "background", "evidence", "presence", "labels", "store",
 )  # fmt: skip
@@ -22,7 +26,8 @@ STAGES = (
 
 
 def info(path: str | Location) -> str:
-    """What, shapes, sizes, seconds per scene by stage, scenes per second, decisions. Hashes are left to `verify`.
+    """A description of a dataset for people: shapes, sizes, seconds per scene by stage, errors, decisions. No hash is
+    compared; `verify` does that.
 
     Raises `InputError` when the folder is no dataset, or its records hold what datagen does not write.
     """
@@ -36,45 +41,53 @@ def info(path: str | Location) -> str:
 
 
 def _description(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
-    schema, config = manifest.schema, manifest.config
-    scenes = sum(len(record.scenes) for record in records)
-    stored = {field.name: 0 for field in schema.fields}
-    for record in records:
-        for name, file in record.files.items():
-            stored[name.split("/")[1]] += file.bytes
-    lines = [f"{config['name']}: {config['description']}".rstrip(": "), ""]
-    whole = len(records) == schema.shards
-    lines += [
-        f"scenes       {scenes} of {schema.scenes}{'' if whole else ' (incomplete: build again to go on)'}",
+    made = [scene.parameters for scene in scenes_made(records)]
+    place = label_place_line(made)
+    failures = {scene: reason for record in records for scene, reason in record.failures.items()}
+    shown = [f"  scene {scene}: {reason}" for scene, reason in sorted(failures.items())[:10]]
+    sections = [
+        [f"{manifest.config['name']}: {manifest.config['description']}".rstrip(": ")],
+        _origin(manifest, records), _fields(manifest, records), [place] if place else [], _times(records),
+        _accuracy(made), _evidence(made), _decisions(made), _effects(made),
+        [f"{len(failures)} scenes could not be made", *shown] if failures else [],
+    ]  # fmt: skip
+    return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def _origin(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
+    """How much of the dataset is there, and what it was made of and with."""
+    schema, files = manifest.schema, manifest.imported
+    whole = "" if len(records) == schema.shards else " (incomplete: build again to go on)"
+    lines = [
+        f"scenes       {sum(len(record.scenes) for record in records)} of {schema.scenes}{whole}",
         f"shards       {len(records)} of {schema.shards}, {schema.scenes_per_shard} scenes each",
         f"seed         {manifest.seed}",
         f"fingerprint  {manifest.fingerprint[:12]}",
         f"made by      datagen {manifest.versions['datagen']}, schema {manifest.schema_version}, commit "
         f"{(manifest.commit or 'unknown')[:12]}, on {manifest.hardware['processor']}, "
         f"{manifest.hardware['cores']} cores",
-        *_imported(manifest),
-        *(f"mixed        shards differ in {what}" for what in mixed([record.environment for record in records])),
-        "",
-        f"{'field':22}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit",
     ]
-    for field in schema.fields:
-        shape = " × ".join(map(str, (schema.scenes, *field.shape)))
-        decoded = readable(scenes * field.bytes_per_scene)
-        lines.append(
-            f"{field.name:22}{shape:26}{field.dtype:9}{decoded:>10}{readable(stored[field.name]):>10}  {field.unit}"
-        )
-    lines += [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
-    parts = (_label_place, _times, _accuracy, _evidence, _decisions, _effects, _failures)
-    return "\n".join([*lines, "", *(line for part in parts for line in part(records))])
-
-
-def _imported(manifest: Manifest) -> Iterator[str]:
-    """The files that captures were imported from; nothing for simulated ones."""
-    files = manifest.imported
     if files:
         kinds = ", ".join(dict.fromkeys(of.format for of in files))
         names = ", ".join(of.name for of in files[:3])
-        yield f"imported     from {len(files)} files ({kinds}): {names}{', …' if len(files) > 3 else ''}"
+        lines.append(f"imported     from {len(files)} files ({kinds}): {names}{', …' if len(files) > 3 else ''}")
+    differences = mixed([record.environment for record in records])
+    return lines + [f"mixed        shards differ in {difference}" for difference in differences]
+
+
+def _fields(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
+    """A line for each field, and the classes that its numbers stand for."""
+    schema, scenes = manifest.schema, sum(len(record.scenes) for record in records)
+    stored = Counter[str]()
+    for record in records:
+        for name, file in record.files.items():
+            stored[name.split("/")[1]] += file.bytes
+    lines = [f"{'field':22}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit"]
+    for field in schema.fields:
+        shape = " × ".join(map(str, (schema.scenes, *field.shape)))
+        sizes = f"{readable(scenes * field.bytes_per_scene):>10}{readable(stored[field.name]):>10}"
+        lines.append(f"{field.name:22}{shape:26}{field.dtype:9}{sizes}  {field.unit}")
+    return lines + [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
 
 
 def scenes_made(records: Sequence[ShardRecord]) -> list[SceneRecord]:
@@ -91,28 +104,20 @@ def seconds_by_stage(records: Sequence[ShardRecord]) -> dict[str, float]:
     return {stage: statistics.median(values) for stage, values in taken.items() if values}
 
 
-def _label_place(records: Sequence[ShardRecord]) -> Iterator[str]:
-    """The position of label images beside the scan."""
-    line = label_place_line(scene.parameters for scene in scenes_made(records))
-    if line:
-        yield from (line, "")
-
-
-def _times(records: Sequence[ShardRecord]) -> Iterator[str]:
+def _times(records: Sequence[ShardRecord]) -> list[str]:
+    """Seconds by stage, and scenes per second while a shard was being made: interruptions do not count."""
     made = scenes_made(records)
     if not made:
-        return
-    yield "seconds per scene (median; store: shard's share)"
-    for stage, taken_s in seconds_by_stage(records).items():
-        yield f"  {stage:11}{taken_s:9.4f}"
+        return []
+    stages = [f"  {stage:11}{taken_s:9.4f}" for stage, taken_s in seconds_by_stage(records).items()]
     working = _covered([(record.started, record.finished) for record in records])
     at_once = sum(record.finished - record.started for record in records) / working if working > 0 else 0.0
-    yield f"{len(made) / max(working, 1e-9):.2f} scenes/s, with {at_once:.1f} shards under way at a time"
-    yield ""
+    rate = f"{len(made) / max(working, 1e-9):.2f} scenes/s, with {at_once:.1f} shards under way at a time"
+    return ["seconds per scene (median; store: shard's share)", *stages, rate]
 
 
 def _covered(intervals: list[tuple[float, float]]) -> float:
-    """The length of the union of intervals: time when something was being made, interruptions left out."""
+    """The length of the union of intervals."""
     total, reached = 0.0, float("-inf")
     for start, stop in sorted(intervals):
         total += max(0.0, stop - max(start, reached))
@@ -120,16 +125,17 @@ def _covered(intervals: list[tuple[float, float]]) -> float:
     return total
 
 
-def _accuracy(records: Sequence[ShardRecord]) -> Iterator[str]:
-    """The transients' relative L2 errors, whether their target was met, and where the work went."""
-    made = [scene.parameters for scene in scenes_made(records)]
+def _accuracy(made: Parameters) -> list[str]:
+    """The transients' relative L2 errors, in how many scenes their target was met, and the costs of the transport."""
     errors = [float(of["transient.relative_error"]) for of in made if "transient.relative_error" in of]
     if not errors:
-        return
-    yield f"relative error of the transients: median {statistics.median(errors):.4f}, largest {max(errors):.4f}"
+        return []
+    lines = [f"relative error of the transients: median {statistics.median(errors):.4f}, largest {max(errors):.4f}"]
     targeted = [bool(of["transient.target_met"]) for of in made if "transient.target_met" in of]
     if targeted:
-        yield f"  target met in {sum(targeted)} of {len(targeted)} scenes (upper bounds of the error, at 95 %)"
+        lines.append(
+            f"  target met in {sum(targeted)} of {len(targeted)} scenes (upper bounds of the error, at 95 %)"
+        )
     shares: dict[str, list[float]] = {}
     for of in made:
         for name, value in of.items():
@@ -137,40 +143,35 @@ def _accuracy(records: Sequence[ShardRecord]) -> Iterator[str]:
                 shares.setdefault(name.split(".")[2], []).append(float(value))
     if shares:
         parts = (f"{name} {statistics.median(values):.0%}" for name, values in shares.items())
-        yield "  share of the transport's cost (median): " + ", ".join(parts)
-    yield ""
+        lines.append("  share of the transport's cost (median): " + ", ".join(parts))
+    return lines
 
 
-def _evidence(records: Sequence[ShardRecord]) -> Iterator[str]:
-    """The significance of objects against the noise."""
-    made = [scene.parameters for scene in scenes_made(records)]
+def _evidence(made: Parameters) -> list[str]:
+    """The significance of objects against the noise, kind by kind."""
     lines = [*evidence_lines(evidence_by_kind(made)), *placed_anew_lines(made)]
-    if lines:
-        yield "evidence of objects (significance of an ideal matched filter)"
-        yield from (f"  {line}" for line in lines)
-        yield ""
+    head = ["evidence of objects (significance of an ideal matched filter)"]
+    return head + [f"  {line}" for line in lines] if lines else []
 
 
-def _decisions(records: Sequence[ShardRecord]) -> Iterator[str]:
-    """Decisions by name: how many scenes have each value of the parameters `decision.*`."""
+def _decisions(made: Parameters) -> list[str]:
+    """For each parameter `decision.*` the number of scenes that have each of its values."""
     counted: dict[str, Counter[str]] = {}
-    for scene in (scene for record in records for scene in record.scenes):
-        for name, value in scene.parameters.items():
+    for of in made:
+        for name, value in of.items():
             if name.startswith("decision."):
                 counted.setdefault(name.removeprefix("decision."), Counter())[str(value)] += 1
-    if counted:
-        yield "decisions (scenes)"
-        for name, values in counted.items():
-            yield f"  {name:18}" + ", ".join(f"{value} ({count})" for value, count in sorted(values.items()))
-        yield ""
+    lines = [
+        f"  {name:18}" + ", ".join(f"{value} ({count})" for value, count in sorted(values.items()))
+        for name, values in counted.items()
+    ]
+    return ["decisions (scenes)", *lines] if lines else []
 
 
-def _effects(records: Sequence[ShardRecord]) -> Iterator[str]:
-    """Effects by name: in how many scenes each was simulated or left out, and the range of its estimates."""
-    made = [scene.parameters for scene in scenes_made(records)]
-    names = dict.fromkeys(name.split(".")[1] for of in made for name in of if name.startswith("effect."))
+def _effects(made: Parameters) -> list[str]:
+    """For each effect the number of scenes in which it was simulated or left out, and the range of its estimates."""
     lines = []
-    for name in names:
+    for name in dict.fromkeys(name.split(".")[1] for of in made for name in of if name.startswith("effect.")):
         there = [of for of in made if of.get(f"effect.{name}.kind", "absent") != "absent"]
         if not there:
             continue
@@ -178,15 +179,5 @@ def _effects(records: Sequence[ShardRecord]) -> Iterator[str]:
         estimates = [float(of[f"effect.{name}.estimate"]) for of in there if f"effect.{name}.estimate" in of]
         span = f"{min(estimates):9.2g} … {max(estimates):.2g}" if estimates else ""
         lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}  {span}".rstrip())
-    if lines:
-        yield f"{'effects (scenes)':27}{'simulated':>9}{'left out':>10}    leaving out changes the answer by ≤"
-        yield from lines
-        yield ""
-
-
-def _failures(records: Sequence[ShardRecord]) -> Iterator[str]:
-    failures = {scene: reason for record in records for scene, reason in record.failures.items()}
-    if failures:
-        yield f"{len(failures)} scenes could not be made"
-        for scene, reason in sorted(failures.items())[:10]:
-            yield f"  scene {scene}: {reason}"
+    head = f"{'effects (scenes)':27}{'simulated':>9}{'left out':>10}    leaving out changes the answer by ≤"
+    return [head, *lines] if lines else []

@@ -1,6 +1,6 @@
-"""Where a dataset lies, a local folder or below a prefix of an object store (`s3://bucket/name`), and reading there.
+"""The place of a dataset, a local folder or a prefix of an object store (`s3://bucket/name`), and reading from it.
 
-A `Bucket` has those methods of a `pathlib.Path` that reading needs, so that there is one way of reading. Credentials,
+A `Bucket` has the methods of a `pathlib.Path` that reading needs, so all readers take either. Credentials,
 region and endpoint come from the environment alone (`AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`,
 `AWS_ENDPOINT_URL` …).
 """
@@ -52,7 +52,7 @@ class Bucket:
         return self.key.name
 
     def resolve(self) -> Bucket:
-        """Itself: there are no links."""
+        """The bucket itself: an object store has no links."""
         return self
 
     def is_file(self) -> bool:
@@ -71,21 +71,21 @@ class Bucket:
         return int(self._request("head", str(self.key))["size"])
 
     def read_bytes(self) -> bytes:
-        """All of it; raises `FileNotFoundError`."""
+        """The content of the object; raises `FileNotFoundError`."""
         return b"".join(self.chunks()[1])
 
     def chunks(self) -> tuple[int, Iterator[bytes]]:
-        """Its size in bytes, and its content piece by piece, for one request; raises `FileNotFoundError`."""
+        """Size in bytes and content piece by piece, for one request; raises `FileNotFoundError`."""
         answer = self._request("get", str(self.key))
         return int(answer.meta["size"]), (bytes(piece) for piece in self._guarded(answer))
 
     def open(self, mode: str = "rb") -> io.BytesIO:
-        """All of it, as a file."""
+        """The content of the object as a file."""
         assert mode == "rb"
         return io.BytesIO(self.read_bytes())
 
     def read_range(self, offset: int, size: int) -> bytes:
-        """`size` bytes that begin at `offset`."""
+        """`size` bytes of the object that begin at `offset`."""
         return bytes(self._request("get_range", str(self.key), start=offset, length=size)) if size > 0 else b""
 
     def glob(self, pattern: str) -> Iterator[Bucket]:
@@ -111,7 +111,7 @@ class Bucket:
             yield from (PurePosixPath(entry["path"]) for entry in batch)
 
     def _guarded(self, answer: Any) -> Iterator[Any]:
-        """What an answer yields; an error in the middle of it becomes one line for the user."""
+        """The items of an answer; an error in the middle of it becomes one line for the user."""
         try:
             yield from answer
         except Exception as error:

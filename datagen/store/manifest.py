@@ -1,11 +1,11 @@
-"""`dataset.json`: what a dataset is. It is the first file of a dataset, and says which folder is one."""
+"""`dataset.json`, the manifest: configuration, fields and origin of a dataset. A folder that holds one is a
+dataset."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,6 +18,7 @@ from datagen.config.scene_contents import Mesh
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 from datagen.records import TimeAxis
+from datagen.records.checks import shown
 from datagen.store.arrays import COORDINATES, GROUP, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_if_there, sealed
@@ -63,7 +64,8 @@ class Manifest:
     meshes : mesh file → digest of its bytes.
     mesh_folder : where relative mesh paths start; None when there are none, so that no machine's paths are stored.
     metadata : `zarr.json` files, and those of coordinates → SHA-256.
-    stats : of a complete dataset: split → field → `mean`, `std` and `nonzero` of its values (`stats_of`).
+    stats : split → field → `mean`, `std` and `nonzero` of its values (`stats_of`); None before the dataset is
+        complete.
     """
 
     config: dict[str, Any]
@@ -90,7 +92,7 @@ class Manifest:
 
     @property
     def imported(self) -> tuple[ImportedFile, ...]:
-        """The files that its captures were imported from; none where they were simulated.
+        """The files that the captures were imported from; empty where they were simulated.
 
         Raises `InputError` for what an import does not write.
         """
@@ -170,8 +172,8 @@ def mesh_folder(config: DatasetConfig) -> str | None:
 
 
 def read_manifest(root: str | Location) -> Manifest:
-    """Read `dataset.json`, of any schema version so far. It may come from anywhere: names, sizes and types in it are
-    such as datagen writes, or it is refused; settings are looked at by `Manifest.parsed_config`.
+    """The manifest of a dataset of any schema version. The file may come from anywhere: names, sizes and types that
+    datagen does not write are refused. `Manifest.parsed_config` checks the settings.
 
     Raises `InputError` when the folder is no dataset or one of a later schema version, and `DamagedManifest`.
     """
@@ -189,7 +191,7 @@ def read_manifest(root: str | Location) -> Manifest:
     try:
         if not is_intact(content, must_be_sealed=False):
             raise InputError(f"{path}: has changed since it was written (its checksum differs)")
-        stated = parsed(path, content, _mapping_kind())
+        stated = parsed(path, content, dict[str, Any])
     except InputError as error:
         raise DamagedManifest(f"{error}; {REMEDY}") from None
     version = stated.get("schema_version")
@@ -199,13 +201,13 @@ def read_manifest(root: str | Location) -> Manifest:
         )
     if not isinstance(version, int) or version not in SCHEMA_VERSIONS:
         raise InputError(
-            f"{path}: schema_version = {_shortened(version)}, this datagen reads 1 … {SCHEMA_VERSION}; "
+            f"{path}: schema_version = {shown(version)}, this datagen reads 1 … {SCHEMA_VERSION}; "
             "use the version of datagen that made it"
         )
     if not is_intact(content, must_be_sealed=version >= CHECKSUMS_SINCE):
         raise DamagedManifest(f"{path}: has lost its checksum; {REMEDY}")
     try:
-        return _manifest_of(parsed(path, content, _file_kind()), stated)
+        return _manifest_of(parsed(path, content, _File), stated)
     except InputError as error:
         raise DamagedManifest(f"{path}: damaged: {str(error).removeprefix(f'{path}: ')}; {REMEDY}") from None
 
@@ -254,7 +256,7 @@ class _Config:
 
 @dataclass(frozen=True)
 class _File:
-    """`dataset.json`, as far as anything is done with it."""
+    """The keys of `dataset.json` that are used."""
 
     scenes: Annotated[int, pydantic.Field(ge=1, le=MOST_SCENES)]
     scenes_per_shard: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256]
@@ -268,16 +270,6 @@ class _File:
     commit: str | None
     hardware: dict[str, str | int]
     stats: dict[str, dict[str, FieldStats]] | None = None
-
-
-@cache
-def _file_kind() -> pydantic.TypeAdapter[_File]:
-    return pydantic.TypeAdapter(_File)
-
-
-@cache
-def _mapping_kind() -> pydantic.TypeAdapter[dict[str, Any]]:
-    return pydantic.TypeAdapter(dict[str, Any])
 
 
 def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:
@@ -298,17 +290,10 @@ def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:
     due = {f"{GROUP}/zarr.json", *(f"{GROUP}/{field.name}/zarr.json" for field in fields)}
     if set(file.metadata) != due | set(COORDINATES if stated["schema_version"] >= COORDINATES_SINCE else ()):
         raise InputError("metadata: other files than its fields have")
-    if (
-        not {"datagen", "pyarrow"} <= file.versions.keys()
-        or not {"processor", "cores", "system"} <= file.hardware.keys()
-    ):
+    stated_by = file.versions.keys() | file.hardware.keys()
+    if not {"datagen", "pyarrow", "processor", "cores", "system"} <= stated_by:
         raise InputError("versions, hardware: incomplete")
     return Manifest(schema=schema, **{"stats": None} | {key: stated[key] for key in _KEPT if key in stated})
-
-
-def _shortened(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _field_row(field: Field, schema: Schema) -> dict[str, Any]:

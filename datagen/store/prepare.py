@@ -30,7 +30,8 @@ WHEN_COMPLETE = ("samples.parquet", "croissant.json")
 
 
 def is_fresh(root: Path) -> bool:
-    """Whether nothing is there yet: no folder, an empty one, or one where a build died over its very first file."""
+    """Whether a build starts anew: there is no folder, an empty one, or one where a build died over its first
+    file."""
     if not root.exists():
         return True
     return root.is_dir() and all(
@@ -39,7 +40,7 @@ def is_fresh(root: Path) -> bool:
 
 
 def planned(root: Path, config: DatasetConfig) -> Manifest:
-    """The manifest that `prepare` would write. Touches nothing.
+    """The manifest that `prepare` would write; no file is changed.
 
     A dataset may grow (more `scenes`); nothing else of its content may change. One whose `dataset.json` is missing or
     damaged is taken up when its shards were made with this configuration.

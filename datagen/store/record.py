@@ -1,6 +1,6 @@
-"""The commit record of a shard, `build/shard-000123.json`: its files' hashes, and of every scene the digests of the
-decoded values, the parameters and the seconds. Its presence is what says that the shard is there. It ends in a
-checksum of its own: nothing is believed of a record that fails it.
+"""The commit record of a shard, `build/shard-000123.json`: hashes of its files, and for each scene the digests of the
+decoded values, the parameters and the seconds. A shard is there when its record is. The record ends in a checksum of
+its own; one that fails it is not used.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -52,7 +51,7 @@ class FileRecord:
 
 @dataclass(frozen=True)
 class ShardRecord:
-    """What is known of a committed shard.
+    """A committed shard: its files, its scenes, and what made it.
 
     Attributes
     ----------
@@ -110,7 +109,7 @@ class ShardRecord:
 
 
 def record_path(root: AnyLocation, shard: int) -> AnyLocation:
-    """The commit record's file."""
+    """Path of a shard's commit record."""
     return root / _record_name(shard)
 
 
@@ -119,7 +118,7 @@ def _record_name(shard: int) -> str:
 
 
 def running_path(root: Path, shard: int) -> Path:
-    """Locked by the worker that writes the shard; holds the scene it is at."""
+    """Path of the file that the writer of a shard locks; it holds the number of the scene that is being made."""
     return root / BUILD / f"shard-{shard:06d}.running"
 
 
@@ -135,17 +134,12 @@ def read_record(root: Location, shard: int, must_be_sealed: bool) -> ShardRecord
             return None
         if not is_intact(content, must_be_sealed):
             raise InputError(f"{path}: has changed since it was written (its checksum differs)")
-        record = parsed(path, content, _kind())
+        record = parsed(path, content, ShardRecord)
         if record.shard != shard or not {"store", "total"} <= set(record.seconds):
             raise InputError(f"{path}: is not the record of shard {shard}")
     except InputError as error:
         raise CheckError(f"{error}; run the same `datagen build` again to make shard {shard} anew") from None
     return record
-
-
-@cache
-def _kind() -> pydantic.TypeAdapter[ShardRecord]:
-    return pydantic.TypeAdapter(ShardRecord)
 
 
 def recorded_shards(root: Location) -> list[int]:

@@ -1,4 +1,4 @@
-"""Everything that a dataset holds of one scene."""
+"""Single scenes of a dataset with all their fields and parameters."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""The schema of a dataset, from its configuration alone: fields, shapes, units, and division into chunks and shards.
+"""The schema of a dataset: fields, shapes, units, and the division into chunks and shards.
 
-Every shape is known before the first scene: a scene of `L` laser points, `P` pixels for each (1 when confocal) and
-`T` bins gives histograms of (L, P, T), and label images have the configured rows and columns.
+It follows from the configuration alone, so every shape is known before the first scene: a scene of `L` laser points,
+`P` pixels for each (1 when confocal) and `T` bins gives histograms of (L, P, T), and label images have the
+configured rows and columns.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One shard, written by one writer: stale files unlinked, fields written whole and synced, and the record last."""
+"""Writing one shard: stale files are unlinked, fields are written whole and synced, and the record comes last."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError, printable
 from datagen.records import Sample, Scalar
-from datagen.store.arrays import FieldOfShard, shard_file
+from datagen.store.arrays import fill_of, shard_content, shard_file
 from datagen.store.environment import made_with
 from datagen.store.files import PARTIAL, own_path, write_atomically
 from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, record_path
@@ -23,9 +23,9 @@ from datagen.store.schema import Field, Schema
 from datagen.store.stats import COUNTS, WITH_STATS, stats_of
 
 FINITE = ("transient", "background_transient", "depth", "normal", "albedo", "shaded", "sdf", "evidence")
-"""Fields that have no use for NaN and infinity."""
+"""Fields in which NaN and infinity are refused."""
 MOST_FILES = 8
-"""Written side by side."""
+"""Files written at the same time; with half as many a disk that takes long to sync is waited for twice as often."""
 
 
 def discard_shard(root: Path, schema: Schema, shard: int) -> None:
@@ -88,14 +88,18 @@ def write_shard(
     root: Path, schema: Schema, shard: int, fingerprint: str, samples: Iterable[tuple[int, Sample | str]],
     made_by: Mapping[str, str] | None = None,
 ) -> ShardRecord:  # fmt: skip
-    """Write one shard and commit it.
+    """Write one shard and commit it; returns its record.
 
     samples : (index, sample) for each scene of the shard in order, or (index, reason) for one that could not be made.
     made_by : what made them; left out: this process, now.
     """
     started, scenes = time.time(), schema.scenes_of(shard)
     discard_shard(root, schema, shard)
-    made = {field: FieldOfShard(field, len(scenes), schema.scenes_per_shard) for field in schema.fields}
+    # A scene that could not be made keeps the fill value.
+    made: dict[Field, NDArray[np.generic]] = {
+        field: np.full((len(scenes), *field.shape), fill_of(field), np.dtype(field.dtype).newbyteorder("<"))
+        for field in schema.fields
+    }
     records, store_s = list[SceneRecord](), 0.0
     for index, sample in samples:
         begun = time.perf_counter()
@@ -108,7 +112,9 @@ def write_shard(
         writing = {}
         for field in schema.fields:
             name = shard_file(field, shard)
-            writing[name] = pool.submit(_write_new, root / name, made.pop(field).content())
+            writing[name] = pool.submit(
+                _write_new, root / name, shard_content(field, made.pop(field), schema.scenes_per_shard)
+            )
         files = {name: future.result() for name, future in writing.items()}
     now = time.time()
     seconds = {"store": store_s + time.perf_counter() - begun, "total": now - started}
@@ -122,7 +128,7 @@ def write_shard(
 
 
 def _write_new(path: Path, content: bytes) -> FileRecord:
-    """Write a file, which must not be there, and have the disk hold it."""
+    """Write a new file and sync it; returns its hash and size."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("xb") as file:
         file.write(content)
@@ -131,7 +137,7 @@ def _write_new(path: Path, content: bytes) -> FileRecord:
     return FileRecord(hashlib.sha256(content).hexdigest(), len(content))
 
 
-def _keep(made: Mapping[Field, FieldOfShard], first: int, index: int, sample: Sample | str) -> SceneRecord:
+def _keep(made: Mapping[Field, NDArray[np.generic]], first: int, index: int, sample: Sample | str) -> SceneRecord:
     if isinstance(sample, str):
         return SceneRecord(index, failure=printable(sample))
     try:
@@ -139,11 +145,11 @@ def _keep(made: Mapping[Field, FieldOfShard], first: int, index: int, sample: Sa
         parameters = {name: _plain(name, value) for name, value in sample.parameters.items()}
         seconds = {name: _finite(name, value) for name, value in sample.seconds.items()}
     except Exception as error:
-        # Whatever a sample function gave that is no sample costs its scene, not the build.
+        # A value that is no sample costs its scene, not the build.
         reason = str(error) if isinstance(error, InputError) else f"not a sample: {type(error).__name__}: {error}"
         return SceneRecord(index, failure=printable(" ".join(reason.split())))
     for field, value in values.items():
-        made[field].add(index - first, value)
+        made[field][index - first] = value
     digests = {field.name: digest(field, value) for field, value in values.items()}
     stats = {field.name: stats_of(field.name, value) for field, value in values.items() if field.name in WITH_STATS}
     return SceneRecord(index, None, digests, parameters, seconds, stats)

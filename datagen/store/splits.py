@@ -1,4 +1,4 @@
-"""The split of each scene: by what it shows where the configuration holds that out, else by a fixed draw."""
+"""The split of each scene: one that the configuration holds out by what scenes show, or a fixed random draw."""
 
 from __future__ import annotations
 
@@ -44,15 +44,14 @@ def _held_out(parameters: Parameters, splits: SplitsConfig) -> str | None:
 
 
 def _room(parameters: Parameters) -> tuple[tuple[str, Scalar], ...]:
-    """The parameters that were drawn for the room, which tell it from others; all of them, where none is of a
-    room."""
+    """The parameters that were drawn for the room and tell it from others; all parameters where none is of a room."""
     own = tuple(item for item in parameters.items() if not item[0].startswith(NOT_OF_THE_ROOM))
     return tuple(sorted(own or parameters.items()))
 
 
 def _shares(scenes: int) -> NDArray[np.float64]:
-    """A random number in 0 … 1 for every scene, one of each ten in each tenth. The first are the same however many
-    scenes there are.
+    """(scenes,) random numbers in 0 … 1; of each ten in a row one lies in each tenth. A dataset that grows keeps
+    those of its first scenes.
     """
     blocks = -(-scenes // _BLOCK)
     drawn = np.random.Philox(seed_sequence(0, 0, Purpose.LOADER, part=2)).random_raw(blocks * 2 * _BLOCK)

@@ -1,6 +1,6 @@
-"""Mean and spread of what a network is fed: counts as log(1 + n), and labels; taken of each scene when written.
+"""Mean and spread of histograms, as log(1 + counts), and of labels, computed for each scene when it is written.
 
-The same bytes on any processor: sums are of integers, or exactly rounded.
+They are the same to the bit on any processor: sums are of integers, or exactly rounded.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
 
 
 def _sum(values: NDArray[np.float64]) -> float:
-    """The sum, the same in any order of summation: values are rounded to steps so fine that the sum of all just fits
-    into 62 bits, which is finer than doubles, so that the spread of values that hardly vary is right."""
+    """The sum of values, the same in any order of summation. Values are rounded to steps so fine that the sum just
+    fits into 62 bits: finer than doubles, so that the spread of values that hardly vary is right."""
     largest = float(np.abs(values).max(initial=0.0)) * max(values.size, 1)
     if not math.isfinite(largest):
         return largest

@@ -1,5 +1,5 @@
-"""Sentences about many scenes that `info`, the card, `plan` and `build` share: the evidence of objects by kind, how
-often objects were placed again, and where label images lie."""
+"""Sentences about many scenes that `info`, the card, `plan` and `build` share: the significance of objects (evidence)
+by kind, how often objects were placed again, and where label images lie."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LEAST = 3.0
 """Standard deviations under which a label cannot be learnt from the data. With half as many, one empty room in 15
 would look as if the object were there, instead of one in 700."""
 SHARE = 0.9
-"""Share of the objects that an advice brings over `LEAST`; half of it would leave every other object without."""
+"""Share of the objects that shall be over `LEAST` in an advice; with half, every other object would stay under."""
 NEAR = 5
 """The least number of objects from which a distance is stated; with half as many it is that of one lucky object."""
 PLACED_ANEW = "evidence.placed_anew"
@@ -117,8 +117,7 @@ def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
 
 
 def placed_anew_lines(scenes: Parameters) -> list[str]:
-    """In one line how many scenes had their objects placed again for the evidence that the configuration asks for;
-    no line where it asks for none."""
+    """One line on how many scenes had their objects placed again for `evidence_at_least`; none without that key."""
     times = [int(of[PLACED_ANEW]) for of in scenes if isinstance(of.get(PLACED_ANEW), int)]  # type: ignore[call-overload]
     if not times:
         return []
@@ -130,8 +129,8 @@ def placed_anew_lines(scenes: Parameters) -> list[str]:
 
 
 def label_place_line(scenes: Parameters) -> str:
-    """In one sentence where label images lie, seen from the scan; "" for datasets made before version 0.14, which do
-    not say."""
+    """One sentence on where label images lie, seen from the scan; "" for datasets made before version 0.14, which do
+    not state it."""
     shifts = []
     for of in scenes:
         right, up = (of.get(name) for name in SCAN_PLACE)

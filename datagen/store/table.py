@@ -1,4 +1,4 @@
-"""`samples.parquet`: one row a scene, made from the commit records when all of them are there."""
+"""`samples.parquet`: one row a scene, written from the commit records when all shards are there."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ _OWN = ("scene", "shard", "failure", "split")
 
 
 def table_of(records: Sequence[ShardRecord], fields: Sequence[str], splits: SplitsConfig | None = None) -> pa.Table:
-    """Columns: `scene`, `shard`, `failure` (null when there is none), `split` (with `splits`; null where there is a
-    failure), every parameter by its dotted name (null where a scene has none of that name), `stats.FIELD.QUANTITY`
-    and `sha256.FIELD`. No timings: the table depends on the configuration alone.
+    """The table, with the columns `scene`, `shard`, `failure` (null when there is none), `split` (with `splits`;
+    null where there is a failure), every parameter by its dotted name (null where a scene has none of that name),
+    `stats.FIELD.QUANTITY` and `sha256.FIELD`. No timings: the table depends on the configuration alone.
     """
     rows = [(record.shard, scene) for record in records for scene in record.scenes]
     rows.sort(key=lambda row: row[1].index)
@@ -94,7 +94,7 @@ def _short(row: dict[str, float]) -> dict[str, float]:
 
 
 def read_splits(root: Location, scenes: int, splits: SplitsConfig) -> list[str | None]:
-    """The split of every scene of a dataset as `splits` has it, from what the table says of the scenes."""
+    """The split of every scene by other `splits` than the stored ones, from the parameters in the table."""
     table = read_table(root, None, scenes)
     names = [name for name in table.column_names if name not in _OWN and not name.startswith(("sha256.", "stats."))]
     failed = table["failure"].is_valid().to_pylist()

@@ -1,8 +1,8 @@
 """A build into an object store: shards are made in a local folder and put there one by one, each record last.
 
-Whatever was interrupted is taken up, also on another machine: shards whose records are there are fetched, not made
-again. Nobody who reads believes a shard without its record, and nothing is complete without the table, which comes
-after all records. One build at a time may write there: object stores have no locks.
+A build that was interrupted is taken up, also on another machine: shards whose records are there are fetched, not
+made again. Readers use no shard without its record, and no dataset is complete without its table, which comes after
+all records. One build at a time may write there: object stores have no locks.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from datagen.store.record import ShardRecord, read_record, record_path, recorded
 
 
 def staging_of(bucket: Bucket) -> Path:
-    """The local folder of a build into an object store: below DATAGEN_STAGING, or the user's cache. Of use as long
-    as the build goes on; it may be deleted afterwards."""
+    """The local folder of a build into an object store: below DATAGEN_STAGING, or the user's cache. It may be deleted
+    when the build is done."""
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     below = os.environ.get("DATAGEN_STAGING") or Path(cache, "datagen", "staging")
     return Path(below, bucket.bucket, *bucket.key.parts)
 
 
 def fetch(root: Path, bucket: Bucket) -> None:
-    """Bring what an earlier build put there to its local folder, if that has it not.
+    """Copy the shards of an earlier build from the object store to the local folder, where that lacks them.
 
     Raises `InputError` when what lies there is no dataset, or another one than that of the folder.
     """
@@ -58,7 +58,7 @@ def fetch(root: Path, bucket: Bucket) -> None:
 
 
 def _fetch_shard(root: Path, bucket: Bucket, record: ShardRecord) -> None:
-    """Files first; whatever differs from the record is found by the build, and made again."""
+    """Copy one shard, its record last. A file that differs from the record is found by the build, and made again."""
     if record.problem(bucket, hashes=False) is not None:
         return
     for name in record.files:
@@ -70,7 +70,7 @@ def _fetch_shard(root: Path, bucket: Bucket, record: ShardRecord) -> None:
 
 
 def begin(root: Path, bucket: Bucket, manifest: Manifest) -> None:
-    """Put the manifest and the metadata of the arrays there, if they are not."""
+    """Upload the manifest and the metadata of the arrays, if they are not there."""
     if not _holds(bucket / MANIFEST, root / MANIFEST):
         # It grows, or is mended: what described it as complete goes before anything else changes.
         for name in WHEN_COMPLETE:
@@ -80,7 +80,7 @@ def begin(root: Path, bucket: Bucket, manifest: Manifest) -> None:
 
 
 def put_shard(root: Path, bucket: Bucket, record: ShardRecord) -> None:
-    """Put a committed shard there, its record last, unless it is there, bytes and all: what is damaged is mended."""
+    """Upload a committed shard, its record last, unless the same bytes are there."""
     kept, there = record_path(root, record.shard), record_path(bucket, record.shard)
     if _holds(there, kept) and record.problem(bucket) is None:
         return
@@ -93,7 +93,7 @@ def put_shard(root: Path, bucket: Bucket, record: ShardRecord) -> None:
 
 
 def finish_upload(root: Path, bucket: Bucket, records: Iterable[ShardRecord], complete: bool) -> None:
-    """Put there what is missing or differs, and what only a complete dataset has after everything else."""
+    """Upload what is missing or differs; the files of a complete dataset come last."""
     for record in records:
         put_shard(root, bucket, record)
     # The table before what vouches for it.

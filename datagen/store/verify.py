@@ -1,4 +1,5 @@
-"""Is a dataset what its records say? Files by hash, values by the digests of what they decode to."""
+"""Verification of a dataset against its commit records: files by their hash, values by the digests of decoded
+data."""
 
 from __future__ import annotations
 
@@ -61,7 +62,7 @@ def _table(manifest: Manifest, records: Sequence[ShardRecord]) -> pa.Table:
 
 @dataclass(frozen=True)
 class Verification:
-    """The outcome of `verify`: what was looked at, and every problem in a line of its own."""
+    """The outcome of `verify`: the number of scenes, shards and bytes checked, and a line for each problem."""
 
     scenes: int
     shards: int
@@ -70,12 +71,11 @@ class Verification:
 
 
 def verify(path: str | Path, deep: bool = False) -> Verification:
-    """Check a dataset: metadata, commit records, every file's SHA-256, table and cards.
+    """The problems of a dataset, from a check of its metadata, commit records, every file's SHA-256, table and cards.
 
-    deep : also decode every value and compare it with the digest taken before it was written; that asks nothing of
-        the code that reads it but sees what every reader sees.
+    deep : also decode every value and compare it with the digest taken before it was written.
 
-    Raises `InputError` when the folder is no dataset; everything that is wrong with one that is stands in `problems`.
+    Raises `InputError` when the folder is no dataset; whatever else is wrong stands in `problems`.
     """
     root = location_of(path)
     manifest = read_manifest(root)
@@ -118,14 +118,11 @@ def _missing(there: Sequence[int], shards: int) -> Iterator[str]:
 
 
 def _metadata_problems(root: Location, manifest: Manifest) -> Iterator[str]:
-    yield from filter(None, (_metadata_problem(root, manifest, name) for name in manifest.metadata))
+    for name, sha256 in manifest.metadata.items():
+        if (wrong := difference(root / name, sha256)) is not None:
+            yield f"{name}: {wrong}"
     if fingerprint_of(manifest.config, manifest.meshes) != manifest.fingerprint:
         yield "dataset.json: its configuration is not the one its fingerprint was taken of"
-
-
-def _metadata_problem(root: Location, manifest: Manifest, name: str) -> str | None:
-    wrong = difference(root / name, manifest.metadata[name])
-    return None if wrong is None else f"{name}: {wrong}"
 
 
 def _shard_problems(root: Location, manifest: Manifest, record: ShardRecord, deep: bool) -> Iterator[str]:
@@ -178,12 +175,12 @@ def _has_rows_of(path: Location, table: pa.Table) -> bool:
 
 
 def dataset_digest(path: str | Location) -> str:
-    """Hex SHA-256 of every decoded value of a dataset, the same for any division into shards, compression, order of
-    building and interruption.
+    """Hex SHA-256 over all decoded values of a dataset. It does not depend on shards, compression, order of building
+    or interruptions.
 
-    Of each field by name: a line `name dtype shape` (of one scene), then of each scene in order the SHA-256 of its
-    values, little-endian in C order, or 32 zero bytes where it could not be made. All values are read, and compared
-    with the digests taken when they were written.
+    For each field, by name, the hash takes a line `name dtype shape` (of one scene), then for each scene in order the
+    SHA-256 of its values, little-endian in C order, or 32 zero bytes where the scene could not be made. All values
+    are read, and compared with the digests taken when they were written.
 
     Raises `InputError` when the folder is no dataset, `CheckError` when it is not complete or not as it was written.
     """

@@ -1,18 +1,26 @@
-"""Which suites there are: a configuration of each beside this file, and the digests of what they give."""
+"""Benchmark suites: datasets of a name and version whose bytes are published. Each has its configuration beside this
+file, and the digest of its values in `digests.json`."""
 
 from __future__ import annotations
 
 import difflib
 import functools
 import json
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from datagen.building.build import build
 from datagen.config import DatasetConfig, load_config
-from datagen.errors import InputError
-from datagen.store import Manifest
+from datagen.errors import CheckError, InputError
+from datagen.records.checks import check_kind
+from datagen.store import Manifest, read_manifest
+from datagen.store.card import readable
 from datagen.store.environment import LIBRARIES, made_with
+from datagen.store.files import bytes_below
+from datagen.store.table import read_table
+from datagen.store.verify import dataset_digest
 
 FOLDER = Path(__file__).parent
 PINNED = FOLDER / "digests.json"
@@ -82,3 +90,83 @@ def differing_versions() -> str:
     here, there = made_with(), pinned()["made_with"]
     names = [name for name in (*LIBRARIES, "machine") if here[name] != there[name]]
     return ", ".join(f"{name} {here[name]} (published with {there[name]})" for name in names)
+
+
+@dataclass(frozen=True)
+class SuiteResult:
+    """A suite that was built.
+
+    Attributes
+    ----------
+    name, path : which, and where.
+    digest, published : hex SHA-256 of its values, and that of the published ones.
+    splits : split → scenes.
+    bytes : on disk.
+    """
+
+    name: str
+    path: Path
+    digest: str
+    published: str
+    splits: dict[str, int]
+    bytes: int
+
+    @property
+    def as_published(self) -> bool:
+        """Whether every value is the published one."""
+        return self.digest == self.published
+
+    def summary(self) -> str:
+        """One line for people."""
+        splits = ", ".join(f"{split} {scenes}" for split, scenes in self.splits.items())
+        head = f"{self.path}: {self.name}, {sum(self.splits.values())} scenes ({splits}), {readable(self.bytes)}"
+        return f"{head}; the published bytes (digest {self.digest[:12]})"
+
+
+def build_suite(name: str, path: str | Path, workers: int = 1, *, progress: bool = True) -> SuiteResult:
+    """Build a benchmark set of a name, and compare its digest with the published one.
+
+    Parameters
+    ----------
+    name : such as `letters-4`; `datagen suite` lists them.
+    path : the folder to make, or to go on with.
+    workers, progress : as of `build`; the bytes do not depend on them.
+
+    Returns
+    -------
+    SuiteResult; the set itself is a dataset like any other, read by `TransientDataset(path, split="train")`.
+
+    Raises
+    ------
+    InputError : no such suite, or the folder holds something else.
+    CheckError : the bytes are not the published ones. The dataset stays; the line says which versions differ.
+    """
+    check_kind("name", name, str, remedy=f"one of {', '.join(SUITES)}")
+    suite = find_suite(name)
+    build(suite.config, path, workers, progress=progress)
+    of_scenes = read_table(Path(path), ["split"], read_manifest(path).schema.scenes)["split"].to_pylist()
+    counted = Counter(map(str, of_scenes))
+    splits = {split: counted[split] for split in ("train", "val", "test") if split in counted}
+    size = bytes_below(Path(path))
+    result = SuiteResult(suite.name, Path(path), dataset_digest(path), suite.digest, splits, size)
+    if not result.as_published:
+        different = differing_versions()
+        reason = (
+            f"made here with {different}: scores on it are not those of the published set to the last digit"
+            if different
+            else "and the versions are those of the published: one of the two is at fault; `datagen verify --deep` "
+            "tells whether this one is as it was written"
+        )
+        raise CheckError(
+            f"{path}: {name} is built, but not of the published bytes (digest {result.digest[:12]}, published "
+            f"{suite.digest[:12]}), {reason}"
+        )
+    return result
+
+
+def listing() -> str:
+    """Name, scenes and description of each suite."""
+    width = max(map(len, SUITES))
+    configs = [suite.config for suite in SUITES.values()]
+    lines = [f"{config.name:{width}}  {config.scenes:4} scenes  {config.description}" for config in configs]
+    return "\n".join([*lines, "", "Build one with `datagen suite NAME OUT`; `datagen preview OUT` draws it."])

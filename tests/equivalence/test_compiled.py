@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import subprocess
 import sys
@@ -28,18 +27,6 @@ def ratio_for_another(a, b):  # type: ignore[no-untyped-def]
 
 def test_division_by_zero_does_not_hang_on_who_calls() -> None:
     assert ratio_for_another(1.0, 0.0) == np.inf == ratio(1.0, 0.0)
-
-
-def test_the_collector_is_as_before_after_compiling() -> None:
-    assert gc.isenabled()
-    ratio(np.float32(1.0), 2)
-    assert gc.isenabled()
-    gc.disable()
-    try:
-        ratio(np.float32(1.0), np.float32(2.0))
-        assert not gc.isenabled()
-    finally:
-        gc.enable()
 
 
 def test_where_sources_cannot_be_written_beside_the_cache_is_the_users(tmp_path: Path) -> None:

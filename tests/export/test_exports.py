@@ -7,7 +7,6 @@ import json
 import os
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -93,15 +92,6 @@ def _share(frame: WallFrame) -> np.ndarray:
     """(0.3, 0.6, 0.7) of a box of the scene along the axes of the wall, which are those of the scene but turned."""
     turned = frame.axes @ np.array([0.3, 0.6, 0.7])
     return np.where(frame.axes.sum(axis=1) > 0, turned, 1 + turned)
-
-
-def test_laser_points_of_a_confocal_scan_are_those_of_the_sensor(made: Any, tmp_path: Path) -> None:
-    pytest.importorskip("h5py")
-    (path,) = export(made("confocal"), tmp_path, "tal", [0])
-    got = tal_content(path)
-    np.testing.assert_array_equal(got["laser_grid_xyz"], got["sensor_grid_xyz"])
-    # f-k migration takes the last point for half the width.
-    np.testing.assert_allclose(got["sensor_grid_xyz"][-1, -1, :2], [0.4, 0.3], atol=1e-6)
 
 
 @pytest.mark.parametrize("origin", ["wall", "source"])
@@ -278,9 +268,3 @@ def test_bad_requests_are_told_in_a_line(made: Any, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds other files"):
         export(made("confocal"), tmp_path / "mine", "hub")
     assert not list(tmp_path.rglob("*.npz"))
-
-
-def test_npz_is_no_pickle(made: Any, tmp_path: Path) -> None:
-    (path,) = export(made("confocal"), tmp_path, "npz", "0")
-    with zipfile.ZipFile(path) as file, np.load(path, allow_pickle=False) as got:
-        assert {name.removesuffix(".npy") for name in file.namelist()} == set(got)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,161 +19,123 @@ from datagen.store import read_manifest
 h5py = pytest.importorskip("h5py", reason="h5py is not installed (extra `export`)")
 
 
-def damaged(kind: str, folder: Path) -> tuple[list[Path], dict[str, Any]]:
-    """Files, and the options of their import."""
-    seen, h = grid(3, 3), np.ones((8, 3, 3), np.float32)
-    path, options = folder / "c.hdf5", dict[str, Any]()
-    match kind:
-        case "truncated":
-            tal(path, np.random.default_rng(0).random((64, 3, 3)), 1, seen, seen)
-            path.write_bytes(path.read_bytes()[:-2000])
-        case "noise":
-            path.write_bytes(bytes(range(256)) * 8)
-        case "empty":
-            path.write_bytes(b"")
-        case "no H":
-            with h5py.File(path, "w") as file:
-                file["G"], file["sensor_grid_xyz"], file["laser_grid_xyz"] = h, seen, seen
-        case "Zaragoza":
-            with h5py.File(path, "w") as file:
-                file["data"], file["cameraGridPositions"] = h, seen
-        case "unknown layout":
-            tal(path, h, 0, seen, seen)
-        case "other layout":
-            tal(path, h, 2, seen, seen)
-        case "other grid":
-            tal(path, h[..., :2], 1, seen, seen)
-        case "points in a plane":
-            tal(path, h, 1, seen[..., :2], seen[..., :2])
-        case "a point at infinity":
-            tal(path, h, 1, seen, np.where(seen > 0.9, np.inf, seen).astype(np.float32))
-        case "no bin width":
-            tal(path, h, 1, seen, seen, delta_t=None)
-        case "another bin width":
-            tal(path, h, 1, seen, seen)
-            options = {"bin_width": "4ps"}
-        case "a bin width of 0":
-            tal(path, h, 1, seen, seen, delta_t=0.0)
-        case "no place of the laser":
-            tal(path, h, 1, seen, seen, laser_xyz=None)
-        case "negative":
-            tal(path, h - 2, 1, seen, seen)
-        case "NaN":
-            tal(path, h * np.float32("nan"), 1, seen, seen)
-        case "fractions as counts":
-            tal(path, h / 2, 1, seen, seen)
-            options = {"field": "histogram"}
-        case "counts beyond 32 bits":
-            tal(path, h.astype(np.float64) * 2.0**33, 1, seen, seen)
-        case "complex":
-            tal(path, h * 1j, 1, seen, seen)
-        case "text for H":
-            tal(path, h, 1, seen, seen)
-            with h5py.File(path, "a") as file:
-                del file["H"]
-                file["H"] = "light"
-        case "objects":
-            tal(path, h, 1, seen, seen)
-            with h5py.File(path, "a") as file:
-                del file["H"]
-                file.create_dataset("H", (8, 3, 3), dtype=h5py.special_dtype(ref=h5py.Reference))
-        case "a link":
-            tal(path, h, 1, seen, seen)
-            tal(folder / "other.hdf5", h, 1, seen, seen)
-            with h5py.File(path, "a") as file:
-                del file["H"]
-                file["H"] = h5py.ExternalLink("other.hdf5", "/H")
-        case "values in another file":
-            tal(path, h, 1, seen, seen)
-            (folder / "secret").write_bytes(bytes(8 * 9 * 4))
-            with h5py.File(path, "a") as file:
-                del file["H"]
-                file.create_dataset("H", (8, 3, 3), "f4", external=[(str(folder / "secret"), 0, 8 * 9 * 4)])
-        case "huge":
-            tal(path, h, 1, seen, seen)
-            with h5py.File(path, "a") as file:
-                del file["H"]
-                file.create_dataset("H", (10**6, 10**4, 10**4), "f4", chunks=(1, 100, 100))
-        case "declared and not there":
-            tal(path, h, 1, seen, seen)
-            with h5py.File(path, "a") as file:
-                del file["H"]
-                file.create_dataset("H", (2**20, 3, 3), "f4", chunks=(1024, 3, 3))
-        case "two shapes":
-            files = [tal(path, h, 1, seen, seen), tal(folder / "d.hdf5", h[:4], 1, seen, seen)]
-            return files, options
-        case "counts and light":
-            files = [tal(path, h, 1, seen, seen), tal(folder / "d.hdf5", h / 2, 1, seen, seen)]
-            return files, options
-        case "too few bins":
-            tal(path, h, 1, seen, seen)
-            options = {"bins": 9}
-        case "no suffix":
-            path = tal(folder / "capture", h, 1, seen, seen)
-        case "a wall for y-tal":
-            tal(path, h, 1, seen, seen)
-            options = {"wall": "2m"}
-        case "mat without a bin width":
-            path = stanford(folder)[0]
-        case "mat without a wall":
-            path, options = folder / "m.mat", {"bin_width": "4ps", "tof": "none"}
-            scipy.io.savemat(path, {"meas": h})
-        case "mat without delays":
-            path, options = folder / "m.mat", {"bin_width": "4ps", "wall": 2.0}
-            scipy.io.savemat(path, {"meas": h})
-        case "other delays":
-            path, options = folder / "m.mat", {"bin_width": "4ps", "wall": 2.0}
-            scipy.io.savemat(path, {"meas": h, "tofgrid": np.zeros((2, 2))})
-        case "delays beyond all":
-            path, options = folder / "m.mat", {"bin_width": "4ps", "wall": 2.0}
-            scipy.io.savemat(path, {"meas": h, "tofgrid": np.full((3, 3), 1e4)})
-        case "another wall":
-            path, options = stanford(folder)[0], {"bin_width": "4ps", "wall": "2m"}
-        case "frames":
-            path, options = folder / "m.mat", {"bin_width": "4ps", "wall": 2.0, "tof": "none"}
-            scipy.io.savemat(path, {"meas": np.ones((2, 3, 3, 8))})
-        case "cells":
-            path, options = folder / "m.mat", {"bin_width": "4ps"}
-            scipy.io.savemat(path, {"rect_data": np.array([h, "x"], object), "width": 1.0})
-        case "another program's mat":
-            path = folder / "m.mat"
-            scipy.io.savemat(path, {"dataset": h})
-        case "truncated mat":
-            path, options = stanford(folder)[0], {"bin_width": "4ps"}
-            path.write_bytes(path.read_bytes()[:3000])
-        case "pairs that do not fit":
-            path, options = folder / "m.mat", {"bin_width": "4ps"}
-            scipy.io.savemat(path, {"trans_data": h[0], "camera_points": h[0], "laser_points": np.ones((2, 3))})
-    return [path], options
+SEEN, H = grid(3, 3), np.ones((8, 3, 3), np.float32)
+FAR = np.where(SEEN > 0.9, np.inf, SEEN).astype(np.float32)
+Case = tuple[dict[str, Any], dict[str, Any], str]
+TAL: dict[str, Case] = {
+    "unknown layout": ({"form": 0}, {}, "H_format = 0"),
+    "other layout": ({"form": 2}, {}, "no T_Lx_Ly_Sx_Sy"),
+    "other grid": ({"h": H[..., :2]}, {}, "does not fit H"),
+    "points in a plane": ({"lit": SEEN[..., :2], "seen": SEEN[..., :2]}, {}, "(…, 3) needed"),
+    "a point at infinity": ({"seen": FAR}, {}, "sensor_grid_xyz"),
+    "no bin width": ({"delta_t": None}, {}, "--bin"),
+    "another bin width": ({}, {"bin_width": "4ps"}, "--bin 4ps"),
+    "a bin width of 0": ({"delta_t": 0.0}, {}, "bin_width_ps"),
+    "no place of the laser": ({"laser_xyz": None}, {}, "laser_xyz"),
+    "negative": ({"h": H - 2}, {}, "negative"),
+    "NaN": ({"h": H * np.float32("nan")}, {}, "NaN"),
+    "fractions as counts": ({"h": H / 2}, {"field": "histogram"}, "--field histogram"),
+    "counts beyond 32 bits": ({"h": H.astype(np.float64) * 2.0**33}, {}, "--field transient"),
+    "complex": ({"h": H * 1j}, {}, "complex"),
+    "too few bins": ({}, {"bins": 9}, "--bins 9"),
+    "a wall for y-tal": ({}, {"wall": "2m"}, "--wall"),
+}
+"""Kind → what differs from a sound capture, options of the import, a piece of the refusal."""
+WALL, WIDTH = {"bin_width": "4ps", "wall": 2.0}, {"bin_width": "4ps"}
+MAT: dict[str, Case] = {
+    "no wall": ({"meas": H}, WIDTH | {"tof": "none"}, "--wall"),
+    "no delays": ({"meas": H}, WALL, "--tof"),
+    "other delays": ({"meas": H, "tofgrid": np.zeros((2, 2))}, WALL, "(2, 2)"),
+    "delays beyond all": ({"meas": H, "tofgrid": np.full((3, 3), 1e4)}, WALL, "ps"),
+    "frames": ({"meas": np.ones((2, 3, 3, 8))}, WALL | {"tof": "none"}, "(2, 3, 3, 8)"),
+    "cells": ({"rect_data": np.array([H, "x"], object), "width": 1.0}, WIDTH, "cell array"),
+    "another program's": ({"dataset": H}, {}, "rect_data"),
+    "pairs that do not fit": ({"trans_data": H[0], "camera_points": H[0], "laser_points": np.ones((2, 3))}, WIDTH,
+                              "(N, 3)"),
+    "no bin width": ({"rect_data": H, "width": 0.4}, {}, "--bin 4ps"),
+    "another wall": ({"rect_data": H, "width": 0.4}, {"bin_width": "4ps", "wall": "2m"}, "--wall"),
+}  # fmt: skip
+"""Kind → variables of the file, options, a piece of the refusal."""
 
 
-REFUSED = {
-    "truncated": "damaged", "noise": "damaged", "empty": "damaged", "no H": "H: missing; the file has G",
-    "Zaragoza": "Zaragoza", "unknown layout": "H_format = 0", "other layout": "no T_Lx_Ly_Sx_Sy",
-    "other grid": "does not fit H", "points in a plane": "(…, 3) needed", "a point at infinity": "sensor_grid_xyz",
-    "no bin width": "--bin", "another bin width": "--bin 4ps", "a bin width of 0": "bin_width_ps",
-    "no place of the laser": "laser_xyz", "negative": "negative", "NaN": "NaN",
-    "fractions as counts": "--field histogram", "counts beyond 32 bits": "--field transient", "complex": "complex",
-    "text for H": "H", "objects": "not numbers", "a link": "link", "values in another file": "another file",
-    "huge": "at most", "declared and not there": "and 0 there", "two shapes": "--bins 4",
-    "counts and light": "--field transient", "too few bins": "--bins 9", "no suffix": "--format",
-    "a wall for y-tal": "--wall", "mat without a bin width": "--bin 4ps", "mat without a wall": "--wall",
-    "mat without delays": "--tof", "other delays": "(2, 2)", "delays beyond all": "ps", "another wall": "--wall",
-    "frames": "(2, 3, 3, 8)", "cells": "cell array", "another program's mat": "rect_data",
-    "truncated mat": "damaged|data_s_u", "pairs that do not fit": "(N, 3)",
+def hdf5_elsewhere(file: Any, folder: Path) -> None:
+    (folder / "secret").write_bytes(bytes(8 * 9 * 4))
+    file.create_dataset("H", (8, 3, 3), "f4", external=[(str(folder / "secret"), 0, 8 * 9 * 4)])
+
+
+HDF5: dict[str, tuple[Callable[[Any, Path], object], str]] = {
+    "no H": (lambda file, _: None, "H: missing; the file has"),
+    "text for H": (lambda file, _: file.create_dataset("H", data="light"), "H"),
+    "objects": (
+        lambda file, _: file.create_dataset("H", (8, 3, 3), dtype=h5py.special_dtype(ref=h5py.Reference)),
+        "not numbers",
+    ),
+    "a link": (lambda file, _: file.__setitem__("H", h5py.ExternalLink("other.hdf5", "/H")), "link"),
+    "values in another file": (hdf5_elsewhere, "another file"),
+    "huge": (lambda file, _: file.create_dataset("H", (10**6, 10**4, 10**4), "f4", chunks=(1, 100, 100)), "at most"),
+    "declared and not there": (
+        lambda file, _: file.create_dataset("H", (2**20, 3, 3), "f4", chunks=(1024, 3, 3)),
+        "and 0 there",
+    ),
+    "Zaragoza": (lambda file, _: file.update({"data": H, "cameraGridPositions": SEEN}), "Zaragoza"),
+}
+"""Kind → what is put in the place of H, a piece of the refusal."""
+BYTES: dict[str, Callable[[bytes], bytes]] = {
+    "truncated": lambda whole: whole[:-2000], "noise": lambda _: bytes(range(256)) * 8, "empty": lambda _: b"",
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", REFUSED)
-def test_it_is_refused_in_a_line_and_nothing_is_made(kind: str, tmp_path: Path) -> None:
-    files, options = damaged(kind, tmp_path)
-    before = sorted(tmp_path.iterdir())
+def tal_file(path: Path, h: Any = H, form: int = 1, lit: Any = SEEN, seen: Any = SEEN, **other: Any) -> Path:
+    return tal(path, h, form, lit, seen, **other)
+
+
+def refuse(folder: Path, files: Path | list[Path], piece: str, **options: Any) -> None:
+    """In one line that names what is wrong, and nothing is made."""
+    before = sorted(folder.iterdir())
     with pytest.raises(dg.InputError) as told:
-        dg.import_captures(files, tmp_path / "set", progress=False, **options)
+        dg.import_captures(files, folder / "set", progress=False, **options)
     message = str(told.value)
-    assert "\n" not in message and len(message) < 400
-    assert any(piece in message for piece in REFUSED[kind].split("|")), message
-    assert sorted(tmp_path.iterdir()) == before
+    assert "\n" not in message and len(message) < 400 and piece in message, message
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.parametrize("kind", TAL)
+def test_captures_of_y_tal(kind: str, tmp_path: Path) -> None:
+    changes, options, piece = TAL[kind]
+    refuse(tmp_path, tal_file(tmp_path / "c.hdf5", **changes), piece, **options)
+
+
+@pytest.mark.parametrize("kind", HDF5)
+def test_files_of_hdf5(kind: str, tmp_path: Path) -> None:
+    path, (put, piece) = tal_file(tmp_path / "c.hdf5"), HDF5[kind]
+    with h5py.File(path, "a") as file:
+        del file["H"]
+        put(file, tmp_path)
+    refuse(tmp_path, path, piece)
+
+
+@pytest.mark.parametrize("kind", MAT)
+def test_files_of_matlab(kind: str, tmp_path: Path) -> None:
+    variables, options, piece = MAT[kind]
+    scipy.io.savemat(tmp_path / "m.mat", variables)
+    refuse(tmp_path, tmp_path / "m.mat", piece, **options)
+
+
+@pytest.mark.parametrize("kind", BYTES)
+def test_files_that_are_damaged(kind: str, tmp_path: Path) -> None:
+    path = tal_file(tmp_path / "c.hdf5", np.random.default_rng(0).random((64, 3, 3)))
+    path.write_bytes(BYTES[kind](path.read_bytes()))
+    refuse(tmp_path, path, "damaged")
+    matlab = stanford(tmp_path)[0]
+    matlab.write_bytes(BYTES[kind](matlab.read_bytes()))
+    refuse(tmp_path, matlab, "damaged" if kind == "truncated" else "m", **WIDTH)
+
+
+def test_files_that_do_not_go_together(tmp_path: Path) -> None:
+    one = tal_file(tmp_path / "c.hdf5")
+    refuse(tmp_path, [one, tal_file(tmp_path / "d.hdf5", H[:4])], "--bins 4")
+    refuse(tmp_path, [one, tal_file(tmp_path / "d.hdf5", H / 2)], "--field transient")
+    refuse(tmp_path, tal_file(tmp_path / "capture"), "--format")
 
 
 def test_the_command_refuses_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

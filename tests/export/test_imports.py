@@ -105,31 +105,6 @@ def test_light_comes_back_as_light(format: str, made: Any, tmp_path: Path) -> No
     assert back.manifest.schema.by_name["transient"].unit == "as in the file"
 
 
-def test_what_is_brought_back_is_exported_as_before(made: Any, tmp_path: Path) -> None:
-    for scan, format in (("exhaustive", "tal"), ("confocal", "mat"), ("circle", "mat")):
-        folder = tmp_path / f"{scan}-{format}"
-        back = brought_back(made(scan), folder, format)
-        first = next((folder / "files").iterdir())
-        (again,) = export(back, folder / "again", format)
-        contents = [
-            scipy.io.loadmat(path) if format == "mat" else {name: of[()] for name, of in h5py.File(path).items()}
-            for path in (first, again)
-        ]
-        for name in (
-            "H",
-            "meas",
-            "tofgrid",
-            "wall_size",
-            "trans_data",
-            "camera_points",
-            "sensor_grid_xyz",
-            "delta_t",
-        ):
-            assert (name in contents[0]) == (name in contents[1])
-            if name in contents[0]:
-                np.testing.assert_allclose(contents[0][name], contents[1][name], rtol=1e-6, atol=1e-6, err_msg=name)
-
-
 def test_simulated_and_imported_scenes_in_one_loader(made: Any, tmp_path: Path) -> None:
     simulated = made("single")
     back = brought_back(simulated, tmp_path, "tal", "0-1", bins=1500)

@@ -86,11 +86,6 @@ def test_redrawn_noise_comes_as_events_too(dataset: Path) -> None:
         assert torch.equal(dg.dense(found["events"], found["counts"], (4, 1, 16)), expected)
 
 
-def test_other_fields_do_not_change(dataset: Path) -> None:
-    data = dg.TransientDataset(dataset, ("depth", "transient"), representation="events")
-    assert set(data[0]) == {"depth", "transient", "scene"}
-
-
 def test_what_does_not_fit_is_refusal(dataset: Path) -> None:
     with pytest.raises(InputError, match="representation = 'sparse': must be 'dense', 'events' or 'volume'"):
         dg.TransientDataset(dataset, representation="sparse")

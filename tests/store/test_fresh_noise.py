@@ -220,9 +220,3 @@ def test_copies_go_on_counting_for_themselves(data: TransientDataset, dataset: P
     other = copy.deepcopy(data)
     one = draws_of(dataset, 1)[0]
     assert torch.equal(other[0]["histogram"], one) and torch.equal(data[0]["histogram"], one)
-
-
-def test_stored_counts_stay(dataset: Path) -> None:
-    data = TransientDataset(dataset, ("histogram",))
-    data.set_epoch(3)
-    assert torch.equal(data[1]["histogram"], data[1]["histogram"])

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import datagen as dg
 from datagen.config import config_from_mapping
-from datagen.labels.frame import ViewFrame, scan_place
+from datagen.labels.frame import ViewFrame
 from datagen.records import Rectangle
 from datagen.store.info import info
 from datagen.store.summaries import label_place_line
@@ -37,13 +36,6 @@ def test_datasets_say_where_their_labels_lie(tmp_path: Path, place: str, says: s
         middle = frame.to_view(item["laser_points"].numpy().astype(float)).mean(axis=0)
         found = [data.parameters(f"labels.scan_{way}_m")[k] for way in ("right", "up")]
         assert found == pytest.approx(middle[:2], abs=1e-5)
-
-
-def test_laser_points_that_are_not_there_count_for_nothing() -> None:
-    view = Rectangle.of((0, 0, 0), (0, 1, 0), (0, 0, 1))
-    points = np.array([[0, 1.0, 2.0], [0, 3.0, 2.5], [np.nan] * 3])
-    assert scan_place(view, points) == pytest.approx((2.0, 2.25))
-    assert scan_place(view, points[2:]) is None
 
 
 def test_datasets_that_do_not_say_are_told_nothing_of() -> None:

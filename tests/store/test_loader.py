@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import shutil
 from pathlib import Path
 
@@ -72,13 +71,6 @@ def test_collating_without_a_copy_equals_collating(dataset: Path, workers: int) 
             torch.equal(a[name], b[name]) and a[name].dtype == b[name].dtype for name in a
         )
     assert torch.equal(collate([data[1], data[2]])["histogram"], plain[0]["histogram"][1:3])
-
-
-def test_a_pickled_dataset_carries_no_open_files(dataset: Path) -> None:
-    data = TransientDataset(dataset)
-    data[0]
-    assert torch.equal(pickle.loads(pickle.dumps(data))[4]["histogram"], data[4]["histogram"])
-    assert len(pickle.dumps(data)) < 20_000
 
 
 def test_what_cannot_be_loaded_is_refusal(dataset: Path, tmp_path: Path) -> None:

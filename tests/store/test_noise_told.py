@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import trimesh
 from click.testing import CliRunner
-from rooms import rectangle
 
 import datagen as dg
 from datagen.cli import cli
@@ -50,23 +48,6 @@ def test_nothing_is_said_of_what_is_accurate_or_not_known(
 ) -> None:
     assert build(tmp_path, transport).noisy == ""
     assert "noise" not in capfd.readouterr().err
-
-
-def test_who_asks_for_too_little_accuracy_is_told_so(tmp_path: Path) -> None:
-    loose = build(tmp_path, {"target": 0.9}, progress=False)
-    assert loose.noisy == "" or "lower transport.target (0.9)" in loose.noisy
-
-
-def test_own_scenes_of_few_samples_say_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    wall = dg.Part("wall", rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1)), dg.Lambertian(0.9), "relay_wall")
-    ball = trimesh.creation.icosphere(2, 0.3).apply_translation((1, 1, 0))
-    scene = dg.Scene.from_parts([wall, dg.Part("ball", ball, dg.Lambertian(0.6))])
-    sensor = dg.Sensor.grid((3, -1, 0), (0, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, cols=2)
-    capture = dg.Capture(dg.Laser((3, -1, 0), [(0, 0, 0.2)]), sensor, dg.TimeAxis(64, 2e-10, 0.0, "wall"))
-    for number, (transport, noisy) in enumerate(((NOISY, True), ({"target": 0.05}, False))):
-        result = dg.build_from([scene], tmp_path / str(number), capture, settings={"transport": transport})
-        assert bool(result.noisy) is noisy
-        assert ("noise: " in capfd.readouterr().err) is noisy
 
 
 def test_quiet_builds_say_it_too(tmp_path: Path) -> None:

@@ -11,12 +11,10 @@ import sys
 import time
 import urllib.request
 import warnings
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -25,7 +23,7 @@ from fake_samples import fake_sample, small_config
 from datagen.building.build import BuildResult, build
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
-from datagen.loader import TransientDataset, collate
+from datagen.loader import TransientDataset
 from datagen.store import verify
 from datagen.store.info import info
 from datagen.store.location import Bucket, _store_of, location_of
@@ -152,41 +150,6 @@ def test_an_interrupted_upload_is_taken_up(
     assert verify(ADDRESS, deep=True).problems == () and dataset_digest(ADDRESS) == dataset_digest(local)
 
 
-@pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> Counter[tuple[str, str]]:
-    """(What, of which object) → how many requests there were."""
-    found, whole = Counter[tuple[str, str]](), Bucket._request
-
-    def counting(self: Bucket, what: str, *arguments: Any, **options: Any) -> Any:
-        found[what, str(self)] += 1
-        return whole(self, what, *arguments, **options)
-
-    monkeypatch.setattr(Bucket, "_request", counting)
-    return found
-
-
-def test_nothing_is_asked_for_twice(bucket: Bucket, asked: Counter[tuple[str, str]]) -> None:
-    """Each answer takes as long as the network does, however small it is: one for each file that is verified, one to
-    open it, and one for each value."""
-    built()
-    shards = [one for one in everything(bucket) if "/c/" in str(one) and "histogram" in str(one)]
-    asked.clear()
-    assert verify(ADDRESS).problems == ()
-    of_table = [f"{ADDRESS}/{name}" for name in ("samples.parquet", "croissant.json", "README.md")]
-    assert {number for (_, name), number in asked.items() if name not in of_table} == {1}
-    assert not any(what == "head" for what, name in asked if name not in of_table)
-    asked.clear()
-    assert info(ADDRESS)
-    assert set(asked.values()) == {1}
-    asked.clear()
-    data = TransientDataset(ADDRESS, ("histogram",))
-    for scene in range(len(data)):
-        data[scene]
-    assert [asked["head", str(shard)] for shard in shards] == [1, 1]
-    assert [asked["get_range", str(shard)] for shard in shards] == [5, 5]
-    assert sum(asked.values()) == 5 + 2 * (1 + 1 + 5)
-
-
 def test_damage_there_is_told_and_mended(bucket: Bucket) -> None:
     built()
     shard, record = bucket / "data.zarr/histogram/c/1/0/0/0", bucket / "build/shard-000000.json"
@@ -217,15 +180,6 @@ def test_what_is_sent_to_a_worker_reads_there(bucket: Bucket) -> None:
         forked = torch.utils.data.DataLoader(unread, 4, num_workers=1, multiprocessing_context="fork")
         with pytest.raises(CheckError, match="do not survive a fork"):
             next(iter(forked))
-
-
-@pytest.mark.nightly
-def test_workers_that_are_started_anew_read_there(bucket: Bucket) -> None:
-    """As they read folders (tests/store/test_loader.py): starting one takes longer than all else here."""
-    built()
-    data = TransientDataset(ADDRESS, ("histogram",))
-    loader = torch.utils.data.DataLoader(data, 4, num_workers=1, multiprocessing_context="spawn", collate_fn=collate)
-    assert [batch["scene"].tolist() for batch in loader] == [[0, 1, 2, 3], [4, 5, 6, 7]]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -113,24 +112,6 @@ def test_a_part_is_the_whole_cut(dataset: Path) -> None:
         assert all(torch.equal(a["histogram"].float(), b["histogram"]) for a, b in zip(items, floats, strict=True))
 
 
-def test_only_blocks_that_hold_the_part_are_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = config_of("confocal", 32, 32, (1, 1), 512)
-    root = write_dataset(config.with_scenes(1), tmp_path / "set", fake_sample)
-    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
-    decoded: list[int] = []
-    plain = reader.blosc.decompress
-    monkeypatch.setattr(
-        "datagen.store.reader.blosc.decompress", lambda frame, out: (decoded.append(out.nbytes), plain(frame, out))[1]
-    )
-    whole, block = 2 * 1024 * 512, 2**18
-    for lasers, due in ((slice(0, 1), block), (np.s_[8:16, 4:8], block), ([0, 1023], whole), (slice(None), whole)):
-        data = dg.TransientDataset(root, ("histogram",), lasers=lasers)
-        # The first reading is of the whole, to be compared with its digest.
-        for size in (whole, due):
-            data[0]
-            assert decoded.pop() == size and not decoded, lasers
-
-
 @pytest.mark.parametrize("size", [70_000, 70_003, 2**17])
 def test_blocks_apart_are_the_blocks_of_the_whole(size: int) -> None:
     """Also where several threads wrote them in another order, and where the last is short."""
@@ -176,20 +157,6 @@ def test_redrawn_noise_is_that_of_the_whole_cut(tmp_path: Path) -> None:
             assert torch.equal(batch["transient"], due["transient"][:, [1, 3], :, 2:9])
 
 
-@pytest.mark.parametrize("workers", [0, 1])
-def test_events_of_a_part_count_from_its_corner(dataset: Path, workers: int) -> None:
-    crop = {"lasers": np.s_[1:3, 1:], "bins": slice(4, 20)}
-    dense = dg.TransientDataset(dataset, ("histogram", "laser_points"), **crop)
-    events = pickle.loads(pickle.dumps(dg.TransientDataset(dataset, dense.selected, representation="events", **crop)))
-    (due,) = DataLoader(dense, 3, collate_fn=dg.collate)
-    (batch,) = DataLoader(
-        events, 3, collate_fn=dg.collate, num_workers=workers, multiprocessing_context="fork" if workers else None
-    )
-    found = dg.dense(batch["events"], batch["counts"], (3, *events.shape("histogram")))
-    assert torch.equal(found, due["histogram"]) and found.sum() > 0
-    assert torch.equal(batch["laser_points"], due["laser_points"])
-
-
 def test_what_is_read_in_part_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the digest of the whole when it is first read, like any other value; later by the checksums of chunks."""
     monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
@@ -223,13 +190,6 @@ def test_what_is_read_in_part_is_checked(tmp_path: Path, monkeypatch: pytest.Mon
     refused("scene 1: the checksum does not match", check=False)
     first.unlink()
     refused("cannot be opened", check=False)
-
-
-def test_a_part_is_told(dataset: Path) -> None:
-    data = dg.TransientDataset(dataset, ("histogram", "depth"), lasers=[0, 2], bins=slice(3, 9))
-    lasers, pixels, bins = read_manifest(dataset).schema.by_name["histogram"].shape
-    assert data.shape("histogram") == (2, pixels, 6) and data.shape("depth") == (3, 3)
-    assert f"of each laser 2 of {lasers}, bin 6 of {bins}; histogram (2, {pixels}, 6)" in repr(data)
 
 
 @pytest.mark.parametrize(

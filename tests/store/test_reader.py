@@ -19,7 +19,6 @@ from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import CheckError
 from datagen.loader import TransientDataset
 from datagen.store import DatasetReader, Manifest, prepare, read_manifest, schema, write_shard
-from datagen.store.shard import digest
 
 
 def made(root: Path, config: DatasetConfig) -> Manifest:
@@ -78,16 +77,6 @@ def test_reads_what_zarr_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
                 assert (field.chunk != field.shape) == (chunk_bytes < field.bytes_per_scene)
 
 
-def test_memory_is_bounded(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    manifest = read_manifest(dataset)
-    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 1000)
-    reader = DatasetReader(dataset, manifest, manifest.schema.by_name)
-    for name in manifest.schema.by_name:
-        reader.read(name, range(10))
-        kept = sum(values.nbytes for values in reader._kept.values())
-        assert kept == reader._kept_bytes <= 1000
-
-
 def test_damage_is_an_error(dataset: Path) -> None:
     manifest = read_manifest(dataset)
     path = dataset / "data.zarr/histogram/c/0/0/0/0"
@@ -129,37 +118,6 @@ def test_a_pipe_in_a_files_place_is_refusal_at_once(dataset: Path) -> None:
     os.mkfifo(path)
     with pytest.raises(CheckError, match="no plain file"):
         DatasetReader(dataset, manifest, ["histogram"]).read("histogram", [0])
-
-
-def test_each_value_is_checked_once(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    manifest = read_manifest(dataset)
-    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
-    checked: list[str] = []
-    monkeypatch.setattr(
-        "datagen.store.reader.digest", lambda field, value: checked.append(field.name) or digest(field, value)
-    )
-    seen = {name: np.zeros(10, bool) for name in ("depth", "laser_points")}
-    for _ in range(2):
-        reader = DatasetReader(dataset, manifest, seen, seen=seen)
-        for name in seen:
-            reader.read(name, [0, 5, 5])
-    assert sorted(checked) == ["depth"] * 2 + ["laser_points"] * 2
-    assert [np.flatnonzero(of).tolist() for of in seen.values()] == [[0, 5]] * 2
-    # What all have been checked of needs no record any more.
-    seen["depth"][4:8] = True
-    (dataset / "build/shard-000001.json").unlink()
-    DatasetReader(dataset, manifest, seen, seen=seen).read("depth", [5, 6])
-    with pytest.raises(CheckError, match="shard 1 is not committed"):
-        DatasetReader(dataset, manifest, ["depth"]).read("depth", [5])
-
-
-def test_no_file_stays_open(dataset: Path) -> None:
-    manifest = read_manifest(dataset)
-    before = len(os.listdir("/proc/self/fd"))
-    reader = DatasetReader(dataset, manifest, manifest.schema.by_name)
-    for name in manifest.schema.by_name:
-        reader.read(name, [0, 9, 1])
-    assert len(os.listdir("/proc/self/fd")) == before
 
 
 @pytest.mark.parametrize(

@@ -41,12 +41,6 @@ def test_shards_are_a_power_of_two_of_scenes_and_fit_in_memory(
     assert schema.scenes_of(schema.shards - 1).stop == scenes
 
 
-def test_small_builds_have_shards_for_several_workers() -> None:
-    assert schema_of(scan(16, 16, 512, 32)).shards == 4
-    assert schema_of(scan(16, 16, 512, 1000)).shards >= 8
-    assert schema_of(scan(4, 4, 64, 10**6)).scenes_per_shard == 256
-
-
 @settings(deadline=None)
 @given(st.lists(st.integers(1, 300), min_size=2, max_size=4), st.sampled_from(["uint8", "uint16", "float32"]))
 def test_chunks_are_cut_only_above_their_limit(shape: list[int], dtype: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import astuple
 from pathlib import Path
 
@@ -99,27 +98,6 @@ def test_they_are_checked_and_kept(dataset: Path, tmp_path: Path) -> None:
     assert described.read_bytes() != content and verify(tmp_path / "set").problems == ()
 
 
-def test_stats_from_elsewhere_are_refusal(tmp_path: Path) -> None:
-    path = write_dataset(small_config(), tmp_path / "set", fake_sample)
-    whole = (path / "build/shard-000000.json").read_bytes()
-    reseal(path / "build/shard-000000.json", lambda values: values["scenes"][1]["stats"].pop("depth"))
-    assert "samples.parquet: differs from what the commit records say" in verify(path).problems
-    for wrong in (
-        {"mean": 1.0},
-        {"mean": 1e308, "std": 1e308, "nonzero": 0.0},
-        {"mean": "x", "std": 0.0, "nonzero": 0.0},
-    ):
-        reseal(
-            path / "build/shard-000000.json",
-            lambda values, wrong=wrong: values["scenes"][1]["stats"].update(depth=wrong),
-        )
-        assert any("shard-000000.json: is not as datagen writes it" in problem for problem in verify(path).problems)
-        (path / "build/shard-000000.json").write_bytes(whole)
-    reseal(path / "dataset.json", lambda values: values["stats"]["train"].update(depth={"mean": 1.0}))
-    with pytest.raises(InputError, match=r"dataset\.json: damaged: .*stats\.train\.depth\.std"):
-        verify(path)
-
-
 def test_failed_scenes_do_not_count(tmp_path: Path) -> None:
     with pytest.raises(CheckError):
         build(small_config(), tmp_path / "set", progress=False, sample_function=fails_at_5)
@@ -161,17 +139,3 @@ def test_items_are_numbers(dataset: Path) -> None:
         with pytest.raises(IndexError, match=f"item {outside}: this dataset has 12 items"):
             data[outside]
     assert len(list(data)) == 12, "a loop ends where the items do"
-
-
-def cost_of_stats() -> float:
-    """Processor milliseconds for a sample of 1024 × 512 counts with its labels: what a build pays for them."""
-    counts = np.random.default_rng(0).poisson(0.2, (1024, 1, 512)).astype(np.uint16)
-    volume = np.random.default_rng(0).normal(0, 1, (64, 64, 64)).astype(np.float32)
-    began = time.process_time()
-    for _ in range(20):
-        stats_of("histogram", counts), stats_of("sdf", volume)
-    return (time.process_time() - began) / 20 * 1e3
-
-
-if __name__ == "__main__":
-    print(f"{cost_of_stats():.1f} ms a sample")

@@ -26,7 +26,6 @@ from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
 from datagen.store import committed, read_manifest, verify
-from datagen.store.files import sealed
 from datagen.store.table import read_table
 from datagen.store.verify import dataset_digest
 
@@ -34,18 +33,6 @@ from datagen.store.verify import dataset_digest
 def again(root: Path, config: DatasetConfig | None = None, workers: int = 1, **options: object) -> BuildResult:
     made = {"progress": False, "sample_function": fake_sample} | options
     return build(config or small_config(), root, workers, **made)  # type: ignore[arg-type]
-
-
-@pytest.fixture(scope="module")
-def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("trust") / "set"
-    again(root)
-    return root
-
-
-@pytest.fixture
-def dataset(pristine: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(pristine, tmp_path / "set")
 
 
 def flip(path: Path, place: int, bit: int = 0) -> None:
@@ -322,20 +309,3 @@ def test_one_digest_for_any_way_of_building(pristine: Path, dataset: Path, tmp_p
     (dataset / "build/shard-000002.json").unlink()
     with pytest.raises(CheckError, match="1 of 3 shards are missing"):
         dataset_digest(dataset)
-
-
-def test_a_record_before_version_4_needs_no_checksum(dataset: Path) -> None:
-    from datagen.store.record import read_record
-
-    path = dataset / "build/shard-000000.json"
-    values = json.loads(path.read_bytes())
-    del values["checksum"]
-    path.write_text(json.dumps(values))
-    record = read_record(dataset, 0, must_be_sealed=False)
-    assert record is not None and record.last_scene == 3
-    with pytest.raises(CheckError, match="checksum differs"):
-        read_record(dataset, 0, must_be_sealed=True)
-    # One that has a checksum is held to it in any version.
-    path.write_bytes(sealed(values).replace(b'"shard": 0', b'"shard": 1'))
-    with pytest.raises(CheckError, match="checksum differs"):
-        read_record(dataset, 0, must_be_sealed=False)

@@ -13,7 +13,7 @@ from datagen.cli import run
 from datagen.config.yaml_text import parse_yaml
 from datagen.store import read_manifest
 from datagen.store.verify import dataset_digest
-from datagen.suites import SUITES, Suite, catalogue, make, suite_of
+from datagen.suites import SUITES, Suite, catalogue, suite_of
 
 TINY = """
 name: tiny-1
@@ -70,10 +70,10 @@ def test_other_bytes_fail_and_say_why(
     only_tiny: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(SUITES, "tiny-1", Suite("tiny-1", "0" * 64))
-    monkeypatch.setattr(make, "differing_versions", lambda: "numpy 1.0 (published with 2.0)")
+    monkeypatch.setattr(catalogue, "differing_versions", lambda: "numpy 1.0 (published with 2.0)")
     assert run(["suite", "tiny-1", str(only_tiny / "built"), "--quiet"]) == 1
     assert "made here with numpy 1.0 (published with 2.0)" in capsys.readouterr().err
-    monkeypatch.setattr(make, "differing_versions", lambda: "")
+    monkeypatch.setattr(catalogue, "differing_versions", lambda: "")
     with pytest.raises(dg.CheckError, match=r"published 000000000000.*one of the two is at fault"):
         dg.build_suite("tiny-1", only_tiny / "built", progress=False)
 

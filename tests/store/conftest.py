@@ -1,0 +1,26 @@
+"""Datasets of `fake_samples`, made once for all tests of a process."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from fake_samples import fake_sample, small_config
+
+from datagen.building.build import build
+
+
+@pytest.fixture(scope="session")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What an uninterrupted build with one worker leaves; not to be changed."""
+    root = tmp_path_factory.mktemp("pristine") / "set"
+    result = build(small_config(), root, progress=False, sample_function=fake_sample)
+    assert (result.built, result.kept, result.complete) == (3, 0, True)
+    return root
+
+
+@pytest.fixture
+def dataset(pristine: Path, tmp_path: Path) -> Path:
+    """A copy of that dataset, to be harmed."""
+    return shutil.copytree(pristine, tmp_path / "set")
