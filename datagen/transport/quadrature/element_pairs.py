@@ -15,30 +15,29 @@ twice when all pairs are done.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.compiled import compiled
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, evaluate_at_most
-from datagen.transport.geometry import air, get, half, less, longest, put
+from datagen.transport.geometry import air, get, less, put
 from datagen.transport.quadrature.transfer import (
     ALONG,
     BACK,
     BLUR,
     CLUSTERED,
-    COLUMNS,
     ENERGY,
     LENGTH,
     LONG,
     NORMAL,
-    NUMBERS,
-    PATH,
-    SIZE,
     SPAN,
     TURNED,
     WEIGHT,
-    condense,
-    lit,
+    forget_halves,
+    halves_of,
 )
 from datagen.transport.visibility.raycast import lifted_and_scaled
 
@@ -56,11 +55,59 @@ TOO_NEAR = 8 / 9
 light and agreed with itself at each finer level. With half of it a fifth of the loss is known."""
 DEEPEST = 64
 """Pairs that wait to be cut, at most."""
-AT, VARIANCE, PHOTONS, FIGURES = 0, 1, 2, 3
+AT = 0
+"""Where a pair's arrival begins in its row."""
+
+
+class EndPairs(NamedTuple):
+    """ends (n, 2) one that is lit and one that sees; gain (n,) photons for an energy of one; zero (n,) bins before
+    those of the path between the ends; row (n,) the histogram of each."""
+
+    ends: Ints
+    gain: Floats
+    zero: Floats
+    row: Ints
+
+
+class Rules(NamedTuple):
+    """How elements are joined.
+
+    Attributes
+    ----------
+    same : whether the two ends of each pair are one.
+    allowed : L2 error that a pair of elements may make, for a gain of one.
+    most_looked_at : pairs of elements after which `join` stops, as it does where there is no more room.
+    attenuation, per_metre : 1/m, and bins for each metre of path.
+    offset, frame : by how much ends of rays are lifted, metres, and embree's frame.
+    """
+
+    same: bool
+    allowed: float
+    most_looked_at: int
+    attenuation: float
+    per_metre: float
+    offset: float
+    frame: Floats
+
+
+class Found(NamedTuple):
+    """Pairs of elements: arrival (n, 3) when, in bins, its variance, bins², and photons; row (n,) histogram; origin
+    and span (n, 3) of the ray between the elements, in embree's frame."""
+
+    arrival: Floats
+    row: Ints
+    origin: NDArray[np.float32]
+    span: NDArray[np.float32]
+
+    @classmethod
+    def room(cls, count: int) -> Found:
+        """Room for so many pairs."""
+        rays = np.empty((2, count, 3), np.float32)
+        return cls(np.empty((count, 3)), np.empty(count, np.int64), rays[0], rays[1])
 
 
 @compiled()
-def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-untyped-def]
+def _joined(one, i, two, j, parts, optics):  # type: ignore[no-untyped-def]
     """Energy of a pair of cells if nothing hides them from each other, the most that their lobes allow, their
     distance, the path's mean and variance, the share of them that face each other, and the middles of what does.
 
@@ -68,6 +115,7 @@ def _joined(one, i, two, j, part1, part2, kind, values):  # type: ignore[no-unty
     their middles, H the matrix of its second derivatives, relative to it; and the mean path is longer by that of R,
     and by what it and the light have in common.
     """
+    (part1, part2), kind, values = parts, optics.kind, optics.values
     n1, n2 = get(one, i, NORMAL), get(two, j, NORMAL)
     y1, y2, share = _facing(one, i, two, j)
     d = less(y2, y1)
@@ -195,22 +243,6 @@ def _error(one, i, two, j, most, keen, r, variance, share, haze):  # type: ignor
 
 
 @compiled()
-def _halved(cell, number, k, p, ends, kind, values):  # type: ignore[no-untyped-def]
-    """Cut cell k of end p on its longest side: its halves at k and k + 1."""
-    side, _ = longest(get(cell, k, 0), get(cell, k, 3), get(cell, k, 6))
-    other = (side + 1) % 3
-    y = half(get(cell, k, 3 * side), get(cell, k, 3 * other))
-    w, path = lit(y, get(number, k, NORMAL), p, ends, kind, values)
-    cell[k, SIZE] *= 0.5
-    _copy(cell, k, cell, k + 1)
-    _copy(number, k, number, k + 1)
-    for at, vertex in ((k, side), (k + 1, other)):
-        put(cell, at, 3 * vertex, y)
-        cell[at, WEIGHT + vertex], cell[at, PATH + vertex] = w, path
-        condense(cell, at, number, at, p, ends, kind, values)
-
-
-@compiled()
 def _which(one, i, two, j):  # type: ignore[no-untyped-def]
     """Which of two cells to halve: 1 or 2, the larger one; 0 for neither, for clusters are not halved, nor is what is
     much smaller than a cluster before it."""
@@ -223,148 +255,99 @@ def _which(one, i, two, j):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _ray_from(cell, number, k, turn, y, other):  # type: ignore[no-untyped-def]
-    """Where the ray from a cell to the middle of another leaves it, and the normal there: the middle y of a triangle,
-    and of a cluster one of its points in turn, for its middle may lie inside of a solid."""
-    if number[k, CLUSTERED] == 0.0:
-        return y, get(number, k, NORMAL)
+def _ray_from(elements, k, turn, y, other):  # type: ignore[no-untyped-def]
+    """Where the ray from an element to the middle of another leaves it, and the normal there: the middle y of a
+    triangle, and of a cluster one of its points in turn, for its middle may lie inside of a solid."""
+    if elements.known[k, CLUSTERED] == 0.0:
+        return y, get(elements.known, k, NORMAL)
     for j in range(3):
         at = 3 * ((turn + j) % 3)
-        z, n = get(cell, k, at), get(cell, k, WEIGHT + at)
+        z, n = get(elements.corner, k, at), get(elements.corner, k, WEIGHT + at)
         if dot(less(other, z), n) > 0.0:
             return z, n
-    return y, get(number, k, NORMAL)
-
-
-@compiled()
-def _copy(array, k, to, at):  # type: ignore[no-untyped-def]
-    for column in range(array.shape[1]):
-        to[at, column] = array[k, column]
-
-
-@compiled()
-def room_for(count):  # type: ignore[no-untyped-def]
-    """What waits to be cut, and arrays for so many pairs."""
-    near = (
-        np.empty((DEEPEST + 2, COLUMNS)), np.empty((DEEPEST + 2, NUMBERS)), np.empty((DEEPEST + 2, COLUMNS)),
-        np.empty((DEEPEST + 2, NUMBERS)),
-    )  # fmt: skip
-    found = np.empty((count, FIGURES)), np.empty(count, np.int64)
-    return near, found, (np.empty((count, 3), np.float32), np.empty((count, 3), np.float32))
+    return y, get(elements.known, k, NORMAL)
 
 
 @compiled(_nrt=False)
-def join(  # type: ignore[no-untyped-def]
-    begin, begin_cell, pairs, gain, zero, row, ends1, first1, cell1, number1, part1, ends2, first2, cell2, number2,
-    part2, same, kind, values, sharp, allowed, attenuation, per_metre, offset, scale, near1, known1, near2, known2,
-    figures, rows, origin, span, most_looked_at,
-):  # fmt: skip
-    """Pairs of cells of ends that are lit and ends that see, from pair of ends `begin` on, while there is room.
+def join(begin, pairs, lit, ones, seen, twos, optics, rules, found, waiting):  # type: ignore[no-untyped-def]
+    """Write into `found` the pairs of elements of ends that are lit and ends that see, while there is room.
 
-    pairs : (n, 2) ends. gain : (n,) photons for an energy of one. row : (n,) histogram of each.
-    zero : (n,) bins before those of the path between the ends. same : whether the two ends of each pair are one, so
-        that each pair of cells stands for itself and its reverse. sharp : (K,) 1/width² of each part's BRDF.
-    allowed : L2 error that a pair of cells may make, for a gain of one.
-    most_looked_at : pairs of cells after which it stops, as it does where there is no more room.
-    Returns where it stopped, how many pairs of cells were found, how many were looked at to find them, and photons of
-    clusters `TOO_NEAR` to the other cell.
+    begin : pair of ends and its two elements to go on from, elements −1 for the first of all.
+    Returns where it stopped, which is behind the last pair of ends if all are done, how many pairs of elements were
+    found and how many were looked at to find them, and photons of clusters `TOO_NEAR` to the other element.
     """
-    count, looked_at, near = 0, 0, 0.0
-    last, haze = len(rows), attenuation / per_metre
-    for k in range(begin, len(pairs)):
-        p, q = pairs[k, 0], pairs[k, 1]
-        for i in range(begin_cell if k == begin and begin_cell >= 0 else first1[p], first1[p + 1]):
-            # Half of the room is for what this cell alone may be cut into.
-            if 2 * count > last or looked_at > most_looked_at:
-                return k, i, count, looked_at, near
-            a = part1[i]
-            for j in range(i + 1 if same else first2[q], first2[q + 1]):
-                b = part2[j]
-                looked_at += 1
-                keen = max(sharp[a], sharp[b])
-                energy, most, r, path, variance, share, y1, y2 = _joined(number1, i, number2, j, a, b, kind, values)
-                if not most > 0.0:
-                    continue
-                energy, most = energy * air(attenuation, path), most * air(attenuation, path)
-                variance *= per_metre * per_metre
-                if (
-                    not _error(number1, i, number2, j, most, keen, r, variance, share, haze) > allowed
-                    or _which(number1, i, number2, j) == 0
-                ):
-                    if not energy > 0.0:
-                        continue
-                    near += energy * gain[k] * _too_near(number1, i, number2, j, r)
-                    z1, n1 = _ray_from(cell1, number1, i, j, y1, y2)
-                    z2, n2 = _ray_from(cell2, number2, j, i, y2, z1)
-                    _note(
-                        z1, n1, z2, n2, path, variance, energy, per_metre,
-                        zero[k], gain[k], row[k], count, offset, scale, figures, rows, origin, span,
-                    )  # fmt: skip
-                    count += 1
-                    continue
-                _copy(cell1, i, near1, 0)
-                _copy(number1, i, known1, 0)
-                _copy(cell2, j, near2, 0)
-                _copy(number2, j, known2, 0)
-                top, left = 1, last - count - (first2[q + 1] - j)
+    count, looked_at, near, room = 0, 0, 0.0, len(found.row)
+    haze, per_square = rules.attenuation / rules.per_metre, rules.per_metre * rules.per_metre
+    for k in range(begin[0], len(pairs.ends)):
+        p, q = pairs.ends[k, 0], pairs.ends[k, 1]
+        again = k == begin[0] and begin[1] >= 0
+        for i in range(begin[1] if again else ones.first[p], ones.first[p + 1]):
+            a = ones.part[i]
+            again = k == begin[0] and i == begin[1]
+            # The two ends are one: each pair stands for itself and its reverse.
+            from_ = i + 1 if rules.same else twos.first[q]
+            for j in range(begin[2] if again else from_, twos.first[q + 1]):
+                # Half of the room is for what this pair alone may be cut into.
+                if 2 * count > room or looked_at > rules.most_looked_at:
+                    return (k, i, j), count, looked_at, near
+                forget_halves(ones)
+                forget_halves(twos)
+                b = twos.part[j]
+                keen = max(optics.sharp[a], optics.sharp[b])
+                waiting[0, 0], waiting[0, 1], top = i, j, 1
                 while top > 0:
                     top -= 1
+                    one, two = waiting[top, 0], waiting[top, 1]
                     looked_at += 1
                     energy, most, r, path, variance, share, y1, y2 = _joined(
-                        known1, top, known2, top, a, b, kind, values
+                        ones.known, one, twos.known, two, (a, b), optics
                     )
                     if not most > 0.0:
                         continue
-                    energy, most = energy * air(attenuation, path), most * air(attenuation, path)
-                    variance *= per_metre * per_metre
-                    larger = _which(known1, top, known2, top)
+                    left = air(rules.attenuation, path)
+                    energy, most, variance = energy * left, most * left, variance * per_square
+                    larger = _which(ones.known, one, twos.known, two)
                     if (
                         larger > 0
-                        and _error(known1, top, known2, top, most, keen, r, variance, share, haze) > allowed
-                        and top < DEEPEST
-                        and top + 2 < left
+                        and top + 2 <= len(waiting)
+                        and count + top + 2 < room
+                        and _error(ones.known, one, twos.known, two, most, keen, r, variance, share, haze)
+                        > rules.allowed
                     ):
-                        _copy(near1, top, near1, top + 1)
-                        _copy(known1, top, known1, top + 1)
-                        _copy(near2, top, near2, top + 1)
-                        _copy(known2, top, known2, top + 1)
+                        # Halves are made once and serve all pairs that want to be as fine there.
                         if larger == 1:
-                            _halved(near1, known1, top, p, ends1, kind, values)
+                            half = halves_of(ones, one, p, lit, optics)
                         else:
-                            _halved(near2, known2, top, q, ends2, kind, values)
-                        top += 2
-                        continue
-                    if not energy > 0.0:
-                        continue
-                    near += energy * gain[k] * _too_near(known1, top, known2, top, r)
-                    z1, n1 = _ray_from(near1, known1, top, j, y1, y2)
-                    z2, n2 = _ray_from(near2, known2, top, i, y2, z1)
-                    _note(
-                        z1, n1, z2, n2, path, variance, energy, per_metre,
-                        zero[k], gain[k], row[k], count, offset, scale, figures, rows, origin, span,
-                    )  # fmt: skip
-                    count += 1
-                    left -= 1
-    return len(pairs), -1, count, looked_at, near
+                            half = halves_of(twos, two, q, seen, optics)
+                        if half >= 0:
+                            for h in range(2):
+                                waiting[top + h, 0] = half + h if larger == 1 else one
+                                waiting[top + h, 1] = two if larger == 1 else half + h
+                            top += 2
+                            continue
+                    if energy > 0.0:
+                        near += energy * pairs.gain[k] * _too_near(ones.known, one, twos.known, two, r)
+                        z1, n1 = _ray_from(ones, one, j, y1, y2)
+                        z2, n2 = _ray_from(twos, two, i, y2, z1)
+                        arrival = (path * rules.per_metre - pairs.zero[k], variance, energy * pairs.gain[k])
+                        _note(found, count, pairs.row[k], arrival, z1, n1, z2, n2, rules)
+                        count += 1
+    return (len(pairs.ends), -1, -1), count, looked_at, near
 
 
 @compiled()
-def _note(  # type: ignore[no-untyped-def]
-    y1, n1, y2, n2, path, variance, energy, per_metre, zero, gain, row, count, offset, scale, figures, rows,
-    origin, span,
-):  # fmt: skip
-    """Write down when and how a pair's light arrives, and the ray between them."""
-    figures[count, AT], figures[count, VARIANCE] = path * per_metre - zero, variance
-    figures[count, PHOTONS] = energy * gain
-    rows[count] = row
-    a, b = lifted_and_scaled(y1, n1, offset, scale), lifted_and_scaled(y2, n2, offset, scale)
-    for k in range(3):
-        origin[count, k], span[count, k] = a[k], b[k] - a[k]
+def _note(found, k, row, arrival, y1, n1, y2, n2, rules):  # type: ignore[no-untyped-def]
+    """Write down pair k: its histogram, when and how its light arrives, and the ray between its elements."""
+    found.row[k] = row
+    put(found.arrival, k, AT, arrival)
+    a, b = lifted_and_scaled(y1, n1, rules.offset, rules.frame), lifted_and_scaled(y2, n2, rules.offset, rules.frame)
+    for axis in range(3):
+        found.origin[k, axis], found.span[k, axis] = a[axis], b[axis] - a[axis]
 
 
 @compiled()
-def arrive(count, figures, rows, hidden, knots, photons):  # type: ignore[no-untyped-def]
-    """Add the tents of those pairs that nothing hides from each other.
+def arrive(found, count, hidden, knots, photons):  # type: ignore[no-untyped-def]
+    """Add the tents of the first `count` pairs found, but for those that something hides from each other.
 
     knots : (n, T + 3) second differences of the histograms, and what the last two bins beyond need.
     photons : (n,) all photons, inside the window and outside.
@@ -372,8 +355,9 @@ def arrive(count, figures, rows, hidden, knots, photons):  # type: ignore[no-unt
     for k in range(count):
         if hidden[k]:
             continue
-        row, at, energy = rows[k], figures[k, AT], figures[k, PHOTONS]
-        wide = max(math.sqrt(6.0 * figures[k, VARIANCE]), NARROWEST)
+        row, (at, variance, energy) = found.row[k], get(found.arrival, k, AT)
+        # The tent with this variance; no narrower, for its height would then depend on where in a bin it falls.
+        wide = max(math.sqrt(6.0 * variance), NARROWEST)
         weight = energy / (wide * wide)
         photons[row] += energy
         _knot(knots, row, at - wide, weight)

@@ -17,7 +17,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.seeding import LightStream
@@ -25,9 +24,18 @@ from datagen.transport.brdf.table import LAMBERTIAN, OREN_NAYAR
 from datagen.transport.error_control.cost import CELL_PAIR, PAIR_RAY
 from datagen.transport.error_control.refinement import by_light, spread_evenly
 from datagen.transport.path_tracing.trace import WalkTask
-from datagen.transport.quadrature.element_pairs import arrive, join, room_for
+from datagen.transport.quadrature.element_pairs import DEEPEST, EndPairs, Found, Rules, arrive, join
 from datagen.transport.quadrature.gathering import Gathering, patches_of
-from datagen.transport.quadrature.transfer import ENERGY, SHARE, TO_DEVICE, UPWARD, Ends, reach_of
+from datagen.transport.quadrature.transfer import (
+    ENERGY,
+    SHARE,
+    TO_DEVICE,
+    UPWARD,
+    Ends,
+    Fineness,
+    Optics,
+    elements_of,
+)
 from datagen.transport.reference import pairs_of
 from datagen.transport.sampling import stream_seeds
 from datagen.units import path_from_time
@@ -53,9 +61,6 @@ CONFOCAL_AT_ONCE, EXHAUSTIVE_AT_ONCE, PAIRS_AT_ONCE = 512, 4096, 1 << 18
 ROUNDING = 1e-12
 """What is left of a histogram where its light has ended, relative to its highest bin; and outside of the window,
 relative to all."""
-
-
-Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -197,7 +202,8 @@ def _level(
                 return None
         # What clusters give to cells beside them is wrong alike at all levels.
         doubt = [run.doubt * l2_norm(histogram) for run, histogram in zip(runs, histograms, strict=True)]
-        still = _still(histograms) + of_patches + doubt[:-1]
+        # How elements are cut and how pixels are quartered have nothing to do with each other.
+        still = np.hypot(_still(histograms), of_patches) + doubt[:-1]
         costs = [run.cost for run in runs]
         # The error of its own light is given up where that costs too much, and where no level is left.
         for goal in (wanted, limit):
@@ -208,7 +214,7 @@ def _level(
             return None
         if number > n - 1:
             continue
-        left = (REST - 1) * l2_norm(histograms[-1] - histograms[-2]) + of_patches + doubt[-1]
+        left = math.hypot((REST - 1) * l2_norm(histograms[-1] - histograms[-2]), of_patches) + doubt[-1]
         return _Level(
             number, patches, error, runs[-1], left, sum(run.pairs for run in runs), sum(run.rays for run in runs)
         )
@@ -259,9 +265,19 @@ def _patches_for(
 
 
 def _still(histograms: list[Floats]) -> Floats:
-    """(n − 1,) L2 error that each run still has, the last of them apart."""
-    off = np.array([l2_norm(run - histograms[-1]) for run in histograms[:-1]])
-    return np.asarray(off + (REST - 1) * off[-1])
+    """(n − 1,) L2 error that each run still has, the last of them apart.
+
+    It is what a run differs by from the last, and the error of that. The two add up as far as errors keep their sign
+    from run to run, and as squares as far as they are chance: what the step to the last run has in common with the
+    steps before it tells.
+    """
+    *others, last = histograms
+    off = np.array([l2_norm(run - last) for run in others])
+    rest, common = (REST - 1) * off[-1], np.ones(len(off))
+    for k, run in enumerate(others[:-1]):
+        steps = float(np.vdot(run - others[-1], others[-1] - last))
+        common[k:] = max(steps, 0.0) / max(l2_norm(run - others[-1]) * off[-1], 1e-300)
+    return np.asarray(np.sqrt(off**2 + rest**2 + 2.0 * common * off * rest))
 
 
 @dataclass(frozen=True)
@@ -300,9 +316,7 @@ class _Scan:
     """Mean share of an end's light that surfaces catch: in the open the rest flies off."""
     too_dear: Callable[[float], bool] = lambda cost: False
     """Whether a cost is too much: twice that ends the search for pairs."""
-    room: tuple[tuple[Floats, ...], tuple[Floats, Ints], tuple[Singles, Singles]] = field(
-        default_factory=lambda: room_for(PAIRS_AT_ONCE)
-    )
+    found: Found = field(default_factory=lambda: Found.room(PAIRS_AT_ONCE))
 
     @classmethod
     def of(cls, gathering: Gathering) -> _Scan:
@@ -353,40 +367,41 @@ class _Scan:
         if matt:
             materials, sharp = replace(materials, kind=np.zeros_like(materials.kind)), np.ones_like(width)
         narrow = ~np.isin(materials.kind, (LAMBERTIAN, OREN_NAYAR))
-        ones, rays = reach_of(lit, tree, occluders, materials, sharp, narrow, COARSEST, error, True, seed)
+        optics = Optics(materials.kind, materials.values, sharp, narrow)
+        # The laser is no reason to leave rays out: whoever asks for no occlusion means the last leg.
+        ones, rays = elements_of(lit, tree, occluders, optics, Fineness(COARSEST, error, True, seed))
         same = self._same(lit, seen, pairs)
         twos = ones
         if not same:
-            twos, more = reach_of(seen, tree, occluders, materials, sharp, narrow, COARSEST, error, asked, seed)
+            twos, more = elements_of(seen, tree, occluders, optics, Fineness(COARSEST, error, asked, seed))
             rays += more
         legs = leg1[i] + leg3[p]
         gain = np.exp(-air * leg1[i]) * weight[p]
         per_metre = 1.0 / float(path_from_time(axis.width_s))
         zero = axis.start_s / axis.width_s - (legs * per_metre if device else np.zeros(len(legs)))
-        caster = task.caster
-        scale = np.array([*caster.center, caster.half_extent_m])
-        waiting, (figures, rows), (origin, span) = self.room
-        local = np.stack([i.reshape(-1), p.reshape(-1)], axis=1)
-        row = first + np.arange(len(pairs))
-        at, cell, count, near = 0, -1, 0, 0.0
-        while at < len(pairs):
-            at, cell, found, looked_at, doubt = join(  # type: ignore[call-arg]
-                at, cell, local, 2.0 * gain if same else gain, zero, row, lit, ones.first, ones.cell, ones.number,
-                ones.part, seen, twos.first, twos.cell, twos.number, twos.part, same, materials.kind,
-                materials.values, sharp, allowed, air, per_metre, caster.offset_m, scale, *waiting, figures, rows,
-                origin, span, PAIRS_AT_ONCE,
-            )  # fmt: skip
+        caster, found = task.caster, self.found
+        of_ends = EndPairs(
+            np.stack([i.reshape(-1), p.reshape(-1)], axis=1), 2.0 * gain if same else gain, zero,
+            first + np.arange(len(pairs)),
+        )  # fmt: skip
+        rules = Rules(
+            same, allowed, PAIRS_AT_ONCE, air, per_metre, caster.offset_m,
+            np.array([*caster.center, caster.half_extent_m]),
+        )  # fmt: skip
+        at, waiting, count, near = (0, -1, -1), np.empty((DEEPEST + 2, 2), np.int64), 0, 0.0
+        while at[0] < len(pairs):
+            at, joined, looked_at, doubt = join(at, of_ends, lit, ones, seen, twos, optics, rules, found, waiting)
             count, near = count + looked_at, near + doubt
             if asked and occluders.any:
-                hidden = caster.occluded_scaled(origin[:found], span[:found])
-                rays += found
+                hidden = caster.occluded_scaled(found.origin[:joined], found.span[:joined])
+                rays += joined
             else:
-                hidden = np.zeros(found, np.bool_)
-            arrive(found, figures, rows, hidden, knots, photons)
+                hidden = np.zeros(joined, np.bool_)
+            arrive(found, joined, hidden, knots, photons)
             if self.too_dear(0.5 * (CELL_PAIR * count + PAIR_RAY * rays)):
                 raise _TooDear
-        caught = (ones.number[:, ENERGY].sum() + twos.number[:, ENERGY].sum()) / (len(lasers) + len(pixels))
-        return float(gain.sum()), float(caught), near, count, rays
+        energy = sum(of.known[: of.first[-1], ENERGY].sum() for of in (ones, twos))
+        return float(gain.sum()), float(energy / (len(lasers) + len(pixels))), near, count, rays
 
     def _same(self, lit: Ends, seen: Ends, pairs: Ints) -> bool:
         """Whether each laser point is its own pixel, so that light may go round either way."""
