@@ -7,8 +7,7 @@ the photons it sends into an aperture of area A are f₃ E₃ · A J / M for M p
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,7 @@ from datagen.transport.visibility.lines_of_sight import lines_of_sight
 from datagen.transport.visibility.raycast import Raycaster
 
 
-@dataclass(frozen=True)
-class FovPool:
+class FovPool(NamedTuple):
     """Q FoV points for each of P pixels, grouped in blocks of M that each cover the whole pixel.
 
     sets : independent sets of blocks side by side, as many of them in each; one for each replicate traced at once.
@@ -52,12 +50,10 @@ class FovPool:
             apart = values.reshape(sets, pixels, *values.shape[1:])
             return np.ascontiguousarray(apart.swapaxes(0, 1)).reshape(pixels, -1, *values.shape[2:])
 
-        arrays = {f.name: joined(getattr(self, f.name)) for f in fields(self) if f.name != "sets"}
-        return FovPool(**arrays, sets=sets)
+        return FovPool(*(joined(values) for values in self[:-1]), sets)
 
 
-@dataclass(frozen=True)
-class PixelCones:
+class PixelCones(NamedTuple):
     """The pixels as cones of directions from the sensor.
 
     planes : (P, 4, 3) inward normals of the four side planes; a direction inside has all four products ≥ 0.
@@ -108,8 +104,7 @@ NEGLIGIBLE_SHARE = 0.05
 """Largest share of a FoV point's footprint that one connection may fill before followed rays take part."""
 
 
-@dataclass(frozen=True)
-class PixelPatches:
+class PixelPatches(NamedTuple):
     """Roughly where each pixel's patch of wall lies, from a fixed 3 × 3 grid of lines of sight.
 
     center : (P, 3) and radius : (P,) a ball about the patch, metres (infinite where a line of sight meets nothing).

@@ -19,10 +19,9 @@ from datagen.transport.error_control.surroundings import CONTACT, surroundings
 from datagen.transport.factorised.secondary import factorising, secondary_transient
 from datagen.transport.fields_of_view import PixelCones, PixelPatches
 from datagen.transport.flood import flooded
-from datagen.transport.path_tracing.averages import Average, Estimate, split_rows, walk_average
-from datagen.transport.path_tracing.trace import Splits, WalkTask, components_asked
+from datagen.transport.path_tracing.averages import Average, Estimate, rays_of, split_rows, walk_average
 from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints
-from datagen.transport.visibility.clear_sight import ClearSight
+from datagen.transport.problem import Problem, Splits, components_asked
 from datagen.transport.visibility.raycast import Raycaster
 
 OBSERVED_IN_CONTACT = 64
@@ -114,26 +113,23 @@ def transient_of(
         estimate = _with_factorised(task, average)
     finished = clock_time.perf_counter()
     seconds = {"prepare": ready - began, "trace": traced - ready, "secondary": finished - traced}
-    return Transient(
-        time=capture.time, laser_points=task.points.position, seconds=seconds, rays=task.sight.rays, **vars(estimate)
-    )
+    return Transient(time=capture.time, laser_points=task.points.position, seconds=seconds, **vars(estimate))
 
 
 def prepared(
     scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool,
     caster: Raycaster | None = None,
-) -> WalkTask:  # fmt: skip
+) -> Problem:  # fmt: skip
     """What `simulate` works with: the scene as the kernels want it, and what is asked of it."""
     caster = Raycaster(scene) if caster is None else caster
     materials = MaterialTable.of(scene.materials)
     cones = PixelCones.of(capture.sensor)
     points = LaserPoints.of(caster, scene, capture.laser)
     splits = Splits(scene.part_names if split_parts else (), components_asked(accuracy), len(scene.part_names))
-    task = WalkTask(
+    task = Problem(
         scene, capture, accuracy, caster, materials, cones,
         PixelPatches.of(caster, capture.sensor, cones, accuracy.fov_samples), points,
         cache(partial(AreaTarget.choose, caster, scene, materials, points, seed)), seed, splits,
-        ClearSight.of(caster, capture.sensor, accuracy.occlusion, *_connections(capture, accuracy)),
         _walked(accuracy, materials),
     )  # fmt: skip
     if _needs_to_look_around(task):
@@ -141,7 +137,7 @@ def prepared(
     return task
 
 
-def _needs_to_look_around(task: WalkTask) -> bool:
+def _needs_to_look_around(task: Problem) -> bool:
     """Whether the walk asked for would seldom meet the surfaces that give the field of view its secondary."""
     accuracy = task.accuracy
     asked = accuracy.target is None and accuracy.observed is None and accuracy.occlusion != "off"
@@ -150,21 +146,13 @@ def _needs_to_look_around(task: WalkTask) -> bool:
     return surroundings(task, task.seed) > CONTACT
 
 
-def _connections(capture: Capture, accuracy: Accuracy) -> tuple[int, int]:
-    """The walk's connections for each vertex, and in all, about; 0 where a target decides."""
-    lasers, pixels, _ = capture.shape
-    each = pixels * accuracy.fov_samples
-    orders = 3 if accuracy.max_bounces is None else accuracy.max_bounces - 2
-    return each, 0 if accuracy.target is not None else lasers * accuracy.lookins * each * orders
-
-
 def _walked(accuracy: Accuracy, materials: MaterialTable) -> Bools:
     if accuracy.secondary == "none":
         return np.zeros(len(materials.kind), np.bool_)
     return np.ones(len(materials.kind), np.bool_) if accuracy.observed is None else ~factorising(materials)
 
 
-def _with_factorised(task: WalkTask, average: Average) -> Estimate:
+def _with_factorised(task: Problem, average: Average) -> Estimate:
     """The walk's average, with what the factorised form gives of the secondary; its error is independent."""
     accuracy, splits = task.accuracy, task.splits
     components, parts = split_rows(average.rows, splits)
@@ -186,4 +174,4 @@ def _with_factorised(task: WalkTask, average: Average) -> Estimate:
         fov_samples=dict.fromkeys(components, int(accuracy.fov_samples)), rounds=1, cost=total,
         outcome="sample counts as given",
     )  # fmt: skip
-    return Estimate(components, parts, stderr, overflow, spend)
+    return Estimate(components, parts, stderr, overflow, spend, rays=rays_of(task, average.work))

@@ -34,7 +34,7 @@ SPECTRUM, BUTTERFLY = 0.01, 0.0055
 
 @dataclass(frozen=True)
 class Work:
-    """What a piece of the transport did; the last two do not grow with the number of lookins.
+    """What a piece of the transport did; entries and calls do not grow with the number of lookins.
 
     Attributes
     ----------
@@ -42,12 +42,14 @@ class Work:
     connections : of a vertex with a FoV point.
     entries : of histograms cleared, squared and added up.
     calls : of the tracing code.
+    bright : those of the connections that could carry energy, each of which sent a shadow ray where occlusion counts.
     """
 
     rays: float = 0.0
     connections: float = 0.0
     entries: float = 0.0
     calls: float = 1.0
+    bright: float = 0.0
 
     def __add__(self, other: Work) -> Work:
         return Work(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))

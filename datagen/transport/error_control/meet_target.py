@@ -12,12 +12,12 @@ from datagen.records import Spend
 from datagen.records.arrays import Floats, l2_norm
 from datagen.transport.error_control.allocation import REPLICATES, Allotment, next_allotments, one_more
 from datagen.transport.error_control.confidence import bound_factor, total_variance
-from datagen.transport.error_control.cost import CELL, CELL_PAIR, CELL_RAY, PAIR_RAY
+from datagen.transport.error_control.cost import CELL, CELL_PAIR, CELL_RAY, PAIR_RAY, Work
 from datagen.transport.error_control.second_opinion import Claim, Opinion, second_opinion
 from datagen.transport.error_control.strata import Known, Stratum, square_norm
 from datagen.transport.error_control.strategies import ForecastWalk, Seeds, first_rounds
-from datagen.transport.path_tracing.averages import Estimate, split_rows
-from datagen.transport.path_tracing.trace import WalkTask
+from datagen.transport.path_tracing.averages import Estimate, rays_of, split_rows
+from datagen.transport.problem import Problem
 from datagen.transport.quadrature.four_bounces import Secondary, secondary_by_cells
 from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.quadrature.three_bounces import Primary, primary_by_cells
@@ -46,7 +46,7 @@ LEAST_LEFT = 0.1
 """Share of the square of the target that is left to components still to be found at least."""
 
 
-def meet_target(task: WalkTask) -> Estimate:
+def meet_target(task: Problem) -> Estimate:
     """A transient whose relative L2 error, in all and in each object's primary, is within what `Accuracy` asks.
 
     Primary and secondary come from cells, without noise (`three_bounces.py`, `four_bounces.py`), and what these
@@ -110,7 +110,7 @@ def _agreed_primary(gathering: Gathering, share: float) -> tuple[Primary | None,
     return None, opinions
 
 
-def _claims(task: WalkTask, primary: Primary) -> dict[str, Claim]:
+def _claims(task: Problem, primary: Primary) -> dict[str, Claim]:
     """What the primary says of the error of its whole, and of each part that brings light.
 
     The light of a part that is held to no error of its own may be wrong by as much as the whole.
@@ -127,7 +127,7 @@ def _claims(task: WalkTask, primary: Primary) -> dict[str, Claim]:
     return claims
 
 
-def _confirmed(task: WalkTask, estimate: Estimate, by_cells: tuple[str, ...], opinions: list[Opinion]) -> Estimate:
+def _confirmed(task: Problem, estimate: Estimate, by_cells: tuple[str, ...], opinions: list[Opinion]) -> Estimate:
     """The same estimate, its record saying what all second opinions were, the one on what was sampled with them.
 
     The bound of sampled light knows nothing of paths so rare that no replicate met them. Where other samples did, the
@@ -175,7 +175,7 @@ def _of_secondary(secondary: Secondary) -> _Found:
     return _Found(secondary.histogram, secondary.overflow, secondary.error, cost, secondary.pairs)
 
 
-def _joined(task: WalkTask, found: dict[str, _Found], primary: Primary, rest: Estimate) -> Estimate:
+def _joined(task: Problem, found: dict[str, _Found], primary: Primary, rest: Estimate) -> Estimate:
     """What cells gave with the other components from samples; its error is taken as the same share of every bin."""
     total = sum(one.cost for one in found.values()) + rest.spend.cost
     lasers = max(int((task.points.part >= 0).sum()), 1)
@@ -199,11 +199,11 @@ def _joined(task: WalkTask, found: dict[str, _Found], primary: Primary, rest: Es
     return Estimate(
         components, dict(zip(task.splits.parts, primary.rows, strict=False)),
         reduce(np.hypot, [rest.stderr, *errors] if rest.components else errors), overflow, spend,
-        rest.error_bound, rest.met_target and told, dict(primary.part_errors),
+        rest.error_bound, rest.met_target and told, dict(primary.part_errors), rest.rays,
     )  # fmt: skip
 
 
-def _sampled(task: WalkTask, known: Known | None) -> Estimate:
+def _sampled(task: Problem, known: Known | None) -> Estimate:
     """Sample until an upper bound of the relative L2 error of the whole transient is within `Accuracy.target`.
 
     Each component is a stratum with samples of its own, unless a walk that finds several together is cheaper. A first
@@ -282,7 +282,7 @@ def _search(strata: list[Stratum], seeds: Seeds, budget: float) -> str:
 
 
 def _estimate(
-    task: WalkTask, strata: list[Stratum], tried: float, rounds: int, bound: float, outcome: str
+    task: Problem, strata: list[Stratum], tried: float, rounds: int, bound: float, outcome: str
 ) -> Estimate:
     components: dict[str, Floats] = {}
     parts: dict[str, Floats] = {}
@@ -313,10 +313,14 @@ def _estimate(
     )  # fmt: skip
     target = task.accuracy.target
     ordered = {name: components[name] for name in asked}
-    return Estimate(ordered, parts, np.sqrt(variance), overflow, spend, bound, target is not None and bound <= target)
+    work = sum((stratum.work for stratum in strata), start=Work(calls=0))
+    return Estimate(
+        ordered, parts, np.sqrt(variance), overflow, spend, bound, target is not None and bound <= target,
+        rays=rays_of(task, work),
+    )  # fmt: skip
 
 
-def _nothing(task: WalkTask) -> Estimate:
+def _nothing(task: Problem) -> Estimate:
     """No laser ray meets the scene: the transient is zero, exactly."""
     asked, shape = task.splits.components, task.capture.shape
     spend = Spend(

@@ -26,7 +26,7 @@ from scipy.special import ndtri
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.error_control.cost import SAMPLE
-from datagen.transport.path_tracing.trace import WalkTask
+from datagen.transport.problem import Problem
 from datagen.transport.reference import pairs_of
 from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.sampling import stream_seeds
@@ -92,7 +92,7 @@ class Opinion:
         return f"{verdict}: of {self.samples} samples, farthest off {self.worst}, {self.off:+.1%} ± {self.known:.1%}"
 
 
-def second_opinion(task: WalkTask, claims: Mapping[str, Claim], cost: float = 0.0, turn: int = 0) -> Opinion:
+def second_opinion(task: Problem, claims: Mapping[str, Claim], cost: float = 0.0, turn: int = 0) -> Opinion:
     """Whether unbiased samples of the energy agree with the light that was found.
 
     claims : name → light. cost : what finding it took, in units of
@@ -110,13 +110,13 @@ def second_opinion(task: WalkTask, claims: Mapping[str, Claim], cost: float = 0.
     return replace(second, agrees=agrees or undecided, undecided=undecided, samples=first.samples + second.samples)
 
 
-def _lifted(task: WalkTask) -> Floats:
+def _lifted(task: Problem) -> Floats:
     """(n, 3) laser points that lie on a surface, a little above it."""
     lit = task.points.part >= 0
     return task.points.position[lit] + task.caster.offset_m * task.points.normal[lit]
 
 
-def _look(task: WalkTask, claims: Mapping[str, Claim], count: int, last_order: int, look: int) -> Opinion:
+def _look(task: Problem, claims: Mapping[str, Claim], count: int, last_order: int, look: int) -> Opinion:
     """One look at `count` pairs; it agrees."""
     time = task.capture.time
     seed = int(stream_seeds(task.seed, LightStream.SECOND_OPINION, 0, np.array([look]))[0])

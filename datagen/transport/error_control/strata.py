@@ -13,7 +13,7 @@ from datagen.transport.factorised.secondary import secondary_transient
 from datagen.transport.fields_of_view import PixelPatches
 from datagen.transport.path_tracing.averages import Average, walk_average
 from datagen.transport.path_tracing.replicate_spread import Sketch
-from datagen.transport.path_tracing.trace import WalkTask, part_of
+from datagen.transport.problem import Problem, part_of
 
 EXPONENTS = (0.9, 1.5)
 """Bounds of α in variance ∝ n^−α: 1 for independent samples, up to 3 for smooth integrands; bins make them rough."""
@@ -61,7 +61,7 @@ class Stratum:
     excess : by how much the last round disagreed with those before it, ≥ 1.
     """
 
-    task: WalkTask
+    task: Problem
     observed: int | None = None
     carriers: Bools | None = None
     rows: list[Floats] = field(init=False)
@@ -151,7 +151,7 @@ class Stratum:
         self.scale[seen], self.points[seen] = variance[seen] * replicates, points[seen]
         self.rounds.append(one)
 
-    def _average(self, task: WalkTask, count: int, replicates: int, seed: int, sketch: Sketch) -> Average:
+    def _average(self, task: Problem, count: int, replicates: int, seed: int, sketch: Sketch) -> Average:
         counts = replace(
             task.accuracy, target=None, part_target=None, lookins=count * replicates, replicates=replicates
         )
@@ -176,7 +176,7 @@ class Stratum:
             self.exponent = float(np.clip(np.log(was / now) / growth, *EXPONENTS))
 
 
-def with_fov_samples(task: WalkTask, fov_samples: int) -> WalkTask:
+def with_fov_samples(task: Problem, fov_samples: int) -> Problem:
     """The same task with another number of FoV points for each vertex and pixel."""
     accuracy = replace(task.accuracy, target=None, part_target=None, fov_samples=fov_samples)
     patches = PixelPatches.of(task.caster, task.capture.sensor, task.cones, fov_samples)

@@ -16,7 +16,7 @@ from datagen.transport.error_control.cost import RAY, Work
 from datagen.transport.error_control.strata import Known, Stratum, square_norm, with_fov_samples
 from datagen.transport.error_control.surroundings import CONTACT, surroundings
 from datagen.transport.factorised.secondary import factorising
-from datagen.transport.path_tracing.trace import WalkTask, part_of
+from datagen.transport.problem import Problem, part_of
 from datagen.transport.sampling import stream_seeds
 
 SEEDS_PER_ROUND = 8
@@ -64,7 +64,7 @@ class Seeds:
         return [int(h) << 32 | int(w) for h, w in zip(high, low, strict=True)]
 
 
-def _first_points(task: WalkTask) -> Ints:
+def _first_points(task: Problem) -> Ints:
     """(L,) lookins for each replicate of a first round."""
     lasers = len(task.points.part)
     wanted = FIRST_LOOKINS // (REPLICATES * lasers)
@@ -73,7 +73,7 @@ def _first_points(task: WalkTask) -> Ints:
 
 
 def first_rounds(
-    task: WalkTask, target: float, seeds: Seeds, known: Known | None = None
+    task: Problem, target: float, seeds: Seeds, known: Known | None = None
 ) -> tuple[list[Stratum], float]:
     """The strata to work with, each with a first round, and the cost of what was tried and left.
 
@@ -127,7 +127,7 @@ def first_rounds(
 class ForecastWalk:
     """What a walk for all components of a task will cost, with an L2 error of `wanted` photons."""
 
-    task: WalkTask
+    task: Problem
     wanted: float
 
     def costs_less_than(self, cost: float) -> bool:
@@ -161,16 +161,16 @@ def _cost_to_go(joint: Stratum, strata: list[Stratum], target: float, known: Kno
     return joint.work.growing * variance / wanted if wanted > 0 else 0.0
 
 
-def _of_components(task: WalkTask, components: tuple[str, ...], walked: Bools) -> WalkTask:
+def _of_components(task: Problem, components: tuple[str, ...], walked: Bools) -> Problem:
     parts = task.splits.parts if "primary" in components else ()
     return replace(task, splits=replace(task.splits, components=components, parts=parts), walked=walked)
 
 
-def _factorised(task: WalkTask, carriers: Bools, observed: int) -> Stratum:
+def _factorised(task: Problem, carriers: Bools, observed: int) -> Stratum:
     return Stratum(_of_components(task, ("secondary",), ~carriers), observed, carriers)
 
 
-def _usual_fov_samples(task: WalkTask) -> int:
+def _usual_fov_samples(task: Problem) -> int:
     """FoV points for each vertex to begin with: several for few pixels whose patches are large."""
     if task.patch_detail(np.arange(len(task.patches.radius))) < FINE_PATCH:
         return 1
@@ -178,7 +178,7 @@ def _usual_fov_samples(task: WalkTask) -> int:
     return min(USUAL_FOV_SAMPLES, 1 << room.bit_length() - 1)
 
 
-def _with_best_fov_samples(task: WalkTask, seeds: Seeds) -> tuple[WalkTask, float]:
+def _with_best_fov_samples(task: Problem, seeds: Seeds) -> tuple[Problem, float]:
     """Try numbers of FoV points on the primary of some laser points, in rising order for as long as that pays: more
     of them lower the variance and save rays. It falls by more than 1/M where the pixel is smooth, so nothing is
     interpolated."""
@@ -203,7 +203,7 @@ def _with_best_fov_samples(task: WalkTask, seeds: Seeds) -> tuple[WalkTask, floa
 
 
 def _with_better_secondary(
-    task: WalkTask, strata: list[Stratum], factor: Bools, points: Ints, seeds: Seeds, contact: bool
+    task: Problem, strata: list[Stratum], factor: Bools, points: Ints, seeds: Seeds, contact: bool
 ) -> tuple[list[Stratum], float]:
     """The factorised form for the secondary of Lambertian lookins, where variance × cost is less than by the walk, or
     where the walk's own variance is not to be believed (`contact`)."""
@@ -225,7 +225,7 @@ def _price(strata: list[Stratum]) -> float:
 
 
 def _with_shared_walks(
-    task: WalkTask, joint: Stratum, apart: list[Stratum], points: Ints, seeds: Seeds
+    task: Problem, joint: Stratum, apart: list[Stratum], points: Ints, seeds: Seeds
 ) -> tuple[list[Stratum], float]:
     """The walk for all orders, or walks apart, or some orders joined: walks apart repeat each other's rays."""
     of_joint, of_apart = _price([joint]), _price(apart)

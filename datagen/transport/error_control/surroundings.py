@@ -9,7 +9,8 @@ import numpy as np
 
 from datagen.seeding import LightStream
 from datagen.transport.brdf import cosine_directions
-from datagen.transport.path_tracing.trace import WalkTask, blocks_for, pool_for
+from datagen.transport.path_tracing.trace import blocks_for, pool_for
+from datagen.transport.problem import Problem
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 
 PIXELS, POINTS, RAYS = 8, 16, 64
@@ -20,7 +21,7 @@ CONTACT = 0.1
 """Share of what the field of view sees from which surfaces right beside it decide how the secondary is found."""
 
 
-def surroundings(task: WalkTask, seed: int) -> float:
+def surroundings(task: Problem, seed: int) -> float:
     """Share, by cosine, of what the field of view sees that is so near that a walk would seldom be there.
 
     A pixel at the foot of another wall gets most of its secondary from the few centimetres beside it. A walk that has

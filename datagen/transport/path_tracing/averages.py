@@ -13,16 +13,9 @@ from datagen.transport.error_control.cost import Work
 from datagen.transport.fields_of_view import FovPool
 from datagen.transport.path_tracing.connections import Tally
 from datagen.transport.path_tracing.replicate_spread import Sketch, standard_error
-from datagen.transport.path_tracing.trace import (
-    FOV_POINTS_PER_POOL,
-    Splits,
-    WalkTask,
-    blocks_for,
-    part_of,
-    pool_for,
-    trace_chunk,
-)
+from datagen.transport.path_tracing.trace import FOV_POINTS_PER_POOL, blocks_for, pool_for, trace_chunk
 from datagen.transport.path_tracing.vertices import runs_of
+from datagen.transport.problem import Problem, Splits, part_of
 from datagen.transport.sampling import Streams
 
 LOOKINS_PER_CHUNK = 1 << 17
@@ -63,6 +56,7 @@ class Estimate:
     error_bound: float | None = None
     met_target: bool | None = None
     part_errors: dict[str, float] = field(default_factory=dict)
+    rays: dict[str, int] = field(default_factory=dict)
 
 
 def split_rows(rows: list[Floats], splits: Splits) -> tuple[dict[str, Floats], dict[str, Floats]]:
@@ -77,7 +71,13 @@ def split_rows(rows: list[Floats], splits: Splits) -> tuple[dict[str, Floats], d
     return ordered, dict(zip(splits.parts, rows, strict=False))
 
 
-def walk_average(task: WalkTask, sketch: Sketch | None = None) -> Average:
+def rays_of(task: Problem, work: Work) -> dict[str, int]:
+    """`Transient.rays`: connections that could carry energy, by how it was found whether anything hides them."""
+    assumed = task.accuracy.occlusion == "off"
+    return {"asked": 0 if assumed else int(work.bright), "assumed": int(work.bright) if assumed else 0}
+
+
+def walk_average(task: Problem, sketch: Sketch | None = None) -> Average:
     """Average over independent replicates; their spread is the standard error.
 
     sketch : gets each replicate's transient too, for the correlations between bins.
@@ -107,7 +107,7 @@ def walk_average(task: WalkTask, sketch: Sketch | None = None) -> Average:
     return Average(rows, standard_error(rows, squares, replicates), overflow / replicates, work)
 
 
-def _traced(task: WalkTask, count: int, replicates: Ints) -> Iterator[tuple[int, int, Tally, Work]]:
+def _traced(task: Problem, count: int, replicates: Ints) -> Iterator[tuple[int, int, Tally, Work]]:
     """Trace `count` lookins of each laser point in each replicate: (replicate, first laser point, its light and
     that of those after it, work) for one piece after the other.
 
@@ -146,7 +146,7 @@ def _traced(task: WalkTask, count: int, replicates: Ints) -> Iterator[tuple[int,
                 done = drawn = Work(calls=0)
 
 
-def _shared_pool(task: WalkTask, count: int, replicates: Ints) -> FovPool:
+def _shared_pool(task: Problem, count: int, replicates: Ints) -> FovPool:
     """FoV points that all laser points share, a set for each replicate."""
     pixels = np.arange(task.capture.shape[1])
     streams = Streams.of(task.seed, replicates, pixels)

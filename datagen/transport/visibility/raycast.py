@@ -8,7 +8,7 @@ triangle's plane, so that path lengths carry no float32 noise.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -27,8 +27,7 @@ SURFACE_OFFSET = 2e-6
 roundings at unit size, so that a surface never hides itself, and 10 µm in a room of 10 m."""
 
 
-@dataclass(frozen=True)
-class Hits:
+class Hits(NamedTuple):
     """First surfaces along rays.
 
     face : (n,) int32 triangle index, −1 where the ray met nothing.
