@@ -108,8 +108,8 @@ class PixelPatches(NamedTuple):
     """Roughly where each pixel's patch of wall lies, from a fixed 3 × 3 grid of lines of sight.
 
     center : (P, 3) and radius : (P,) a ball about the patch, metres (infinite where a line of sight meets nothing).
-    reach : (P,) lookins nearer to the centre than this could overfill a footprint, so they follow rays too. A fixed
-        rule of position alone: whatever it says, the mean is the same.
+    reach : (P,) hidden vertices nearer to the centre than this could overfill a footprint, so they follow rays, too.
+        A rule of position alone: whatever it says, the mean is the same.
     """
 
     center: Floats
@@ -118,7 +118,7 @@ class PixelPatches(NamedTuple):
 
     @classmethod
     def of(cls, caster: Raycaster, sensor: Sensor, cones: PixelCones, points_per_vertex: int) -> PixelPatches:
-        """Those of all pixels, for vertices that join so many FoV points of each."""
+        """Those of all pixels, for vertices that connect with so many FoV points of each."""
         lines = lines_of_sight(caster, sensor, 3)
         w, valid = lines.inner, lines.valid
         position = np.where(valid[..., None], lines.met.position.reshape(w.shape), np.inf)
@@ -225,11 +225,13 @@ def _seen_points(
         for q in range(part.shape[1]):
             cosine = square = 0.0
             for k in range(3):
+                # Where nothing was met the position is undefined: no NaN may reach the loops that come later.
                 if part[p, q] < 0:
                     position[p, q, k] = 0.0
                 cosine -= normal[p, q, k] * direction[p, q, k]
                 square += (position[p, q, k] - sensor[k]) ** 2
             distance[p, q] = math.sqrt(square)
+            # Edge-on, a patch of wall of any size would fill the point's solid angle.
             if part[p, q] < 0 or cosine <= 0.0:
                 part[p, q] = -1
                 continue

@@ -1,4 +1,4 @@
-"""What all integrators are given: scene, capture and accuracy, and the scene as the compiled loops want it."""
+"""The problem that all integrators are given: scene, capture and accuracy, and the scene for compiled loops."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def components_asked(accuracy: Accuracy) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Splits:
+class TallyRows:
     """Rows of the tally for each laser point and pixel: one for each part of the primary (or one for all of it), then
     one for each other component.
 
@@ -76,10 +76,10 @@ class Splits:
 
 @dataclass(frozen=True)
 class Problem:
-    """What is looked at, how finely, and the scene as the kernels want it.
+    """A transient to be found: what is looked at, how exactly, and the scene as compiled loops want it.
 
     `capture`, `cones`, `patches` and `points` may be some laser points (and, confocally, their pixels) of a larger
-    capture. The components computed are those of `splits`.
+    capture. The components to be found are those of `splits`.
     """
 
     scene: Scene
@@ -91,12 +91,13 @@ class Problem:
     patches: PixelPatches
     points: LaserPoints
     aim: Callable[[], AreaTarget]
-    """What lookins are aimed at, for which rays are traced, once they are drawn: cells draw none."""
+    """The small parts that hidden vertices are drawn on by area. Trial rays choose them when this is first called:
+    quadrature never does."""
     seed: int
-    splits: Splits
+    splits: TallyRows
     walked: Bools
-    """(K,) parts whose vertices the walk joins to the FoV in fourth-bounce paths; the others are left out, or left to
-    the factorised form of `secondary.py`."""
+    """(K,) parts whose vertices path tracing connects with the field of view in paths of four bounces; the others are
+    left out, or left to the factorised form (`factorised/secondary.py`)."""
 
     @property
     def last_order(self) -> int | None:
@@ -106,19 +107,19 @@ class Problem:
             return self.accuracy.max_bounces
         return 4 if "secondary" in asked and self.walked.any() else 3
 
+    def for_lasers(self, lasers: Ints) -> Problem:
+        """The same problem for some of its laser points (confocally, and their pixels), or for several copies of
+        them."""
+        sensor, cones, patches = self.capture.sensor, self.cones, self.patches
+        if self.capture.pairing == "confocal":
+            sensor = Sensor(sensor.position, sensor.pixels[lasers], sensor.aperture_radius_m, sensor.finite_aperture)
+            cones, patches = cones.take(lasers), patches.take(lasers)
+        laser = Laser(self.capture.laser.position, self.capture.laser.targets[lasers])
+        capture = Capture(laser, sensor, self.capture.time, self.capture.pairing)
+        return replace(self, capture=capture, cones=cones, patches=patches, points=self.points.take(lasers))
+
     def patch_detail(self, pixels: Ints) -> float:
-        """How many details the largest patch of some pixels is across: arrival times vary by the bin, amplitudes by
-        some hundredth of the scene."""
+        """Width of the largest patch of some pixels, in details: arrival times vary by the bin, amplitudes by some
+        hundredth of the scene."""
         detail_m = min(float(path_from_time(self.capture.time.width_s)), self.caster.half_extent_m / 50)
         return 2 * float(self.patches.radius[pixels].max()) / detail_m
-
-
-def part_of(task: Problem, lasers: Ints) -> Problem:
-    """The same task for some of its laser points (confocally, and their pixels), or for several copies of them."""
-    sensor, cones, patches = task.capture.sensor, task.cones, task.patches
-    if task.capture.pairing == "confocal":
-        sensor = Sensor(sensor.position, sensor.pixels[lasers], sensor.aperture_radius_m, sensor.finite_aperture)
-        cones, patches = cones.take(lasers), patches.take(lasers)
-    laser = Laser(task.capture.laser.position, task.capture.laser.targets[lasers])
-    capture = Capture(laser, sensor, task.capture.time, task.capture.pairing)
-    return replace(task, capture=capture, cones=cones, patches=patches, points=task.points.take(lasers))

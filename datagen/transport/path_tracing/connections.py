@@ -151,7 +151,7 @@ class Receiver:
     occlusion: bool = True
     """Whether anything may stand between a vertex and a FoV point."""
     pool_set: Ints | None = None
-    """(laser,) the set of the pool that each of the chunk's laser points is joined to; None where there is one."""
+    """(laser,) the set of the pool that each of the chunk's laser points connects with; None where there is one."""
 
     @property
     def device(self) -> Device:
@@ -403,9 +403,11 @@ def laser_points_seen(
         reach_square = dot(span, span)
         reach = math.sqrt(reach_square)
         out = (span[0] / reach, span[1] / reach, span[2] / reach)
+        # There is no vertex to connect with, so all is known but whether a pixel looks there and the sensor sees it.
         f = evaluate(materials.kind[part1], materials.values[part1], n1, at(points.to_laser, o), out)
         energy = f * dot(out, n1) * device.aperture_area / (reach_square + device.aperture_square)
         energy *= math.exp(-device.attenuation * (points.leg[o] + reach))
+        # The sensor looks at the other side of the surface.
         if not energy > 0.0:
             continue
         for p in range(_first_pixel(rows, local), _end_of_pixels(rows, local)):

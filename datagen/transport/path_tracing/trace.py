@@ -1,7 +1,7 @@
-"""One walk of light from a run of laser points: the vertices of the orders asked for are joined to the FoV.
+"""Path tracing from a run of laser points: emit hidden vertices, connect them with the field of view, bounce, repeat.
 
-A walk gives all orders at once. Where orders are found apart (`meet_target.py`) it still visits the vertices of lower
-orders but saves their connections, which are most of its cost.
+One path serves all orders of bounces: its first hidden vertex ends paths of three bounces, the next those of four.
+Orders that are not asked for are visited but not connected, which saves most of their cost.
 """
 
 from __future__ import annotations
@@ -21,61 +21,67 @@ from datagen.transport.sampling import Streams
 from datagen.units import path_from_time
 
 FOV_POINTS_PER_POOL = 1 << 19
-"""FoV points kept at once, over all pixels of a chunk."""
+"""FoV points kept at once, over all pixels of a chunk, 50 MiB. Half as many are shared by twice as many vertices."""
 ROULETTE_FROM = 4
-"""Bounce order of the first vertices that Russian roulette may end, when all orders are followed."""
+"""Bounce order from which Russian roulette may end paths, when all orders are followed: lower ones bring most
+light."""
 LIVES_PER_WINDOW = 1.0
 """Mean free paths of the roulette in the window: weights within it grow to e at most, and not with every bounce."""
 SURVIVAL_BEYOND = 0.95
-"""Survival at each bounce of light that comes after the window: what ends every walk."""
+"""Survival at each bounce of light that comes after the window: what ends every path. Half of it ends paths sooner
+and makes the overflow noisier."""
 SURVIVAL_AT_LEAST = 0.05
-"""So that no weight grows by more than its inverse at once."""
+"""Least chance to survive, so that no weight grows by more than 20 at once; half of it allows 40."""
 
 WalkTask = Problem
 
 
-def trace_chunk(task: WalkTask, chunk: Ints, pool: FovPool, count: int, streams: Streams) -> tuple[Tally, Work]:
+def trace_chunk(problem: WalkTask, chunk: Ints, pool: FovPool, count: int, streams: Streams) -> tuple[Tally, Work]:
     """The light from a run of consecutive laser points, and the work of finding it.
 
-    streams : the random numbers of each of the task's laser points. pool : as many sets of FoV points as the run has
-    replicates, in the order of their first laser points; confocally one, with each laser point's own pixel.
+    streams : the random numbers of each of the problem's laser points. pool : as many sets of FoV points as the run
+    has replicates, in the order of their first laser points; confocally one, with each laser point's own pixel.
     """
-    receiver = _receiver(task, chunk, pool, streams)
-    asked, last = task.splits.components, task.last_order
+    receiver = _receiver(problem, chunk, pool, streams)
+    asked, last = problem.splits.components, problem.last_order
     rays, connections, bright = 0, 0, 0
-    per_vertex = task.accuracy.fov_samples * (1 if receiver.rows.confocal else receiver.rows.pixels)
+    per_vertex = problem.accuracy.fov_samples * (1 if receiver.rows.confocal else receiver.rows.pixels)
     if "direct" in asked:
-        bright += _add_direct(task, receiver, chunk, count, streams)
+        bright += _add_direct(problem, receiver, chunk, count, streams)
         rays += count * len(chunk)
         connections += count * len(chunk) * per_vertex
     if asked == ("direct",):
         return receiver.tally, Work(rays, connections, receiver.tally.histogram.size, bright=bright)
     vertices = ends.draw_lookins(
-        task.caster, task.scene, task.materials, task.points, chunk, count, task.aim(), streams,
+        problem.caster, problem.scene, problem.materials, problem.points, chunk, count, problem.aim(), streams,
         SOBOL_STEPS + 1 if last is None else last - 2,
     )  # fmt: skip
     rays += count * len(chunk)
-    axis = task.capture.time
+    axis = problem.capture.time
     window_end_m = max(float(path_from_time(axis.start_s + axis.bins * axis.width_s)), 1e-9)
     order = 3
     while len(vertices.laser):
         numbers = vertices.numbers(order - 3)
         name = component_of(order)
-        joined = np.arange(len(vertices.laser)) if name in asked else np.empty(0, np.int64)
+        connected = np.arange(len(vertices.laser)) if name in asked else np.empty(0, np.int64)
         if order == 4:
-            joined = joined[task.walked[vertices.part[joined]]]
-        if len(joined):
-            split_of_part = task.splits.of_part(order)
-            bright += receiver.connect(vertices.take(joined), numbers[joined, 0], split_of_part)
-            connections += len(joined) * per_vertex
+            connected = connected[problem.walked[vertices.part[connected]]]
+        if len(connected):
+            split_of_part = problem.splits.of_part(order)
+            bright += receiver.connect(vertices.take(connected), numbers[connected, 0], split_of_part)
+            connections += len(connected) * per_vertex
         if order == last:
-            joined = joined[receiver.near(vertices.take(joined))]
-            vertices, numbers, joined = vertices.take(joined), numbers[joined], np.arange(len(joined))
-        hits, directions, throughput = ends.scattered_rays(task.caster, task.materials, vertices, numbers)
+            connected = connected[receiver.near(vertices.take(connected))]
+            vertices, numbers, connected = vertices.take(connected), numbers[connected], np.arange(len(connected))
+        hits, directions, throughput = ends.scattered_rays(problem.caster, problem.materials, vertices, numbers)
         rays += len(vertices.laser)
-        if len(joined):
+        if len(connected):
             receiver.follow(
-                vertices.take(joined), hits.take(joined), directions[joined], throughput[joined], split_of_part
+                vertices.take(connected),
+                hits.take(connected),
+                directions[connected],
+                throughput[connected],
+                split_of_part,
             )
         if order == last:
             break
@@ -88,57 +94,57 @@ def trace_chunk(task: WalkTask, chunk: Ints, pool: FovPool, count: int, streams:
             )
             survival = np.clip(throughput * stays, SURVIVAL_AT_LEAST, 1.0)
             throughput = np.where(numbers[:, 3] < survival, throughput / survival, 0.0)
-        vertices = ends.continued(task.scene, vertices, hits, directions, throughput)
+        vertices = ends.continued(problem.scene, vertices, hits, directions, throughput)
         order += 1
     calls = 1 + cost.ORDER_CALL * (order - 3)
     return receiver.tally, Work(rays, connections, receiver.tally.histogram.size, calls, bright)
 
 
-def _add_direct(task: WalkTask, receiver: Receiver, chunk: Ints, count: int, streams: Streams) -> int:
+def _add_direct(problem: WalkTask, receiver: Receiver, chunk: Ints, count: int, streams: Streams) -> int:
     """One bounce: the laser point seen by a pixel. Two: a surface in the FoV that the laser point lights. Returns how
     many connections could carry energy."""
-    split_of_part = task.splits.of_part(2)
-    receiver.add_laser_points(task.points, chunk, int(split_of_part[0]))
-    vertices = ends.laser_point_vertices(task.points, chunk, count, streams, task.scene.attenuation_per_m)
+    split_of_part = problem.splits.of_part(2)
+    receiver.add_laser_points(problem.points, chunk, int(split_of_part[0]))
+    vertices = ends.laser_point_vertices(problem.points, chunk, count, streams, problem.scene.attenuation_per_m)
     numbers = vertices.numbers(0)
     bright = receiver.connect(vertices, numbers[:, 0], split_of_part)
     near = receiver.near(vertices)
     vertices, numbers = vertices.take(near), numbers[near]
-    hits, directions, throughput = ends.scattered_rays(task.caster, task.materials, vertices, numbers)
+    hits, directions, throughput = ends.scattered_rays(problem.caster, problem.materials, vertices, numbers)
     receiver.follow(vertices, hits, directions, throughput, split_of_part)
     return bright
 
 
-def _receiver(task: WalkTask, chunk: Ints, pool: FovPool, streams: Streams) -> Receiver:
-    _, pixels, bins = task.capture.shape
-    confocal = task.capture.pairing == "confocal"
-    axis = task.capture.time
+def _receiver(problem: WalkTask, chunk: Ints, pool: FovPool, streams: Streams) -> Receiver:
+    _, pixels, bins = problem.capture.shape
+    confocal = problem.capture.pairing == "confocal"
+    axis = problem.capture.time
     seen = chunk if confocal else np.arange(pixels)
-    device_leg = task.points.leg[chunk] if axis.origin == "source" else np.full(len(chunk), -1.0)
-    rows = len(chunk) * pixels * task.splits.count
+    device_leg = problem.points.leg[chunk] if axis.origin == "source" else np.full(len(chunk), -1.0)
+    rows = len(chunk) * pixels * problem.splits.count
     pool_set = None if pool.sets == 1 else np.unique(streams.replicate[chunk], return_inverse=True)[1]
     return Receiver(
-        task.caster, task.scene, task.materials, task.capture.sensor, pool, task.cones.take(seen),
-        task.patches.take(seen), task.accuracy.fov_samples,
+        problem.caster, problem.scene, problem.materials, problem.capture.sensor, pool, problem.cones.take(seen),
+        problem.patches.take(seen), problem.accuracy.fov_samples,
         Clock(1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s, device_leg),
-        Rows(int(chunk[0]), confocal, pixels, task.splits.count),
-        Tally(np.zeros((rows, bins)), np.zeros(rows)), task.accuracy.occlusion != "off", pool_set,
+        Rows(int(chunk[0]), confocal, pixels, problem.splits.count),
+        Tally(np.zeros((rows, bins)), np.zeros(rows)), problem.accuracy.occlusion != "off", pool_set,
     )  # fmt: skip
 
 
-def blocks_for(task: WalkTask, pixels: Ints, count: int) -> int:
-    """Enough blocks of FoV points for what varies across the pixel, never more than lookins to use them or memory to
-    hold them; a power of two, so that they cover the pixel evenly."""
-    samples = task.accuracy.fov_samples
-    across = task.patch_detail(pixels)
+def blocks_for(problem: WalkTask, pixels: Ints, count: int) -> int:
+    """How many blocks of FoV points are drawn: enough for what varies across the pixel, never more than hidden
+    vertices to use them or memory to hold them; a power of two, so that they cover the pixel evenly."""
+    samples = problem.accuracy.fov_samples
+    across = problem.patch_detail(pixels)
     useful = 64 * (1 + across) ** 2 / samples
     affordable = FOV_POINTS_PER_POOL / (len(pixels) * samples)
     return 1 << max(0, int(min(count, affordable, useful)).bit_length() - 1)
 
 
-def pool_for(task: WalkTask, pixels: Ints, blocks: int, streams: Streams) -> FovPool:
+def pool_for(problem: WalkTask, pixels: Ints, blocks: int, streams: Streams) -> FovPool:
     """So many blocks of FoV points for each of `pixels`, which may repeat; `streams` has a row for each."""
     return fov_pool(
-        task.caster, task.scene, task.capture.sensor, task.cones, pixels, task.accuracy.fov_samples, blocks,
-        streams.seeds(LightStream.FOV_POINTS, np.arange(len(pixels))),
+        problem.caster, problem.scene, problem.capture.sensor, problem.cones, pixels, problem.accuracy.fov_samples,
+        blocks, streams.seeds(LightStream.FOV_POINTS, np.arange(len(pixels))),
     )  # fmt: skip

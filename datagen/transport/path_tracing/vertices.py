@@ -1,7 +1,7 @@
-"""Vertices of light paths: laser points, the lookins they light, and where the light goes from there.
+"""Vertices of light paths: laser points, the hidden vertices they light, and where the light goes from there.
 
-A lookin can be drawn in two ways, joined by the balance heuristic (Veach & Guibas, SIGGRAPH 1995), which is unbiased
-and never gives a lookin more than the rays alone would:
+A first hidden vertex can be drawn in two ways, combined by the balance heuristic (Veach & Guibas, SIGGRAPH 1995),
+which is unbiased and never gives a vertex more than the rays alone would:
 
 - rays from the laser point drawn by its BRDF, which already carry the 1/R² of the geometry (docs/physics.md);
 - points uniform on the area of small parts, so that a small or distant object gets its share of samples.
@@ -29,7 +29,7 @@ from datagen.transport.visibility.raycast import Hits, Raycaster
 CHOICES = 4
 """Random numbers a vertex needs: one picks its FoV points, two aim its ray, one is for Russian roulette."""
 SOBOL_STEPS = 3
-"""Steps of a walk whose choices are Sobol' coordinates; later ones, which matter less, are independent."""
+"""Bounces of a path whose choices are Sobol' coordinates; later ones, which matter less, are independent."""
 
 
 class LaserPoints(NamedTuple):
@@ -87,7 +87,7 @@ class Vertices(NamedTuple):
         return Vertices(*(values[rows] for values in self))
 
     def numbers(self, step: int) -> Floats:
-        """(n, CHOICES) numbers in 0 … 1 for the choices at step 0 (lookins), 1, 2 …"""
+        """(n, CHOICES) numbers in 0 … 1 for the choices at step 0 (the first hidden vertex), 1, 2 …"""
         if (step + 1) * CHOICES <= self.choices.shape[1]:
             return self.choices[:, step * CHOICES : (step + 1) * CHOICES]
         return np.asarray(_independent_numbers(self.stream, step, CHOICES))
@@ -95,11 +95,11 @@ class Vertices(NamedTuple):
 
 @dataclass(frozen=True)
 class AreaTarget:
-    """The triangles sampled by area and the share of lookins they get.
+    """The triangles sampled by area and the share of hidden vertices they get.
 
     Attributes
     ----------
-    share : of the lookins, 0 … 7/8.
+    share : of the hidden vertices, 0 … 7/8.
     faces : (n,) triangle indices.
     cumulative : (n,) running share of area.
     area_m2 : their total.
@@ -169,9 +169,9 @@ def draw_lookins(
     caster: Raycaster, scene: Scene, materials: MaterialTable, points: LaserPoints, lasers: Ints, count: int,
     target: AreaTarget, streams: Streams, steps: int,
 ) -> Vertices:  # fmt: skip
-    """`count` lookins for each of `lasers` (indices of laser points that exist).
+    """`count` first hidden vertices for each of `lasers` (indices of laser points that exist), those that are lit.
 
-    `path` counts from the laser point; `steps` is how many steps of the walk will want Sobol' coordinates.
+    `path` counts from the laser point; `steps` is how many bounces of the path will want Sobol' coordinates.
     """
     by_area = min(round(count * target.share), count - 1)
     by_ray = count - by_area

@@ -148,10 +148,12 @@ def _refine(
         for k in range(3):
             approach += face_normal[f, k] * directions[i, k]
             height += face_normal[f, k] * (corners[f, 0, k] - origins[i, k])
+        # Only the triangle is embree's answer; how far it is follows from its plane, in double precision.
         distance = height / approach if approach != 0.0 else -1.0
         if not 0.0 < distance < np.inf:
             face[i] = -1
             distance = 0.0
+        # Surfaces have two sides: the normal is turned against the ray.
         sign = -1.0 if approach > 0.0 else 1.0
         for k in range(3):
             position[i, k] = origins[i, k] + distance * directions[i, k]
