@@ -53,7 +53,6 @@ FIRST = (
     "capture/test_configs_built.py",
     "physics/test_primary_truths.py",
     "effects/test_switchboard.py",
-    "equivalence/test_clear_sight.py",
     "physics/test_all_bounces.py",
     "report/test_datasets_shown.py",
     "report/test_reproduce.py",

@@ -7,10 +7,6 @@ import math
 from datagen.effects.rule import Change, Effect
 from datagen.effects.scene_figures import SceneFigures, is_lambertian
 
-CONNECTIONS_PER_PROOF = 8
-"""FoV points that a vertex is joined to, from which a proof that it sees all of them is tried before rays. With fewer
-the transport took 0.97 to 1.4 times as long with proofs as without, in rooms of 40 to 2800 triangles."""
-
 
 def _measured(given: SceneFigures, component: str, what: str) -> Change:
     """The change that leaving a component out makes: its share of the light of a trial run."""
@@ -33,13 +29,6 @@ def _direct_return(given: SceneFigures) -> Change:
     return Change(0.0, "bound", "no pixel sees a laser point in time, and laser points light nothing in view")
 
 
-def _without_needless_proofs(given: SceneFigures) -> SceneFigures:
-    """The same with rays in place of proofs of clear sight, where each proof would save too few rays to pay."""
-    each = given.capture.shape[1] * given.accuracy.fov_samples
-    few = given.accuracy.target is None and each < CONNECTIONS_PER_PROOF
-    return given.with_accuracy(occlusion="on") if few and given.accuracy.occlusion == "auto" else given
-
-
 def _attenuation(given: SceneFigures) -> Change:
     value = math.expm1(min(given.scene.attenuation_per_m * given.longest_path_m, 700.0))
     return Change(value, "bound", f"the longest path recorded, {given.longest_path_m:.3g} m, loses ≤ {value:.2g}")
@@ -59,10 +48,9 @@ TRANSPORT_EFFECTS: tuple[Effect[SceneFigures], ...] = (
         0.3, lambda g: g.accuracy.direct, _direct_return, lambda g: g.with_accuracy(direct=False),
     ),
     Effect(
-        "occlusion", "occlusion", "transport", "surfaces", "Separating planes (`transport/visibility/clearance.py`)",
-        0.0, lambda g: True, "exact: a shadow ray wherever no proof makes it needless",
-        lambda g: g.with_accuracy(occlusion="off"),
-        lambda g, setting: g.with_accuracy(occlusion="on"), _without_needless_proofs,
+        "occlusion", "occlusion", "transport", "surfaces", "Shadow rays (`transport/visibility/raycast.py`)",
+        0.0, lambda g: True, "exact: a shadow ray for every connection that could carry energy",
+        lambda g: g.with_accuracy(occlusion="off"), lambda g, setting: g.with_accuracy(occlusion="on"),
     ),
     Effect(
         "secondary_bounce", "secondary bounce", "transport", "`transport.max_bounces` ≥ 4 and `transport.secondary`",

@@ -70,7 +70,7 @@ def representative_pairs(caster: Raycaster, scene: Scene, capture: Capture) -> S
             times, histogram[:, 0] = times / len(lasers.part), 0
     if not len(pairs):
         return None
-    chosen = LaserPoints(**{name: values[pairs[:, 0]] for name, values in vars(lasers).items()})
+    chosen = lasers.take(pairs[:, 0])
     few_pixels = Sensor(
         sensor.position, sensor.pixels[pairs[:, 1]], sensor.aperture_radius_m, finite_aperture=sensor.finite_aperture
     )

@@ -51,11 +51,11 @@ class Accuracy:
         `observed`.
     direct : also compute the direct return (1 and 2 bounces: the laser point, or a surface it lights, inside the
         FoV), which a gated measurement keeps out.
-    occlusion : how it is found whether anything stands between a vertex and a FoV point. `"auto"`: connections proven
-        free of occluders are added as they are, the others tested by a shadow ray; `"on"`: every one is tested, which
-        gives the same transient up to the order of summation; `"off"`: none is tested, as if no occluder stood behind
-        the first surface that light meets. That adds light wherever one does.
-        The factorised secondary (`observed`) has proofs of its own and tests the rest, whatever is set here.
+    occlusion : whether anything may stand between a vertex and a FoV point. `"auto"` and `"on"`: every connection
+        that could carry energy sends a shadow ray (in quadrature `"auto"` saves those to elements that are proven to
+        be seen whole, which gives the same transient up to the order of summation); `"off"`: none is sent, as if no
+        occluder stood behind the first surface that light meets. That adds light wherever one does.
+        The factorised secondary (`observed`) tests what stands between, whatever is set here.
     target : relative L2 error of the whole transient to be met, ‖error‖ / ‖truth‖ over all laser points, pixels and
         bins, 0.0001 … 1. Then the solver chooses lookins, fov_samples, replicates and the way of the secondary, and
         naming one of them too is refused (`observed` belongs to the k strongest paths and stays). What it is held to

@@ -93,8 +93,8 @@ class Transient:
     laser_points : (L, 3) where each laser ray met the scene, metres; NaN where it met nothing. A flood has all its
         points here, and L = 1 elsewhere.
     seconds : wall-clock seconds of the simulation by stage.
-    rays : connections from vertices to FoV points by how their visibility was found: "asked" by a shadow ray,
-        "proven" free of occluders, "assumed" so (`Accuracy.occlusion = "off"`).
+    rays : connections from vertices to FoV points that could carry energy, by how their visibility was found: "asked"
+        by a shadow ray, or "assumed" (`Accuracy.occlusion = "off"`); empty where path tracing had no part in it.
     spend : where the work went; None where nothing was counted.
     error_bound : with an accuracy target, the upper confidence bound of the relative L2 error that was held against
         it; None with fixed sample counts.

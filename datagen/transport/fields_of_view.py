@@ -7,8 +7,7 @@ the photons it sends into an aperture of area A are f₃ E₃ · A J / M for M p
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,7 @@ from datagen.transport.visibility.lines_of_sight import lines_of_sight
 from datagen.transport.visibility.raycast import Raycaster
 
 
-@dataclass(frozen=True)
-class FovPool:
+class FovPool(NamedTuple):
     """Q FoV points for each of P pixels, grouped in blocks of M that each cover the whole pixel.
 
     sets : independent sets of blocks side by side, as many of them in each; one for each replicate traced at once.
@@ -52,12 +50,10 @@ class FovPool:
             apart = values.reshape(sets, pixels, *values.shape[1:])
             return np.ascontiguousarray(apart.swapaxes(0, 1)).reshape(pixels, -1, *values.shape[2:])
 
-        arrays = {f.name: joined(getattr(self, f.name)) for f in fields(self) if f.name != "sets"}
-        return FovPool(**arrays, sets=sets)
+        return FovPool(*(joined(values) for values in self[:-1]), sets)
 
 
-@dataclass(frozen=True)
-class PixelCones:
+class PixelCones(NamedTuple):
     """The pixels as cones of directions from the sensor.
 
     planes : (P, 4, 3) inward normals of the four side planes; a direction inside has all four products ≥ 0.
@@ -108,13 +104,12 @@ NEGLIGIBLE_SHARE = 0.05
 """Largest share of a FoV point's footprint that one connection may fill before followed rays take part."""
 
 
-@dataclass(frozen=True)
-class PixelPatches:
+class PixelPatches(NamedTuple):
     """Roughly where each pixel's patch of wall lies, from a fixed 3 × 3 grid of lines of sight.
 
     center : (P, 3) and radius : (P,) a ball about the patch, metres (infinite where a line of sight meets nothing).
-    reach : (P,) lookins nearer to the centre than this could overfill a footprint, so they follow rays too. A fixed
-        rule of position alone: whatever it says, the mean is the same.
+    reach : (P,) hidden vertices nearer to the centre than this could overfill a footprint, so they follow rays, too.
+        A rule of position alone: whatever it says, the mean is the same.
     """
 
     center: Floats
@@ -123,7 +118,7 @@ class PixelPatches:
 
     @classmethod
     def of(cls, caster: Raycaster, sensor: Sensor, cones: PixelCones, points_per_vertex: int) -> PixelPatches:
-        """Those of all pixels, for vertices that join so many FoV points of each."""
+        """Those of all pixels, for vertices that connect with so many FoV points of each."""
         lines = lines_of_sight(caster, sensor, 3)
         w, valid = lines.inner, lines.valid
         position = np.where(valid[..., None], lines.met.position.reshape(w.shape), np.inf)
@@ -230,11 +225,13 @@ def _seen_points(
         for q in range(part.shape[1]):
             cosine = square = 0.0
             for k in range(3):
+                # Where nothing was met the position is undefined: no NaN may reach the loops that come later.
                 if part[p, q] < 0:
                     position[p, q, k] = 0.0
                 cosine -= normal[p, q, k] * direction[p, q, k]
                 square += (position[p, q, k] - sensor[k]) ** 2
             distance[p, q] = math.sqrt(square)
+            # Edge-on, a patch of wall of any size would fill the point's solid angle.
             if part[p, q] < 0 or cosine <= 0.0:
                 part[p, q] = -1
                 continue

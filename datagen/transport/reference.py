@@ -1,18 +1,22 @@
-"""The definition of the transient: place vertices anywhere, connect them, put what arrives into time bins.
+"""The definition of a transient, in plain numpy: what every faster method is held against.
 
-A path of B bounces goes from the laser by x₁ … x_B to the sensor: x₁ is the laser point, x_B a FoV point, and those
-between are hidden vertices. With BRDFs f, angles θ against the normals, visibility V (0 or 1), attenuation κ per
-metre, the sensor's aperture A and the pixel's solid angle Ω, the photons in the aperture per emitted photon are
+A path of B bounces goes from the laser by x₁ … x_B to the sensor: x₁ is the laser point, x_B a point in the pixel's
+field of view (FoV point), and those between are hidden vertices. The expected photons in the aperture per emitted
+photon are the integral over all such paths
 
     L = ∫ … ∫  Π_{i<B} [ fᵢ cosθᵢ cosθᵢ₊₁ V / Rᵢ,ᵢ₊₁² ]  f_B A  exp(−κ · length)  dA₂ … dA_{B−1} dΩ          (1)
 
-and a path arrives at length / c. Surfaces scatter on both sides and transmit nothing: both directions at a vertex lie
-on one side of it. For a finite aperture A is A R²/(R² + a²) at distance R.
+with BRDFs f, angles θ against the normals, visibility V (0 or 1), distances R, attenuation κ per metre, the sensor's
+aperture A and the pixel's solid angle Ω. A path arrives at its length / c. Surfaces scatter on both sides and
+transmit nothing, so both directions at a vertex lie on one side of it. A finite aperture of radius a counts A R²/(R²
++ a²) at distance R.
 
-Here (1) is averaged over vertices that are uniform on all surfaces and FoV points that are uniform on the pixel, and
-nothing is done to be fast. It has the right mean in every scene, for every BRDF and order of bounces, and much noise
-where lobes are narrow. All other ways are held against it: `sampled_paths.py`, which draws the same paths where light
-is and is the truth that tests and benchmarks use, and through that cells, pairs of cells, walks and factors.
+`plain_paths` is a Monte Carlo estimate of (1) with nothing done to be fast: hidden vertices uniform on all surfaces,
+FoV points uniform on the pixel. Its mean is right in every scene, for every BRDF and order of bounces; its noise is
+large where lobes are narrow. `reference` adds such paths up in time bins.
+
+`sampled_paths.py` draws the same paths where light is, with far less noise. Tests hold it against `plain_paths`, and
+quadrature, path tracing and the factorised form against it.
 """
 
 from __future__ import annotations
@@ -36,21 +40,23 @@ from datagen.units import time_from_path
 AT_ONCE = 1 << 16
 """Samples in memory together."""
 GOES_ON = 0.5
-"""Chance to follow a path further than four bounces, where all orders are asked for."""
+"""Chance to follow a path further than four bounces, where all orders are asked for. Whatever it is, the mean is the
+same."""
 
 
 @dataclass(frozen=True)
 class Paths:
-    """n weighted paths: those of one pair and order add up to its expected photons.
+    """n weighted paths: those of one pair of laser point and pixel, and of one order, add up to its expected photons.
 
     Attributes
     ----------
     pair : (n,) row of `pairs`.
     sample : (n,) number of the sample that found it, pair · samples + 0 … samples − 1. The samples of a pair are
-        alike, so the spread of their sums gives a standard error (too large a one where they are stratified).
-    order : (n,) bounces.
-    part : (n,) index of the part that the last hidden vertex lies on; with one or two bounces, the FoV point.
-    path_m : (n,) length that counts for the time axis, metres; the device's legs too for the time origin `source`.
+        drawn alike, so the spread of their sums gives a standard error (too large a one where they are stratified).
+    order : (n,) bounces B.
+    part : (n,) index of the part that the last hidden vertex x_{B−1} lies on; with one or two bounces, that of x_B.
+    path_m : (n,) length that counts for the time axis, metres: legs from laser and to sensor only with the time
+        origin `source`.
     photons : (n,) expected photons at the aperture per emitted photon.
     """
 
@@ -81,11 +87,15 @@ def plain_paths(
     caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int, *,
     max_bounces: int | None = 3, direct: bool = False, occlusion: bool = True, seed: int = 0,
 ) -> Paths:  # fmt: skip
-    """Paths whose vertices are uniform on all surfaces; arguments as those of `sampled_paths.sample_paths`."""
+    """Paths of `samples` samples for each pair of laser point and pixel; each sample gives one path of every order.
+
+    pairs : (n, 2) indices of laser point and pixel. max_bounces : highest order, or None for all. direct : orders 1
+        and 2 as well. occlusion : whether anything may stand between the last hidden vertex and the FoV point.
+    """
     rng = np.random.default_rng([LightStream.PLAIN_REFERENCE, seed])
     laser, pixel = np.repeat(pairs, samples, axis=0).T
     count, device = len(pixel), capture.time.origin == "source"
-    part_of = scene.face_part.astype(np.int64)
+    part_of_face = scene.face_part.astype(np.int64)
 
     def f(part: Ints, normal: Floats, w_in: Floats, w_out: Floats) -> Floats:
         return np.asarray(brdf(materials.kind, materials.values, part, normal, w_in, w_out))
@@ -93,27 +103,28 @@ def plain_paths(
     def air(metres: Floats) -> Floats:
         return np.exp(-scene.attenuation_per_m * metres)
 
-    # x₁: the first surface along the laser's ray; what leaves it counts where the ray met one.
+    # x₁, the laser point: the first surface along the laser's ray. `power` is the product in (1) so far, over the
+    # density with which the vertices were drawn; an emitted photon is shared by all samples.
     hits = caster.closest(capture.laser.position, capture.laser.targets[laser] - capture.laser.position)
-    x, n_x, part_x = hits.position, hits.normal, part_of[hits.face]
+    x, n_x, part_x = hits.position, hits.normal, part_of_face[hits.face]
     first = capture.laser.position - x
     leg = np.linalg.norm(first, axis=1)
     back, power, path = first / leg[:, None], air(leg) * hits.valid / samples, leg * device
-    # x_B: the first surface along a line of sight through q, uniform on the pixel's quadrilateral as the sensor has
-    # it, which stands for the solid angle dΩ/(du dv) = |q · (∂q/∂u × ∂q/∂v)| / |q|³.
+    # x_B, the FoV point: the first surface along a line of sight through q(u, v), which is uniform on the pixel's
+    # quadrilateral. It stands for the solid angle dΩ/(du dv) = |q · (∂q/∂u × ∂q/∂v)| / |q|³; `gain` is A dΩ in (1).
     a, b, c, d = (capture.sensor.pixels[pixel, k] - capture.sensor.position for k in range(4))
     u, v = rng.random((2, count, 1))
     q = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
     across = np.cross((1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b))
     seen = caster.closest(capture.sensor.position, q)
-    z, n_z, part_z = seen.position, seen.normal, part_of[seen.face]
+    z, n_z, part_z = seen.position, seen.normal, part_of_face[seen.face]
     last = capture.sensor.position - z
     leg_z = np.linalg.norm(last, axis=1)
     gain = np.abs(_dot(q, across)) / _dot(q, q) ** 1.5 * air(leg_z) * seen.valid * _aperture(capture, leg_z)
 
     found = []
     if direct:
-        # One bounce: the laser point itself, if the pixel's four planes hold it: f cosθ A / R².
+        # B = 1, which has no dΩ to integrate: the laser point itself, if it lies inside the pixel: f cosθ A / R².
         to = capture.sensor.position - x
         r = np.linalg.norm(to, axis=1)
         w = to / r[:, None]
@@ -124,7 +135,7 @@ def plain_paths(
                            path + r * device, photons))  # fmt: skip
     order, area = 2, caster.face_area_m2
     while True:
-        # Connect x with the FoV point: f_x cosθ_x cosθ_z V / R² · f_z A dΩ.
+        # End the path here: x is x_{B−1}, z is x_B. The last factors of (1) are f_x cosθ_x cosθ_z V / R² · f_z A dΩ.
         w, r, near = _between(caster, x, n_x, z, n_z, occlusion or order == 2)
         photons = power * f(part_x, n_x, back, w) * near * air(r) * f(part_z, n_z, -w, last / leg_z[:, None]) * gain
         if order > 2 or direct:
@@ -133,8 +144,8 @@ def plain_paths(
                                path + r + leg_z * device, photons))  # fmt: skip
         if order == max_bounces or not power.any():
             break
-        # The next vertex: uniform on all surfaces, with a density of 1/area; its normal turned to where light comes
-        # from. f_x cosθ_x cosθ_y V / R² dA.
+        # Or go on to a further hidden vertex y, uniform on all surfaces, so that its density is 1/area; its normal is
+        # turned to where light comes from. It brings the factor f_x cosθ_x cosθ_y V / R² dA.
         face = rng.choice(len(area), count, p=area / area.sum())
         root, other = np.sqrt(rng.random(count)), rng.random(count)
         weights = np.stack([1 - root, root * (1 - other), root * other], axis=1)
@@ -142,7 +153,8 @@ def plain_paths(
         n_y = caster.face_normal[face] * np.sign(_dot(caster.face_normal[face], x - y))[:, None]
         w, r, near = _between(caster, x, n_x, y, n_y)
         power = power * f(part_x, n_x, back, w) * near * air(r) * area.sum()
-        x, n_x, part_x, back, path, order = y, n_y, part_of[face], -w, path + r, order + 1
+        x, n_x, part_x, back, path, order = y, n_y, part_of_face[face], -w, path + r, order + 1
+        # Russian roulette: half of the paths go on, with twice the power.
         if max_bounces is None and order > 4:
             power = power * (rng.random(count) < GOES_ON) / GOES_ON
     every = Paths(**{of.name: np.concatenate([getattr(some, of.name) for some in found]) for of in fields(Paths)})
@@ -152,8 +164,8 @@ def plain_paths(
 def _between(
     caster: Raycaster, x: Floats, n_x: Floats, y: Floats, n_y: Floats, asked: bool = True
 ) -> tuple[Floats, Floats, Floats]:
-    """From x to y, each (n, 3) with a unit normal: unit direction (n, 3), distance R, and cosθ cosθ′ V / R², 0 where
-    a side faces away; V only where it is `asked` what stands between."""
+    """From x to y, each (n, 3) with a unit normal: unit direction (n, 3), distance R, and cosθ cosθ′ V / R², which is
+    0 where a surface faces away. V is taken for 1 unless `asked`."""
     span = y - x
     r = np.linalg.norm(span, axis=1)
     w = span / np.maximum(r, 1e-300)[:, None]
@@ -167,6 +179,7 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def _aperture(capture: Capture, distance: Floats) -> Floats:
+    """A of (1), m²: of a small aperture, or of a disc of finite size."""
     sensor = capture.sensor
     near = sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0
     return np.asarray(sensor.aperture_area_m2 * distance**2 / (distance**2 + near))
@@ -180,14 +193,13 @@ def reference(
     """The transient of a capture by its definition: (L, P, T) by component and part, with standard errors.
 
     samples : of each laser point and pixel, in each of `replicates` independent runs, whose spread is the standard
-        error. draw : what draws the paths, with the arguments of `plain_paths`: `sampled_paths.sample_paths` has the
-        same mean with far less noise. The other arguments are its. A flood is the mean over its laser points
-        (`flood.py`).
+        error. draw : the function that draws the paths, with the arguments of `plain_paths`, as which
+        `sampled_paths.sample_paths` has the same mean with far less noise. The other arguments are those of `draw`.
     """
     caster = Raycaster(scene) if caster is None else caster
     materials, axis, shape = MaterialTable.of(scene.materials), capture.time, capture.shape
     pairs = pairs_of(capture)
-    # A flood adds up, for each pixel, what all laser points give with an equal share of the light.
+    # A flood is the mean over its laser points (`flood.py`): all of a pixel's light goes into one histogram.
     flood = capture.illumination == "flood"
     histogram_of = pairs[:, 1] if flood else np.arange(len(pairs))
     share = 1 / (replicates * len(capture.laser.targets)) if flood else 1 / replicates
@@ -203,7 +215,7 @@ def reference(
                 caster, scene, materials, capture, pairs[start : start + at_once], samples, max_bounces=max_bounces,
                 direct=direct, occlusion=occlusion, seed=own_seed,
             )  # fmt: skip
-            # A bin is the integral of the flux between its edges; what comes before or after all of them is tallied.
+            # A bin is the integral of the flux between its edges; what arrives outside the window is overflow.
             place = np.floor((time_from_path(paths.path_m) - axis.start_s) / axis.width_s)
             inside = (place >= 0) & (place < axis.bins)
             histogram, photons = histogram_of[start + paths.pair], share * paths.photons

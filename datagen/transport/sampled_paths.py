@@ -1,7 +1,7 @@
 """Unbiased paths of light, drawn where light is: the truth that tests, benchmarks and second opinions use.
 
 The integral is that of `reference.py`, equation (1) there, and the mean is the same in every scene, to which more
-samples go; what differs is the noise. Nothing is shared with cells, proofs of visibility or the walk but the ray
+samples go; what differs is the noise. Nothing is shared with quadrature or path tracing but the ray
 caster and the BRDFs.
 
 The last two vertices, h = x_{B−1} and v = x_B, are drawn in three ways, given b = x_{B−2}:

@@ -1,4 +1,9 @@
-"""The transport solver: scene and capture in, transient out."""
+"""The transport: scene and capture in, transient out; and which integrator finds it.
+
+With a target (`Accuracy.target`) `error_control/meet_target.py` decides: quadrature where it can, samples for the
+rest. With sample counts everything is path tracing (`path_tracing/`), but for the secondary where `observed` asks for
+the paper's factorised form (`factorised/`), or where path tracing would seldom meet the surfaces that bring it.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +24,14 @@ from datagen.transport.error_control.surroundings import CONTACT, surroundings
 from datagen.transport.factorised.secondary import factorising, secondary_transient
 from datagen.transport.fields_of_view import PixelCones, PixelPatches
 from datagen.transport.flood import flooded
-from datagen.transport.path_tracing.averages import Average, Estimate, split_rows, walk_average
-from datagen.transport.path_tracing.trace import Splits, WalkTask, components_asked
+from datagen.transport.path_tracing.averages import Average, Estimate, rays_of, split_rows, walk_average
 from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints
-from datagen.transport.visibility.clear_sight import ClearSight
+from datagen.transport.problem import Problem, TallyRows, components_asked
 from datagen.transport.visibility.raycast import Raycaster
 
 OBSERVED_IN_CONTACT = 64
+"""Second hidden vertices for each hidden vertex where the factorised form steps in unasked; half as many halve its
+cost and nearly double its variance."""
 
 
 def simulate(
@@ -34,13 +40,13 @@ def simulate(
     """Follow light from each laser point around the corner and back.
 
     The photons that reach the aperture per emitted photon; with f the BRDFs, V the visibility, x₁ the laser point,
-    x₂ a lookin and x₃ a FoV point, the primary (three bounces) is (docs/physics.md; the paths are those of Eq. 6 of
-    Scholes & Leach, Sensors 24, 6522 (2024), with radiometric weights)
+    x₂ a hidden vertex and x₃ a FoV point, the primary (three bounces) is (docs/physics.md; the paths are those of Eq.
+    6 of Scholes & Leach, Sensors 24, 6522 (2024), with radiometric weights)
 
         L = ∫∫ f₁ cosθ₁ cosθ₂ V₁₂/R₁₂² · f₂ · cosθ₂′ cosθ₃ V₂₃/R₂₃² · f₃ cosθ₃′ V₃ₛ A/R₃ₛ² dA₂ dA₃
 
     and each further bounce adds a surface between x₂ and x₃. Light is traced from the laser point; every vertex is
-    joined to the FoV points, which gives all orders at once (the secondary is that of Eq. 8, all paths).
+    connected with FoV points, which gives all orders at once (the secondary is that of Eq. 8, all paths).
 
     Parameters
     ----------
@@ -104,81 +110,72 @@ def transient_of(
         one_by_one = replace(capture, illumination="scan")
         return flooded(transient_of(scene, one_by_one, accuracy, seed, split_parts=split_parts, caster=caster))
     began = clock_time.perf_counter()
-    task = prepared(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
+    problem = prepared(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
     ready = clock_time.perf_counter()
     if accuracy.target is not None:
-        estimate, traced = meet_target(task), clock_time.perf_counter()
+        estimate, traced = meet_target(problem), clock_time.perf_counter()
     else:
-        average = walk_average(task)
+        average = walk_average(problem)
         traced = clock_time.perf_counter()
-        estimate = _with_factorised(task, average)
+        estimate = _with_factorised(problem, average)
     finished = clock_time.perf_counter()
     seconds = {"prepare": ready - began, "trace": traced - ready, "secondary": finished - traced}
-    return Transient(
-        time=capture.time, laser_points=task.points.position, seconds=seconds, rays=task.sight.rays, **vars(estimate)
-    )
+    return Transient(time=capture.time, laser_points=problem.points.position, seconds=seconds, **vars(estimate))
 
 
 def prepared(
     scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool,
     caster: Raycaster | None = None,
-) -> WalkTask:  # fmt: skip
+) -> Problem:  # fmt: skip
     """What `simulate` works with: the scene as the kernels want it, and what is asked of it."""
     caster = Raycaster(scene) if caster is None else caster
     materials = MaterialTable.of(scene.materials)
     cones = PixelCones.of(capture.sensor)
     points = LaserPoints.of(caster, scene, capture.laser)
-    splits = Splits(scene.part_names if split_parts else (), components_asked(accuracy), len(scene.part_names))
-    task = WalkTask(
+    splits = TallyRows(scene.part_names if split_parts else (), components_asked(accuracy), len(scene.part_names))
+    problem = Problem(
         scene, capture, accuracy, caster, materials, cones,
         PixelPatches.of(caster, capture.sensor, cones, accuracy.fov_samples), points,
         cache(partial(AreaTarget.choose, caster, scene, materials, points, seed)), seed, splits,
-        ClearSight.of(caster, capture.sensor, accuracy.occlusion, *_connections(capture, accuracy)),
         _walked(accuracy, materials),
     )  # fmt: skip
-    if _needs_to_look_around(task):
-        task = replace(task, accuracy=replace(accuracy, observed=OBSERVED_IN_CONTACT), walked=~factorising(materials))
-    return task
+    if _factorises_unasked(problem):
+        counts = replace(accuracy, observed=OBSERVED_IN_CONTACT)
+        problem = replace(problem, accuracy=counts, walked=~factorising(materials))
+    return problem
 
 
-def _needs_to_look_around(task: WalkTask) -> bool:
-    """Whether the walk asked for would seldom meet the surfaces that give the field of view its secondary."""
-    accuracy = task.accuracy
-    asked = accuracy.target is None and accuracy.observed is None and accuracy.occlusion != "off"
-    if not asked or "secondary" not in task.splits.components or not factorising(task.materials).any():
+def _factorises_unasked(problem: Problem) -> bool:
+    """Whether path tracing would seldom meet the surfaces that give the field of view its secondary."""
+    accuracy = problem.accuracy
+    unasked = accuracy.target is None and accuracy.observed is None and accuracy.occlusion != "off"
+    if not unasked or "secondary" not in problem.splits.components or not factorising(problem.materials).any():
         return False
-    return surroundings(task, task.seed) > CONTACT
-
-
-def _connections(capture: Capture, accuracy: Accuracy) -> tuple[int, int]:
-    """The walk's connections for each vertex, and in all, about; 0 where a target decides."""
-    lasers, pixels, _ = capture.shape
-    each = pixels * accuracy.fov_samples
-    orders = 3 if accuracy.max_bounces is None else accuracy.max_bounces - 2
-    return each, 0 if accuracy.target is not None else lasers * accuracy.lookins * each * orders
+    return surroundings(problem, problem.seed) > CONTACT
 
 
 def _walked(accuracy: Accuracy, materials: MaterialTable) -> Bools:
+    """(K,) parts whose secondary path tracing finds: all, none, or those that do not factorise."""
     if accuracy.secondary == "none":
         return np.zeros(len(materials.kind), np.bool_)
     return np.ones(len(materials.kind), np.bool_) if accuracy.observed is None else ~factorising(materials)
 
 
-def _with_factorised(task: WalkTask, average: Average) -> Estimate:
-    """The walk's average, with what the factorised form gives of the secondary; its error is independent."""
-    accuracy, splits = task.accuracy, task.splits
+def _with_factorised(problem: Problem, average: Average) -> Estimate:
+    """What path tracing found, with what the factorised form gives of the secondary; its error is independent."""
+    accuracy, splits = problem.accuracy, problem.splits
     components, parts = split_rows(average.rows, splits)
     stderr, overflow = average.stderr, average.overflow
     costs = dict.fromkeys(components, average.work.cost / len(components))
     way = dict.fromkeys(components, "walk")
-    if "secondary" in components and not task.walked.all():
+    if "secondary" in components and not problem.walked.all():
         assert accuracy.observed is not None
-        more = secondary_transient(task, accuracy.observed, ~task.walked)
+        more = secondary_transient(problem, accuracy.observed, ~problem.walked)
         components["secondary"] += more.rows[0]
         np.hypot(stderr, more.stderr, out=stderr)
         overflow += more.overflow
-        way["secondary"] = "walk + factorised" if task.walked.any() else "factorised"
-        costs["secondary"] = more.work.cost + costs["secondary"] * bool(task.walked.any())
+        way["secondary"] = "walk + factorised" if problem.walked.any() else "factorised"
+        costs["secondary"] = more.work.cost + costs["secondary"] * bool(problem.walked.any())
     total = sum(costs.values())
     spend = Spend(
         lookins=dict.fromkeys(components, float(accuracy.lookins)),
@@ -186,4 +183,4 @@ def _with_factorised(task: WalkTask, average: Average) -> Estimate:
         fov_samples=dict.fromkeys(components, int(accuracy.fov_samples)), rounds=1, cost=total,
         outcome="sample counts as given",
     )  # fmt: skip
-    return Estimate(components, parts, stderr, overflow, spend)
+    return Estimate(components, parts, stderr, overflow, spend, rays=rays_of(problem, average.work))

@@ -165,19 +165,6 @@ def test_both_runs_of_a_trial_are_independent(how: str) -> None:
     assert (noise[:, 0] ** 2).sum(axis=(1, 2)).mean() > 20 * error
 
 
-def test_proofs_of_clear_sight_are_tried_where_each_stands_for_many_rays() -> None:
-    scene, wanted = furnished_box(), Accuracy(lookins=32768, fov_samples=2, replicates=2, max_bounces=3)
-    for pairing, tried in (("confocal", "on"), ("exhaustive", "auto")):
-        looked = capture(pairing)
-        _, applied = planned(scene, looked, wanted).apply_transport(scene, looked, wanted)
-        assert applied.occlusion == tried
-        given = replace(wanted, occlusion="off")
-        assert planned(scene, looked, given).apply_transport(scene, looked, given)[1].occlusion == "off"
-        asked, proven = (simulate(scene, looked, replace(wanted, occlusion=how), seed=1) for how in ("on", "auto"))
-        assert proven.rays["proven"] > 0
-        assert asked.total == pytest.approx(proven.total, rel=1e-12, abs=1e-30)
-
-
 def _never(*arguments: object, **named: object) -> None:
     raise AssertionError("called although switched off")
 

@@ -17,8 +17,7 @@ from scipy import stats
 
 from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Retroreflector, Scene, Sensor, simulate
 from datagen.bench.foreign_scenes import foreign_scene
-from datagen.transport.error_control.meet_target import _sampled
-from datagen.transport.error_control.strategies import ForecastWalk
+from datagen.transport.error_control.rounds import Forecast, sampled
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.quadrature import four_bounces
 from datagen.transport.quadrature.four_bounces import Secondary, secondary_by_cells
@@ -171,8 +170,8 @@ def test_a_walk_costs_about_what_is_forecast() -> None:
     asked = Accuracy(target=0.05, max_bounces=4)
     task = prepared(with_meshes(), scan("exhaustive", 5e-4), asked, 0, split_parts=False)
     alone = replace(task, splits=replace(task.splits, components=("secondary",), parts=()))
-    walked = _sampled(alone, None)
-    forecast = ForecastWalk(alone, 0.05 * float(np.linalg.norm(walked.components["secondary"])))
+    walked = sampled(alone, None)
+    forecast = Forecast(alone, 0.05 * float(np.linalg.norm(walked.components["secondary"])))
     assert walked.met_target and set(walked.spend.way.values()) == {"walk"}
     assert walked.spend.cost / 4 < forecast.cost < 4 * walked.spend.cost
     assert forecast.costs_less_than(1.01 * forecast.cost)

@@ -76,16 +76,6 @@ def test_no_energy_is_lost_or_made_by_the_window(case: Case, bins: int, start_m:
     np.testing.assert_allclose(windowed, whole, rtol=ROUNDING, atol=ROUNDING * whole.max(initial=0.0))
 
 
-@fuzzed(25, 200, cases(counts=True))
-def test_what_is_proven_clear_is_clear(case: Case) -> None:
-    """With proofs in the place of shadow rays the transient is the same, but for the order of summation."""
-    result = simulated_or_refused(replace(case, accuracy=replace(case.accuracy, occlusion="auto")))
-    asked = simulated(replace(case, accuracy=replace(case.accuracy, occlusion="on")))
-    for name, values in result.components.items():
-        level = ROUNDING * values.max(initial=0.0)
-        np.testing.assert_allclose(values, asked.components[name], rtol=ROUNDING, atol=level, err_msg=name)
-
-
 @fuzzed(
     RECIPROCITY_CASES,
     RECIPROCITY_CASES,

@@ -3,8 +3,6 @@ the definition, `tests/equivalence/test_sampled_paths.py` holds."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
@@ -12,7 +10,7 @@ from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, squ
 from scipy import stats
 from sphere_chords import BINS, QUAD, SPOT, WIDTH_M, stored
 
-from datagen import Accuracy, Capture, Lambertian, Laser, Part, Phong, Scene, Sensor, simulate
+from datagen import Capture, Lambertian, Laser, Part, Phong, Scene, Sensor
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.reference import pairs_of, reference
@@ -62,20 +60,6 @@ def test_paths_in_a_sphere_arrive_when_chords_say() -> None:
     # Each term is about F(1, 15): mean 15/13, variance 2·15²·14 / (13²·11).
     z = (t2.sum() - filled.sum() * 15 / 13) / np.sqrt(filled.sum() * 2 * 15**2 * 14 / (13**2 * 11))
     assert z < stats.norm.ppf(1 - 1e-3)
-
-
-@pytest.mark.parametrize("origin", ["wall", "source"])
-def test_the_direct_return_and_fog(origin: str) -> None:
-    """One and two bounces in a corner that the pixel sees, through air that attenuates, are those of the walk."""
-    scene = replace(furnished_box(), attenuation_per_m=0.3)
-    capture = one_point_capture((0, 1.3, 1.2), (0, 1.4, 1.2), 0.15)
-    capture = replace(capture, time=replace(capture.time, origin=origin))
-    found = reference(scene, capture, draw=sample_paths, samples=1 << 14, replicates=8, direct=True, seed=1)
-    walk = simulate(scene, capture, Accuracy(1 << 14, 4, 3, 8, direct=True), seed=1)
-    for name in ("direct", "primary"):
-        ours, theirs = found.components[name][0, 0], walk.components[name][0, 0]
-        assert ours.sum() == pytest.approx(theirs.sum(), rel=0.01 if name == "direct" else 0.05)
-        assert ours @ np.arange(200) / ours.sum() == pytest.approx(theirs @ np.arange(200) / theirs.sum(), abs=0.1)
 
 
 def test_laser_point_and_pixel_may_change_places() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,7 @@ LAMBERTIAN, SIN_LOBE, PHONG, OREN_NAYAR, GGX_LOBE, RETROREFLECTOR = range(6)
 NARROWEST_ROW = 4
 
 
-@dataclass(frozen=True)
-class MaterialTable:
+class MaterialTable(NamedTuple):
     """What each of K parts is made of.
 
     kind : (K,) int64, or uint8 where all are Lambertian, for which the loops are then compiled (see `models.py`).

@@ -1,4 +1,18 @@
-"""Meeting an accuracy target: rounds of samples where the variance is, until the error bound is met."""
+"""Meeting an accuracy target. Who decides what, step by step:
+
+1. `meet_target` shares the target out: errors of different light add up as squares, and the primary takes an equal
+   share of them; what it leaves of its share is for the others.
+2. The primary (three bounces) comes by quadrature, which has no noise: `three_bounces.py` decides how finely surfaces
+   are cut (`refinement.py`).
+3. A few unbiased samples are held against it (`second_opinion.py`). If they disagree, it gets a second try, with a
+   quarter of the error; if they still disagree, or where quadrature is not the means (a pixel that looks past its
+   wall, more elements than `max_lookins` would leave rays), everything is sampled.
+4. The secondary (four bounces) comes by quadrature over pairs of elements (`four_bounces.py`), unless a forecast says
+   that path tracing costs less, and is held against samples in the same way.
+5. What is left is sampled in rounds (`rounds.py`): path tracing, and the factorised form of the secondary where
+   surfaces stand right beside the field of view.
+6. What was sampled is held against other samples, too, for its own scatter knows nothing of paths that it never met.
+"""
 
 from __future__ import annotations
 
@@ -10,107 +24,94 @@ import numpy as np
 
 from datagen.records import Spend
 from datagen.records.arrays import Floats, l2_norm
-from datagen.transport.error_control.allocation import REPLICATES, Allotment, next_allotments, one_more
-from datagen.transport.error_control.confidence import bound_factor, total_variance
 from datagen.transport.error_control.cost import CELL, CELL_PAIR, CELL_RAY, PAIR_RAY
+from datagen.transport.error_control.rounds import LEAST_LEFT, Forecast, sampled
 from datagen.transport.error_control.second_opinion import Claim, Opinion, second_opinion
-from datagen.transport.error_control.strata import Known, Stratum, square_norm
-from datagen.transport.error_control.strategies import ForecastWalk, Seeds, first_rounds
-from datagen.transport.path_tracing.averages import Estimate, split_rows
-from datagen.transport.path_tracing.trace import WalkTask
+from datagen.transport.error_control.stratum import Known
+from datagen.transport.path_tracing.averages import Estimate
+from datagen.transport.problem import Problem
 from datagen.transport.quadrature.four_bounces import Secondary, secondary_by_cells
 from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.quadrature.three_bounces import Primary, primary_by_cells
 
-ROUNDS_AT_LEAST, ROUNDS_AT_MOST = 2, 64
-MATTERS = 0.2
-"""Share of the variance from which a stratum needs `ROUNDS_AT_LEAST`."""
-MARGIN = 0.9
-"""Share of the variance that would just do which a round aims at: it comes out above what was predicted as often as
-below, and a further round costs more than a few samples too many."""
-NOISE_AT_MOST = 0.9
-"""Share of ‖mean‖² that may be noise when ‖truth‖² is estimated from it, so that the estimate stays positive."""
-NOTHING_AFTER = 1 << 16
-"""Lookins in all after which a component without any light is taken for dark."""
-DARK = 1e-200
-"""Σ of squared photons per emitted photon up to which nothing is seen: the tail of a narrow lobe may bring e⁻⁵⁰⁰,
-whose square is no number to divide by."""
-SEARCH_GROWTH = 8
 SECONDARY_OWN = 2.0
 """The error of the secondary's own light, which comes when the primary's is past, relative to that of an object's."""
 TRIES = (1.0, 0.25)
-"""Errors that the primary from cells is tried with, relative to those asked for: where unbiased samples disagree with
-the one, finer cells get a chance before all is sampled."""
+"""Errors that the primary by quadrature is tried with, relative to those asked for."""
 DISPUTED = "target not met: other samples found bright paths that these have missed"
-LEAST_LEFT = 0.1
-"""Share of the square of the target that is left to components still to be found at least."""
 
 
-def meet_target(task: WalkTask) -> Estimate:
-    """A transient whose relative L2 error, in all and in each object's primary, is within what `Accuracy` asks.
+@dataclass(frozen=True)
+class _Quadrature:
+    """A component by quadrature: light (L, P, T), overflow (L, P), L2 error, cost, and elements or pairs of them."""
 
-    Primary and secondary come from cells, without noise (`three_bounces.py`, `four_bounces.py`), and what these
-    leave of the error is met by sampling the other components. Where cells are not the means (a pixel that looks past
-    its wall, more cells than `max_lookins` would leave rays, unbiased samples that disagree with them:
-    `second_opinion.py`) all components are sampled, or all but the primary, and only the whole is held to an error.
-    """
-    accuracy, splits = task.accuracy, task.splits
-    assert accuracy.target is not None
-    if not (task.points.part >= 0).any():
-        return _nothing(task)
-    others = len(splits.others)
-    # Errors of different light add up as squares, and the primary takes an equal share: its cells, pairs of cells and
-    # samples all cost about as their error squared. What it leaves of its own is the others'.
-    gathering, share = Gathering.of(task), math.sqrt(1 / (1 + others))
-    primary, opinions = _agreed_primary(gathering, share)
+    light: Floats
+    overflow: Floats
+    error: float
+    cost: float
+    elements: int
+
+
+def meet_target(problem: Problem) -> Estimate:
+    """A transient whose relative L2 error, in all and in each object's primary, is within what `Accuracy` asks."""
+    splits = problem.splits
+    if not (problem.points.part >= 0).any():
+        return _nothing(problem)
+    gathering, opinions = Gathering.of(problem), list[Opinion]()
+    primary = _primary(gathering, math.sqrt(1 / (1 + len(splits.others))), opinions)
     if primary is None:
-        return _confirmed(task, _sampled(task, None), (), opinions)
+        return _confirmed(problem, sampled(problem, None), (), opinions)
     found = {"primary": _of_primary(primary)}
-    if "secondary" in splits.components and accuracy.strongest is None:
-        asked, own = accuracy.target * l2_norm(found["primary"].light), min(SECONDARY_OWN * accuracy.each_part, 1.0)
-        square = max(asked**2 - found["primary"].error ** 2, LEAST_LEFT * asked**2)
-        limit = math.sqrt(square / others)
-        apart = replace(task, splits=replace(splits, components=("secondary",), parts=()))
-        walk = ForecastWalk(apart, limit)
-        secondary = secondary_by_cells(gathering, limit, own, accuracy.faint_part, walk.costs_less_than)
+    if "secondary" in splits.components and problem.accuracy.strongest is None:
+        secondary = _secondary(gathering, found["primary"], opinions)
         if secondary is not None:
-            of_cells = _of_secondary(secondary)
-            error = of_cells.error / (l2_norm(of_cells.light) or 1.0)
-            claim = Claim(of_cells.light, error * float(of_cells.light.sum()), order=4)
-            opinions.append(second_opinion(task, {"secondary": claim}, of_cells.cost, len(opinions)))
-            if opinions[-1].agrees:
-                found["secondary"] = of_cells
-    left = tuple(name for name in splits.others if name not in found)
+            found["secondary"] = secondary
     known = Known(
         reduce(np.add, (one.light for one in found.values())), math.hypot(*(one.error for one in found.values()))
     )
+    left = tuple(name for name in splits.others if name not in found)
     if left:
-        rest = _sampled(replace(task, splits=replace(splits, components=left, parts=())), known)
+        rest = sampled(replace(problem, splits=replace(splits, components=left, parts=())), known)
     else:
-        error = known.error / l2_norm(known.light)
-        met = error <= accuracy.target
-        spend = Spend({}, {}, {}, {}, 1, 0.0, "target met" if met else "target not met by cells")
-        rest = Estimate({}, {}, np.zeros(task.capture.shape), np.zeros(task.capture.shape[:2]), spend, error, met)
-    return _confirmed(task, _joined(task, found, primary, rest), tuple(found), opinions)
+        rest = _no_rest(problem, known)
+    return _confirmed(problem, _joined(problem, found, primary, rest), tuple(found), opinions)
 
 
-def _agreed_primary(gathering: Gathering, share: float) -> tuple[Primary | None, list[Opinion]]:
-    """The primary by cells, if unbiased samples agree with it, and what they said of each try; else nothing."""
-    task, accuracy, opinions = gathering.task, gathering.task.accuracy, list[Opinion]()
+def _primary(gathering: Gathering, share: float, opinions: list[Opinion]) -> Primary | None:
+    """The primary by quadrature, if unbiased samples agree with it; what they say of each try joins `opinions`."""
+    problem, accuracy = gathering.task, gathering.task.accuracy
     assert accuracy.target is not None
     for finer in TRIES:
         primary = primary_by_cells(
             gathering, finer * share * accuracy.target, finer * accuracy.each_part, accuracy.faint_part
         )
         if primary is None:
-            return None, opinions
-        opinions.append(second_opinion(task, _claims(task, primary), _of_primary(primary).cost, len(opinions)))
+            return None
+        opinions.append(second_opinion(problem, _claims(problem, primary), _of_primary(primary).cost, len(opinions)))
         if opinions[-1].agrees:
-            return primary, opinions
-    return None, opinions
+            return primary
+    return None
 
 
-def _claims(task: WalkTask, primary: Primary) -> dict[str, Claim]:
+def _secondary(gathering: Gathering, primary: _Quadrature, opinions: list[Opinion]) -> _Quadrature | None:
+    """The secondary by quadrature, where that costs less than path tracing and unbiased samples agree with it."""
+    problem, accuracy, splits = gathering.task, gathering.task.accuracy, gathering.task.splits
+    assert accuracy.target is not None
+    asked, own = accuracy.target * l2_norm(primary.light), min(SECONDARY_OWN * accuracy.each_part, 1.0)
+    limit = math.sqrt(max(asked**2 - primary.error**2, LEAST_LEFT * asked**2) / len(splits.others))
+    alone = replace(problem, splits=replace(splits, components=("secondary",), parts=()))
+    traced = Forecast(alone, limit)
+    secondary = secondary_by_cells(gathering, limit, own, accuracy.faint_part, traced.costs_less_than)
+    if secondary is None:
+        return None
+    found = _of_secondary(secondary)
+    error = found.error / (l2_norm(found.light) or 1.0)
+    claim = Claim(found.light, error * float(found.light.sum()), order=4)
+    opinions.append(second_opinion(problem, {"secondary": claim}, found.cost, len(opinions)))
+    return found if opinions[-1].agrees else None
+
+
+def _claims(problem: Problem, primary: Primary) -> dict[str, Claim]:
     """What the primary says of the error of its whole, and of each part that brings light.
 
     The light of a part that is held to no error of its own may be wrong by as much as the whole.
@@ -118,212 +119,99 @@ def _claims(task: WalkTask, primary: Primary) -> dict[str, Claim]:
     whole = reduce(np.add, primary.rows)
     of_whole = primary.error * float(whole.sum())
     claims = {"primary": Claim(whole, of_whole, order=3)}
-    for k, name in enumerate(task.splits.parts):
+    for k, name in enumerate(problem.splits.parts):
         own = primary.part_errors.get(name)
         if own is not None or primary.rows[k].any():
-            claims[name] = Claim(
-                primary.rows[k], of_whole if own is None else own * float(primary.rows[k].sum()), 3, k
-            )
+            error = of_whole if own is None else own * float(primary.rows[k].sum())
+            claims[name] = Claim(primary.rows[k], error, 3, k)
     return claims
 
 
-def _confirmed(task: WalkTask, estimate: Estimate, by_cells: tuple[str, ...], opinions: list[Opinion]) -> Estimate:
+def _confirmed(
+    problem: Problem, estimate: Estimate, by_quadrature: tuple[str, ...], opinions: list[Opinion]
+) -> Estimate:
     """The same estimate, its record saying what all second opinions were, the one on what was sampled with them.
 
-    The bound of sampled light knows nothing of paths so rare that no replicate met them. Where other samples did, the
-    claim is raised to what they say is missing, and the target is not met.
+    Where other samples met light that these have missed, the error claimed is raised to it: the target is not met.
     """
     claims, bound = {}, estimate.error_bound or 0.0
     whole = float(sum(map(np.sum, estimate.components.values())))
     for order, name in ((3, "primary"), (4, "secondary")):
-        if name not in estimate.components or name in by_cells or task.accuracy.strongest is not None:
-            continue
-        # The bound is one on the whole, of which this may be little or, so far, nothing.
-        claims[name] = Claim(estimate.components[name], bound * whole, order)
+        sampled_here = name in estimate.components and name not in by_quadrature
+        if sampled_here and problem.accuracy.strongest is None:
+            # The bound is one on the whole, of which this may be little or, so far, nothing.
+            claims[name] = Claim(estimate.components[name], bound * whole, order)
     if claims:
-        opinions = [*opinions, second_opinion(task, claims, estimate.spend.cost, len(opinions))]
+        opinions = [*opinions, second_opinion(problem, claims, estimate.spend.cost, len(opinions))]
         if not opinions[-1].agrees:
             missing = abs(opinions[-1].missing) / max(whole, 1e-300)
             estimate = replace(
-                estimate, error_bound=max(bound, missing, 1.01 * (task.accuracy.target or 0.0)),
+                estimate, error_bound=max(bound, missing, 1.01 * (problem.accuracy.target or 0.0)),
                 met_target=False, spend=replace(estimate.spend, outcome=DISPUTED),
             )  # fmt: skip
     return replace(estimate, spend=replace(estimate.spend, second_opinion="; ".join(map(str, opinions))))
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What cells gave of a component: light (L, P, T), overflow (L, P), L2 error, cost, and cells in all."""
-
-    light: Floats
-    overflow: Floats
-    error: float
-    cost: float
-    cells: int
-
-
-def _of_primary(primary: Primary) -> _Found:
+def _of_primary(primary: Primary) -> _Quadrature:
     whole = primary.rows[0].copy()
     for row in primary.rows[1:]:
         whole += row
     cost = CELL * primary.cells + CELL_RAY * primary.rays
-    return _Found(whole, primary.overflow, primary.error * l2_norm(whole), cost, primary.cells)
+    return _Quadrature(whole, primary.overflow, primary.error * l2_norm(whole), cost, primary.cells)
 
 
-def _of_secondary(secondary: Secondary) -> _Found:
+def _of_secondary(secondary: Secondary) -> _Quadrature:
     cost = CELL_PAIR * secondary.pairs + PAIR_RAY * secondary.rays
-    return _Found(secondary.histogram, secondary.overflow, secondary.error, cost, secondary.pairs)
+    return _Quadrature(secondary.histogram, secondary.overflow, secondary.error, cost, secondary.pairs)
 
 
-def _joined(task: WalkTask, found: dict[str, _Found], primary: Primary, rest: Estimate) -> Estimate:
-    """What cells gave with the other components from samples; its error is taken as the same share of every bin."""
+def _no_rest(problem: Problem, known: Known) -> Estimate:
+    """What is left to sample where quadrature found everything: nothing, and whether that meets the target."""
+    error, target = known.error / l2_norm(known.light), problem.accuracy.target
+    met = target is not None and error <= target
+    spend = Spend({}, {}, {}, {}, 1, 0.0, "target met" if met else "target not met by cells")
+    shape = problem.capture.shape
+    return Estimate({}, {}, np.zeros(shape), np.zeros(shape[:2]), spend, error, met)
+
+
+def _joined(problem: Problem, found: dict[str, _Quadrature], primary: Primary, rest: Estimate) -> Estimate:
+    """What quadrature gave with the other components from samples; its error is taken as the same share of every
+    bin."""
     total = sum(one.cost for one in found.values()) + rest.spend.cost
-    lasers = max(int((task.points.part >= 0).sum()), 1)
+    lasers = max(int((problem.points.part >= 0).sum()), 1)
     share = {name: share * rest.spend.cost for name, share in rest.spend.share.items()}
     share |= {name: one.cost for name, one in found.items()}
     components = {
-        name: found[name].light if name in found else rest.components[name] for name in task.splits.components
+        name: found[name].light if name in found else rest.components[name] for name in problem.splits.components
     }
-    told = all(error <= task.accuracy.each_part for error in primary.part_errors.values())
-    outcome = rest.spend.outcome if told or not rest.met_target else "target met but for an object's own light"
+    parts_met = all(error <= problem.accuracy.each_part for error in primary.part_errors.values())
+    outcome = rest.spend.outcome
+    if rest.met_target and not parts_met:
+        outcome = "target met but for an object's own light"
     spend = Spend(
-        lookins=dict(rest.spend.lookins) | {name: one.cells / lasers for name, one in found.items()},
+        lookins=dict(rest.spend.lookins) | {name: one.elements / lasers for name, one in found.items()},
         share={name: value / total if total > 0 else 0.0 for name, value in share.items()},
         way=dict(rest.spend.way) | dict.fromkeys(found, "cells"),
         fov_samples=dict(rest.spend.fov_samples) | dict.fromkeys(found, 1),
         rounds=rest.spend.rounds, cost=total, outcome=outcome,
     )  # fmt: skip
-    norms = [l2_norm(one.light) or 1.0 for one in found.values()]
-    errors = [one.error / norm * one.light for one, norm in zip(found.values(), norms, strict=True)]
+    errors = [one.error / (l2_norm(one.light) or 1.0) * one.light for one in found.values()]
     overflow = reduce(np.add, [rest.overflow, *(one.overflow for one in found.values())])
     return Estimate(
-        components, dict(zip(task.splits.parts, primary.rows, strict=False)),
+        components, dict(zip(problem.splits.parts, primary.rows, strict=False)),
         reduce(np.hypot, [rest.stderr, *errors] if rest.components else errors), overflow, spend,
-        rest.error_bound, rest.met_target and told, dict(primary.part_errors),
+        rest.error_bound, rest.met_target and parts_met, dict(primary.part_errors), rest.rays,
     )  # fmt: skip
 
 
-def _sampled(task: WalkTask, known: Known | None) -> Estimate:
-    """Sample until an upper bound of the relative L2 error of the whole transient is within `Accuracy.target`.
-
-    Each component is a stratum with samples of its own, unless a walk that finds several together is cheaper. A first
-    round gives variances and costs; each further one goes where it lowers the variance most for its cost
-    (`allocation.py`), is sized by the observed order of convergence, and adds to the average with its number of
-    lookins as its weight. It stops when the bound (`confidence.py`) is within the target, after two rounds at least
-    and with the last in agreement with those before; or, unmet, before `Accuracy.max_lookins` are exceeded.
-    """
-    target = task.accuracy.target
-    assert target is not None
-    lasers = int((task.points.part >= 0).sum())
-    seeds, of_known = Seeds(task.seed), 0.0 if known is None else known.error**2
-    strata, tried = first_rounds(task, target, seeds, known)
-    budget = float(task.accuracy.max_lookins) * lasers
-    bound, outcome, rounds = np.inf, "", 1
-    while not outcome:
-        variance, factor, factor_to_come = _uncertainty(strata)
-        seen = square_norm(strata, known)
-        if seen <= DARK:
-            bound = 0.0
-            outcome = _search(strata, seeds, budget)
-            rounds += not outcome
-            continue
-        truth = max(seen - variance, (1 - NOISE_AT_MOST) * seen)
-        bound = float(np.sqrt((variance * factor + of_known) / truth))
-        once = _seen_once(strata)
-        allotments: list[Allotment] | None = None
-        if bound <= target and once:
-            allotments = one_more(strata, once)
-        elif bound > target and rounds < ROUNDS_AT_MOST:
-            spent = sum(float(s.weight.sum()) * s.rays_per_lookin for s in strata)
-            left = max(MARGIN * target**2 * truth - of_known, LEAST_LEFT * target**2 * truth)
-            allotments = next_allotments(strata, left / factor_to_come, budget - spent)
-        if allotments is None:
-            outcome = "target met" if bound <= target else f"target not met in {rounds} rounds within max_lookins"
-            break
-        for stratum, allotment in zip(strata, allotments, strict=True):
-            if allotment.lookins:
-                stratum.sample(allotment.points, allotment.replicates, seeds.draw())
-        rounds += 1
-    return _estimate(task, strata, tried, rounds, bound, outcome)
-
-
-def _uncertainty(strata: list[Stratum]) -> tuple[float, float, float]:
-    """The variance of the whole transient, summed over all bins, what bounds the squared error when multiplied with
-    it, and that factor after one more round, which makes the variance better known."""
-    kept = [(one, stratum.excess) for stratum in strata for one in stratum.scatters()]
-    scatters = [replace(one, variance=one.variance * excess) for one, excess in kept]
-    doubled = [replace(one, replicates=2 * one.replicates) for one, _ in kept]
-    return total_variance(scatters), bound_factor(scatters), bound_factor(doubled)
-
-
-def _seen_once(strata: list[Stratum]) -> list[int]:
-    """Strata that matter and have had only their first round, which nothing has confirmed yet."""
-    variances = [total_variance(stratum.scatters()) for stratum in strata]
-    return [
-        k
-        for k, (stratum, variance) in enumerate(zip(strata, variances, strict=True))
-        if len(stratum.rounds) < ROUNDS_AT_LEAST and variance > MATTERS * sum(variances)
-    ]
-
-
-def _search(strata: list[Stratum], seeds: Seeds, budget: float) -> str:
-    """Look harder for light where there was none; says why it gave up, or nothing."""
-    looked = [float(stratum.weight.sum()) for stratum in strata]
-    more = [SEARCH_GROWTH * int(stratum.points.max()) for stratum in strata]
-    rays = sum(
-        stratum.rays_per_lookin * (before + count * REPLICATES * len(stratum.weight))
-        for stratum, before, count in zip(strata, looked, more, strict=True)
-    )
-    if min(looked) >= NOTHING_AFTER or rays > budget:
-        return f"nothing visible: no light in {sum(looked):.0f} lookins"
-    for stratum, count in zip(strata, more, strict=True):
-        stratum.sample(np.full(len(stratum.weight), count), REPLICATES, seeds.draw())
-    return ""
-
-
-def _estimate(
-    task: WalkTask, strata: list[Stratum], tried: float, rounds: int, bound: float, outcome: str
-) -> Estimate:
-    components: dict[str, Floats] = {}
-    parts: dict[str, Floats] = {}
-    variance, overflow = np.zeros(task.capture.shape), np.zeros(task.capture.shape[:2])
-    lookins: dict[str, float] = {}
-    costs: dict[str, float] = {}
-    ways: dict[str, str] = {}
-    points: dict[str, int] = {}
-    seen = task.points.part >= 0
-    for stratum in strata:
-        variance += stratum.variance / np.maximum(stratum.weight, 1.0)[:, None, None] ** 2
-        overflow += stratum.mean(stratum.overflow)
-        found, of_parts = split_rows([stratum.mean(row) for row in stratum.rows], stratum.task.splits)
-        parts |= of_parts
-        for name, values in found.items():
-            components[name] = components[name] + values if name in components else values
-            lookins[name] = lookins.get(name, 0.0) + float(stratum.weight[seen].mean())
-            costs[name] = costs.get(name, 0.0) + stratum.work.cost / len(found)
-            way = "walk" if stratum.observed is None else "factorised"
-            ways[name] = "walk + factorised" if ways.get(name, way) != way else way
-            points[name] = int(stratum.task.accuracy.fov_samples)
-    total = sum(costs.values())
-    asked = task.splits.components
-    spend = Spend(
-        lookins={name: lookins[name] for name in asked}, share={name: costs[name] / total for name in asked},
-        way={name: ways[name] for name in asked}, fov_samples={name: points[name] for name in asked}, rounds=rounds,
-        cost=total + tried, outcome=outcome,
-    )  # fmt: skip
-    target = task.accuracy.target
-    ordered = {name: components[name] for name in asked}
-    return Estimate(ordered, parts, np.sqrt(variance), overflow, spend, bound, target is not None and bound <= target)
-
-
-def _nothing(task: WalkTask) -> Estimate:
+def _nothing(problem: Problem) -> Estimate:
     """No laser ray meets the scene: the transient is zero, exactly."""
-    asked, shape = task.splits.components, task.capture.shape
+    asked, shape = problem.splits.components, problem.capture.shape
     spend = Spend(
         lookins=dict.fromkeys(asked, 0.0), share=dict.fromkeys(asked, 0.0), way=dict.fromkeys(asked, "walk"),
         fov_samples=dict.fromkeys(asked, 1), rounds=0, cost=0.0,
         outcome="nothing visible: no laser ray meets the scene",
     )  # fmt: skip
     zeros = {name: np.zeros(shape) for name in asked}
-    parts = {name: np.zeros(shape) for name in task.splits.parts}
+    parts = {name: np.zeros(shape) for name in problem.splits.parts}
     return Estimate(zeros, parts, np.zeros(shape), np.zeros(shape[:2]), spend, 0.0, True)

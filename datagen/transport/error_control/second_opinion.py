@@ -26,7 +26,7 @@ from scipy.special import ndtri
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.error_control.cost import SAMPLE
-from datagen.transport.path_tracing.trace import WalkTask
+from datagen.transport.problem import Problem
 from datagen.transport.reference import pairs_of
 from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.sampling import stream_seeds
@@ -92,7 +92,7 @@ class Opinion:
         return f"{verdict}: of {self.samples} samples, farthest off {self.worst}, {self.off:+.1%} ± {self.known:.1%}"
 
 
-def second_opinion(task: WalkTask, claims: Mapping[str, Claim], cost: float = 0.0, turn: int = 0) -> Opinion:
+def second_opinion(problem: Problem, claims: Mapping[str, Claim], cost: float = 0.0, turn: int = 0) -> Opinion:
     """Whether unbiased samples of the energy agree with the light that was found.
 
     claims : name → light. cost : what finding it took, in units of
@@ -100,34 +100,34 @@ def second_opinion(task: WalkTask, claims: Mapping[str, Claim], cost: float = 0.
     """
     order = max(claim.order for claim in claims.values())
     count = int(np.clip(SHARE * cost / (SAMPLE * SAMPLES), *PAIRS))
-    first = _look(task, claims, count, order, 2 * turn)
+    first = _look(problem, claims, count, order, 2 * turn)
     if first.sigmas <= LOOK_AGAIN:
         return first
-    second = _look(task, claims, max(MORE * PAIRS[0], 4 * count), order, 2 * turn + 1)
+    second = _look(problem, claims, max(MORE * PAIRS[0], 4 * count), order, 2 * turn + 1)
     tests = (WINDOWS + 1) * len(claims)
     agrees = second.sigmas <= -float(ndtri(LEVEL / (2 * tests)))
-    undecided = not agrees and lit_in_one_place(task.scene, task.caster, _lifted(task))
+    undecided = not agrees and lit_in_one_place(problem.scene, problem.caster, _lifted(problem))
     return replace(second, agrees=agrees or undecided, undecided=undecided, samples=first.samples + second.samples)
 
 
-def _lifted(task: WalkTask) -> Floats:
+def _lifted(problem: Problem) -> Floats:
     """(n, 3) laser points that lie on a surface, a little above it."""
-    lit = task.points.part >= 0
-    return task.points.position[lit] + task.caster.offset_m * task.points.normal[lit]
+    lit = problem.points.part >= 0
+    return problem.points.position[lit] + problem.caster.offset_m * problem.points.normal[lit]
 
 
-def _look(task: WalkTask, claims: Mapping[str, Claim], count: int, last_order: int, look: int) -> Opinion:
+def _look(problem: Problem, claims: Mapping[str, Claim], count: int, last_order: int, look: int) -> Opinion:
     """One look at `count` pairs; it agrees."""
-    time = task.capture.time
-    seed = int(stream_seeds(task.seed, LightStream.SECOND_OPINION, 0, np.array([look]))[0])
-    every = pairs_of(task.capture)
-    lit = np.flatnonzero(task.points.part[every[:, 0]] >= 0)
+    time = problem.capture.time
+    seed = int(stream_seeds(problem.seed, LightStream.SECOND_OPINION, 0, np.array([look]))[0])
+    every = pairs_of(problem.capture)
+    lit = np.flatnonzero(problem.points.part[every[:, 0]] >= 0)
     found = {name: claim.light.reshape(-1, time.bins) for name, claim in claims.items()}
     which, chance = _drawn([light[lit].sum(axis=1) for light in found.values()], count, seed)
     rows = lit[which]
     paths = sample_paths(
-        task.caster, task.scene, task.materials, task.capture, every[rows], SAMPLES, max_bounces=last_order,
-        occlusion=task.accuracy.occlusion != "off", seed=seed,
+        problem.caster, problem.scene, problem.materials, problem.capture, every[rows], SAMPLES,
+        max_bounces=last_order, occlusion=problem.accuracy.occlusion != "off", seed=seed,
     )  # fmt: skip
     bins = np.floor((time_from_path(paths.path_m) - time.start_s) / time.width_s)
     inside = (bins >= 0) & (bins < time.bins)

@@ -1,1 +1,1 @@
-"""Path tracing with next-event estimation: sampled paths of every order, joined to the fields of view."""
+"""Path tracing with next-event estimation: sampled paths of every order, connected with the fields of view."""

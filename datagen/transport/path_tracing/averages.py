@@ -1,4 +1,5 @@
-"""Averages over independent replicates of the walk: means by component, their standard error, and what they cost."""
+"""Path tracing, averaged over independent replicates: means by component, their standard error, and what they
+cost."""
 
 from __future__ import annotations
 
@@ -13,24 +14,18 @@ from datagen.transport.error_control.cost import Work
 from datagen.transport.fields_of_view import FovPool
 from datagen.transport.path_tracing.connections import Tally
 from datagen.transport.path_tracing.replicate_spread import Sketch, standard_error
-from datagen.transport.path_tracing.trace import (
-    FOV_POINTS_PER_POOL,
-    Splits,
-    WalkTask,
-    blocks_for,
-    part_of,
-    pool_for,
-    trace_chunk,
-)
+from datagen.transport.path_tracing.trace import FOV_POINTS_PER_POOL, blocks_for, pool_for, trace_chunk
 from datagen.transport.path_tracing.vertices import runs_of
+from datagen.transport.problem import Problem, TallyRows
 from datagen.transport.sampling import Streams
 
 LOOKINS_PER_CHUNK = 1 << 17
-"""Lookins traced at once, over as many laser points as fit."""
+"""Hidden vertices traced at once, over as many laser points as fit: some 30 MiB. Half as many make twice the
+calls."""
 LOOKINS_TOGETHER = 1 << 14
-"""Lookins up to which replicates are traced in one call: of more, the call itself costs little."""
+"""Hidden vertices up to which replicates are traced in one call: of more, the call itself costs little."""
 HISTOGRAM_VALUES_PER_CHUNK = 1 << 22
-"""Histogram entries filled at once (32 MiB), over as many laser points as fit."""
+"""Histogram entries filled at once (32 MiB), over as many laser points as fit; half as many make twice the calls."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +34,7 @@ class Average:
 
     Attributes
     ----------
-    rows : one (L, P, T) array for each split of the task.
+    rows : one (L, P, T) array for each split of the problem.
     stderr : (L, P, T) standard error of their sum, NaN for one replicate.
     overflow : (L, P) energy outside the window.
     work : what was done.
@@ -63,9 +58,10 @@ class Estimate:
     error_bound: float | None = None
     met_target: bool | None = None
     part_errors: dict[str, float] = field(default_factory=dict)
+    rays: dict[str, int] = field(default_factory=dict)
 
 
-def split_rows(rows: list[Floats], splits: Splits) -> tuple[dict[str, Floats], dict[str, Floats]]:
+def split_rows(rows: list[Floats], splits: TallyRows) -> tuple[dict[str, Floats], dict[str, Floats]]:
     """One array for each split → arrays by component, and the primary's by part."""
     components = dict(zip(splits.others, rows[splits.primary :], strict=True))
     if splits.primary:
@@ -77,21 +73,27 @@ def split_rows(rows: list[Floats], splits: Splits) -> tuple[dict[str, Floats], d
     return ordered, dict(zip(splits.parts, rows, strict=False))
 
 
-def walk_average(task: WalkTask, sketch: Sketch | None = None) -> Average:
+def rays_of(problem: Problem, work: Work) -> dict[str, int]:
+    """`Transient.rays`: connections that could carry energy, by how it was found whether anything hides them."""
+    assumed = problem.accuracy.occlusion == "off"
+    return {"asked": 0 if assumed else int(work.bright), "assumed": int(work.bright) if assumed else 0}
+
+
+def walk_average(problem: Problem, sketch: Sketch | None = None) -> Average:
     """Average over independent replicates; their spread is the standard error.
 
     sketch : gets each replicate's transient too, for the correlations between bins.
     """
-    lasers, pixels, bins = task.capture.shape
-    splits, lookins = task.splits, task.accuracy.lookins
-    replicates = min(task.accuracy.replicates, lookins)
+    lasers, pixels, bins = problem.capture.shape
+    splits, lookins = problem.splits, problem.accuracy.lookins
+    replicates = min(problem.accuracy.replicates, lookins)
     squares = np.zeros((lasers, pixels, bins))
     overflow = np.zeros((lasers, pixels))
     rows = [np.zeros((lasers, pixels, bins)) for _ in range(splits.count)]
     work = Work(calls=0)
     counts = lookins // replicates + (np.arange(replicates) < lookins % replicates)
     for count in np.unique(counts):
-        for replicate, first, tally, done in _traced(task, int(count), np.flatnonzero(counts == count)):
+        for replicate, first, tally, done in _traced(problem, int(count), np.flatnonzero(counts == count)):
             work += done
             histogram = tally.histogram.reshape(-1, pixels, splits.count, bins)
             place = slice(first, first + len(histogram))
@@ -107,38 +109,39 @@ def walk_average(task: WalkTask, sketch: Sketch | None = None) -> Average:
     return Average(rows, standard_error(rows, squares, replicates), overflow / replicates, work)
 
 
-def _traced(task: WalkTask, count: int, replicates: Ints) -> Iterator[tuple[int, int, Tally, Work]]:
-    """Trace `count` lookins of each laser point in each replicate: (replicate, first laser point, its light and
-    that of those after it, work) for one piece after the other.
+def _traced(problem: Problem, count: int, replicates: Ints) -> Iterator[tuple[int, int, Tally, Work]]:
+    """Pieces of the light from `count` hidden vertices of each laser point in each replicate: replicate, first laser
+    point of the piece, its light and that of those after it, and the work.
 
-    A call of the tracing code costs some milliseconds, whatever it traces. So replicates of few lookins are traced
-    together, as copies of the laser points with random numbers of their own.
+    A call of the tracing code costs some milliseconds, whatever it traces. So replicates of few hidden vertices are
+    traced together, as copies of the laser points with random numbers of their own.
     """
-    _, pixels, bins = task.capture.shape
-    existing = np.flatnonzero(task.points.part >= 0)
+    _, pixels, bins = problem.capture.shape
+    existing = np.flatnonzero(problem.points.part >= 0)
     if not len(existing):
         return
-    confocal = task.capture.pairing == "confocal"
+    confocal = problem.capture.pairing == "confocal"
     seen = existing if confocal else np.arange(pixels)
-    fov_points = len(seen) * task.accuracy.fov_samples * blocks_for(task, seen, count)
-    values = HISTOGRAM_VALUES_PER_CHUNK // (pixels * task.splits.count * bins)
+    fov_points = len(seen) * problem.accuracy.fov_samples * blocks_for(problem, seen, count)
+    values = HISTOGRAM_VALUES_PER_CHUNK // (pixels * problem.splits.count * bins)
     together = min(LOOKINS_TOGETHER // count, values) // len(existing)
     together = max(1, min(together, FOV_POINTS_PER_POOL // fov_points, len(replicates)))
     size = max(1, min(LOOKINS_PER_CHUNK // count, values) // together)
     for few in np.split(replicates, range(together, len(replicates), together)):
         shared, drawn = None, Work(calls=0)
         if not confocal:
-            shared = _shared_pool(task, count, few)
+            shared = _shared_pool(problem, count, few)
             drawn = Work(rays=shared.weight.size, calls=0)
         for run in runs_of(existing, size):
             if len(few) == 1:
-                part, chunk, streams = task, run, Streams.of(task.seed, few, np.arange(len(task.points.part)))
+                part, chunk = problem, run
+                streams = Streams.of(problem.seed, few, np.arange(len(problem.points.part)))
             else:
-                part, chunk = part_of(task, np.tile(run, len(few))), np.arange(len(few) * len(run))
-                streams = Streams.of(task.seed, few, run)
+                part, chunk = problem.for_lasers(np.tile(run, len(few))), np.arange(len(few) * len(run))
+                streams = Streams.of(problem.seed, few, run)
             pool = shared
             if pool is None:
-                pool = pool_for(part, chunk, blocks_for(task, run, count), Streams.of(task.seed, few, run))
+                pool = pool_for(part, chunk, blocks_for(problem, run, count), Streams.of(problem.seed, few, run))
                 drawn = Work(rays=pool.weight.size, calls=0)
             tally, done = trace_chunk(part, chunk, pool, count, streams)
             for piece, replicate in zip(tally.apart(len(few)), few, strict=True):
@@ -146,9 +149,9 @@ def _traced(task: WalkTask, count: int, replicates: Ints) -> Iterator[tuple[int,
                 done = drawn = Work(calls=0)
 
 
-def _shared_pool(task: WalkTask, count: int, replicates: Ints) -> FovPool:
+def _shared_pool(problem: Problem, count: int, replicates: Ints) -> FovPool:
     """FoV points that all laser points share, a set for each replicate."""
-    pixels = np.arange(task.capture.shape[1])
-    streams = Streams.of(task.seed, replicates, pixels)
-    pool = pool_for(task, np.tile(pixels, len(replicates)), blocks_for(task, pixels, count), streams)
+    pixels = np.arange(problem.capture.shape[1])
+    streams = Streams.of(problem.seed, replicates, pixels)
+    pool = pool_for(problem, np.tile(pixels, len(replicates)), blocks_for(problem, pixels, count), streams)
     return pool.side_by_side(len(replicates))

@@ -1,7 +1,7 @@
-"""Vertices of light paths: laser points, the lookins they light, and where the light goes from there.
+"""Vertices of light paths: laser points, the hidden vertices they light, and where the light goes from there.
 
-A lookin can be drawn in two ways, joined by the balance heuristic (Veach & Guibas, SIGGRAPH 1995), which is unbiased
-and never gives a lookin more than the rays alone would:
+A first hidden vertex can be drawn in two ways, combined by the balance heuristic (Veach & Guibas, SIGGRAPH 1995),
+which is unbiased and never gives a vertex more than the rays alone would:
 
 - rays from the laser point drawn by its BRDF, which already carry the 1/R² of the geometry (docs/physics.md);
 - points uniform on the area of small parts, so that a small or distant object gets its share of samples.
@@ -11,27 +11,28 @@ Every later vertex is where a ray drawn by the BRDF of the one before it lands.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.records import Laser, Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
-from datagen.transport.brdf import MaterialTable
-from datagen.transport.path_tracing.kernels import light_lookins, random_numbers, scatter
-from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
+from datagen.transport.brdf import MaterialTable, Vector, dot, evaluate, pdf, sample
+from datagen.transport.sampling import Streams, mix, scrambled_sobol, stream_seeds
 from datagen.transport.visibility.raycast import Hits, Raycaster
 
 CHOICES = 4
 """Random numbers a vertex needs: one picks its FoV points, two aim its ray, one is for Russian roulette."""
 SOBOL_STEPS = 3
-"""Steps of a walk whose choices are Sobol' coordinates; later ones, which matter less, are independent."""
+"""Bounces of a path whose choices are Sobol' coordinates; later ones, which matter less, are independent."""
 
 
-@dataclass(frozen=True)
-class LaserPoints:
+class LaserPoints(NamedTuple):
     """First surfaces of the laser rays.
 
     position, normal, to_laser : (L, 3) metres; unit normal facing the laser; unit direction to it. NaN without a hit.
@@ -54,9 +55,12 @@ class LaserPoints:
         to_laser = -span / np.linalg.norm(span, axis=1, keepdims=True)
         return cls(position, hits.normal, to_laser, part, np.linalg.norm(position - laser.position, axis=1))
 
+    def take(self, lasers: Ints) -> LaserPoints:
+        """Some of them, or several copies of them."""
+        return LaserPoints(*(values[lasers] for values in self))
 
-@dataclass(frozen=True)
-class Vertices:
+
+class Vertices(NamedTuple):
     """n ends of light paths, each begun at one laser point.
 
     laser : (n,) index of the laser point.
@@ -78,27 +82,24 @@ class Vertices:
     choices: Floats
     stream: NDArray[np.uint64]
 
-    def __len__(self) -> int:
-        return len(self.laser)
-
-    def take(self, rows: Ints) -> Vertices:
+    def take(self, rows: Ints | slice) -> Vertices:
         """Some of them."""
-        return Vertices(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+        return Vertices(*(values[rows] for values in self))
 
     def numbers(self, step: int) -> Floats:
-        """(n, CHOICES) numbers in 0 … 1 for the choices at step 0 (lookins), 1, 2 …"""
+        """(n, CHOICES) numbers in 0 … 1 for the choices at step 0 (the first hidden vertex), 1, 2 …"""
         if (step + 1) * CHOICES <= self.choices.shape[1]:
             return self.choices[:, step * CHOICES : (step + 1) * CHOICES]
-        return np.asarray(random_numbers(self.stream, step, CHOICES))
+        return np.asarray(_independent_numbers(self.stream, step, CHOICES))
 
 
 @dataclass(frozen=True)
 class AreaTarget:
-    """The triangles sampled by area and the share of lookins they get.
+    """The triangles sampled by area and the share of hidden vertices they get.
 
     Attributes
     ----------
-    share : of the lookins, 0 … 7/8.
+    share : of the hidden vertices, 0 … 7/8.
     faces : (n,) triangle indices.
     cumulative : (n,) running share of area.
     area_m2 : their total.
@@ -168,9 +169,9 @@ def draw_lookins(
     caster: Raycaster, scene: Scene, materials: MaterialTable, points: LaserPoints, lasers: Ints, count: int,
     target: AreaTarget, streams: Streams, steps: int,
 ) -> Vertices:  # fmt: skip
-    """`count` lookins for each of `lasers` (indices of laser points that exist).
+    """`count` first hidden vertices for each of `lasers` (indices of laser points that exist), those that are lit.
 
-    `path` counts from the laser point; `steps` is how many steps of the walk will want Sobol' coordinates.
+    `path` counts from the laser point; `steps` is how many bounces of the path will want Sobol' coordinates.
     """
     by_area = min(round(count * target.share), count - 1)
     by_ray = count - by_area
@@ -193,9 +194,9 @@ def draw_lookins(
         position = np.concatenate([position, area_position])
         owner = np.concatenate([owner, area_owner])
         sobol = np.concatenate([sobol, area_sobol])
-    kept, normal, to_previous, distance, power = light_lookins(
-        face, position, owner, points.position, points.normal, points.to_laser, points.part, materials.kind,
-        materials.values, caster.face_normal, target.contains, float(by_ray), by_area / target.area_m2,
+    kept, normal, to_previous, distance, power = _lit(
+        face, position, owner, points, materials, caster.face_normal, target.contains, float(by_ray),
+        by_area / target.area_m2,
     )  # fmt: skip
     owner = owner[kept]
     rays = by_ray * len(lasers)
@@ -216,8 +217,8 @@ def continued(scene: Scene, vertices: Vertices, hits: Hits, directions: Floats, 
     last = vertices.take(going)
     position = hits.position[going]
     distance = np.linalg.norm(position - last.position, axis=1)
-    return replace(
-        last, position=position, normal=hits.normal[going], to_previous=-directions[going],
+    return last._replace(
+        position=position, normal=hits.normal[going], to_previous=-directions[going],
         part=scene.face_part[hits.face[going]].astype(np.int64),
         power=last.power * throughput[going] * np.exp(-scene.attenuation_per_m * distance), path=last.path + distance,
     )  # fmt: skip
@@ -227,20 +228,14 @@ def scattered_rays(
     caster: Raycaster, materials: MaterialTable, vertices: Vertices, numbers: Floats
 ) -> tuple[Hits, Floats, Floats]:
     """One ray from each vertex drawn by its BRDF: hits, unit directions (n, 3), throughput f cosθ / pdf (n,)."""
-    directions, throughput = scatter(
-        materials.kind,
-        materials.values,
-        vertices.part,
-        vertices.normal,
-        vertices.to_previous,
-        np.ascontiguousarray(numbers[:, 1:3]),
-    )
+    uv = np.ascontiguousarray(numbers[:, 1:3])
+    directions, throughput = _scattered(materials, vertices.part, vertices.normal, vertices.to_previous, uv)
     return caster.leaving(vertices.position, vertices.normal, directions), directions, throughput
 
 
 def _rays(caster: Raycaster, materials: MaterialTable, points: LaserPoints, owner: Ints, uv: Floats) -> Hits:
     normals = points.normal[owner]
-    directions, _ = scatter(materials.kind, materials.values, points.part[owner], normals, points.to_laser[owner], uv)
+    directions, _ = _scattered(materials, points.part[owner], normals, points.to_laser[owner], uv)
     return caster.leaving(points.position[owner], normals, directions)
 
 
@@ -254,3 +249,90 @@ def _points_on_area(caster: Raycaster, target: AreaTarget, sobol: Floats) -> tup
     root = np.sqrt(np.clip((sobol[:, 0] - lower) / (upper - lower), 0.0, 1.0))
     weights = np.stack([1 - root, root * (1 - sobol[:, 1]), root * sobol[:, 1]], axis=1)
     return face, np.einsum("ik,ikj->ij", weights, caster.corners[face])
+
+
+@compiled(inline="always")
+def at(array: Floats, i: int) -> Vector:
+    """Row i of (n, 3) numbers."""
+    return (array[i, 0], array[i, 1], array[i, 2])
+
+
+@compiled()
+def _scattered(
+    materials: MaterialTable, part: Ints, normal: Floats, w_in: Floats, uv: Floats
+) -> tuple[Floats, Floats]:
+    """Directions (n, 3) drawn by each vertex's BRDF, and the throughput f cosθ / pdf (n,)."""
+    directions, throughput = np.empty((len(part), 3)), np.empty(len(part))
+    for i in range(len(part)):
+        k, material = materials.kind[part[i]], materials.values[part[i]]
+        n, incoming = at(normal, i), at(w_in, i)
+        w = sample(k, material, n, incoming, uv[i, 0], uv[i, 1])
+        directions[i, 0], directions[i, 1], directions[i, 2] = w
+        # A lobe may be drawn below the surface, where nothing leaves.
+        density = pdf(k, material, n, incoming, w)
+        f = evaluate(k, material, n, incoming, w)
+        throughput[i] = f * dot(n, w) / density if f > 0.0 and density > 0.0 else 0.0
+    return directions, throughput
+
+
+@compiled()
+def _independent_numbers(streams: NDArray[np.uint64], step: int, count: int) -> Floats:
+    """(n, count) independent uniform numbers in the open interval 0 … 1, a function of (stream, step)."""
+    out = np.empty((len(streams), count))
+    for i in range(len(streams)):
+        for k in range(count):
+            word = mix(streams[i] + (np.uint64(step) << np.uint64(32)), np.uint64(k + 1))
+            # Half a step up: neither 0, whose logarithm a lobe may take, nor 1.
+            out[i, k] = (np.float64(word) + 0.5) * 2.0**-32
+    return out
+
+
+@compiled()
+def _lit(
+    face: NDArray[np.int32], position: Floats, owner: Ints, points: LaserPoints, materials: MaterialTable,
+    face_normal: Floats, by_area_too: Bools, rays: float, area_density: float,
+) -> tuple[Ints, Floats, Floats, Floats, Floats]:  # fmt: skip
+    """Which candidates for hidden vertices the laser points light, their normal on the lit side, direction and
+    distance to the laser point, and the power that arrives, f₁ cosθ₁ cosθ₂ / R² over the density of both ways."""
+    kept = np.empty(len(face), np.int64)
+    normal, to_laser_point = np.empty((len(face), 3)), np.empty((len(face), 3))
+    distance, power = np.empty(len(face)), np.empty(len(face))
+    n = 0
+    for i in range(len(face)):
+        f, o = face[i], owner[i]
+        if f < 0:
+            continue
+        d = (
+            position[i, 0] - points.position[o, 0],
+            position[i, 1] - points.position[o, 1],
+            position[i, 2] - points.position[o, 2],
+        )
+        square = dot(d, d)
+        if square == 0.0:
+            continue
+        r = math.sqrt(square)
+        w = (d[0] / r, d[1] / r, d[2] / r)
+        n1, w_in, facing = at(points.normal, o), at(points.to_laser, o), at(face_normal, f)
+        cos2, cos1 = -dot(facing, w), dot(n1, w)
+        if cos1 <= 0.0 or cos2 == 0.0:
+            continue
+        # Surfaces scatter on both sides: the normal is turned to where the light comes from.
+        side = 1.0 if cos2 > 0.0 else -1.0
+        k1, material1 = materials.kind[points.part[o]], materials.values[points.part[o]]
+        spread = abs(cos2) / square
+        # The balance heuristic: whichever way drew this place, it counts over the density of all that could have.
+        density = rays * pdf(k1, material1, n1, w_in, w) * spread
+        if by_area_too[f]:
+            density += area_density
+        if density <= 0.0:
+            continue
+        energy = evaluate(k1, material1, n1, w_in, w) * cos1 * spread / density
+        # Not `<= 0`: what is no number is left out, too.
+        if not energy > 0.0:
+            continue
+        kept[n], distance[n], power[n] = i, r, energy
+        for k in range(3):
+            normal[n, k] = side * facing[k]
+            to_laser_point[n, k] = -w[k]
+        n += 1
+    return kept[:n], normal[:n], to_laser_point[:n], distance[:n], power[:n]

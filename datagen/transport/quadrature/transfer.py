@@ -70,7 +70,9 @@ class Ends(NamedTuple):
     part: Ints
 
     @classmethod
-    def of(cls, position: Floats, normal: Floats, to_device: Floats, part: Ints, share: Floats, longer: Floats) -> Ends:
+    def of(
+        cls, position: Floats, normal: Floats, to_device: Floats, part: Ints, share: Floats, longer: Floats
+    ) -> Ends:
         """Ends from arrays (N, Q, 3) and (N, Q)."""
         numbers = np.stack([share, longer], axis=-1)
         return cls(np.concatenate([position, normal, to_device, numbers], axis=-1), np.ascontiguousarray(part))
@@ -184,9 +186,7 @@ def _lit_at_most(y, n, h, p, ends, optics):  # type: ignore[no-untyped-def]
         if up > 0.0 and down > 0.0:
             per = 1.0 / r
             onward = (d[0] * per, d[1] * per, d[2] * per)
-            f = evaluate_at_most(
-                optics.kind[k], optics.values[k], n1, get(point, q, TO_DEVICE), onward, h * per, 0.0
-            )
+            f = evaluate_at_most(optics.kind[k], optics.values[k], n1, get(point, q, TO_DEVICE), onward, h * per, 0.0)
             w += point[q, SHARE] * f * up * down / (square * square)
     return w
 

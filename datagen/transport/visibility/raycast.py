@@ -8,7 +8,7 @@ triangle's plane, so that path lengths carry no float32 noise.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -27,8 +27,7 @@ SURFACE_OFFSET = 2e-6
 roundings at unit size, so that a surface never hides itself, and 10 µm in a room of 10 m."""
 
 
-@dataclass(frozen=True)
-class Hits:
+class Hits(NamedTuple):
     """First surfaces along rays.
 
     face : (n,) int32 triangle index, −1 where the ray met nothing.
@@ -149,10 +148,12 @@ def _refine(
         for k in range(3):
             approach += face_normal[f, k] * directions[i, k]
             height += face_normal[f, k] * (corners[f, 0, k] - origins[i, k])
+        # Only the triangle is embree's answer; how far it is follows from its plane, in double precision.
         distance = height / approach if approach != 0.0 else -1.0
         if not 0.0 < distance < np.inf:
             face[i] = -1
             distance = 0.0
+        # Surfaces have two sides: the normal is turned against the ray.
         sign = -1.0 if approach > 0.0 else 1.0
         for k in range(3):
             position[i, k] = origins[i, k] + distance * directions[i, k]

@@ -1,0 +1,213 @@
+"""A stratum: components of the transient that are sampled together, and the rounds that gave them their samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from datagen.records.arrays import Bools, Floats
+from datagen.transport.error_control.confidence import Scatter, disagreement, total_variance
+from datagen.transport.error_control.cost import Work
+from datagen.transport.error_control.surroundings import CONTACT, surroundings
+from datagen.transport.factorised.secondary import factorising, secondary_transient
+from datagen.transport.fields_of_view import PixelPatches
+from datagen.transport.path_tracing.averages import Average, walk_average
+from datagen.transport.path_tracing.replicate_spread import Sketch
+from datagen.transport.problem import Problem
+
+CONVERGENCE = 1.25
+"""α in variance ∝ n^−α, by which a round is sized: 1 for independent samples, up to 3 for smooth integrands, which
+bins make rough. With half as much, rounds take up to twice the samples they need; with twice, rounds fall
+short."""
+OBSERVED = 64
+"""Second hidden vertices for each hidden vertex in the factorised secondary. Half as many halve its cost and nearly
+double its variance."""
+FACTORISED_FROM = 1 << 17
+"""`Accuracy.max_lookins` from which light beside the field of view is left to the factorised form: it draws
+`OBSERVED` rays for each hidden vertex, too many for a smaller limit."""
+FINE_PATCH = 4.0
+"""Patches smaller than so many bins (or hundredths of the scene) look the same all over: one FoV point does."""
+USUAL_FOV_SAMPLES, USUAL_CONNECTIONS = 4, 16
+"""FoV points of a vertex in a pixel whose patch is larger, and most of them over all pixels. Half as many follow more
+rays for the same light, twice as many connect to points that tell the same."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """What one round gave.
+
+    Attributes
+    ----------
+    samples : of each laser point, over all replicates.
+    each : of each laser point in each replicate.
+    scatter : of the round's mean.
+    """
+
+    samples: float
+    each: int
+    scatter: Scatter
+
+
+@dataclass
+class Stratum:
+    """Some components, found together, and all that is known of them so far.
+
+    Rounds are averaged with their numbers of samples as weights, never with weights from their own scatter: that
+    would favour rounds that happened to miss the bright rare paths.
+
+    Attributes
+    ----------
+    problem : with the components of this stratum and its FoV points for each vertex.
+    observed : second hidden vertices for each hidden vertex, where the factorised form finds the secondary; None for
+        path tracing.
+    carriers : (K,) parts whose hidden vertices the factorised form takes.
+    rows : sums over the rounds of samples × mean, one (L, P, T) array for each row of the tally.
+    variance, overflow : likewise, with squared weights for the variance.
+    work : all that was done.
+    excess : by how much the last round disagreed with those before it, ≥ 1.
+    """
+
+    problem: Problem
+    observed: int | None = None
+    carriers: Bools | None = None
+    rows: list[Floats] = field(init=False)
+    variance: Floats = field(init=False)
+    overflow: Floats = field(init=False)
+    rounds: list[Round] = field(default_factory=list)
+    work: Work = field(default_factory=lambda: Work(calls=0))
+    excess: float = 1.0
+
+    def __post_init__(self) -> None:
+        shape = self.problem.capture.shape
+        self.rows = [np.zeros(shape) for _ in range(self.problem.splits.count)]
+        self.variance, self.overflow = np.zeros(shape), np.zeros(shape[:2])
+
+    @property
+    def samples(self) -> float:
+        """Samples of each laser point so far."""
+        return sum(one.samples for one in self.rounds)
+
+    @property
+    def rays(self) -> float:
+        """Rays of each laser point so far, of which `Accuracy.max_lookins` are allowed."""
+        return self.rays_per_sample * self.samples
+
+    @property
+    def rays_per_sample(self) -> int:
+        """Rays that one sample counts as where `Accuracy.max_lookins` limits them."""
+        return self.observed or 1
+
+    @property
+    def cost_per_sample(self) -> float:
+        """Cost of one sample of each laser point."""
+        return self.work.growing / max(self.samples, 1.0)
+
+    @property
+    def cost_per_replicate(self) -> float:
+        """Cost of one replicate, whatever its samples."""
+        return self.work.standing / max(sum(one.scatter.replicates for one in self.rounds), 1)
+
+    @property
+    def variance_of_one(self) -> float:
+        """Variance times samples, by the last round."""
+        last = self.rounds[-1]
+        return last.scatter.variance * last.samples
+
+    def scatters(self) -> list[Scatter]:
+        """The rounds' parts in the error of the mean over them."""
+        total = self.samples
+        return [
+            replace(one.scatter, variance=(one.samples / total) ** 2 * one.scatter.variance) for one in self.rounds
+        ]
+
+    def variance_after(self, each: int, replicates: int) -> float:
+        """The variance to be expected after one more round of so many samples."""
+        last, more = self.rounds[-1].scatter, each * replicates
+        of_round = last.variance * last.replicates / replicates * (self.rounds[-1].each / max(each, 1)) ** CONVERGENCE
+        old = self.samples**2 * total_variance(self.scatters())
+        return self.excess * (old + more**2 * of_round) / (self.samples + more) ** 2
+
+    def sample(self, each: int, replicates: int, seed: int) -> None:
+        """One more round: `each` samples of each laser point in each of `replicates`."""
+        sketch, samples, before = Sketch(replicates), each * replicates, self.scatters()
+        got = self._average(samples, replicates, seed, sketch)
+        variance = float((got.stderr**2).sum())
+        scatter = Scatter(variance, sketch.freedom() if variance > 0 else 1.0, replicates)
+        if self.rounds:
+            change = sum((new - old / self.samples for new, old in zip(got.rows, self.rows, strict=True)), 0.0)
+            self.excess = disagreement(float(np.sum(np.square(change))), scatter, before)
+        for row, more in zip(self.rows, got.rows, strict=True):
+            row += samples * more
+        self.variance += (samples * got.stderr) ** 2
+        self.overflow += samples * got.overflow
+        self.work += got.work
+        self.rounds.append(Round(float(samples), each, scatter))
+
+    def _average(self, samples: int, replicates: int, seed: int, sketch: Sketch) -> Average:
+        counts = replace(self.problem.accuracy, target=None, part_target=None, lookins=samples, replicates=replicates)
+        problem = replace(self.problem, accuracy=counts, seed=seed)
+        if self.observed is None:
+            return walk_average(problem, sketch)
+        return secondary_transient(problem, self.observed, self.carriers, sketch=sketch)
+
+
+@dataclass(frozen=True)
+class Known:
+    """A part of the transient (L, P, T) that needs no samples, and its L2 error."""
+
+    light: Floats
+    error: float
+
+
+def square_norm(strata: list[Stratum], known: Known | None = None) -> float:
+    """‖mean‖² of the sum of all strata and of what is known, laser point by laser point to save memory."""
+    norm = 0.0
+    for laser in range(strata[0].problem.capture.shape[0]):
+        total = 0.0 if known is None else known.light[laser]
+        total = total + sum(row[laser] / stratum.samples for stratum in strata for row in stratum.rows)
+        norm += float(np.sum(total**2))
+    return norm
+
+
+def strata_of(problem: Problem) -> list[Stratum]:
+    """What gets samples of its own: the direct return, the factorised secondary, and all that path tracing finds.
+
+    The secondary is factorised where only the strongest paths are asked for, and where surfaces right beside the
+    field of view bring much of it: path tracing seldom goes there, and its scatter tells nothing of what it missed.
+    """
+    accuracy, asked = problem.accuracy, problem.splits.components
+    assert accuracy.target is not None
+    factor = factorising(problem.materials)
+    factorised = "secondary" in asked and bool(factor.any())
+    if factorised and accuracy.strongest is None:
+        few = accuracy.max_lookins < FACTORISED_FROM
+        factorised = not few and surroundings(problem, problem.seed) > max(CONTACT, accuracy.target)
+    walked = ~factor if factorised else np.ones(len(factor), np.bool_)
+    problem = with_usual_fov_samples(problem)
+    strata = []
+    if "direct" in asked:
+        strata.append(Stratum(of_components(problem, ("direct",), walked)))
+    if factorised:
+        strata.append(Stratum(of_components(problem, ("secondary",), walked), accuracy.observed or OBSERVED, factor))
+    traced = tuple(name for name in asked if name != "direct" and (name != "secondary" or walked.any()))
+    if traced:
+        strata.append(Stratum(of_components(problem, traced, walked)))
+    return strata
+
+
+def of_components(problem: Problem, components: tuple[str, ...], walked: Bools) -> Problem:
+    """The same problem for some of its components."""
+    parts = problem.splits.parts if "primary" in components else ()
+    return replace(problem, splits=replace(problem.splits, components=components, parts=parts), walked=walked)
+
+
+def with_usual_fov_samples(problem: Problem) -> Problem:
+    """The same problem with its counts still to be chosen, but for the FoV points for each vertex and pixel: one
+    where patches are small, several for few pixels whose patches are large."""
+    room, fov_samples = max(USUAL_CONNECTIONS // problem.capture.shape[1], 1), 1
+    if problem.patch_detail(np.arange(len(problem.patches.radius))) >= FINE_PATCH:
+        fov_samples = min(USUAL_FOV_SAMPLES, 1 << room.bit_length() - 1)
+    accuracy = replace(problem.accuracy, target=None, part_target=None, fov_samples=fov_samples)
+    patches = PixelPatches.of(problem.caster, problem.capture.sensor, problem.cones, fov_samples)
+    return replace(problem, accuracy=accuracy, patches=patches)
