@@ -6,6 +6,7 @@ Metres; what is up in the scene is glTF's +Y, which Blender turns to +Z again.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -70,21 +71,16 @@ def _outlines(pixels: Floats) -> Any:
 
 def _look(material: Material, role: str) -> Any:
     """The glTF material of a surface: albedo in the tint of its role, width of the lobe as roughness."""
-    import trimesh
-
     color = np.clip(material.albedo, 0, 1) * np.array(_TINTS[role])
-    name = f"{type(material).__name__} {material.albedo:.2f}"
-    shown = trimesh.visual.material.PBRMaterial(
-        name=name, baseColorFactor=[*color, 1.0], metallicFactor=0.0, roughnessFactor=_roughness(material)
-    )
-    shown.doubleSided = True
-    return shown
+    look = _plain(f"{type(material).__name__} {material.albedo:.2f}", color, _roughness(material))
+    look.metallicFactor, look.doubleSided = 0.0, True
+    return look
 
 
-def _plain(name: str, color: tuple[float, float, float]) -> Any:
+def _plain(name: str, color: Iterable[float], roughness: float = 1.0) -> Any:
     import trimesh
 
-    return trimesh.visual.material.PBRMaterial(name=name, baseColorFactor=[*color, 1.0], roughnessFactor=1.0)
+    return trimesh.visual.material.PBRMaterial(name=name, baseColorFactor=[*color, 1.0], roughnessFactor=roughness)
 
 
 def _roughness(material: Material) -> float:

@@ -126,14 +126,10 @@ def backprojected_volume(scan: Scan, grid: HiddenGrid) -> Floats:
     return np.asarray(total / np.sqrt(max(len(scan.signal), 1)))
 
 
-def filtered(volume: Floats, spread: float = 1.0) -> Floats:
-    """(depth, row, column) minus the Laplacian of a Gaussian of `spread` voxels, negative values set to 0."""
-    return np.asarray(np.maximum(-gaussian_laplace(volume, spread), 0.0))
-
-
 def reconstructed(scan: Scan, grid: HiddenGrid) -> Floats:
-    """(depth, row, column) filtered backprojection on a grid."""
-    return filtered(backprojected_volume(scan, grid))
+    """(depth, row, column) filtered backprojection on a grid: minus the Laplacian of a Gaussian of one voxel,
+    negative values set to 0."""
+    return np.asarray(np.maximum(-gaussian_laplace(backprojected_volume(scan, grid), 1.0), 0.0))
 
 
 Singles = NDArray[np.float32]
