@@ -120,7 +120,7 @@ def run_pilots(
     """Simulate and write pilot scenes, spread over the dataset, until `budget_s` processor seconds are spent or there
     are `MOST`; one at least.
 
-    simulate : what makes a sample; left out, the whole simulation. clock : processor seconds. compiled : is told the
+    simulate : sample function; left out, the whole simulation. clock : processor seconds. compiled : called with the
     first scene that could be made, as soon as its kernels are on disk.
 
     Raises
@@ -245,7 +245,7 @@ def startup_seconds(config: DatasetConfig, index: int, asked: float) -> float:
     """Seconds from asking for a worker process until imports are done and kernels loaded. It is run by that worker,
     which simulates scene `index` twice with few paths.
 
-    asked : Unix time when it was asked for.
+    asked : Unix time at which the worker was asked for.
     """
     from datagen.pipeline import simulate_sample
 
