@@ -25,9 +25,9 @@ Predicted = dict[str, NDArray[Any]]
 LAYERS = 32
 """Layers of the grid in which backprojection finds depth; half as many make depth twice as coarse."""
 BRIGHT = 0.5
-"""Fraction of the brightest voxel above which a voxel counts as an object; half of it would count most noise."""
+"""Fraction of the brightest voxel above which a voxel counts as an object; half of it makes objects larger."""
 SMALLEST = 4
-"""The fewest pixels of an object; half as many would count single bright pixels."""
+"""The fewest pixels of an object; half as many keep patches of two pixels."""
 
 
 def mean_of_training(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predicted:

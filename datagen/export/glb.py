@@ -20,6 +20,7 @@ from datagen.records.materials import Material
 from datagen.store.scenes import SceneContent
 
 _MARK_M = 0.04
+"""Radius of the balls that stand for laser and sensor, metres."""
 _TINTS = {"relay_wall": (0.55, 0.75, 1.0), "structure": (1.0, 1.0, 1.0), "object": (1.0, 0.65, 0.3)}
 """Role → colour, which is multiplied by the albedo."""
 _UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

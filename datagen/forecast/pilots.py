@@ -24,12 +24,12 @@ from datagen.store.summaries import KindEvidence, evidence_by_kind
 from datagen.store.table import table_bytes, table_of
 
 MOST = 8
-"""The most pilot scenes; with half as many the spread from scene to scene is missed."""
+"""The most pilot scenes; half as many show less of the spread from scene to scene."""
 REDUCTION = 16
 """The first trial has so many times fewer paths than configured, the second so many fewer than the first. With half,
 trials of large scenes take twice as long."""
 LOOSEST_TARGET = 0.5
-"""The loosest target of a trial; with a looser one nothing would be simulated."""
+"""The loosest target of a trial; half of it makes the trials of loose targets slower."""
 FAR = 4.0
 """A scene that is expected to take more than so many times the budget is extrapolated; half would do so more
 often."""
