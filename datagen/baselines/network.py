@@ -49,8 +49,8 @@ class Normalized(torch.nn.Module):
         return torch.as_tensor(self.network((torch.log1p(counts) - self.mean) / self.spread))
 
 
-def predicted(train: SuiteScenes, val: SuiteScenes, asked: SuiteScenes, seed: int) -> dict[str, NDArray[Any]]:
-    """`depth`, `mask` and `occupancy` of the scenes `asked`, by three networks that are trained alike.
+def predicted(train: SuiteScenes, val: SuiteScenes, wanted: SuiteScenes, seed: int) -> dict[str, NDArray[Any]]:
+    """`depth`, `mask` and `occupancy` of the scenes `wanted`, by three networks that are trained alike.
 
     Depth is learnt where an object is seen, less its mean over the training scenes; silhouettes and voxels are learnt
     as the probability of an object. For each network the epoch with the least loss in the split val is taken.
@@ -58,12 +58,12 @@ def predicted(train: SuiteScenes, val: SuiteScenes, asked: SuiteScenes, seed: in
     mean = float(train.depth[train.mask].mean())
     depth = _trained(train, val, lambda of: (of.depth - mean, of.mask), seed)
     found: dict[str, NDArray[Any]] = {
-        "depth": np.maximum(mean + _applied(depth, asked.histogram), 0.0).reshape(asked.depth.shape)
+        "depth": np.maximum(mean + _applied(depth, wanted.histogram), 0.0).reshape(wanted.depth.shape)
     }
     for name in ("mask", "occupancy"):
         model = _trained(train, val, lambda of, name=name: (getattr(of, name), None), seed)  # type: ignore[misc]
         least = best_threshold(_applied(model, val.histogram), getattr(val, name).reshape(len(val.scene), -1))
-        found[name] = (_applied(model, asked.histogram) > least).reshape(getattr(asked, name).shape)
+        found[name] = (_applied(model, wanted.histogram) > least).reshape(getattr(wanted, name).shape)
     return found
 
 

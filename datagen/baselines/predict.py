@@ -25,19 +25,19 @@ Predicted = dict[str, NDArray[Any]]
 LAYERS = 32
 """Layers of the grid in which backprojection finds depth; half as many make depth twice as coarse."""
 BRIGHT = 0.5
-"""Fraction of the brightest voxel above which a voxel counts as an object; half of it would count most noise."""
+"""Fraction of the brightest voxel above which a voxel counts as an object; half of it makes objects larger."""
 SMALLEST = 4
-"""The fewest pixels of an object; half as many would count single bright pixels."""
+"""The fewest pixels of an object; half as many keep patches of two pixels."""
 
 
-def mean_of_training(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predicted:
+def mean_of_training(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predicted:
     """Predictions that ignore the measurement: mean depth and centre of the training objects, and the pixels and
     voxels that objects cover most often, as many as they cover on average.
     """
-    count, depth = len(asked.scene), float(train.depth[train.mask].mean())
+    count, depth = len(wanted.scene), float(train.depth[train.mask].mean())
     center = np.nanmean(train.centers.reshape(-1, 3), axis=0)
     found = {
-        "depth": np.full(asked.depth.shape, depth),
+        "depth": np.full(wanted.depth.shape, depth),
         "mask": np.repeat(_most_often(train.mask)[None], count, axis=0),
         "centers": np.tile(center, (count, _objects(train), 1)),
     }
@@ -55,32 +55,32 @@ def _most_often(sets: Bools) -> Bools:
     return np.asarray(share >= most[-1])
 
 
-def backprojection(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predicted:
+def backprojection(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predicted:
     """Filtered backprojection of each scene by itself: depth is that of the brightest voxel behind a pixel."""
-    root, rows = Scenes(asked.root), []
-    for number in asked.scene:
+    root, rows = Scenes(wanted.root), []
+    for number in wanted.scene:
         content = root.read(int(number))
         arrays = content.arrays
         scan = scan_of(arrays["histogram"], arrays, content.manifest.config["capture"], content.time)
         view, bounds = arrays["hidden_view"], arrays["hidden_bounds"]
-        behind = HiddenGrid.behind_images(view, bounds, (LAYERS, *asked.depth.shape[1:]))
+        behind = HiddenGrid.behind_images(view, bounds, (LAYERS, *wanted.depth.shape[1:]))
         seen = reconstructed(scan, behind)
         brightest = seen.max(axis=0)
-        volume = reconstructed(scan, HiddenGrid.of_volumes(view, bounds, asked.occupancy.shape[1:]))
+        volume = reconstructed(scan, HiddenGrid.of_volumes(view, bounds, wanted.occupancy.shape[1:]))
         rows.append((
             behind.depths[seen.argmax(axis=0)], brightest > BRIGHT * brightest.max(), volume > BRIGHT * volume.max()
         ))  # fmt: skip
     depth, mask, occupancy = (np.stack(of) for of in zip(*rows, strict=True))
-    centers = centers_of(depth, mask, asked.view, _objects(train))
+    centers = centers_of(depth, mask, wanted.view, _objects(train))
     return {"depth": depth, "mask": mask, "occupancy": occupancy, "centers": centers}
 
 
-def network(train: SuiteScenes, asked: SuiteScenes, seed: int) -> Predicted:
+def network(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predicted:
     """A small network, trained on the suite's own training scenes."""
     from datagen.baselines.network import predicted
 
-    found = predicted(train, suite_scenes(train.root, "val"), asked, seed)
-    return found | {"centers": centers_of(found["depth"], found["mask"], asked.view, _objects(train))}
+    found = predicted(train, suite_scenes(train.root, "val"), wanted, seed)
+    return found | {"centers": centers_of(found["depth"], found["mask"], wanted.view, _objects(train))}
 
 
 BASELINES: dict[str, Callable[[SuiteScenes, SuiteScenes, int], Predicted]] = {
@@ -101,11 +101,11 @@ def write_baseline(method: str, suite: str | Path, out: str | Path, split: str =
     path = Path(out)
     if path.suffix != ".npz":
         raise InputError(f"OUT = {str(out)!r}: predictions are a NumPy archive; name a file that ends in .npz")
-    train, asked = suite_scenes(suite, "train"), suite_scenes(suite, split)
-    found = BASELINES[method](train, asked, seed)
+    train, wanted = suite_scenes(suite, "train"), suite_scenes(suite, split)
+    found = BASELINES[method](train, wanted, seed)
     kept: dict[str, Any] = {name: of.astype("f4") if of.dtype.kind == "f" else of for name, of in found.items()}
     content = io.BytesIO()
-    np.savez_compressed(content, scene=asked.scene, **kept)
+    np.savez_compressed(content, scene=wanted.scene, **kept)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content.getvalue())
     return path

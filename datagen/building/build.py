@@ -96,7 +96,7 @@ def build(
     sample_function: SampleFunction | None = None, input_check: Callable[[DatasetConfig], None] | None = None,
     accept_mixed: bool = False, scene_seconds: float | None = None,
 ) -> BuildResult:  # fmt: skip
-    """Build a dataset, or go on with one.
+    """The outcome of building a dataset, or of going on with one. `TransientDataset` reads the dataset.
 
     Parameters
     ----------
@@ -112,10 +112,6 @@ def build(
     accept_mixed : go on with a dataset that was made with other versions of libraries, or on another architecture:
         the same seed may then give other bytes, which the card states.
     scene_seconds : a scene that takes longer is given up (local workers only); compiling counts.
-
-    Returns
-    -------
-    BuildResult; the dataset itself is read by `TransientDataset`.
 
     Raises
     ------
@@ -140,40 +136,34 @@ def build(
     (True, 2, (4, 1, 64))
     """
     began = time.monotonic()
-    check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
-    check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder to make")
-    if str(path) == "":
-        raise InputError("OUT = '': names no folder; name the one to make")
+    _check_arguments(config, path, scene_seconds, engine)
+    check_engine(engine, workers, scheduler)
     if scenes is not None:
         config = config.with_scenes(scenes)
     target = location_of(path)
     bucket = target if isinstance(target, Bucket) else None
     root = target if isinstance(target, Path) else upload.staging_of(target)
-    check_engine(engine, workers, scheduler)
     if engine == "local":
         start_imports(__name__, "datagen.pipeline" if sample_function is None else sample_function.__module__)
-    _check_scene_seconds(scene_seconds, engine)
     if bucket is not None:
         upload.fetch(root, bucket)
     config = _with_exposure(root, config)
     plan = store.planned(root, config)
     store.check_writable(root)
-    schema = plan.schema
-    wanted = parse_shards(shards, schema.shards)
+    wanted = parse_shards(shards, plan.schema.shards)
     there = store.committed(root, plan, hashes=True)
     if not accept_mixed:
         _check_unmixed(root, there)
-    uncompiled = False
+    is_simulated = sample_function is None
     if sample_function is None:
         from datagen import pipeline
 
         sample_function, input_check = pipeline.simulate_sample, input_check or pipeline.check_inputs
-        uncompiled = workers > 1 and first_use()
     if input_check is not None:
         input_check(config)
     try:
         with started(engine, workers, scheduler) as running:
-            if uncompiled:
+            if is_simulated and workers > 1 and first_use():
                 # One worker fills the cache of compiled kernels, or each would compile all of them. An error of this
                 # scene shows when the scene is built.
                 wait([running.submit(sample_function, config, 0)])
@@ -183,20 +173,20 @@ def build(
             state = _Build(config, root, manifest, running, sample_function, accept_mixed, scene_seconds, bucket)
             kept = state.run(wanted, there, progress)
         records = store.committed(root, manifest)
-        complete = len(records) == schema.shards
+        complete = len(records) == manifest.schema.shards
         (store.finish if complete else store.write_card)(root, manifest, records)
         if bucket is not None:
             upload.finish_upload(root, bucket, records, complete)
     except OSError as error:
-        reason = f"{error.filename or root}: {error.strerror or error}"
-        raise CheckError(f"{reason}; mend that and build again to resume") from None
-    _check_no_failures(records, schema.scenes)
+        reason = error.strerror or error
+        raise CheckError(f"{error.filename or root}: {reason}; mend that and build again to resume") from None
+    _check_no_failures(records, manifest.schema.scenes)
     noisy = _noise_line(config, records)
     if noisy and progress:
         print(noisy, file=sys.stderr, flush=True)
     return BuildResult(
-        path=root if bucket is None else str(bucket), scenes=schema.scenes, built=len(wanted) - kept, kept=kept,
-        complete=complete, seconds=time.monotonic() - began, noisy=noisy,
+        path=root if bucket is None else str(bucket), scenes=manifest.schema.scenes, built=len(wanted) - kept,
+        kept=kept, complete=complete, seconds=time.monotonic() - began, noisy=noisy,
         told=" ".join(placed_anew_lines(scene.parameters for record in records for scene in record.scenes)),
     )  # fmt: skip
 
@@ -250,7 +240,11 @@ def _with_exposure(root: Path, config: DatasetConfig) -> DatasetConfig:
     return config.model_copy(update={"detector": config.detector.model_copy(update=found)})
 
 
-def _check_scene_seconds(scene_seconds: float | None, engine: str) -> None:
+def _check_arguments(config: object, path: object, scene_seconds: float | None, engine: str) -> None:
+    check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
+    check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder to make")
+    if str(path) == "":
+        raise InputError("OUT = '': names no folder; name the one to make")
     if scene_seconds is None:
         return
     check_kind("build.scene_seconds", scene_seconds, int, float, remedy="seconds")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 
 from datagen.errors import CheckError, InputError
@@ -15,11 +14,14 @@ from datagen.export.plain import write_h5, write_npz
 from datagen.export.tal import write_tal
 from datagen.records.checks import numbers_of
 from datagen.store.files import PARTIAL
-from datagen.store.scenes import SceneContent, Scenes
+from datagen.store.scenes import Scenes
 
 FORMATS = ("tal", "mat", "npz", "h5", "glb", "hub")
 _ENDINGS = {"tal": "hdf5"}
 _MEASURED = ("tal", "mat")
+_WRITERS: dict[str, Callable[..., None]] = {
+    "tal": write_tal, "mat": write_mat, "npz": write_npz, "h5": write_h5, "glb": write_glb,
+}  # fmt: skip
 
 
 def export(
@@ -58,13 +60,13 @@ def export(
         asked = scenes if scenes is None or isinstance(scenes, str) else ",".join(map(str, scenes))
         wanted = root.made() if asked is None else numbers_of("scenes", asked, root.manifest.schema.scenes)
         target.mkdir(parents=True, exist_ok=True)
-        write, ending, written = _writer(format, field), _ENDINGS.get(format, format), []
+        write, ending, written = _WRITERS[format], _ENDINGS.get(format, format), []
         for scene in map(root.read, wanted):
             path = target / f"scene-{scene.index:06d}.{ending}"
             # The ending stays the last part of the name, because the writers choose the format by it.
             unfinished = path.with_name(f"{path.stem}{PARTIAL}.{ending}")
             try:
-                write(scene, unfinished)
+                write(scene, unfinished, *([field] if format in _MEASURED else []))
                 unfinished.replace(path)
             finally:
                 unfinished.unlink(missing_ok=True)
@@ -72,16 +74,3 @@ def export(
     except OSError as error:
         raise CheckError(f"{error.filename or target}: {error.strerror or error}") from None
     return written
-
-
-def _writer(format: str, field: str | None) -> Callable[[SceneContent, Path], None]:
-    match format:
-        case "tal":
-            return partial(write_tal, quantity=field)
-        case "mat":
-            return partial(write_mat, quantity=field)
-        case "npz":
-            return write_npz
-        case "h5":
-            return write_h5
-    return write_glb

@@ -6,6 +6,7 @@ Metres; what is up in the scene is glTF's +Y, which Blender turns to +Z again.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from datagen.records.materials import Material
 from datagen.store.scenes import SceneContent
 
 _MARK_M = 0.04
+"""Radius of the balls that stand for laser and sensor, metres."""
 _TINTS = {"relay_wall": (0.55, 0.75, 1.0), "structure": (1.0, 1.0, 1.0), "object": (1.0, 0.65, 0.3)}
 """Role → colour, which is multiplied by the albedo."""
 _UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -70,21 +72,16 @@ def _outlines(pixels: Floats) -> Any:
 
 def _look(material: Material, role: str) -> Any:
     """The glTF material of a surface: albedo in the tint of its role, width of the lobe as roughness."""
-    import trimesh
-
     color = np.clip(material.albedo, 0, 1) * np.array(_TINTS[role])
-    name = f"{type(material).__name__} {material.albedo:.2f}"
-    shown = trimesh.visual.material.PBRMaterial(
-        name=name, baseColorFactor=[*color, 1.0], metallicFactor=0.0, roughnessFactor=_roughness(material)
-    )
-    shown.doubleSided = True
-    return shown
+    look = _plain(f"{type(material).__name__} {material.albedo:.2f}", color, _roughness(material))
+    look.metallicFactor, look.doubleSided = 0.0, True
+    return look
 
 
-def _plain(name: str, color: tuple[float, float, float]) -> Any:
+def _plain(name: str, color: Iterable[float], roughness: float = 1.0) -> Any:
     import trimesh
 
-    return trimesh.visual.material.PBRMaterial(name=name, baseColorFactor=[*color, 1.0], roughnessFactor=1.0)
+    return trimesh.visual.material.PBRMaterial(name=name, baseColorFactor=[*color, 1.0], roughnessFactor=roughness)
 
 
 def _roughness(material: Material) -> float:

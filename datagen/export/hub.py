@@ -31,7 +31,9 @@ MOST_FILES = 100_000
 MOST_IN_A_FOLDER = 10_000
 """Limits of a repository of the Hub: https://huggingface.co/docs/hub/storage-limits."""
 _ROWS_AT_ONCE = 100
+"""Rows whose pictures are in memory together; half as many make twice as many row groups in the file."""
 _THUMBNAIL = 128
+"""Pixels of a picture along its longer side; half as many would be too coarse to tell scenes apart."""
 _IMAGE = {"_type": "Image"}
 
 

@@ -24,12 +24,12 @@ from datagen.store.summaries import KindEvidence, evidence_by_kind
 from datagen.store.table import table_bytes, table_of
 
 MOST = 8
-"""The most pilot scenes; with half as many the spread from scene to scene is missed."""
+"""The most pilot scenes; half as many show less of the spread from scene to scene."""
 REDUCTION = 16
 """The first trial has so many times fewer paths than configured, the second so many fewer than the first. With half,
 trials of large scenes take twice as long."""
 LOOSEST_TARGET = 0.5
-"""The loosest target of a trial; with a looser one nothing would be simulated."""
+"""The loosest target of a trial; half of it makes the trials of loose targets slower."""
 FAR = 4.0
 """A scene that is expected to take more than so many times the budget is extrapolated; half would do so more
 often."""
@@ -120,7 +120,7 @@ def run_pilots(
     """Simulate and write pilot scenes, spread over the dataset, until `budget_s` processor seconds are spent or there
     are `MOST`; one at least.
 
-    simulate : what makes a sample; left out, the whole simulation. clock : processor seconds. compiled : is told the
+    simulate : sample function; left out, the whole simulation. clock : processor seconds. compiled : called with the
     first scene that could be made, as soon as its kernels are on disk.
 
     Raises
@@ -245,7 +245,7 @@ def startup_seconds(config: DatasetConfig, index: int, asked: float) -> float:
     """Seconds from asking for a worker process until imports are done and kernels loaded. It is run by that worker,
     which simulates scene `index` twice with few paths.
 
-    asked : Unix time when it was asked for.
+    asked : Unix time at which the worker was asked for.
     """
     from datagen.pipeline import simulate_sample
 

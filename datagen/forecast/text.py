@@ -133,11 +133,11 @@ def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
     yield f"transport    {how}, {bounces}"
     kind = f", detectors of the class {config.detector.detector_class}" if config.detector.detector_class else ""
     yield f"detector     {config.detector.mode}{kind}"
-    asked = config.detector.found_for
-    if asked is not None:
+    goal = config.detector.found_for
+    if goal is not None:
         yield (
-            f"exposure     {config.detector.cycles:g} cycles, with which {1 - asked.quantile:.0%} of the objects of "
-            f"pilot scenes have {asked.evidence:g} σ"
+            f"exposure     {config.detector.cycles:g} cycles, with which {1 - goal.quantile:.0%} of the objects of "
+            f"pilot scenes have {goal.evidence:g} σ"
         )
 
 
@@ -298,16 +298,16 @@ AT_LEAST_S = 60.0
 """The least time limit of a scene; half could end a scene that waits for a busy disk."""
 
 
-def scene_limit(asked: str, config: DatasetConfig) -> float:
-    """Seconds: the number asked for, or of `forecast` what pilot scenes let expect, with much to spare: start of a
-    worker, compiling included, and `PILOTS_WORTH` times the longest pilot.
+def scene_limit(text: str, config: DatasetConfig) -> float:
+    """Seconds of the text of `--scene-seconds`. For `forecast` they are the start of a worker, with compilation, and
+    `PILOTS_WORTH` times the longest pilot scene.
 
     Raises `InputError` for anything else, and what a forecast raises.
     """
-    if asked == "forecast":
+    if text == "forecast":
         expected = make_forecast(config)
         return max(AT_LEAST_S, expected.startup_s + PILOTS_WORTH * expected.scene_s[2])
     try:
-        return float(asked)
+        return float(text)
     except ValueError:
-        raise InputError(f"--scene-seconds {asked}: must be a number of seconds, or forecast") from None
+        raise InputError(f"--scene-seconds {text}: must be a number of seconds, or forecast") from None

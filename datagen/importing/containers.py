@@ -128,10 +128,10 @@ def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
         raise InputError(f"{path}: {name}: holds {data.dtype}, real numbers are needed")
     size = math.prod(data.shape) * data.dtype.itemsize
     _check_size(path, name, data.shape, size)
-    held = data.id.get_storage_size()
-    if size > 0 and MOST_COMPRESSED * held < size:
+    stored_bytes = data.id.get_storage_size()
+    if size > 0 and MOST_COMPRESSED * stored_bytes < size:
         raise InputError(
-            f"{path}: {name}: {size} bytes declared ({data.shape}) and {held} there; write the file anew"
+            f"{path}: {name}: {size} bytes declared ({data.shape}) and {stored_bytes} there; write the file anew"
         )
     if data.attrs.get("MATLAB_empty"):
         return np.zeros(0)

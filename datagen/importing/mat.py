@@ -88,8 +88,7 @@ def _shifted(values: NDArray[Any], shifts: NDArray[np.int64], kept: int) -> NDAr
 
 
 def _axes_of(name: str, shape: tuple[int, ...]) -> str:
-    """The order of the axes: time comes last, or first where the other two are of one size and the last two are
-    too."""
+    """The order of the axes: time last, or first where the last two axes are of one size and the first is not."""
     usual = _AXES[name]
     return f"t{usual[:2]}" if shape[1] == shape[2] != shape[0] else usual
 

@@ -113,14 +113,14 @@ def _variable(head: bytes) -> Variable:
     return Variable(name.decode("latin-1"), flag & 0xFF, bool(flag & _IS_COMPLEX), shape, at)
 
 
-def _check(path: Path, found: Variable, largest: int, held: int) -> None:
-    """Refuse a variable that is no array of real numbers, or has more than `held` bytes can hold: deflate packs at
-    most a thousand bytes into one."""
+def _check(path: Path, found: Variable, largest: int, stored_bytes: int) -> None:
+    """Refuse a variable that is no array of real numbers, or has more than `stored_bytes` bytes can hold: deflate
+    packs at most a thousand bytes into one."""
     count = math.prod(found.shape)
     if found.kind not in _NUMBERS or found.is_complex:
         kind = "complex array" if found.is_complex else _NO_NUMBERS.get(found.kind, "thing of no known kind")
         raise InputError(f"{path}: {found.name}: is a {kind}, an array of real numbers is needed")
-    if count > largest or count > 1100 * held:
+    if count > largest or count > 1100 * stored_bytes:
         raise InputError(f"{path}: {found.name}: shape {found.shape} declared, more than the file can hold")
 
 

@@ -21,9 +21,10 @@ UNKNOWN = np.full(3, np.nan)
 SMALLEST_WALL_M = 0.01
 """The least width of the relay wall, for a scan of a single point."""
 _AT_ONCE = 2**22
+"""Values that are checked together; half as many change no time, all at once would copy the whole capture."""
 SAME = 1e-6
-"""Relative difference up to which the values of a file and of an option count as equal; half as much would refuse
-values that were stored as float32."""
+"""Relative difference up to which the values of a file and of an option count as equal. With half as much a value
+that was written with six digits may be refused."""
 _SECONDS = {"fs": 1e-15, "ps": 1e-12, "ns": 1e-9, "us": 1e-6, "s": 1.0}
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 _NUMBER = r"(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)"

@@ -49,19 +49,17 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     counts : dtype that histograms are handed over in, since torch lacks most operations for uint16 and uint32.
         float32 is exact up to 2²⁴ counts a bin. `"stored"` leaves them as they are, the least to move from worker to
         device: cast them there, `batch["histogram"].to(device).float()`. Other fields keep their dtype.
-    redraw_noise : draw histograms anew from the stored transient, with the scene's own detector, at every read: the
-        n-th read of a scene is its draw n, a function of (`seed`, n, scene). So every epoch has noise of its own
-        without any call, whatever wraps the dataset, samples from it or works for it; `set_epoch` fixes the count.
-        A `background_histogram` is drawn anew, too, with noise of its own, where the dataset has the field
-        `background_transient`; elsewhere it stays the one capture that is stored.
-    representation : `"events"`: instead of `histogram` an item has `events`, (N, 3), the laser, pixel and bin of
-        every bin that is not empty (int16, int32 where an axis is longer), and `counts`, (N,), what is in them: an
-        input of networks for points, and less to move where most bins are empty. `collate` joins a batch, with the
-        sample's number as a first column, and `dense` makes histograms of it on any device. `"volume"`: instead of
-        it an item has `volume`, float32 (depth, row, column): the counts, less their mean over the scan and in units
-        of their noise, laid out over all places behind the label images that they may have come from (filtered
-        backprojection without its filter), over the root of the number of histograms. What is there stands out from
-        a noise of about 1, at the pixel where the label has it: an input of convolutions.
+    redraw_noise : draw histograms anew from the stored transient, with the detector of the scene, at every read: the
+        n-th read of a scene is its draw n, a function of (`seed`, n, scene). So each epoch has new noise, with any
+        wrapper, sampler or worker; you do not have to call `set_epoch`, which sets n. A `background_histogram` is
+        drawn anew, too, where the dataset has the field `background_transient`; elsewhere it is the stored one.
+    representation : `"events"`: instead of `histogram` an item has `events`, (N, 3) laser, pixel and bin of every
+        filled bin (int16, int32 where an axis is longer), and `counts`, (N,) of these bins: an input for networks on
+        points, and less to move where most bins are empty. `collate` joins a batch, with the number of the sample as
+        first column, and `dense` makes histograms of it on any device. `"volume"`: instead of `histogram` an item
+        has `volume`, float32 (depth, row, column), an input for convolutions: the backprojection of the counts, minus
+        their mean over the scan and in units of their noise, onto the space behind the label images, divided by the
+        root of the number of histograms. Objects stand out from a noise of about 1 at the pixel of their label.
     voxels : of a `volume`.
     split : the scenes of one split alone: `"train"`, `"val"`, `"test"`, or one that the configuration holds out by
         what scenes show (`splits.held_out`). A room, and every scene that shows it, is in one split; growing a
@@ -69,13 +67,13 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     fractions : of train, val and test, instead of the configuration's.
     seed : of the redrawn noise.
     check : compare every value with the digest in its commit record when it is first read, once for all workers and
-        epochs. Costs about 1 ms a MiB of decoded values; without it missing and damaged files are still found, but
-        not files put in another's place. The first reading of a part is therefore one of the whole value.
-    lasers : the laser points that are read, in this order: a slice, their numbers, a mask, or of a scan that is a
-        grid rows and columns, `lasers=np.s_[8:24, 8:24]`. All fields with that axis are cut: histograms, transients,
-        `laser_points`, the `sensor_pixels` of a confocal scan. What lies elsewhere is not decoded, in steps of
-        256 KiB. Noise that is drawn anew is that of the whole scan, cut.
-    pixels : likewise of the pixels that each laser point is seen by.
+        epochs; a part is therefore read as a whole the first time. It costs about 1 ms a MiB of decoded values.
+        Without it missing and damaged files are still found, but not files that were exchanged.
+    lasers : the laser points that are read, in this order: a slice, indices, a mask, or rows and columns of a scan
+        that is a grid, `lasers=np.s_[8:24, 8:24]`. All fields with that axis are cut: histograms, transients,
+        `laser_points`, the `sensor_pixels` of a confocal scan. Blocks of 256 KiB without any of these are not
+        decoded. Noise that is drawn anew is that of the whole scan, cut.
+    pixels : likewise the pixels.
     bins : a slice of the time bins; saves memory, and decoding only with the other two.
     evidence_at_least : only scenes whose every object has at least this significance (docs/physics.md), 3 for what
         can be learnt at all; scenes without objects stay. `data.parameters("evidence.weakest")` has the numbers, and
@@ -185,7 +183,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return self.__getitems__([item])[0]
 
     def __repr__(self) -> str:
-        """Where from, how many samples of which split, and what an item holds."""
+        """Path, number of samples, split, and fields with their shapes."""
         part = f" of split {self.split!r}" if self.split else ""
         part += f"; of each {self._crops}" if self._crops.chosen else ""
         anew = ", drawn anew at every read"
@@ -221,11 +219,11 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return self.__dict__ | {"_reader": None}
 
     def set_epoch(self, epoch: int, items: Sequence[int] | None = None) -> None:
-        """Fix the noise: the next read of every item (or of `items`) is its draw `epoch`, and later reads count on.
+        """Set the next draw of every item (or of `items`) to number `epoch`; later reads count on from it.
 
-        Never needed for fresh noise. It repeats the noise of an epoch, goes on where an earlier run ended, and makes
-        draws independent of reads that were begun and thrown away: workers that were fetching when an epoch was left.
-        Workers that are running see it. `EpochSampler` calls it when it begins.
+        New noise does not need this call. It repeats the noise of an epoch, continues an earlier run, and makes draws
+        independent of reads that workers had begun when an epoch was left early. Running workers see it.
+        `EpochSampler` calls it at the start of each epoch.
         """
         if self._draws is not None:
             self._draws.fix(epoch, self.scenes if items is None else self.scenes[np.asarray(items, np.int64)])
@@ -264,7 +262,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise CheckError(f"{self.path / TABLE}: its stats are not as datagen writes them ({error})") from None
 
     def _scenes_of(self, split: str, fractions: tuple[float, float, float] | None) -> NDArray[np.int64]:
-        """Those of the scenes that are there and belong to a split."""
+        """(N,) the scenes of `self.scenes` that belong to a split."""
         splits = self._manifest.splits()
         if split not in splits.names:
             raise InputError(f"split = {split!r}: {self.path} has {', '.join(splits.names)}")
@@ -283,7 +281,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return chosen
 
     def _scenes_with_evidence(self, least: float) -> NDArray[np.int64]:
-        """Those of the scenes whose weakest object has so much, and those without objects."""
+        """(N,) the scenes of `self.scenes` whose weakest object has this significance, and those without objects."""
         if not 0 <= least < float("inf"):
             raise InputError(f"evidence_at_least = {least}: must be a finite number ≥ 0, such as 3")
         if self._manifest.schema_version < EVIDENCE_SINCE:
@@ -316,8 +314,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return np.delete(np.arange(self._schema.scenes), sorted(failed))
 
     def _shards_and_failures(self, manifest: Manifest) -> tuple[set[int], set[int]]:
-        """Shards committed and scenes that failed: from the table when the dataset is complete, which spares reading
-        every commit record of a large one.
+        """The committed shards and the scenes that failed, from the table when the dataset is complete: reading all
+        commit records of a large dataset takes long.
         """
         there = {shard for shard in recorded_shards(self.path) if shard < self._schema.shards}
         if len(there) == self._schema.shards and (self.path / TABLE).is_file():

@@ -19,8 +19,8 @@ from datagen.report.show import pages
 from datagen.report.style import house_style
 from datagen.store import Manifest, committed, read_manifest
 from datagen.store.card import ranges
-from datagen.store.info import info, scenes_made
-from datagen.store.record import SceneRecord, ShardRecord
+from datagen.store.info import info
+from datagen.store.record import SceneRecord, ShardRecord, scenes_made
 from datagen.store.summaries import LEAST
 from datagen.store.table import table_of
 

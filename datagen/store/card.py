@@ -16,7 +16,7 @@ from datagen.errors import printable
 from datagen.store.environment import mixed
 from datagen.store.files import write_if_changed
 from datagen.store.manifest import Manifest
-from datagen.store.record import ShardRecord
+from datagen.store.record import ShardRecord, scenes_made
 from datagen.store.schema import Schema
 from datagen.store.summaries import evidence_by_kind, label_place_line, placed_anew_lines
 from datagen.store.table import TABLE, table_of
@@ -77,7 +77,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | N
         if manifest.imported
         else "Lengths are metres, z up, right-handed.",
         "",
-        *([place, ""] if (place := label_place_line(_made(records))) else []),
+        *([place, ""] if (place := label_place_line(scene.parameters for scene in scenes_made(records))) else []),
         *_stats_lines(manifest),
         *(_evidence_lines(table) if table is not None else []),
         *(_parameter_lines(table) if table is not None else []),
@@ -104,11 +104,6 @@ def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | N
         "",
     ]
     return printable("\n".join(lines).replace("\r\n", "\n"))
-
-
-def _made(records: Sequence[ShardRecord]) -> list[dict[str, Any]]:
-    """The parameters of all scenes that could be made."""
-    return [dict(scene.parameters) for record in records for scene in record.scenes if scene.failure is None]
 
 
 def _origin_lines(manifest: Manifest) -> list[str]:

@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from datagen.store.arrays import GROUP
-from datagen.store.files import json_bytes, sha256_of, write_if_changed
+from datagen.store.files import sha256_of
 from datagen.store.location import Location
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
 from datagen.store.schema import Field
-from datagen.store.table import COLUMNS, CROISSANT, TABLE
+from datagen.store.table import COLUMNS, TABLE
 
 NO_LICENSE = "https://choosealicense.com/no-permission/"
 """The licence of a dataset whose configuration names none: all rights are reserved."""
@@ -60,11 +59,6 @@ _IMPORTED = _RESPONSIBLE | {
     "rai:dataUseCases": "To try and compare methods of non-line-of-sight imaging.",
     "rai:personalSensitiveInformation": "Not known: people may have been captured.",
 }
-
-
-def write_croissant(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
-    """Write the card for machines; `samples.parquet` must be there."""
-    write_if_changed(root / CROISSANT, json_bytes(croissant(root, manifest, records)))
 
 
 def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]) -> dict[str, Any]:

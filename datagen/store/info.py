@@ -12,7 +12,7 @@ from datagen.store.card import readable
 from datagen.store.environment import mixed
 from datagen.store.location import Location, location_of
 from datagen.store.manifest import Manifest, read_manifest
-from datagen.store.record import SceneRecord, ShardRecord
+from datagen.store.record import ShardRecord, scenes_made
 from datagen.store.summaries import evidence_by_kind, evidence_lines, label_place_line, placed_anew_lines
 from datagen.store.verify import committed
 
@@ -88,11 +88,6 @@ def _fields(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
         sizes = f"{readable(scenes * field.bytes_per_scene):>10}{readable(stored[field.name]):>10}"
         lines.append(f"{field.name:22}{shape:26}{field.dtype:9}{sizes}  {field.unit}")
     return lines + [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
-
-
-def scenes_made(records: Sequence[ShardRecord]) -> list[SceneRecord]:
-    """The scenes of the shards that could be made."""
-    return [scene for record in records for scene in record.scenes if scene.failure is None]
 
 
 def seconds_by_stage(records: Sequence[ShardRecord]) -> dict[str, float]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from datagen.config import DatasetConfig
 from datagen.config.dataset import WITHOUT_EFFECT
-from datagen.errors import CheckError, InputError
+from datagen.errors import InputError
 from datagen.store.arrays import COORDINATES, GROUP, metadata_files
 from datagen.store.environment import environment
 from datagen.store.files import PARTIAL, clear_partials, holds, own_path, write_if_changed
@@ -22,7 +22,7 @@ from datagen.store.manifest import (
     metadata_hashes,
     read_manifest,
 )  # fmt: skip
-from datagen.store.record import BUILD, ShardRecord, read_record, recorded_shards
+from datagen.store.record import BUILD, sound_records
 from datagen.store.schema import SCHEMA_VERSION, schema_of
 
 WHEN_COMPLETE = ("samples.parquet", "croissant.json")
@@ -100,7 +100,7 @@ def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
     """The manifest of a dataset that lost its own, from the configuration and the shards; None where there is no
     shard to tell whose it is.
     """
-    records = list(_records(root))
+    records = list(sound_records(root, must_be_sealed=True))
     if not records:
         return None
     fingerprint = config.fingerprint()
@@ -124,17 +124,6 @@ def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
     hardware = described.hardware | {name: made_by[name] for name in ("processor", "system") if name in made_by}
     commit = made_by.get("commit")
     return replace(described, versions=versions, commit=None if commit == "unknown" else commit, hardware=hardware)
-
-
-def _records(root: Path) -> Iterator[ShardRecord]:
-    """The sound records of a folder, by shard, whatever they belong to."""
-    for shard in recorded_shards(root):
-        try:
-            record = read_record(root, shard, must_be_sealed=True)
-        except CheckError:
-            continue
-        if record is not None:
-            yield record
 
 
 def _taken_up(root: Path, config: DatasetConfig) -> Manifest:

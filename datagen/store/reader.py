@@ -1,9 +1,9 @@
-"""Reading scenes: the one way from a dataset's files to values, for every field and size.
+"""The reader of a dataset: from its files to values, for every field and size.
 
 A file must be there, have the size that the commit record states, and its checksums must match; decoded values must
-have the digest that the record states. Nothing that is missing reads as a value. The files are Zarr 3.0; zarr's own
-reading gives the same values (by test) in about three times the time, and gives fill values for what is missing. Here
-the index of a shard is kept, a chunk is one `pread`, and blosc decodes it into place.
+have the digest that the record states. A missing chunk is an error, never a fill value. The files are Zarr 3.0;
+zarr's own reading gives the same values (by test) in about three times the time, and gives fill values for what is
+missing. Here the index of a shard is kept, a chunk is one `pread`, and blosc decodes it into place.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ class DatasetReader:
     fields : those that will be read.
     check : compare every value with its digest when it is first read, and sizes with the commit record. Without it
         missing and damaged files are still found, by the checksums in them, but not files put in another's place.
-    seen : field → (scenes,) true where the digest was found right already; shared between processes, it spares
-        each of them what others have checked.
+    seen : field → (scenes,) whether the digest was checked already; when processes share it, none checks again what
+        another has checked.
     """
 
     def __init__(
@@ -90,8 +90,8 @@ class DatasetReader:
         self._fields = {name: self._schema.by_name[name] for name in fields}
         self._check = check
         self._seen = seen or {name: np.zeros(self._schema.scenes, bool) for name in self._fields}
-        # Of a record what is compared with, since records of a large dataset do not fit into memory: of each field
-        # the bytes of its file, and the digest of each scene (None: could not be made).
+        # Shard → field → bytes of its file, digest of each scene (None: could not be made). Whole records of a large
+        # dataset would not fit into memory.
         self._records: dict[int, dict[str, tuple[int, list[bytes | None]]]] = {}
         self._kept: OrderedDict[tuple[object, ...], NDArray[np.generic]] = OrderedDict()
         self._kept_bytes = 0
@@ -123,21 +123,19 @@ class DatasetReader:
                 self._decode(field, scene, part, out[row])
 
         threads = min(cores(), len(scenes), MOST_THREADS)
-        # A worker has others beside it.
+        # A loader's worker has others beside it, which use the other cores.
         if threads < 2 or is_kept or out.nbytes < WORTH_BYTES or multiprocessing.parent_process() is not None:
             for row in range(len(scenes)):
                 into(row)
             return out
-        # Threads that outlived the call would be there when a loader forks its workers. The first error is raised, as
-        # it would be one after the other.
+        # The threads end with the call, because a loader may fork its workers after it. `map` raises the first error.
         with ThreadPoolExecutor(threads, "datagen-decode") as pool:
             for _ in pool.map(into, range(len(scenes))):
                 pass
         return out
 
     def _keep(self, key: tuple[object, ...], make: Callable[[], NDArray[np.generic]]) -> NDArray[np.generic]:
-        """The array kept under a key; it is made where there is none, and the oldest ones go where memory is
-        short."""
+        """The array kept under a key, made if there is none; the oldest arrays go when memory is full."""
         kept = self._kept.get(key)
         if kept is None:
             kept = make()
@@ -226,7 +224,7 @@ class DatasetReader:
 
     def _frame(self, field: Field, shard: int, scene: int | None, offset: int, size: int, due_bytes: int) -> bytes:
         """A blosc frame whose checksum is right and which states to decode to `due_bytes`."""
-        # Nothing is believed of sizes: they may ask for any amount of memory.
+        # Sizes in a file from anywhere may ask for any amount of memory.
         possible = size <= due_bytes + _HEADER_BYTES + _CRC_BYTES and offset < 2**63 - size
         stored = self._bytes(field, shard, offset, size) if possible else b""
         body, checksum = stored[:-_CRC_BYTES], int.from_bytes(stored[-_CRC_BYTES:], "little")
@@ -313,9 +311,9 @@ def _stored(field: Field) -> np.dtype[np.generic]:
     return np.dtype(field.dtype).newbyteorder("<")
 
 
-# A blosc frame (c-blosc 1, README_CHUNK_FORMAT): a header, where each block begins, the blocks. numcodecs decodes
-# frames as a whole only. Blocks are compressed, and their bits shuffled, each by itself, so that some of them, with a
-# header of their own, are a frame: of a crop of a scan its share is decoded, a quarter of the time for a quarter.
+# A blosc frame (c-blosc 1, README_CHUNK_FORMAT) is a header, the offset of each block, and the blocks. numcodecs
+# decodes whole frames only. Each block is compressed and shuffled by itself, so some blocks under a new header are a
+# frame, too: reading 16 × 16 of 64 × 64 laser points takes less than half of the time.
 
 
 def _sizes(frame: bytes) -> tuple[int, int]:
@@ -325,14 +323,14 @@ def _sizes(frame: bytes) -> tuple[int, int]:
 
 
 def _block_bytes(frame: bytes) -> int:
-    """Decoded bytes of a block; those of the whole frame where its blocks cannot be had apart."""
+    """Decoded bytes of a block; those of the whole frame where its blocks cannot be decoded apart."""
     decoded, block = struct.unpack_from("<4xII", frame)
     apart = frame[2] & _UNSPLIT and not frame[2] & _PLAIN and 0 < block < decoded
     return int(block if apart else decoded)
 
 
 def _some_blocks(frame: bytes, first: int, stop: int) -> bytes:
-    """A frame of the blocks first … stop − 1 of one. Raises `ValueError` where these are not where it says."""
+    """A frame of the blocks first … stop − 1 of `frame`. Raises `ValueError` for blocks that lie outside of it."""
     decoded, block, stored = struct.unpack_from("<4xIII", frame)
     count = -(-decoded // block)
     if len(frame) < _HEADER_BYTES + 4 * count:

@@ -6,7 +6,7 @@ its own; one that fails it is not used.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -146,3 +146,19 @@ def recorded_shards(root: Location) -> list[int]:
     """Numbers of the shards that have a record, ascending."""
     matches = (re.fullmatch(r"shard-(\d+)\.json", path.name) for path in (root / BUILD).glob("shard-*.json"))
     return sorted(int(match[1]) for match in matches if match)
+
+
+def sound_records(root: Location, must_be_sealed: bool, shards: Iterable[int] | None = None) -> Iterator[ShardRecord]:
+    """The undamaged records of `shards` that are there (left out: of all), whatever dataset they belong to."""
+    for shard in recorded_shards(root) if shards is None else shards:
+        try:
+            record = read_record(root, shard, must_be_sealed)
+        except CheckError:
+            continue
+        if record is not None:
+            yield record
+
+
+def scenes_made(records: Sequence[ShardRecord]) -> list[SceneRecord]:
+    """The scenes of the shards that could be made."""
+    return [scene for record in records for scene in record.scenes if scene.failure is None]

@@ -19,37 +19,24 @@ from datagen.errors import InputError
 
 SCHEMA_VERSIONS = {
     1: "datagen 0.1",
-    2: "datagen 0.2: a seed yields other scenes, light and counts (rooms drawn once, Russian roulette, the choice of "
-    "samplers); columns `detector_plan.*` are `sampler.*`; key transport.scramblings is transport.replicates",
-    3: "datagen 0.3: a seed yields other counts (histograms are drawn block by block, few detections in the order of "
-    "their phase); signed distances in double precision",
-    4: "datagen 0.4: a seed yields other light where a configuration asks for an accuracy (the primary by cells, "
-    "without noise), bins of the secondary hold what arrives between their edges; columns transient.part_error.*; "
-    "`dataset.json` and commit records end in a checksum of their own, and must",
-    5: "datagen 0.5: a name of an axis has one size in the group (volumes: voxel_depth, voxel_row, voxel_column; "
-    "hidden_bounds: bound), attributes units and long_name, a coordinate `bin` of arrival times; columns `split` and "
-    "`stats.*` in the table, `stats` in `dataset.json`; with a target a seed yields other light",
-    6: "datagen 0.6: the evidence of each object, columns `evidence.*` and tables object_detections, "
-    "object_brightest_bin, object_significance beside the label `objects`; field evidence",
-    7: "datagen 0.7: with a target a seed yields other light of meshes (small triangles are taken together); "
-    "fields background_histogram, background_transient, presence; column evidence.placed_anew",
-    8: "datagen 0.9: field evidence of 32 × 32 pixels and more is asked on a coarse grid, refined where neighbours "
-    "disagree; floats are shuffled by bytes",
-    9: "datagen 0.10: with a target a seed yields other light of four bounces in exhaustive scans, and of three "
-    "where cells hardly face the wall",
-    10: "datagen 0.11: with a target a seed yields other light of three bounces (pixels' edges, patches and the "
-    "choice of cells)",
-    11: "datagen 0.12: with a target a seed yields light of other last digits, of large pixels other light within "
-    "its errors; transport.spend.cost is less, by rays",
-    12: "datagen 0.13: transport.spend.cost is less where surfaces lie on each other, by rays; nothing else differs",
-    13: "datagen 0.14: columns labels.scan_right_m, labels.scan_up_m; the direct return is there wherever it is "
-    "asked for and not proven to be none; evidence of objects in plain sight counts all their light; with a target a "
-    "seed yields other light, all of it where surfaces have lobes; column transport.spend.second_opinion",
-    14: "datagen 0.15: with a target a seed yields other light, most of it where pixels see lobes",
-    15: "datagen 0.16: with a target a seed yields other light in some scenes",
+    2: "datagen 0.2: rooms drawn once; columns `sampler.*`, were `detector_plan.*`; key replicates, was scramblings",
+    3: "datagen 0.3: other counts (drawn block by block); signed distances in double precision",
+    4: "datagen 0.4: with a target other light; columns transient.part_error.*; checksums in the JSON files",
+    5: "datagen 0.5: axes of one size, units, array `bin`; columns `split`, `stats.*`; with a target other light",
+    6: "datagen 0.6: evidence of objects: field evidence, columns `evidence.*`, tables object_detections and others",
+    7: "datagen 0.7: with a target other light of meshes; background fields, presence, evidence.placed_anew",
+    8: "datagen 0.9: field evidence on a coarse grid that is refined; floats are shuffled by bytes",
+    9: "datagen 0.10: with a target other light of four bounces, and of three where surfaces hardly face the wall",
+    10: "datagen 0.11: with a target other light of three bounces",
+    11: "datagen 0.12: with a target other last digits, and of large pixels other light within its errors",
+    12: "datagen 0.13: transport.spend.cost is less where surfaces lie on each other",
+    13: "datagen 0.14: columns labels.scan_*_m, transport.spend.second_opinion; other direct return and evidence",
+    14: "datagen 0.15: with a target other light, most of it where pixels see lobes",
+    15: "datagen 0.16: with a target other light in some scenes",
 }
-"""What each version of the stored format means. All are read; only the last is written. It is raised whenever a file
-or what a seed yields changes, so that a dataset never mixes two."""
+"""Version of the stored format → the release that began it, and what its files or its scenes of a seed have that is
+other than before (CHANGELOG.md has the details). All are read; only the last is written. It is raised with every such
+change, so that no dataset mixes two."""
 SCHEMA_VERSION = max(SCHEMA_VERSIONS)
 CHECKSUMS_SINCE = 4
 """The first version whose `dataset.json` and commit records must carry a checksum of their own."""

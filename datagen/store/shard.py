@@ -7,7 +7,6 @@ import math
 import os
 import time
 from collections.abc import Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +23,6 @@ from datagen.store.stats import COUNTS, WITH_STATS, stats_of
 
 FINITE = ("transient", "background_transient", "depth", "normal", "albedo", "shaded", "sdf", "evidence")
 """Fields in which NaN and infinity are refused."""
-MOST_FILES = 8
-"""Files written at the same time; with half as many a disk that takes long to sync is waited for twice as often."""
 
 
 def discard_shard(root: Path, schema: Schema, shard: int) -> None:
@@ -106,16 +103,11 @@ def write_shard(
         records.append(_keep(made, scenes.start, index, sample))
         store_s += time.perf_counter() - begun
     begun = time.perf_counter()
-    # A disk that is told of several files at once commits them together. Folders are not synced: a shard whose names
-    # were lost is found missing, and made again.
-    with ThreadPoolExecutor(MOST_FILES, "datagen-write") as pool:
-        writing = {}
-        for field in schema.fields:
-            name = shard_file(field, shard)
-            writing[name] = pool.submit(
-                _write_new, root / name, shard_content(field, made.pop(field), schema.scenes_per_shard)
-            )
-        files = {name: future.result() for name, future in writing.items()}
+    # Folders are not synced: a shard whose file names were lost is found missing, and made again.
+    files = dict[str, FileRecord]()
+    for field in schema.fields:
+        name, content = shard_file(field, shard), shard_content(field, made.pop(field), schema.scenes_per_shard)
+        files[name] = _write_new(root / name, content)
     now = time.time()
     seconds = {"store": store_s + time.perf_counter() - begun, "total": now - started}
     record = ShardRecord(

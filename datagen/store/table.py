@@ -86,11 +86,11 @@ def stats_of_rows(table: pa.Table) -> dict[str, dict[str, float]]:
     names = [name.split(".")[1] for name in table.column_names if re.fullmatch(r"stats\.\w+\.mean", name)]
     columns = {name: [f"stats.{name}.{quantity}" for quantity in QUANTITIES] for name in names}
     found = {name: table.select(of).drop_null().to_pylist() for name, of in columns.items()}
-    return {name: together([FieldStats(**_short(row)) for row in rows]) for name, rows in found.items() if rows}
-
-
-def _short(row: dict[str, float]) -> dict[str, float]:
-    return {name.rpartition(".")[2]: value for name, value in row.items()}
+    stats = {
+        name: [FieldStats(**{key.rpartition(".")[2]: value for key, value in row.items()}) for row in rows]
+        for name, rows in found.items()
+    }
+    return {name: together(scenes) for name, scenes in stats.items() if scenes}
 
 
 def read_splits(root: Location, scenes: int, splits: SplitsConfig) -> list[str | None]:

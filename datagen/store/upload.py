@@ -11,13 +11,13 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from datagen.errors import CheckError, InputError
+from datagen.errors import InputError
 from datagen.store.card import CARD
 from datagen.store.files import read_whole, write_atomically
 from datagen.store.location import Bucket
 from datagen.store.manifest import MANIFEST, DamagedManifest, Manifest, read_manifest
 from datagen.store.prepare import WHEN_COMPLETE, is_fresh
-from datagen.store.record import ShardRecord, read_record, record_path, recorded_shards
+from datagen.store.record import ShardRecord, record_path, recorded_shards, sound_records
 
 
 def staging_of(bucket: Bucket) -> Path:
@@ -48,12 +48,9 @@ def fetch(root: Path, bucket: Bucket) -> None:
     own = read_manifest(root)
     if (own.fingerprint, own.schema_version) != (manifest.fingerprint, manifest.schema_version):
         raise InputError(f"output {bucket}: holds another dataset than {root}, made for it; delete one of the two")
-    for shard in sorted({*recorded_shards(bucket)} - {*recorded_shards(root)}):
-        try:
-            record = read_record(bucket, shard, manifest.must_be_sealed)
-        except CheckError:
-            continue
-        if record is not None and record.mismatch(manifest.schema, manifest.fingerprint) is None:
+    missing = sorted({*recorded_shards(bucket)} - {*recorded_shards(root)})
+    for record in sound_records(bucket, manifest.must_be_sealed, missing):
+        if record.mismatch(manifest.schema, manifest.fingerprint) is None:
             _fetch_shard(root, bucket, record)
 
 

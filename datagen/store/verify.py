@@ -15,13 +15,13 @@ import pyarrow.parquet as pq
 from datagen.config import fingerprint_of
 from datagen.errors import CheckError, printable
 from datagen.store.card import CARD, card, write_card
-from datagen.store.croissant import croissant, write_croissant
+from datagen.store.croissant import croissant
 from datagen.store.environment import environment
 from datagen.store.files import difference, holds, json_bytes, write_if_changed
 from datagen.store.location import Location, location_of
 from datagen.store.manifest import MANIFEST, Manifest, read_manifest
 from datagen.store.reader import DatasetReader
-from datagen.store.record import ShardRecord, read_record, recorded_shards
+from datagen.store.record import ShardRecord, read_record, recorded_shards, sound_records
 from datagen.store.schema import SCHEMA_VERSION, SPLITS_SINCE
 from datagen.store.table import CROISSANT, TABLE, stats_by_split, table_bytes, table_of
 
@@ -32,17 +32,14 @@ def committed(
     """The records of the shards that are there: sound, of this configuration, of all their scenes, their files in
     place. With `hashes` the files' bytes must also be those that were written.
     """
-    # The folder is looked at, not the number of scenes: that is only what `dataset.json` says.
-    there = (shard for shard in recorded_shards(root) if shard < manifest.schema.shards)
-    records = []
-    for shard in there if shards is None else shards:
-        try:
-            record = read_record(root, shard, manifest.must_be_sealed)
-        except CheckError:
-            continue
-        if record and not record.mismatch(manifest.schema, manifest.fingerprint) and not record.problem(root, hashes):
-            records.append(record)
-    return records
+    # The records in the folder count, since `dataset.json` may claim any number of scenes.
+    return [
+        record
+        for record in sound_records(root, manifest.must_be_sealed, shards)
+        if record.shard < manifest.schema.shards
+        and not record.mismatch(manifest.schema, manifest.fingerprint)
+        and not record.problem(root, hashes)
+    ]
 
 
 def finish(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
@@ -51,7 +48,7 @@ def finish(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> No
     manifest = replace(manifest, stats=stats_by_split(table))
     write_if_changed(root / MANIFEST, manifest.to_bytes())
     write_if_changed(root / TABLE, table_bytes(table))
-    write_croissant(root, manifest, records)
+    write_if_changed(root / CROISSANT, json_bytes(croissant(root, manifest, records)))
     write_card(root, manifest, records, table)
 
 

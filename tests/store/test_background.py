@@ -171,15 +171,6 @@ def test_fresh_noise_is_that_of_both(built: Path) -> None:
     assert not any(np.array_equal(stored, b) for b in backgrounds)
 
 
-def test_a_capture_without_its_light_stays_as_stored(tmp_path: Path) -> None:
-    lean = config(fields=("histogram", "transient", "background_histogram"))
-    path = write_dataset(lean, tmp_path / "lean")
-    data = dg.TransientDataset(path, ("histogram", "background_histogram"), redraw_noise=True)
-    first, second = data[0], data[0]
-    assert np.array_equal(first["background_histogram"], second["background_histogram"])
-    assert not np.array_equal(first["histogram"], second["histogram"])
-
-
 def test_a_transient_from_elsewhere_has_none(tmp_path: Path) -> None:
     """Nor has it presence: that is not known."""
     item = (room(0.5), capture(), np.zeros(capture().shape))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 import pickle
 from collections.abc import Iterable, Iterator
@@ -213,10 +212,3 @@ def test_workers_that_outlive_an_epoch_see_it_fixed(data: TransientDataset) -> N
     for wrong in (-1, 1.5):
         with pytest.raises(InputError, match=f"epoch = {wrong}: must be a whole number"):
             data.set_epoch(wrong)  # type: ignore[arg-type]
-
-
-def test_copies_go_on_counting_for_themselves(data: TransientDataset, dataset: Path) -> None:
-    data[0]
-    other = copy.deepcopy(data)
-    one = draws_of(dataset, 1)[0]
-    assert torch.equal(other[0]["histogram"], one) and torch.equal(data[0]["histogram"], one)

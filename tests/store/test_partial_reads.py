@@ -197,19 +197,12 @@ def test_what_is_read_in_part_is_checked(tmp_path: Path, monkeypatch: pytest.Mon
     [
         ({"lasers": 3}, "lasers = 3: must choose of 4, such as slice"),
         ({"lasers": [4]}, "lasers: 4 is not in 0 … 3"),
-        ({"lasers": [0.5]}, "must choose of 4"),
-        ({"lasers": "all"}, "lasers = 'all': must choose of 4"),
         ({"lasers": [True, False]}, "must choose of 4"),
-        ({"lasers": []}, "must choose of 4"),
-        ({"lasers": [[0], [1, 2]]}, "must choose of 4"),
         ({"lasers": slice(4, 9)}, "none of 4 is left"),
         ({"lasers": slice(None, None, 0)}, "must be a slice of whole numbers"),
         ({"lasers": (slice(1), 1)}, "rows and columns must both be slices"),
-        ({"pixels": np.s_[:1, 2:]}, "pixels"),
         ({"bins": [1, 2]}, "bins = \\[1, 2\\]: must be a slice of step 1"),
-        ({"bins": slice(0, 8, 2)}, "must be a slice of step 1"),
         ({"bins": slice(16, 20)}, "none of 16 is left"),
-        ({"bins": slice("a", None)}, "must be a slice of whole numbers"),
     ],
 )
 def test_what_cannot_be_cut_is_refusal(one: Path, crop: dict[str, Any], told: str) -> None:

@@ -11,14 +11,14 @@ import pytest
 import torch
 import zarr
 from datasets import write_dataset
-from fake_samples import fails_at_5, fake_sample, reseal, small_config
+from fake_samples import fake_sample, reseal, small_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import datagen as dg
 from datagen.building.build import build
-from datagen.errors import CheckError, InputError
+from datagen.errors import InputError
 from datagen.store import verify
 from datagen.store.stats import QUANTITIES, FieldStats, stats_of, together
 
@@ -96,15 +96,6 @@ def test_they_are_checked_and_kept(dataset: Path, tmp_path: Path) -> None:
     assert described.read_bytes() == content and verify(tmp_path / "set").problems == ()
     build(small_config(), tmp_path / "set", scenes=24, progress=False, sample_function=fake_sample)
     assert described.read_bytes() != content and verify(tmp_path / "set").problems == ()
-
-
-def test_failed_scenes_do_not_count(tmp_path: Path) -> None:
-    with pytest.raises(CheckError):
-        build(small_config(), tmp_path / "set", progress=False, sample_function=fails_at_5)
-    with pytest.warns(UserWarning, match="left out"):
-        data = dg.TransientDataset(tmp_path / "set", ("depth",))
-    depth = np.stack([item["depth"].numpy() for item in data.__getitems__(range(11))])
-    assert data.stats["depth"]["mean"] == pytest.approx(depth.mean(), abs=1e-5)
 
 
 def test_earlier_datasets_have_none() -> None:
