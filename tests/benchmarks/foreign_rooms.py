@@ -71,7 +71,7 @@ def room(meshes: list[trimesh.Trimesh]) -> Scene:
 
 
 def captures() -> list[tuple[Capture, int]]:
-    """The captures of `ASKED_S`, confocal with pixels of 2 cm and exhaustive with pixels of 20 cm, and their bounces."""
+    """The captures of `ASKED_S`, confocal with pixels of 2 cm, exhaustive with pixels of 20 cm; and their bounces."""
     axis, corners = TimeAxis(512, 1e-10, 0.0, "wall"), np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]])
 
     def confocal(side: int) -> Capture:
