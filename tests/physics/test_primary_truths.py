@@ -15,6 +15,7 @@ from datagen.transport.fields_of_view import PixelCones
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
 
 APERTURE_M2 = np.pi * 0.02**2
+BY_ELEMENTS = Accuracy(target=0.005, max_bounces=3)
 
 
 def wall_and(plate: trimesh.Trimesh, albedo: float = 0.6) -> Scene:
@@ -24,8 +25,9 @@ def wall_and(plate: trimesh.Trimesh, albedo: float = 0.6) -> Scene:
     )
 
 
+@pytest.mark.parametrize("accuracy", [Accuracy(256, 4, 3, 2), BY_ELEMENTS], ids=["paths", "elements"])
 @pytest.mark.parametrize("origin", ["wall", "source"])
-def test_small_patch_amplitude_and_arrival_time(origin: str) -> None:
+def test_small_patch_amplitude_and_arrival_time(origin: str, accuracy: Accuracy) -> None:
     """L = (ρ₁/π) cosθ₁cosθ₂ a/R₁₂² · (ρ₂/π) cosθ₂′cosθ₃/R₂₃² · (ρ₃/π) A Ω, at one time."""
     side, h = 1e-3, 5e-4
     x2, n2 = np.array([1.2, 0.5, -0.3]), np.array([-1.0, 0, 0])
@@ -36,7 +38,7 @@ def test_small_patch_amplitude_and_arrival_time(origin: str) -> None:
     capture = Capture(
         Laser(device, [x1]), Sensor(device, square_pixels([x3], h)), bins_of_path(400, 1e-5, path - 2e-3, origin)
     )
-    result = simulate(scene, capture, Accuracy(256, 4, 3, 2), seed=3)
+    result = simulate(scene, capture, accuracy, seed=3)
 
     cos1, cos2 = (x2 - x1)[0] / r12, n2 @ (x1 - x2) / r12
     cos2_out, cos3 = n2 @ (x3 - x2) / r23, -(x3 - x2)[0] / r23
@@ -48,8 +50,9 @@ def test_small_patch_amplitude_and_arrival_time(origin: str) -> None:
     assert mean_time == pytest.approx(path / C, abs=1e-5 / C)
 
 
+@pytest.mark.parametrize("accuracy", [Accuracy(1 << 17, 1, 3, 1), BY_ELEMENTS], ids=["paths", "elements"])
 @pytest.mark.parametrize("side", [5, pytest.param(16, marks=pytest.mark.nightly)])
-def test_rectangle_against_quadrature_per_3_mm_bin(side: int) -> None:
+def test_rectangle_against_quadrature_per_3_mm_bin(side: int, accuracy: Accuracy) -> None:
     """An unoccluded plate, confocal points, 300 bins of 3 mm: relative L1 under 1 % (docs/physics.md)."""
     center, right, up = np.array([1, 0.1, 0.05]), np.array([0.05, 0.13, 0]), np.array([0, 0, 0.13])
     scene = wall_and(rectangle(center, right, up))
@@ -62,7 +65,7 @@ def test_rectangle_against_quadrature_per_3_mm_bin(side: int) -> None:
     truth = plate_by_quadrature(points, center, right, up, 600, 300, 1.75, 0.003)
     omega = (2 * h) ** 2 * device[0] / np.linalg.norm(device - points, axis=1) ** 3
     truth *= 0.8**2 * 0.6 / np.pi**3 * APERTURE_M2 * omega[:, None]
-    result = simulate(scene, capture, Accuracy(1 << 17, 1, 3, 1), seed=5, split_parts=False)
+    result = simulate(scene, capture, accuracy, seed=5, split_parts=False)
     assert np.abs(result.total[:, 0] - truth).sum() / truth.sum() < 0.01
     assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4)
 

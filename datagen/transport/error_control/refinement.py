@@ -1,10 +1,10 @@
 """How finely surfaces and pixels are cut, found on some pairs of laser point and pixel that stand for all.
 
 Objects, each for itself, and all else together are cut ever more finely until what that changes is small in the whole
-and in each object's own light. What is no object has one error that a cell may make: where it is the same everywhere,
-cells bring the whole nearest to the truth for their number. A change tells of the error only where it was one: small
-triangles stay as they are over many steps and agree with themselves, so that a cutting is believed once a finer one,
-which agrees with it, took markedly more work.
+and in each object's own light. What is no object has one error that an element may make: where it is the same
+everywhere, elements bring the whole nearest to the truth for their number. A change tells of the error only where it
+was one: small triangles stay as they are over many steps and agree with themselves, so that a cutting is believed
+once a finer one, which agrees with it, took markedly more work.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ TRIALS, MOST_TRIED = (12, 48), 1 << 23
 """Fewest and most pairs of laser point and pixel on which the cutting is chosen, one in 32 in between; and values
 of their histograms at most."""
 COARSE = 1e300
-"""An error that every cell may make: surfaces are cut by distance alone."""
+"""An error that every element may make: surfaces are cut by distance alone."""
 FIRST, FINER, LEVELS = 0.03, 0.25, 12
-"""Error that a cell may make, relative to the norm of its group, after the coarsest cutting; what it is multiplied
-with from one cutting to the next, finer one; and the number of cuttings at most."""
+"""Error that an element may make, relative to the norm of its group, after the coarsest cutting; what it is
+multiplied with from one cutting to the next, finer one; and the number of cuttings at most."""
 GROWN = 1.5
-"""Cells of a cutting that is finer in fact, relative to the one that it is compared with."""
+"""Elements of a cutting that is finer in fact, relative to the one that it is compared with."""
 SURE = 3
 """Cuttings after the coarsest from which on they are believed: the first ones lack the same light, and where all is
 in one bin two of them may agree by chance."""
@@ -51,7 +51,7 @@ LOOKED_AT, EVENLY = 12, 0.25
 HELPS = 0.1
 """Share of the error to be met, for each of G groups over G, under which cutting one does not help the whole."""
 TOO_DEAR = 1 << 16
-"""Cells and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
+"""Elements and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
 hidden may take any number of rays for light that is a millionth of the whole."""
 WITHIN = 0.7
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
@@ -60,12 +60,12 @@ BETWEEN, HALVINGS, WIDELY, TINY = 8, 60, 60.0, 1e-150
 """Cuttings looked at from one that was tried to the next; how often the range of prices is halved that errors may
 have, and how far it reaches, by powers of e; and what is too small to divide by."""
 MOST_PATCHES, MOST_PATCHES_TRIED = 1 << 22, 1 << 18
-"""Patches of all pixels at most, and points of those of the trial that are at edges."""
+"""Footprints of all pixels at most, and points of those of the trial that are at edges."""
 PATCHES_SHARE = 0.2
-"""Share of the error to be met that may come of the size of patches."""
+"""Share of the error to be met that may come of the size of footprints."""
 MOST_LEVELS, FROM_LARGER, FINEST_SHARE = 6, 1 / 3, 0.5
-"""How often pixels of the trial are quartered at most; error of patches, relative to the difference from those twice
-as large, for it is of second order; and how much of `PATCHES_SHARE` the finest ones may have."""
+"""How often pixels of the trial are quartered at most; error of footprints, relative to the difference from those
+twice as large, for it is of second order; and how much of `PATCHES_SHARE` the finest ones may have."""
 FROM_FEWER, SLOWEST = 0.5, 0.4
 """Error of a net of points, relative to its difference from one of a quarter of them: of order 3/4 in their number
 beside an edge; and that difference, relative to the one before it, at least: it may be small by chance."""
@@ -91,7 +91,7 @@ class Asked:
 
 @dataclass
 class Work:
-    """Cells spread and rays asked so far."""
+    """Elements spread and rays asked so far."""
 
     cells: int = 0
     rays: int = 0
@@ -135,7 +135,7 @@ class Trial:
             return rough
         seen = rough.gathered(np.full(groups, COARSE), 0, EDGE_LEVELS[0]).histogram
         if rough.gathering.lobed:
-            # Coarse cells may miss lobes, and with them the pairs that have most of the light.
+            # Coarse elements may miss lobes, and with them the pairs that have most of the light.
             seen = seen + rough.gathered(np.full(groups, COARSE), 0, EDGE_LEVELS[0], matt=True).histogram
         whole, own = (seen.sum(axis=1) ** 2).sum(axis=1), (seen**2).sum(axis=2)
         places, stands_for = by_light(np.sqrt(np.column_stack([whole, own[:, 1:]])), wanted)
@@ -152,8 +152,8 @@ class Trial:
         self, cutting: Floats, levels: int, edge_levels: int | None = None, draw: Ints | None = None,
         matt: bool = False,
     ) -> Gathered:  # fmt: skip
-        """Their histograms with each group apart, such that squares add up to those of all pairs, and its cells and
-        rays. `cutting` and `draw` are (G,)."""
+        """Their histograms with each group apart, such that squares add up to those of all pairs, and its elements
+        and rays. `cutting` and `draw` are (G,)."""
         asked = levels, edge_levels
         if asked not in self.seen:
             self.seen[asked] = list(self.gathering.seen(self.pairs, levels, edge_levels))
@@ -174,11 +174,11 @@ class Trial:
 
 @dataclass(frozen=True)
 class Choice:
-    """The error that a cell of each group may make, and what that leaves.
+    """The error that an element of each group may make, and what that leaves.
 
     Attributes
     ----------
-    cutting : (G,) L2 error of a cell. tried, draw : (G,) the finer one of the trial's `histogram`, and its draw.
+    cutting : (G,) L2 error of an element. tried, draw : (G,) the finer one of the trial's `histogram`, and its draw.
     error, whole : L2 error and norm of the whole.
     still, own : (G,) of each group.
     held : (G,) which are held to an error of their own, or would be but for `TOO_DEAR`.
@@ -198,91 +198,141 @@ class Choice:
     histogram: Floats
 
 
+@dataclass
+class _Runs:
+    """What ever finer cuttings of a trial found, the coarsest one first.
+
+    Attributes
+    ----------
+    histograms, cuttings, cells, costs : of each run, those of each group.
+    finest : (G,) number of the finest run of each group: the last one, or the one it was settled with.
+    settled, dear : (G,) groups that are cut no further; and those that took more than `TOO_DEAR` in some run.
+    """
+
+    trial: Trial
+    histograms: list[Floats]
+    cuttings: list[Floats]
+    cells: list[Ints]
+    costs: list[Floats]
+    finest: Ints
+    settled: Bools
+    dear: Bools
+
+    @classmethod
+    def begun(cls, trial: Trial) -> _Runs:
+        """With surfaces cut by distance alone."""
+        groups = len(trial.scale)
+        coarse, none = np.full(groups, COARSE), np.zeros(groups, np.bool_)
+        found = trial.gathered(coarse, trial.levels)
+        costs = CELL * found.cells + CELL_RAY * found.rays
+        return cls(trial, [found.histogram], [coarse], [found.cells], [costs], np.zeros(groups, np.int64), none, none)
+
+    def light_to_cut_for(self) -> Floats:
+        """(n, G, T) the most that the coarsest cutting finds of each group, however its rays fall."""
+        groups, scale, draw = len(self.finest), self.histograms[0], 1
+        # One ray for a whole face may miss what it sees of it.
+        while draw < LOOKS and not _norms(scale).all():
+            again = self.trial.gathered(np.full(groups, COARSE), self.trial.levels, draw=np.full(groups, draw))
+            scale, draw = np.maximum(scale, again.histogram), draw + 1
+        if self.trial.gathering.lobed:
+            # What coarse elements find of lobes may be a millionth of their light, and no measure of how fine to
+            # begin; nor is what matt surfaces would bring: it may be a million times as much.
+            matt = self.trial.gathered(np.full(groups, COARSE), self.trial.levels, matt=True).histogram
+            scale = np.maximum(scale, matt)
+        return scale
+
+    def refine(self, cutting: Floats) -> None:
+        """Add a run with a finer cutting (G,); settled groups stay as they are."""
+        # Points drawn anew: where clusters stay as they are, runs would else agree in what chance made of them.
+        draw, settled = np.full(len(cutting), len(self.histograms)), self.settled
+        found = self.trial.gathered(np.where(settled, np.inf, cutting), self.trial.levels, draw=draw)
+        found.histogram[:, settled] = self.histograms[-1][:, settled]
+        self.histograms.append(found.histogram)
+        self.cuttings.append(np.where(settled, self.cuttings[-1], cutting))
+        self.cells.append(np.where(settled, self.cells[-1], found.cells))
+        self.costs.append(np.where(settled, self.costs[-1], CELL * found.cells + CELL_RAY * found.rays))
+        self.dear = self.dear | (found.cells + found.rays > TOO_DEAR * len(self.trial.pairs))
+        self.finest[~settled] = len(self.histograms) - 1
+
+    def tell_of_error(self, in_scale: Floats) -> Bools:
+        """(G,) whether a difference between runs tells of the error: a finer run took markedly more work, is not
+        among the first, and let no element be wrong by more than there is (G,)."""
+        sure = (self.finest >= SURE) & (self.cuttings[-1] <= in_scale)
+        grown = GROWN * np.array(self.cells[:-1]) <= self.cells[-1]
+        compared = np.minimum(np.arange(len(self.cells))[:, None], self.finest - 1)
+        return np.asarray(grown[compared, np.arange(len(self.finest))] & sure)
+
+    def levels(self, does: Bools, still: Floats, held: Bools, most: float) -> tuple[Ints, float]:
+        """(G,) the coarsest run of each group that does (n, G), one beyond the finest where none does; and the error
+        of the whole, for which groups are taken finer until it is within `most`."""
+        every, groups, beyond = np.arange(len(held)), len(held), self.finest + ~self.settled
+        level = np.minimum(np.argmax(np.vstack([does, np.ones(groups, np.bool_)]), axis=0), beyond)
+        # The finest that is known to have been too dear, or nearly.
+        level = np.where(held & self.dear, self.finest - 1, level)
+        error = _whole_error(self.histograms, level, self.finest)
+        while error > most:
+            left = np.where(level < beyond, still[np.minimum(level, self.finest), every], 0.0)
+            if groups * left.max() <= HELPS * most:
+                break
+            level[np.argmax(left)] += 1
+            error = _whole_error(self.histograms, level, self.finest)
+        return level, error
+
+
 def choose(trial: Trial, asked: Asked) -> Choice | None:
     """The coarsest cutting of each group that does, found with ever finer ones; None where none does within
     `max_lookins`, and where there is no light, which must be looked for harder."""
-    groups = 1 + int(trial.group.max())
-    every, objects, settled = np.arange(groups), np.arange(groups) > 0, np.zeros(groups, np.bool_)
-    found = trial.gathered(np.full(groups, COARSE), trial.levels)
-    runs, cuttings, cells = [found.histogram], [np.full(groups, COARSE)], [found.cells]
-    costs = [CELL * found.cells + CELL_RAY * found.rays]
-    scale, draw = runs[0], np.ones(groups, np.int64)
-    # One ray for a whole face may miss what it sees of it.
-    while draw[0] < LOOKS and not _norms(scale).all():
-        scale = np.maximum(scale, trial.gathered(np.full(groups, COARSE), trial.levels, draw=draw).histogram)
-        draw += 1
-    if trial.gathering.lobed:
-        # What coarse cells find of lobes may be a millionth of their light, and no measure of how fine to begin;
-        # nor is what matt surfaces would bring: it may be a million times as much.
-        matt = trial.gathered(np.full(groups, COARSE), trial.levels, matt=True).histogram
-        scale = np.maximum(scale, matt)
-    whole, own = _norm(scale), _norms(scale)
+    groups = len(trial.scale)
+    every, objects, runs = np.arange(groups), np.arange(groups) > 0, _Runs.begun(trial)
+    light = runs.light_to_cut_for()
+    whole, own = _norm(light), _norms(light)
     if whole == 0.0:
         return None
     share = FIRST / math.sqrt(trial.weight.sum())
     cutting = share / FINER * np.maximum(own, UNSEEN * whole)
-    finest, dear = np.zeros(groups, np.int64), np.zeros(groups, np.bool_)
     while True:
         cutting = np.minimum(FINER * cutting, share * np.maximum(own, UNSEEN * whole))
         before = trial.work.cells + trial.work.rays
-        # Points drawn anew: where clusters stay as they are, runs would else agree in what chance made of them.
-        draw = np.full(groups, len(runs))
-        found = trial.gathered(np.where(settled, np.inf, cutting), trial.levels, draw=draw)
-        found.histogram[:, settled] = runs[-1][:, settled]
-        runs.append(found.histogram)
-        cuttings.append(np.where(settled, cuttings[-1], cutting))
-        cells.append(np.where(settled, cells[-1], found.cells))
-        costs.append(np.where(settled, costs[-1], CELL * found.cells + CELL_RAY * found.rays))
-        dear |= found.cells + found.rays > TOO_DEAR * len(trial.pairs)
-        finest[~settled] = len(runs) - 1
-        whole, own = _norm(runs[-1]), _norms(runs[-1])
+        runs.refine(cutting)
+        found, finest = runs.histograms[-1], runs.finest
+        whole, own = _norm(found), _norms(found)
         if whole == 0.0:
             return None
-        held = objects & (own > NEGLIGIBLE * whole) & (trial.energy(runs[-1]) >= asked.faint)
-        limit = np.where(held & ~dear, asked.part_target * own, np.inf)
-        still, last = _still(runs, finest), len(runs) > LEVELS
-        # Cells that may each be wrong by more than there is agree whatever they miss.
-        in_scale = (finest >= SURE) & (cuttings[-1] <= share / FINER * np.maximum(own, UNSEEN * whole))
-        grown = GROWN * np.array(cells[:-1]) <= cells[-1]
-        seen_through = grown[np.minimum(np.arange(len(runs))[:, None], finest - 1), every] & in_scale
-        counts = (held & ~dear) | (own > asked.target * whole)
-        known = seen_through | ~counts | last
-        does = (still <= WITHIN * limit) & known & ~(held & dear)
-        # One beyond the finest that was tried: none does.
-        level = np.minimum(np.argmax(np.vstack([does, np.ones(groups, np.bool_)]), axis=0), finest + ~settled)
-        # The finest that is known to have been too dear, or nearly.
-        level = np.where(held & dear, finest - 1, level)
-        error = _whole_error(runs, level, finest)
-        while error > WITHIN * asked.target * whole:
-            left = np.where(level < finest + ~settled, still[np.minimum(level, finest), every], 0.0)
-            if groups * left.max() <= HELPS * WITHIN * asked.target * whole:
-                break
-            level[np.argmax(left)] += 1
-            error = _whole_error(runs, level, finest)
-        level = np.where((level == finest) & counts & ~settled & ~_falls(runs, finest), finest + 1, level)
-        enough = error <= WITHIN * asked.target * whole
-        if enough and (level <= finest).all():
-            chosen = np.stack([runs[n][:, k] for k, n in enumerate(level)], axis=1)
-            tried = np.array(cuttings)
-            most = max(WITHIN * asked.target * whole / max(error, TINY) * l2_norm(still[level, every]), TINY)
-            coarser, left = _cheapest(tried, still, np.array(costs), level, finest, WITHIN * limit, most)
+        held = objects & (own > NEGLIGIBLE * whole) & (trial.energy(found) >= asked.faint)
+        limit = np.where(held & ~runs.dear, asked.part_target * own, np.inf)
+        still, last = _still(runs.histograms, finest), len(runs.histograms) > LEVELS
+        # Groups too faint to matter need not be known.
+        counts = (held & ~runs.dear) | (own > asked.target * whole)
+        known = runs.tell_of_error(share / FINER * np.maximum(own, UNSEEN * whole)) | ~counts | last
+        does = (still <= WITHIN * limit) & known & ~(held & runs.dear)
+        most = WITHIN * asked.target * whole
+        level, error = runs.levels(does, still, held, most)
+        unsure = (level == finest) & counts & ~runs.settled & ~_falls(runs.histograms, finest)
+        level = np.where(unsure, finest + 1, level)
+        if error <= most and (level <= finest).all():
+            chosen = np.stack([runs.histograms[n][:, k] for k, n in enumerate(level)], axis=1)
+            # Together groups may be wrong by as much more as the whole has room for.
+            room = max(most / max(error, TINY) * l2_norm(still[level, every]), TINY)
+            tried = np.array(runs.cuttings)
+            coarser, left = _cheapest(tried, still, np.array(runs.costs), level, finest, WITHIN * limit, room)
             error *= l2_norm(left) / max(l2_norm(still[level, every]), TINY)
             return Choice(coarser, tried[level, every], level, error, whole, left, own, held, limit, chosen)
         work = trial.work.cells + trial.work.rays
+        # The next run takes as much more as elements are finer.
         beyond = work + (work - before) / FINER > trial.gathering.task.accuracy.max_lookins * len(trial.pairs)
         if last or beyond:
             return None
         # What does already is not cut further, unless the whole still wants it.
         waits = math.sqrt(groups) * still[finest, every] > SETTLED * asked.target * whole
-        settled |= (level <= finest) & (enough | ~waits)
-        settled &= not settled.all()
+        settled = runs.settled | ((level <= finest) & ((error <= most) | ~waits))
+        runs.settled = settled & ~settled.all()
 
 
 @dataclass(frozen=True)
 class Quartering:
-    """How often even pixels are quartered, and those at edges; the L2 error of the patches of the ones and the
+    """How often even pixels are quartered, and those at edges; the L2 error of the footprints of the ones and the
     points of the others, in the whole and (G,) in each group; and `gain`, the L2 norm of the light by which these
-    patches differ from those that the cutting was chosen with."""
+    footprints differ from those that the cutting was chosen with."""
 
     levels: int
     edge_levels: int
@@ -292,7 +342,7 @@ class Quartering:
 
 
 def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quartering | None:
-    """As seldom as will do; None where that leaves no room for the patches of all `pixels`."""
+    """As seldom as will do; None where that leaves no room for the footprints of all `pixels`."""
     at_edge = trial.gathering.at_edge[trial.pairs[:, 1]]
     edges, even = trial.some(at_edge), trial.some(~at_edge)
     most, limits = PATCHES_SHARE * asked.target * choice.whole, PATCHES_SHARE * choice.limit
@@ -303,7 +353,7 @@ def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quarteri
             runs[levels] = even.gathered(choice.tried, levels, draw=choice.draw).histogram
         return runs[levels]
 
-    # Of a surface that is close before a pixel the finest patches may be too large, too.
+    # Of a surface that is close before a pixel the finest footprints may be too large, too.
     finest, still, of_parts = trial.levels, 0.0, np.zeros(len(limits))
     while finest > 0:
         change = FROM_LARGER * (at(finest) - at(finest - 1))
@@ -328,8 +378,8 @@ def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quarteri
 
 
 def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tuple[int, float, Floats]:
-    """How often pixels at edges are quartered: until the error of their points fits beside that of cells, or there is
-    no room for more; and that error. Their histograms at the fewest levels are `finer`."""
+    """How often pixels at edges are quartered: until the error of their points fits beside that of elements, or there
+    is no room for more; and that error. Their histograms at the fewest levels are `finer`."""
     level, at_edge = edges.gathering.edge_levels(), int(edges.gathering.at_edge.sum())
     if len(edges.pairs) == 0:
         return level, 0.0, np.zeros(len(choice.own))

@@ -1,4 +1,4 @@
-"""When the light of a cell arrives: the exact distribution over time bins of a triangle's linear arrival time.
+"""When the light of an element arrives: the exact distribution over time bins of a triangle's linear arrival time.
 
 Over a triangle whose arrival time and weight vary linearly, the share of light that has come by time x is closed: the
 part of the triangle before x is, up to the middle vertex, a triangle similar in kind at the earliest vertex, and
@@ -16,7 +16,8 @@ from datagen.records.arrays import Floats
 @compiled()
 def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float, float]:
     """Arrival times at the vertices, such that those of the triangle have the same mean and a variance larger by so
-    much: light that is spread once more, as by a patch of a pixel, whose own spread is short of the triangle's."""
+    much: light that is spread once more, as by a footprint of a pixel, whose own spread is short of the
+    triangle's."""
     mean = (a + b + c) / 3.0
     own = ((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2) / 12.0
     stretch, half = math.sqrt(1.0 + variance / own), math.sqrt(6.0 * (variance + own))

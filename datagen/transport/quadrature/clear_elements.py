@@ -1,4 +1,4 @@
-"""Cells that nothing can hide, on diffuse surfaces: most of a room, and so many of them at once.
+"""Elements that nothing can hide, on diffuse surfaces: most of a room, and so many of them at once.
 
 They need no candidates and no rays, only arithmetic, and what becomes of one does not depend on the others. So they
 wait on a stack of their own, and up to `WIDE` of them are taken from it together: their middles, the light there and
@@ -18,21 +18,23 @@ from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.geometry import air, half, less
 from datagen.transport.quadrature.arrival_times import pour, tent, widened
 from datagen.transport.quadrature.waiting import KEPT, push
-from datagen.transport.quadrature.weights import outside, smeared, verdict
+from datagen.transport.quadrature.weights import AT_ONCE, outside, smeared, verdict
+from datagen.transport.visibility.bvh import SMALLEST
 
 WIDE = 64
-"""Cells taken together."""
+"""Elements taken together."""
 MOST_CLEAR = 1 << 12
-"""Cells that come to the stack; those cut from them find room behind."""
+"""Elements that come to the stack; those cut from them find room behind."""
 CLEAR_ROOM = MOST_CLEAR + 256 * WIDE
 MOST_QUARTERED = 256
-"""Cells up to which more are taken before those whose patches are to be quartered are looked at."""
-# A batch holds of `WIDE` cells, one number after the other: what waits on the stack, which is three vertices with
-# light and path (15), the area, the triangle, the patch, how many times as large as itself that stands for, and the
-# product of the BRDFs; the triangle's normal, the patch's place, normal and footprint; a point, and w, R₁ and R₂
-# there; the longest side and which it is; what the patch makes of light, its size, whether it has quarters, the legs
-# to the device if they count, the sides of the patch and its direction to the device; verdict and bend; the
-# energy, and the seven numbers of its tent. As np.int64, because numba compiles a function anew for each plain int.
+"""Elements up to which more are taken before those whose footprints are to be quartered are looked at."""
+# A batch holds of `WIDE` elements, one number after the other: what waits on the stack, which is three vertices with
+# light and path (15), the area, the triangle, the footprint, how many times as large as itself that stands for, and
+# the product of the BRDFs; the triangle's normal, the footprint's place, normal and footprint; a point, and w, R₁ and
+# R₂ there; the longest side and which it is; what the footprint makes of light, its size, whether it has quarters,
+# the legs to the device if they count, the sides of the footprint and its direction to the device; verdict and bend;
+# the energy, and the seven numbers of its tent. As np.int64, because numba compiles a function anew for each plain
+# int.
 FIRST, SECOND, THIRD = map(np.int64, (0, 5, 10))
 AREA, OF, PATCH, SHARE, BRDF, STACKED = 15, 16, 17, 18, 19, 20
 NORMAL, SEEN_FROM, NORMAL3, FOOTPRINT, POINT, LIGHT, LONG = map(np.int64, (20, 23, 26, 29, 30, 33, 36))
@@ -48,7 +50,8 @@ def room_for_clear() -> tuple[Floats, Floats, Floats]:
 
 @compiled()
 def put_clear(clear, waiting, cell, k, f, q, lit_from, kind2, values2, seen_from):  # type: ignore[no-untyped-def]
-    """Waiting cell k, on triangle f and seen from patch q, as the last on the stack; returns how many wait there.
+    """Waiting element k, on triangle f and seen from footprint q, as the last on the stack; returns how many wait
+    there.
 
     As many as before where it is full, one of the path's three surfaces is not diffuse, or an end of it faces away
     from the device; `lit_from` and `seen_from` are those of `weights.weight`.
@@ -89,13 +92,13 @@ def light_at_points(batch, count, x, n1, attenuation):  # type: ignore[no-untype
 
 @compiled()
 def _at(batch, row, j):  # type: ignore[no-untyped-def]
-    """Three numbers of cell j, from a row on."""
+    """Three numbers of element j, from a row on."""
     return (batch[row * WIDE + j], batch[(row + 1) * WIDE + j], batch[(row + 2) * WIDE + j])
 
 
 @compiled()
 def _middles(batch, count):  # type: ignore[no-untyped-def]
-    """The middles of the cells of a batch as its points, and their longest sides."""
+    """The middles of the elements of a batch as its points, and their longest sides."""
     for j in range(min(count, WIDE)):
         a, b, c = _at(batch, FIRST, j), _at(batch, SECOND, j), _at(batch, THIRD, j)
         u, v, w = less(b, a), less(c, b), less(a, c)
@@ -109,7 +112,7 @@ def _middles(batch, count):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-untyped-def]
-    """What becomes of the cells of a batch whose light in the middle is known."""
+    """What becomes of the elements of a batch whose light in the middle is known."""
     per_metre, attenuation, opens, closes = clock.per_metre, clock.attenuation, clock.opens, clock.closes
     for j in range(min(count, WIDE)):
         z, n3 = _at(batch, SEEN_FROM, j), _at(batch, NORMAL3, j)
@@ -117,16 +120,13 @@ def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-un
         above1 = max(dot(less(a, x), n1), dot(less(b, x), n1), dot(less(c, x), n1))
         above3 = max(dot(less(a, z), n3), dot(less(b, z), n3), dot(less(c, z), n3))
         w = max(batch[LIGHT * WIDE + j], batch[3 * WIDE + j], batch[8 * WIDE + j], batch[13 * WIDE + j])
-        unseen = outside(
-            batch[4 * WIDE + j], batch[9 * WIDE + j], batch[14 * WIDE + j],
-            batch[(LIGHT + 1) * WIDE + j] + batch[(LIGHT + 2) * WIDE + j], batch[LEGS * WIDE + j],
-            batch[SIZE * WIDE + j], opens, closes,
-        )  # fmt: skip
+        paths = (batch[4 * WIDE + j], batch[9 * WIDE + j], batch[14 * WIDE + j])
+        r1, r3, size = batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j], batch[SIZE * WIDE + j]
+        unseen = outside(paths, r1 + r3, batch[LEGS * WIDE + j], size, opens, closes)
+        view = (batch[GAIN * WIDE + j], batch[FOOTPRINT * WIDE + j], size, batch[QUARTERS * WIDE + j] > 0.0)
         cut, quarter, over, bend = verdict(
-            batch[4 * WIDE + j], batch[9 * WIDE + j], batch[14 * WIDE + j], batch[AREA * WIDE + j], w,
-            batch[LONG * WIDE + j], batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j],
-            batch[GAIN * WIDE + j], batch[FOOTPRINT * WIDE + j], batch[SIZE * WIDE + j], limit, 1.0, allowed,
-            batch[QUARTERS * WIDE + j] > 0.0, per_metre, attenuation, unseen,
+            paths, (batch[AREA * WIDE + j], w), (batch[LONG * WIDE + j], r1, r3), view, (limit, 1.0, allowed),
+            (per_metre, attenuation), unseen,
         )  # fmt: skip
         becomes = CUT if cut else SPREAD
         becomes = QUARTERED if quarter else becomes
@@ -136,8 +136,8 @@ def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-un
 
 
 @compiled()
-def _tents(batch, count, per_metre, start, at_once):  # type: ignore[no-untyped-def]
-    """How the light of the cells of a batch arrives, as if each were spread."""
+def _tents(batch, count, per_metre, start):  # type: ignore[no-untyped-def]
+    """How the light of the elements of a batch arrives, as if each were spread."""
     for j in range(min(count, WIDE)):
         wa, wb, wc = batch[3 * WIDE + j], batch[8 * WIDE + j], batch[13 * WIDE + j]
         energy = batch[GAIN * WIDE + j] * batch[AREA * WIDE + j]
@@ -150,7 +150,7 @@ def _tents(batch, count, per_metre, start, at_once):  # type: ignore[no-untyped-
         side, other = _at(batch, ACROSS, j), _at(batch, ACROSS + 3, j)
         variance = smeared(d3, batch[(LIGHT + 2) * WIDE + j], to_sensor, side, other) * per_metre * per_metre
         wide_a, wide_b, wide_c = widened(a, b, c, variance)
-        large = batch[SIZE * WIDE + j] * per_metre > at_once
+        large = batch[SIZE * WIDE + j] * per_metre > AT_ONCE
         a, b, c = wide_a if large else a, wide_b if large else b, wide_c if large else c
         shape = tent(a, b, c, wa, wb, wc, energy)
         batch[ENERGY * WIDE + j] = energy
@@ -159,8 +159,8 @@ def _tents(batch, count, per_metre, start, at_once):  # type: ignore[no-untyped-
 
 
 @compiled()
-def _taken(clear, first, count, batch, normal, p, lit, leg1, device, patches):  # type: ignore[no-untyped-def]
-    """Take cells from the stack, `first` and those behind, into a batch."""
+def _taken(clear, first, count, batch, normal, p, lit, device, patches):  # type: ignore[no-untyped-def]
+    """Take elements from the stack, `first` and those behind, into a batch."""
     position3, normal3, to_sensor3, across3 = patches.position, patches.normal, patches.to_sensor, patches.across
     weight3, footprint3, size3, leg3, quarters3 = (
         patches.weight, patches.footprint, patches.size, patches.leg, patches.quarters
@@ -178,33 +178,32 @@ def _taken(clear, first, count, batch, normal, p, lit, leg1, device, patches):  
             )
             batch[(TO_SENSOR + i) * WIDE + j] = to_sensor3[p, q, i] if device else 0.0
         batch[FOOTPRINT * WIDE + j], batch[SIZE * WIDE + j] = footprint3[p, q], size3[p, q]
-        batch[GAIN * WIDE + j] = lit * weight3[p, q] * clear[first + j, SHARE]
+        batch[GAIN * WIDE + j] = lit.power * weight3[p, q] * clear[first + j, SHARE]
         batch[QUARTERS * WIDE + j] = 1.0 if quarters3[q, 0] >= 0 else 0.0
-        batch[LEGS * WIDE + j] = leg1 + leg3[p, q] if device else 0.0
+        batch[LEGS * WIDE + j] = lit.leg + leg3[p, q] if device else 0.0
 
 
-@compiled()
-def spread_clear(  # type: ignore[no-untyped-def]
-    clear, waiting, batch, cuts, normal, x, n1, lit, leg1, p, patches, limit, allowed, clock, at_once, smallest,
-    histogram, into, tag, cell, free,
-):  # fmt: skip
-    """Take `waiting` cells from their stack, cut them and add their light to a histogram.
+@compiled(_nrt=False, no_cpython_wrapper=True)
+def spread_clear(room, waiting, scan, lit, p, allowed, histogram, into, free):  # type: ignore[no-untyped-def]
+    """Take `waiting` elements from their stack, cut them and add their light to row `into` of a histogram.
 
-    x, n1, lit, leg1 : the laser point, its normal, power and leg. p : the row of `patches`.
+    lit : the laser point. p : the row of footprints. allowed : L2 error that an element may make, photons.
 
-    Returns how many wait there still, how many cells were spread, the light outside the window, and how many cells
-    wait now in `cell` to be seen from quarters of their patches, each with its candidates from `free` on: where these
-    are `MOST_QUARTERED`, no more are taken.
+    Returns how many wait there still, how many elements were spread, the light outside the window, and how many
+    wait now in `room.cell` to be seen from quarters of their footprints, each with its candidates from `free` on:
+    where these are `MOST_QUARTERED`, no more are taken.
     """
+    clear, batch, cuts, tag, cell = room.clear, room.batch, room.cuts, room.tag, room.cell
+    x, n1, clock, smallest = lit.x, lit.normal, scan.clock, SMALLEST * scan.tree.extent
     cells, lost, top = 0, 0.0, 0
     while waiting > 0 and top < MOST_QUARTERED:
         count = min(waiting, WIDE)
         waiting -= count
-        _taken(clear, waiting, count, batch, normal, p, lit, leg1, clock.device, patches)
+        _taken(clear, waiting, count, batch, scan.tree.normal, p, lit, clock.device, scan.patches)
         _middles(batch, count)
         light_at_points(batch, count, x, n1, clock.attenuation)
-        _verdicts(batch, count, x, n1, limit, allowed, clock)
-        _tents(batch, count, clock.per_metre, clock.start, at_once)
+        _verdicts(batch, count, x, n1, scan.cutting.coarsest, allowed, clock)
+        _tents(batch, count, clock.per_metre, clock.start)
         halves = 0
         for j in range(min(count, WIDE)):
             what = batch[VERDICT * WIDE + j]
@@ -230,7 +229,7 @@ def spread_clear(  # type: ignore[no-untyped-def]
                     cell[top, i] = batch[i * WIDE + j]
                 cell[top, 16], cell[top, 17] = batch[SHARE * WIDE + j], 0.0
                 f, q = int(batch[OF * WIDE + j]), int(batch[PATCH * WIDE + j])
-                top = push(tag, top, KEPT, f, q, free, free, free)
+                top = push(tag, top, KEPT, f, q, (free, free, free))
         light_at_points(cuts, np.int64(halves), x, n1, clock.attenuation)
         for k in range(min(halves, WIDE)):
             j = int(cuts[k])

@@ -16,7 +16,7 @@ from datagen.transport.sampling import mix
 from datagen.transport.visibility.bvh import one_of
 
 COARSEST = 0.8
-"""Largest cell or patch, relative to its distance."""
+"""Largest element or footprint, relative to its distance."""
 CLUTTERED = 0.5
 """Error of a cluster whose normals go everywhere, relative to its light: of that much it may hide itself."""
 PLACES, NORMALS, ALONG_X, ALONG_Y, ALONG_Z = map(np.int64, (3, 9, 20, 26, 32))
@@ -60,14 +60,14 @@ def facing_at_most(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-u
 
 @compiled()
 def as_one(moment, k, x, z, sides, diffuse, keen, per_metre):  # type: ignore[no-untyped-def]
-    """A cluster as one cell, all of it at the middle of its light.
+    """A cluster as one element, all of it at the middle of its light.
 
     keen : 1/width² of the narrowest lobe on the path. per_metre : bins.
 
     Returns that place; a normal there, and what to multiply its light with; the error that this has beside that of a
-    triangle's cell, relative to the light; the size that a triangle's longest side would have; by how much the mean
-    path is longer than by way of the place; and half of how far the paths spread, as those of a triangle with their
-    variance.
+    triangle's element, relative to the light; the size that a triangle's longest side would have; by how much the
+    mean path is longer than by way of the place; and half of how far the paths spread, as those of a triangle with
+    their variance.
 
     For points y = c + δ with normals n the light goes with (n·d₁)(n·d₃), d₁ = y − x, d₃ = y − z. To first order in δ
     its mean is d₁ᵀ⟨n nᵀ⟩d₃ + ⟨(n·δ)(n·(d₁ + d₃))⟩ with d₁, d₃ those of c, and its middle d₁ᵀ⟨n nᵀ δ⟩d₃ beside c. That

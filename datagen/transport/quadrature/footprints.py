@@ -1,8 +1,8 @@
-"""A pixel's patch of wall as a tree: the whole, its quarters, theirs, each by the point in its middle.
+"""A pixel's footprint of wall as a tree: the whole, its quarters, theirs, each by the point in its middle.
 
-Where a pixel sees more than one surface, or past an edge, its finest patches are points of a (0, 2)-net instead, one
-in each: what lies on which side of an edge is then known nearly as well as their number allows, also where the edge
-runs along their rows (Niederreiter, "Random Number Generation and Quasi-Monte Carlo Methods" (1992), ch. 4).
+Where a pixel sees more than one surface, or past an edge, its finest footprints are points of a (0, 2)-net instead,
+one in each: what lies on which side of an edge is then known nearly as well as their number allows, also where the
+edge runs along their rows (Niederreiter, "Random Number Generation and Quasi-Monte Carlo Methods" (1992), ch. 4).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from datagen.transport.sampling import scrambled_sobol, stream_seeds
 from datagen.transport.visibility.raycast import Raycaster
 
 BENT = 0.02
-"""1 − cosine between the normals of a patch and its quarters from which its middle does not stand for it."""
+"""1 − cosine between the normals of a footprint and its quarters from which its middle does not stand for it."""
 LEAST_SIZE = 1e-9
 LOOKS, MOST_LOOKS = range(1, 4), 1 << 16
 """How often pixels are quartered to see whether they hold an edge: as often as leaves no more than so many lines of
@@ -28,7 +28,7 @@ sight of all of them, for what is small in one of many pixels is little light.""
 
 
 class Patches(NamedTuple):
-    """Q = 1 + 4 + 16 + … patches for each of P pixels.
+    """Q = 1 + 4 + 16 + … footprints for each of P pixels.
 
     Attributes
     ----------
@@ -36,15 +36,15 @@ class Patches(NamedTuple):
         Where its line of sight meets nothing, that of one of its quarters.
     part : (P, Q) part index, −1 where the line of sight meets nothing.
     weight : (P, Q) effective aperture × solid angle, m² sr, and what air leaves on the way to the sensor.
-    most : (P, Q) what that is at most in any patch within it, for as much of the pixel.
+    most : (P, Q) what that is at most in any footprint within it, for as much of the pixel.
     footprint : (P, Q) its area, m².
     leg : (P, Q) distance to the sensor, m.
     size : (P, Q) how far it reaches, m.
     across : (P, Q, 2, 3) from side to side of it, along the pixel's two directions, m.
     uneven : (P, Q) whether its quarters lie on other surfaces than its middle.
-    quarters : (Q, 4) patches, −1 for the finest.
-    share : (Q,) of its pixel, 4^−level: how much of the error that a cell may make it may make seen from there, for
-        what it is wrong by for one patch it is wrong by for the next.
+    quarters : (Q, 4) footprints, −1 for the finest.
+    share : (Q,) of its pixel, 4^−level: how much of the error that an element may make it may make seen from there,
+        for what it is wrong by for one footprint it is wrong by for the next.
     """
 
     position: Floats
@@ -110,7 +110,7 @@ class Patches(NamedTuple):
         cosine = np.einsum("pqik,pqk->pqi", normal[:, below], normal[:, inner])
         other = (part[:, below] != part[:, inner, None]) | ((cosine < 1 - BENT) & (part[:, below] >= 0))
         uneven[:, inner] = other.any(axis=2)
-        # A patch that is even but whose quarters are not, is not; level by level, the last first.
+        # A footprint that is even but whose quarters are not, is not; level by level, the last first.
         for level in reversed(by_level):
             uneven[:, level] |= uneven[:, quarters[level]].any(axis=2)
         share = np.repeat([4.0**-level for level in range(len(pools))], [pool.part.shape[1] for pool in pools])
@@ -133,7 +133,7 @@ def at_edges(caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones)
 
 
 def _middles(level: int, pixels: int) -> Floats:
-    """(P, 4^level, 2) the middle of each patch, row by row."""
+    """(P, 4^level, 2) the middle of each footprint, row by row."""
     side = 1 << level
     knots = (np.arange(side) + 0.5) / side
     uv = np.stack([np.tile(knots, side), np.repeat(knots, side)], axis=1)
@@ -155,7 +155,7 @@ def _across(pool: FovPool, corner: Floats, uv: Floats) -> Floats:
 
 
 def _net(level: int, seeds: NDArray[np.uint64]) -> Floats:
-    """(P, 4^level, 2) points of a net, one in each patch, row by row; one seed a pixel."""
+    """(P, 4^level, 2) points of a net, one in each footprint, row by row; one seed a pixel."""
     side = 1 << level
     points = scrambled_sobol(seeds, side * side, 2)
     column, row = np.moveaxis((points * side).astype(np.int64), 2, 0)
@@ -163,7 +163,7 @@ def _net(level: int, seeds: NDArray[np.uint64]) -> Floats:
 
 
 def _quarters(levels: int) -> Ints:
-    """(Q, 4) the four patches of the next level within each, row by row; −1 at the last."""
+    """(Q, 4) the four footprints of the next level within each, row by row; −1 at the last."""
     first = [(4**level - 1) // 3 for level in range(levels + 2)]
     quarters = np.full((first[-1], 4), -1)
     for level in range(levels):

@@ -15,7 +15,8 @@ from datagen.seeding import LightStream
 from datagen.transport.path_tracing.trace import WalkTask
 from datagen.transport.quadrature.clusters import COARSEST
 from datagen.transport.quadrature.footprints import Patches, at_edges
-from datagen.transport.quadrature.three_bounce_kernel import AT_ONCE, gather, room_to_gather
+from datagen.transport.quadrature.three_bounce_kernel import Room, gather
+from datagen.transport.quadrature.weights import AT_ONCE
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.visibility.bvh import Hierarchy
 from datagen.transport.visibility.occluder_rows import Occluders
@@ -26,8 +27,8 @@ LEVELS, SIZED, TINY = (1, 5), 64, 1e-4
 the scene and to the narrowest lobe, up to which they are points."""
 PATCHES_AT_ONCE = 1 << 17
 EDGE_LEVELS, MOST_AT_EDGES = range(2, 6), 1 << 14
-"""How often pixels that see more than one surface are quartered: as often as leaves no more than so many patches of
-all of them, for what one has too much others lack."""
+"""How often pixels that see more than one surface are quartered: as often as leaves no more than so many footprints
+of all of them, for what one has too much others lack."""
 
 
 class Lasers(NamedTuple):
@@ -46,11 +47,11 @@ class Cutting(NamedTuple):
 
     Attributes
     ----------
-    error : (K,) L2 error in a histogram, in photons, up to which a cell of each part is left as it is.
+    error : (K,) L2 error in a histogram, in photons, up to which an element of each part is left as it is.
     sharp : (K,) 1/width² of each part's narrowest lobe, 1 for a matt surface.
     peak : (K,) largest value of each part's BRDF, 1/sr, but for its cosines.
-    coarsest : largest cell, relative to its distance.
-    rays_on_last_leg : whether it is asked what stands between a cell and the pixel.
+    coarsest : largest element, relative to its distance.
+    rays_on_last_leg : whether it is asked what stands between an element and the pixel.
     proofs : whether rays are saved where it is proven that nothing can stand in their way.
     seed : (K,) of the points of each part that stand for clusters of small triangles.
     """
@@ -76,6 +77,37 @@ class Clock(NamedTuple):
     closes: float
 
 
+class Scan(NamedTuple):
+    """All that the compiled loop reads: surfaces, what hides them, laser points, footprints, (K,) kinds and (K, n)
+    numbers of BRDFs, how finely to cut, and the clock."""
+
+    tree: Hierarchy
+    occluders: Occluders
+    lasers: Lasers
+    patches: Patches
+    kind: Ints
+    values: Floats
+    cutting: Cutting
+    clock: Clock
+
+
+class Tally(NamedTuple):
+    """All that the compiled loop writes.
+
+    Attributes
+    ----------
+    row_of_pair, row_of_part : (n,) first row of each pair, to which (K,) is added for each part.
+    histogram, overflow : (rows, T) and (rows,) photons within the window and outside.
+    work : (K, 2) elements that were spread and rays that were asked.
+    """
+
+    row_of_pair: Ints
+    row_of_part: Ints
+    histogram: Floats
+    overflow: Floats
+    work: Ints
+
+
 @dataclass(frozen=True)
 class Gathered:
     """What some pairs receive.
@@ -95,7 +127,7 @@ class Gathered:
 
 @dataclass(frozen=True)
 class Seen:
-    """Pairs whose pixels' patches are cut alike.
+    """Pairs whose pixels' footprints are cut alike.
 
     which : (n,) which of the pairs asked for. pairs : (n, 2) laser point and row of `patches`.
     """
@@ -120,7 +152,7 @@ class Gathering:
     at_edge: Bools
     """(P,) pixels that see more than one surface, or past one."""
     coarsest: float = COARSEST
-    """Largest cell, relative to its distance."""
+    """Largest element, relative to its distance."""
 
     @classmethod
     def of(cls, task: WalkTask) -> Gathering:
@@ -150,7 +182,7 @@ class Gathering:
         return bool(self.task.materials.kind.any())
 
     def levels(self) -> int:
-        """How often even pixels are quartered at most: once more than leaves patches of a bin."""
+        """How often even pixels are quartered at most: once more than leaves footprints of a bin."""
         even = np.flatnonzero(~self.at_edge)
         size = float(patches_of(self.task, even[:: len(even) // SIZED + 1], 0).size.max(initial=0.0))
         if size * self.clock.per_metre <= AT_ONCE and size <= TINY * self.tree.extent * self.width.min():
@@ -180,7 +212,7 @@ class Gathering:
     ) -> Gathered:  # fmt: skip
         """The light of some pairs of laser point and pixel, with each part in its row.
 
-        error : (K,) L2 error that a cell of each part may make, photons; infinite for parts to be left out.
+        error : (K,) L2 error that an element of each part may make, photons; infinite for parts to be left out.
         draw : (K,) number of the draw of each part's random points, zeros if nothing is said.
         matt : as if every surface followed Lambert's law with its albedo.
         """
@@ -195,13 +227,13 @@ class Gathering:
             error, sharp, self.peak, self.coarsest, task.accuracy.occlusion != "off",
             task.accuracy.occlusion == "auto", seed.astype(np.int64),
         )  # fmt: skip
-        room = room_to_gather()
+        room = Room.new()
         for some in seen:
-            gather(
-                some.pairs, some.which, self.tree, self.occluders, self.lasers, some.patches, materials.kind,
-                materials.values, cutting, self.clock, row_of_part * len(pairs), histogram, overflow, work,
-                *room,
+            scan = Scan(
+                self.tree, self.occluders, self.lasers, some.patches, materials.kind, materials.values, cutting,
+                self.clock,
             )  # fmt: skip
+            gather(some.pairs, scan, Tally(some.which, row_of_part * len(pairs), histogram, overflow, work), room)
         # Row by row, so that each is one piece of memory.
         of_rows = histogram.reshape(rows, len(pairs), task.capture.time.bins)
         return Gathered(

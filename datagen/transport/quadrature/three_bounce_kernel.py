@@ -1,19 +1,23 @@
-"""The primary of one laser point and pixel: surfaces cut into cells, each of them spread over its arrival times.
+"""The primary of one laser point and pixel: surfaces cut into elements, each of them spread over its arrival times.
 
-A cell is a triangle, or a cluster of small ones. Its energy is exact for weights (`weights`) of second degree (three
-quarters of the middle and a quarter of the vertices), its weights are taken as linear and its arrival times too,
-moved so that their mean is that of second degree.
+A surface element is a triangle, or a cluster of small ones. Its energy is exact for weights (`weights.py`) of second
+degree (three quarters of the middle and a quarter of the vertices), its weights are taken as linear and its arrival
+times too, moved so that their mean is that of second degree.
+
+`gather` goes through all pairs; `_gather_part` takes one box of the BVH or one element after another from a stack,
+decides with the steps below it what becomes of it, and puts what is left of it back.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, dot
+from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, Vector, dot
 from datagen.transport.geometry import above, ball, corner, distance, get, half, less
 from datagen.transport.quadrature.arrival_times import spread, widened
 from datagen.transport.quadrature.clear_elements import put_clear, room_for_clear, spread_clear
@@ -41,11 +45,12 @@ from datagen.transport.quadrature.waiting import (
     vertex_of,
 )
 from datagen.transport.quadrature.weights import (
+    AT_ONCE,
     OUTSIDE,
     brightest,
-    judged,
     outside,
     smear,
+    verdict,
     weight,
     weight_at_most,
 )
@@ -55,36 +60,542 @@ from datagen.transport.visibility.closed_surfaces import inner_side, seen_from_o
 from datagen.transport.visibility.occlusion import LISTED, RING, hidden, lists, narrowed, shaded
 
 PARTLY, UNFOUND, MESH = (0.5, 0.05), 0.05, 256
-"""Error of a cell that one ray stands for, on a part of up to `MESH` triangles and on one of more, and of a cell of
-which three rays found nothing, relative to its light. Of large faces few cells are partly seen, and they are found
-by what is proven clear. Of a mesh nothing is proven, few cells are partly seen all the same, and they err to both
-sides, for rays go to random points: twice the second asks up to a third more rays, half of it about as many."""
+"""Error of an element that one ray stands for, on a part of up to `MESH` triangles and on one of more, and of an
+element of which three rays found nothing, relative to its light. Of large faces few elements are partly seen, and
+they are found by what is proven clear. Of a mesh nothing is proven, few elements are partly seen all the same, and
+they err to both sides, for rays go to random points: twice the second asks up to a third more rays, half of it about
+as many."""
 STILL_UNFOUND = 0.5
-"""What the latter is multiplied with for each larger cell about it of which no ray found anything either: what lies
-deep behind a mesh cannot be proven hidden, and is not searched as finely as an edge."""
+"""What the latter is multiplied with for each larger element about it of which no ray found anything either: what
+lies deep behind a mesh cannot be proven hidden, and is not searched as finely as an edge."""
 PLACES = 2.0**20
-"""Places along the scene whose cells have random points of their own."""
-AT_ONCE = 0.01
-"""Size of a patch, in bins, up to which all of it is reached at once."""
+"""Places along the scene whose elements have random points of their own."""
 TURNS, FEWEST = 16, 1 / 64
-"""Light up to which one quarter of a pixel stands for the others: relative to the error that a cell may make, and to
-what all of the part might bring."""
+"""Light up to which one quarter of a pixel stands for the others: relative to the error that an element may make, and
+to what all of the part might bring."""
+DROPPED, OPENED, QUARTERED, ONE_POINT, AS_ONE, CUT, CLEAR, SPREAD = range(8)
+"""What becomes of a box or element: it brings nothing; what is in the box is looked at; the footprint is quartered;
+one random point stands for the box; the box is one element; the element is halved; it waits with the clear ones;
+its light is spread."""
+STEP = {"forceinline": True, "_nrt": False, "no_cpython_wrapper": True}
+"""How the steps of `_gather_part` are compiled. Calls would cost more than many of them; without `_nrt=False` arrays
+are counted in and out of every function, a third of the time; and wrappers for callers in Python take most of the
+time of compiling."""
+
+
+class Lit(NamedTuple):
+    """A laser point: place, normal, the vertex of the path as `weight` has it, part, power and leg."""
+
+    x: Vector
+    normal: Vector
+    vertex: Any
+    part: int
+    power: float
+    leg: float
+
+
+class View(NamedTuple):
+    """A footprint q of row p, as one box or element is seen from it.
+
+    Attributes
+    ----------
+    p, q, z, normal, vertex : where it is; the vertex of the path as `weight` has it.
+    size, area, quarters : how far it reaches, m; its area, m²; and whether it has quarters.
+    gain : photons per unit of `weight` and hidden area.
+    may, alike : L2 error that one element may make, and that may be made if all footprints err alike, photons.
+    keen : 1/width² of the narrowest lobe on the path.
+    device : legs to the device, m, if they count.
+    word : of the points that stand for elements, with the place of each.
+    """
+
+    p: int
+    q: int
+    z: Vector
+    normal: Vector
+    vertex: Any
+    size: float
+    area: float
+    quarters: bool
+    gain: float
+    may: float
+    alike: float
+    keen: float
+    device: float
+    word: int
+
+
+class Element(NamedTuple):
+    """A triangle, or a cluster of them, that is judged.
+
+    Attributes
+    ----------
+    f : the triangle, or the cluster's box. m, n : its middle and its normal.
+    h, side : its longest side, m, and which that is.
+    w, r1, r3 : `weight` in the middle, and the ways from there to laser point and footprint.
+    tilt : largest angle of a normal with n.
+    rise1, rise3 : height of laser point and footprint above its plane; 1 for clusters.
+    unlike : error of a cluster beside that of a triangle, relative to its light.
+    cluster, inner : whether it is a cluster; and one that may turn inner sides of its solid to either end.
+    """
+
+    f: int
+    m: Vector
+    n: Vector
+    h: float
+    side: int
+    w: float
+    r1: float
+    r3: float
+    tilt: float
+    rise1: float
+    rise3: float
+    unlike: float
+    cluster: bool
+    inner: bool
+
+
+class Room(NamedTuple):
+    """What `gather` works in: tags and rows of what waits, lists of candidates, and `room_for_clear`."""
+
+    tag: Ints
+    cell: Floats
+    listed: Ints
+    clear: Floats
+    batch: Floats
+    cuts: Floats
+
+    @classmethod
+    def new(cls) -> Room:
+        """Room for any scene: each halving leaves one element more on the stack, each quartering three."""
+        return cls(np.empty((1024, 6), np.int64), np.empty((1024, 18)), lists(1 << 14), *room_for_clear())
+
+
+@compiled(_nrt=False)
+def gather(pairs, scan, tally, room):  # type: ignore[no-untyped-def]
+    """Add the primary of laser points and pixels to their histograms.
+
+    pairs : (n, 2) laser point and row of footprints of each. scan, tally : `Scan` and `Tally`. room : `Room`.
+    """
+    lasers, patches, strongest = scan.lasers, scan.patches, 0.0
+    for k in range(len(scan.cutting.peak)):
+        strongest = max(strongest, scan.cutting.peak[k])
+    for pair in range(len(pairs)):
+        i, p = pairs[pair, 0], pairs[pair, 1]
+        if lasers.part[i] < 0 or (patches.part[p, 0] < 0 and not patches.uneven[p, 0]):
+            continue
+        x, n, k1 = get(lasers.position, i, 0), get(lasers.normal, i, 0), lasers.part[i]
+        vertex = (x, n, get(lasers.to_laser, i, 0), scan.kind[k1], scan.values[k1])
+        lit = Lit(x, n, vertex, k1, lasers.power[i], lasers.leg[i])
+        # What hides an element from a confocal pixel hides it from its laser point, too.
+        apart = distance(x, corner(patches.position, p, 0)) > scan.occluders.flat
+        two_legs = scan.cutting.rays_on_last_leg and apart
+        for k in range(len(scan.tree.roots)):
+            if scan.cutting.error[k] < np.inf:
+                _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room)
+
+
+@compiled(_nrt=False, no_cpython_wrapper=True)
+def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # type: ignore[no-untyped-def]
+    """Add the light of part k to the histogram of one pair; p : its row of footprints.
+
+    What may stand between an element and laser point or footprint is among what may stand before all of the box or
+    element that it is cut from: each hands down its candidates, first … middle for the one and middle … last for the
+    other, and where none is left nothing is hidden. Elements hand down their vertices' light, too.
+    """
+    tree, patches, tag, cell = scan.tree, scan.patches, room.tag, room.cell
+    allowed, into = scan.cutting.error[k], tally.row_of_pair[pair] + tally.row_of_part[k]
+    row, root, some = tally.row_of_pair[pair], tree.roots[k], min(scan.occluders.triangles, 1)
+    turn = np.int64(word_of(scan.cutting.seed[k], row, k) >> np.uint64(8))
+    to_z, free = LISTED + some, LISTED + 2 * some
+    most, cells, rays, alight = np.inf, 0, 0, np.int64(0)
+    cell[0, 16], cell[0, 17] = 1.0, UNFOUND
+    top = push(tag, 0, BOX, root, 0, (LISTED, to_z, free if two_legs else to_z))
+    while top > 0 or alight > 0:
+        if top == 0:
+            # Clear elements wait until there are many, for they are worked off together.
+            alight, more, beyond, top = spread_clear(room, alight, scan, lit, p, allowed, tally.histogram, into, free)
+            cells, tally.overflow[into] = cells + more, tally.overflow[into] + beyond
+            continue
+        top -= 1
+        what, at, q = tag[top, 0], tag[top, 1], tag[top, 2]
+        candidates = (tag[top, 3], tag[top, 4], tag[top, 5])
+        uneven = patches.uneven[p, q] and patches.quarters[q, 0] >= 0
+        if patches.part[p, q] < 0 and not uneven:
+            continue
+        share = cell[top, 16]
+        if uneven:
+            # Its middle does not stand for the footprint, so no element can be judged from there.
+            at_most, halve, side = _brightest(scan, lit, p, q, what, at, cell, top, k, strongest)
+            if what == BOX and q == 0 and at == root:
+                most = at_most
+            if at_most < 0.0:
+                continue
+            # Whatever of the footprint is seen, its light is little: one quarter stands for it, and such elements
+            # take turns, so that what one has too much of its neighbours lack.
+            few = at_most <= min(TURNS * allowed, most * FEWEST)
+            turn += few and share == 1.0
+            if few or not halve:
+                only = _digit(turn, share) if few else -1
+                top = _quarter(scan, room, top, what, at, q, candidates, only)
+            elif what == BOX:
+                top = push_boxes(tag, cell, top, tree.children[at], q, candidates)
+            else:
+                y = half(vertex_of(cell, top, side), vertex_of(cell, top, (side + 1) % 3))
+                top = push_halves(room, top, side, (y, 0.0, 0.0), FRESH, at, q, candidates)
+            continue
+        view = _view(scan, lit, p, q, k, share, row)
+        becomes, cone = SPREAD, (0, (0.0, 0.0, 0.0), 1.0, False)
+        if what == BOX:
+            becomes, cone = _of_box(scan, lit, view, at, k)
+            if becomes == ONE_POINT:
+                counted, asked = _one_point(scan, lit, view, at, k, candidates, room.listed, tally, into)
+                cells, rays = cells + counted, rays + asked
+                continue
+            if becomes == DROPPED:
+                continue
+        if becomes == AS_ONE or what != BOX:
+            if becomes == AS_ONE:
+                element = _cluster_as_element(scan, lit, view, at, k, cone, cell, top)
+            else:
+                becomes = _light_at_vertices(scan, lit, view, what, at, k, candidates, room, top, alight)
+                alight += becomes == CLEAR
+                if becomes in (DROPPED, CLEAR):
+                    continue
+                element = _triangle_as_element(scan, lit, view, at, k, cell, top)
+            becomes, over, bend = _judge(scan, lit, view, element, k, cell, top)
+            if becomes == DROPPED:
+                continue
+            if becomes != QUARTERED:
+                becomes, asked = _look(scan, lit, view, element, k, becomes, over, candidates, room, top)
+                rays += asked
+                if becomes == DROPPED:
+                    continue
+                if becomes == CUT and not element.cluster:
+                    candidates = _narrow(scan, lit, view, element, candidates, room, top)
+        if becomes == QUARTERED:
+            top = _quarter(scan, room, top, what, at, q, candidates, -1)
+        elif what == BOX and becomes != SPREAD:
+            top = _open(scan, room, top, at, q, candidates)
+        elif becomes == CUT:
+            if element.h > SMALLEST * tree.extent:
+                # Across the longest side, so that halves of halves do not become needles.
+                side = element.side
+                y = half(vertex_of(cell, top, side), vertex_of(cell, top, (side + 1) % 3))
+                w, r1, r3 = weight(
+                    y, element.n, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area,
+                    scan.clock.attenuation,
+                )  # fmt: skip
+                top = push_halves(room, top, side, (y, w, r1 + r3), CELL, at, q, candidates)
+        else:
+            cells += 1
+            tally.overflow[into] += _spread(scan, view, element, bend, cell, top, tally.histogram, into)
+    tally.work[k, 0] += cells
+    tally.work[k, 1] += rays
 
 
 @compiled()
 def _digit(turn, share):  # type: ignore[no-untyped-def]
-    """Of a number, to base 4, the digit after those that were used up to get to a share of 4^digits."""
+    """The next digit of a number to base 4: the one behind those that chose the quarters within quarters up to now.
+
+    share : 4 to the power of how many these are.
+    """
     while share > 1.0:
         turn >>= 2
         share *= 0.25
     return turn & 3
 
 
+@compiled(**STEP)
+def _view(scan, lit, p, q, k, share, row):  # type: ignore[no-untyped-def]
+    """Footprint q of row p, as an element of part k is seen from it that stands for `share` footprints alike."""
+    patches, cutting = scan.patches, scan.cutting
+    z, n, k3 = corner(patches.position, p, q), corner(patches.normal, p, q), patches.part[p, q]
+    vertex = (z, n, corner(patches.to_sensor, p, q), scan.kind[k3], scan.values[k3])
+    keen = max(cutting.sharp[lit.part], cutting.sharp[k], cutting.sharp[k3])
+    # What a lobe makes of an element for one footprint it makes for the next, unless chance does.
+    of_pixel = share * patches.share[q] if keen > 1.0 else 1.0
+    may, alike = cutting.error[k] * math.sqrt(of_pixel), cutting.error[k] * of_pixel
+    device = lit.leg + patches.leg[p, q] if scan.clock.device else 0.0
+    word = mix(mix(np.uint64(cutting.seed[k]), np.uint64(row)), np.uint64(q))
+    return View(
+        p, q, z, n, vertex, patches.size[p, q], patches.footprint[p, q], patches.quarters[q, 0] >= 0,
+        lit.power * patches.weight[p, q] * share, may, alike, keen, device, word,
+    )  # fmt: skip
+
+
+@compiled(**STEP)
+def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ignore[no-untyped-def]
+    """Photons that a box or element may bring at most to anything within an uneven footprint, −1 if none; whether it
+    is so large that it is halved before the footprint is quartered; and its longest side."""
+    tree, patches, size, side = scan.tree, scan.patches, scan.patches.size[p, q], 0
+    if what == BOX:
+        m, h = ball(tree.box, at)
+        area = tree.area[tree.span[at, 1]] - tree.area[tree.span[at, 0]]
+        rise, height = above(tree.box, at, lit.x, lit.normal), np.inf
+        halve = tree.children[at, 0] >= 0 and h > size
+    else:
+        m, side, h = middle_of(cell, top)
+        area, rise = cell[top, 15], highest_above(cell, top, lit.x, lit.normal)
+        height = abs(dot(less(lit.x, vertex_of(cell, top, 0)), get(tree.normal, at, 0)))
+        halve = h > max(size, SMALLEST * tree.extent)
+    if rise <= 0.0 or patches.most[p, q] <= 0.0:
+        return -1.0, halve, side
+    peak = scan.cutting.peak
+    at_most = cell[top, 16] * lit.power * patches.most[p, q] * peak[lit.part] * peak[k] * strongest
+    z, attenuation = corner(patches.position, p, q), scan.clock.attenuation
+    return at_most * brightest(m, h, area, rise, height, lit.x, z, size, attenuation), halve, side
+
+
+@compiled(**STEP)
+def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
+    """What becomes of a box of the BVH, and the cone of its normals: which side of it both ends see (−1, 0, 1, as
+    `side_turned`), its axis, the cosine of its half angle, and whether some of it may turn inner sides to them."""
+    tree, x, z, kind2 = scan.tree, lit.x, view.z, scan.kind[k]
+    rise1, rise3 = above(tree.box, at, x, lit.normal), above(tree.box, at, z, view.normal)
+    cone = (0, (0.0, 0.0, 0.0), 1.0, False)
+    # Of a large footprint some may see what lies behind its middle's plane.
+    if rise1 <= 0.0 or (rise3 <= 0.0 and view.size <= 0.0):
+        return DROPPED, cone
+    start, end = tree.span[at, 0], tree.span[at, 1]
+    if end - start <= CLUSTER:
+        return OPENED, cone
+    m, h = ball(tree.box, at)
+    row = tree.cluster[at]
+    axis, cosine = get(tree.moment, row, 15), tree.moment[row, 18]
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    solid = scan.cutting.proofs and seen_from_outside(tree.solid_box, tree.of_box[at], x) >= 0
+    sides = side_turned(less(x, m), h, axis, cosine, sine)
+    if solid and sides < 0:
+        return DROPPED, cone
+    sides *= side_turned(less(z, m), h, axis, cosine, sine)
+    # The other side does not light the footprint's middle; it may light parts of a large one.
+    if sides < 0 and not view.quarters:
+        return DROPPED, cone
+    cone = (sides, axis, cosine, solid and sides == 0)
+    # One normal cannot stand for many where a lobe goes with each of them.
+    diffuse = kind2 == LAMBERTIAN
+    alone = (sides > 0 and (diffuse or kind2 == OREN_NAYAR)) or (sides == 0 and diffuse)
+    if alone and dot(less(m, x), lit.normal) > h and dot(less(m, z), view.normal) > h:
+        return AS_ONE, cone
+    area, peak, attenuation = tree.area[end] - tree.area[start], scan.cutting.peak, scan.clock.attenuation
+    at_most = view.gain * peak[lit.part] * peak[k] * peak[scan.patches.part[view.p, view.q]] * area
+    at_most *= facing_at_most(m, h, axis, cosine, sine, x, rise1)
+    at_most *= facing_at_most(m, h + view.size, axis, cosine, sine, z, rise3 + view.size)
+    small, near3 = is_small(tree.box, at, x, z, at_most, view.may, attenuation)
+    if sides > 0 and not small:
+        # The peak of a lobe says little of what turns its back to it.
+        tilt = math.acos(max(cosine, -1.0))
+        at_most = view.gain * area * weight_at_most(
+            m, axis, kind2, scan.values[k], lit.vertex, view.vertex, view.area, attenuation, 2.0 * h, view.size, tilt
+        )  # fmt: skip
+        small = at_most <= view.may and 2.0 * h <= COARSEST * near3
+    if small and view.quarters and view.size > 0.3 * near3:
+        return QUARTERED, cone
+    return ONE_POINT if small else OPENED, cone
+
+
+@compiled(**STEP)
+def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type: ignore[no-untyped-def]
+    """Let one random point stand for a faint box; returns the elements spread and the rays asked, 0 or 1 each."""
+    tree, x, clock = scan.tree, lit.x, scan.clock
+    start, end, m = tree.span[at, 0], tree.span[at, 1], ball(tree.box, at)[0]
+    f, y = anywhere(start, end, tree.area, tree.corners, _word_at(view.word, less(m, x), tree.extent))
+    n = get(tree.normal, f, 0)
+    w, r1, r3 = weight(
+        y, n, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area, clock.attenuation
+    )  # fmt: skip
+    if not w > 0.0:
+        return 0, 0
+    if scan.cutting.proofs and inner_side(x, n, tree.corners, f, tree.solid, tree.solid_box):
+        return 1, 0
+    if _seen(y, x, view.z, f, candidates, scan.occluders.row, listed):
+        t, path = (r1 + r3 + view.device) * clock.per_metre - clock.start, less(y, view.z)
+        variance = smear(path, view.vertex[2], clock.device, scan.patches.across, view.p, view.q)
+        at_a, at_b, at_c = widened(t, t, t, variance * clock.per_metre * clock.per_metre)
+        energy = w * view.gain * (tree.area[end] - tree.area[start])
+        tally.overflow[into] += spread(tally.histogram, into, at_a, at_b, at_c, 1.0, 1.0, 1.0, energy)
+    return 1, 1
+
+
+@compiled(**STEP)
+def _cluster_as_element(scan, lit, view, at, k, cone, cell, top):  # type: ignore[no-untyped-def]
+    """The cluster in a box as one element, whose row `top` is filled as if it were a triangle."""
+    tree, (sides, _, cosine, inner) = scan.tree, cone
+    diffuse, row = scan.kind[k] == LAMBERTIAN, tree.cluster[at]
+    m, n, tilted, unlike, h, longer, apart = as_one(
+        tree.moment, row, lit.x, view.z, sides, diffuse, view.keen, scan.clock.per_metre
+    )
+    w, r1, r3 = weight(
+        m, n, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area, scan.clock.attenuation
+    )  # fmt: skip
+    w *= tilted
+    cell[top, 15] = tree.area[tree.span[at, 1]] - tree.area[tree.span[at, 0]]
+    # Paths as far apart as those of a triangle with the cluster's variance.
+    for j in range(3):
+        put_vertex(cell, top, j, m, w, r1 + r3 + 4.0 * longer + (j - 1.0) * apart)
+    tilt = math.acos(max(cosine, -1.0))
+    return _element(at, m, n, h, 0, w, r1, r3, tilt, 1.0, 1.0, unlike, True, inner)
+
+
+@compiled(forceinline=True)
+def _element(f, m, n, h, side, *rest):  # type: ignore[no-untyped-def]
+    """An `Element` of these, of one type for numba whether its numbers are constants or not."""
+    return Element(f, m, n, h, side, *rest)
+
+
+@compiled(**STEP)
+def _light_at_vertices(  # type: ignore[no-untyped-def]
+    scan, lit, view, what, f, k, candidates, room, top, alight
+):  # fmt: skip
+    """What becomes of a triangle, or of a part of one, before it is judged; its vertices' light is put into its row.
+
+    alight : how many clear ones wait already.
+    """
+    tree, cell, x, z, flat = scan.tree, room.cell, lit.x, view.z, scan.occluders.flat
+    n, a, kind2, values2 = get(tree.normal, f, 0), vertex_of(cell, top, 0), scan.kind[k], scan.values[k]
+    if highest_above(cell, top, x, lit.normal) <= 0.0 or highest_above(cell, top, z, view.normal) <= 0.0:
+        return DROPPED
+    rise1, rise3 = dot(less(x, a), n), dot(less(z, a), n)
+    # Seen from its edge it brings nothing.
+    if abs(rise1) < flat:
+        return DROPPED
+    if what == FRESH:
+        if scan.cutting.proofs and inner_side(x, n, tree.corners, f, tree.solid, tree.solid_box):
+            return DROPPED
+        for j in range(3):
+            y = vertex_of(cell, top, j)
+            w, r1, r3 = weight(
+                y, n, kind2, values2, lit.vertex, view.vertex, view.area, scan.clock.attenuation
+            )  # fmt: skip
+            put_vertex(cell, top, j, y, w, r1 + r3)
+    first, _, last = candidates
+    if first == last and what != KEPT and rise1 * rise3 > 0.0 and abs(rise3) > flat:
+        waiting = put_clear(room.clear, alight, cell, top, f, view.q, lit.vertex, kind2, values2, view.vertex)
+        return CLEAR if waiting > alight else SPREAD
+    return SPREAD
+
+
+@compiled(**STEP)
+def _triangle_as_element(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-def]
+    """A triangle, or a part of one, as an element."""
+    n, a, (m, side, h) = get(scan.tree.normal, f, 0), vertex_of(cell, top, 0), middle_of(cell, top)
+    w, r1, r3 = weight(
+        m, n, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area, scan.clock.attenuation
+    )  # fmt: skip
+    rise1, rise3 = dot(less(lit.x, a), n), dot(less(view.z, a), n)
+    return _element(f, m, n, h, side, w, r1, r3, 0.0, rise1, rise3, 0.0, False, False)
+
+
+@compiled(**STEP)
+def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-def]
+    """What becomes of an element whatever hides it; the L2 error if its light should be missing, of which little
+    counts outside the window; and how far its arrival times are bent."""
+    clock, kind2, values2, m, n = scan.clock, scan.kind[k], scan.values[k], element.m, element.n
+    bright, size, h, tilt, rise3 = element.w, view.size, element.h, element.tilt, element.rise3
+    if lit.vertex[3] != LAMBERTIAN or kind2 != LAMBERTIAN or view.vertex[3] != LAMBERTIAN:
+        # A lobe that no point of the element meets may cross it all the same: it is not dark for that.
+        bright = max(bright, weight_at_most(
+            m, n, kind2, values2, lit.vertex, view.vertex, view.area, clock.attenuation, h, size, tilt
+        ))  # fmt: skip
+    paths, r1, r3 = (cell[top, 4], cell[top, 9], cell[top, 14]), element.r1, element.r3
+    unseen = outside(paths, r1 + r3, view.device, size, clock.opens, clock.closes)
+    w = max(bright, cell[top, 3], cell[top, 8], cell[top, 13])
+    cut, quarter, over, bend = verdict(
+        paths, (cell[top, 15], w), (h, r1, r3), (view.gain, view.area, size, view.quarters),
+        (scan.cutting.coarsest, view.keen, view.alike), (clock.per_metre, clock.attenuation), unseen,
+    )  # fmt: skip
+    if element.cluster:
+        # What is cut once need not be cut again for each quarter of the pixel.
+        cut |= (over * element.unlike > view.alike and not unseen) or (quarter and h > 2.0 * size)
+        quarter &= not cut
+    if element.rise1 * rise3 <= 0.0 or abs(rise3) < scan.occluders.flat:
+        # This side does not light the footprint's middle; it may light parts of it, as it does what lies so far
+        # above it.
+        if not (view.quarters and abs(rise3) < size):
+            return DROPPED, over, bend
+        rise, z = math.copysign(size, element.rise1), view.z
+        z_lit = (z[0] + rise * n[0], z[1] + rise * n[1], z[2] + rise * n[2])
+        _, n3, to_sensor, kind3, values3 = view.vertex
+        if view.gain * cell[top, 15] * weight_at_most(
+            m, n, kind2, values2, lit.vertex, (z_lit, n3, to_sensor, kind3, values3), view.area,
+            clock.attenuation, h, size, tilt,
+        ) <= view.alike:  # fmt: skip
+            return DROPPED, over, bend
+        quarter = True
+    if not (quarter or over > 0.0):
+        return DROPPED, over, bend
+    return QUARTERED if quarter else CUT if cut else SPREAD, OUTSIDE * over if unseen else over, bend
+
+
+@compiled(**STEP)
+def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top):  # type: ignore[no-untyped-def]
+    """What becomes of an element by what rays find of it, and how many were asked; at_stake : the L2 error if its
+    light should be missing."""
+    first, _, last = candidates
+    if not (first < last or element.inner):
+        return becomes, 0
+    tree, cell = scan.tree, room.cell
+    if becomes == CUT:
+        hidden_all = not element.cluster and _none_seen(scan, lit, view, element, candidates, room, top)
+        return DROPPED if hidden_all else CUT, 0
+    mesh = tree.span[tree.roots[k], 1] - tree.span[tree.roots[k], 0] > MESH
+    # One ray tells enough of what is partly seen, if that makes no larger error than it may.
+    count = 1 if (PARTLY[1] if mesh else PARTLY[0]) * at_stake <= view.may else 3
+    seen, rays = _points_seen(scan, lit, view, element, count, candidates, room, top)
+    if count == 1:
+        return SPREAD if seen > 0 else DROPPED, rays
+    # What three rays do not find may still be there: it is cut a little less eagerly.
+    cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > view.may)
+    if seen == 0 and (
+        not cut or (not element.cluster and _none_seen(scan, lit, view, element, candidates, room, top))
+    ):
+        return DROPPED, rays
+    cell[top, 17] = STILL_UNFOUND * cell[top, 17] if seen == 0 else UNFOUND
+    return CUT if cut else SPREAD, rays
+
+
+@compiled(**STEP)
+def _none_seen(scan, lit, view, element, candidates, room, top):  # type: ignore[no-untyped-def]
+    """Whether it is proven that nothing of a triangle is lit by the laser point and seen by the footprint."""
+    (first, middle, last), hides, listed, cell = candidates, scan.occluders.row, room.listed, room.cell
+    a, b, c = vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2)
+    if first < middle and shaded(lit.x, a, b, c, element.f, first, middle, hides, listed):
+        return True
+    return middle < last and shaded(view.z, a, b, c, element.f, middle, last, hides, listed)
+
+
+@compiled(**STEP)
+def _points_seen(scan, lit, view, element, count, candidates, room, top):  # type: ignore[no-untyped-def]
+    """How many random points of an element, one or three, the laser point lights and the footprint sees, as soon as
+    some are and some are not; and how many rays were asked."""
+    tree, x, z, m, cell = scan.tree, lit.x, view.z, element.m, room.cell
+    at, seen, rays = element.f, 0, 0
+    word_here = _word_at(view.word, less(m, x), tree.extent)
+    for j in range(count):
+        rays, word, f = rays + 1, word_here if count == 1 else mix(word_here, np.uint64(j)), at
+        if element.cluster:
+            # One in each third of its triangles.
+            start, end = tree.span[at, 0], tree.span[at, 1]
+            low, high = start + j * (end - start) // count, start + (j + 1) * (end - start) // count
+            f, y = facing(low, high, tree.area, tree.corners, tree.normal, x, z, word)
+            if element.inner and _inner_side(x, z, f, tree):
+                continue
+        elif count == 1:
+            y = somewhere(vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2), word)
+        else:
+            # One in each of the triangles that the middle makes with the sides.
+            y = somewhere(m, vertex_of(cell, top, j), vertex_of(cell, top, (j + 1) % 3), word)
+        seen += _seen(y, x, z, f, candidates, scan.occluders.row, room.listed)
+        if 0 < seen <= j:
+            break
+    return seen, rays
+
+
 @compiled()
-def _word_at(seed, row, q, y, extent):  # type: ignore[no-untyped-def]
-    """The word of a place y beside the laser point, seen from patch q, in a row of a stream: neither where the scene
-    lies nor in which order its triangles are changes it."""
-    word, per = mix(mix(np.uint64(seed), np.uint64(row)), np.uint64(q)), PLACES / extent
+def _word_at(word, y, extent):  # type: ignore[no-untyped-def]
+    """The word of a place y beside the laser point: neither where the scene lies nor in which order its triangles are
+    changes it."""
+    per = PLACES / extent
     for j in range(3):
         # Off the middle, as what lies level with the laser point would else be rounded to either side.
         word = mix(word, np.uint64(np.int64(math.floor(y[j] * per + 0.382))))
@@ -92,363 +603,87 @@ def _word_at(seed, row, q, y, extent):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _seen(y, x, z, f, first, middle, last, hides, listed):  # type: ignore[no-untyped-def]
-    """Whether the laser point x lights y on triangle f and the patch at z sees it."""
+def _seen(y, x, z, f, candidates, hides, listed):  # type: ignore[no-untyped-def]
+    """Whether the laser point x lights y on triangle f and the footprint at z sees it."""
+    first, middle, last = candidates
     if first < middle and hidden(x, y, f, first, middle, hides, listed) > 0:
         return False
     return middle == last or hidden(z, y, f, middle, last, hides, listed) == 0
 
 
 @compiled()
-def _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed):  # type: ignore[no-untyped-def]
-    """Whether it is proven that nothing of the cell a, b, c is lit by the laser point and seen by the patch."""
-    if first < middle and shaded(x, a, b, c, f, first, middle, hides, listed):
-        return True
-    return middle < last and shaded(z, a, b, c, f, middle, last, hides, listed)
-
-
-@compiled()
-def _inner_side(x, z, f, normal, corners, solid, solid_box):  # type: ignore[no-untyped-def]
-    """Whether triangle f of a solid turns its inner side to the laser point or to the patch."""
-    n = get(normal, f, 0)
+def _inner_side(x, z, f, tree):  # type: ignore[no-untyped-def]
+    """Whether triangle f of a solid turns its inner side to the laser point or to the footprint."""
+    n, corners, solid, solid_box = get(tree.normal, f, 0), tree.corners, tree.solid, tree.solid_box
     return inner_side(x, n, corners, f, solid, solid_box) or inner_side(z, n, corners, f, solid, solid_box)
 
 
-def room_to_gather() -> tuple[Ints, Floats, Ints, Floats, Floats, Floats]:
-    """What `gather` works in: tags and cells that wait, lists of candidates, and `room_for_clear`.
+@compiled(**STEP)
+def _narrow(scan, lit, view, element, candidates, room, top):  # type: ignore[no-untyped-def]
+    """The candidates that may hide some of a triangle that is cut: rays find their way through what may hide the one
+    it is cut from, and it pays to narrow that down for its halves, of which many are then clear."""
+    (first, middle, last), listed, cell, f, tree = candidates, room.listed, room.cell, element.f, scan.tree
+    # Room is left for a ring on either leg.
+    if not (scan.cutting.proofs and first < last < len(listed) - 4 * RING):
+        return candidates
+    a, b, c = vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2)
+    own, row = seen_from_outside(tree.solid_box, tree.solid[f], lit.x), scan.occluders.row
+    half_way = narrowed(lit.x, a, b, c, f, own, first, middle, last, row, listed)
+    return last, half_way, narrowed(view.z, a, b, c, f, own, middle, last, half_way, row, listed)
 
-    What waits has its kind, number, patch and candidates, and a row of `waiting`.
-    """
-    return np.empty((1024, 6), np.int64), np.empty((1024, 18)), lists(1 << 14), *room_for_clear()
+
+@compiled(**STEP)
+def _quarter(scan, room, top, what, at, q, candidates, only):  # type: ignore[no-untyped-def]
+    """Look again from each quarter of a footprint, or from one alone in the place of all; returns how many wait."""
+    tag, cell, listed, quarters = room.tag, room.cell, room.listed, scan.patches.quarters
+    first, middle, last = candidates
+    # Another point of the wall, before which other things may stand; what may hide the element from the laser point
+    # is what it was.
+    for j in range(middle - first):
+        listed[last + j] = listed[first + j]
+    first, middle = last, last + middle - first
+    last = middle + (min(scan.occluders.triangles, 1) if scan.cutting.rays_on_last_leg else 0)
+    listed[middle] = 0
+    cell[top, 17] = UNFOUND
+    kept = BOX if what == BOX else FRESH
+    if only >= 0:
+        cell[top, 16] = 4.0 * cell[top, 16]
+        return push(tag, top, kept, at, quarters[q, only], (first, middle, last))
+    here = top
+    for j in range(4):
+        copy_cell(cell, here, top)
+        top = push(tag, top, kept, at, quarters[q, j], (first, middle, last))
+    return top
 
 
-# Without `_nrt=False` arrays are counted in and out of every function, a third of the time.
-@compiled(_nrt=False)
-def gather(  # type: ignore[no-untyped-def]
-    pairs, row, tree, occluders, lasers, patches, kind, values, cutting, clock, row_of_part, histogram, overflow,
-    work, tag, cell, listed, clear, batch, cuts,
-):  # fmt: skip
-    """Add the primary of laser points and pixels to their histograms.
+@compiled(**STEP)
+def _open(scan, room, top, at, q, candidates):  # type: ignore[no-untyped-def]
+    """Look at the two boxes within one, or at its triangles; returns how many wait."""
+    tree, tag, cell = scan.tree, room.tag, room.cell
+    start, end = tree.span[at, 0], tree.span[at, 1]
+    if end - start > CLUSTER:
+        return push_boxes(tag, cell, top, tree.children[at], q, candidates)
+    share, unfound = cell[top, 16], cell[top, 17]
+    for f in range(start, end):
+        for j in range(3):
+            put_vertex(cell, top, j, corner(tree.corners, f, j), 0.0, 0.0)
+        cell[top, 15], cell[top, 16], cell[top, 17] = tree.area[f + 1] - tree.area[f], share, unfound
+        top = push(tag, top, FRESH, f, q, candidates)
+    return top
 
-    pairs : (n, 2) laser point and pixel of each. row : (n,) first row of each, to which `row_of_part` (K,) is added.
-    histogram (rows, T) and overflow (rows,) get the photons; work (K, 2) gets the cells that were spread and the rays
-    asked, part by part. The rest is `room_to_gather`.
 
-    What may stand between a cell and laser point or patch is among what may stand before all of the box or cell that
-    it is cut from: each hands down its candidates, first … middle for the one and middle … last for the other, and
-    where none is left nothing is hidden. Cells hand down their vertices' light, too.
-    """
-    # Records are taken apart here: in the loops every look into one costs as much as what it is for.
-    corners, normal, area_before, extent = tree.corners, tree.normal, tree.area, tree.extent
-    around, children, span, roots = tree.box, tree.children, tree.span, tree.roots
-    cluster, moment = tree.cluster, tree.moment
-    solid, solid_box, of_box = tree.solid, tree.solid_box, tree.of_box
-    hides, flat = occluders.row, occluders.flat
-    position1, normal1, to_laser1, part1, power1, leg1 = (
-        lasers.position, lasers.normal, lasers.to_laser, lasers.part, lasers.power, lasers.leg
+@compiled(**STEP)
+def _spread(scan, view, element, bend, cell, top, histogram, into):  # type: ignore[no-untyped-def]
+    """Add the light of an element to a histogram; returns what is outside the window, photons."""
+    per_metre, wa, wb, wc = scan.clock.per_metre, cell[top, 3], cell[top, 8], cell[top, 13]
+    energy = view.gain * cell[top, 15] * (0.75 * element.w + 0.25 * (wa + wb + wc) / 3)
+    zero = (view.device - 0.75 * bend) * per_metre - scan.clock.start
+    at_a, at_b, at_c = (
+        cell[top, 4] * per_metre + zero, cell[top, 9] * per_metre + zero, cell[top, 14] * per_metre + zero
     )  # fmt: skip
-    position3, normal3, to_sensor3, part3, weight3, footprint3 = (
-        patches.position, patches.normal, patches.to_sensor, patches.part, patches.weight, patches.footprint
-    )  # fmt: skip
-    most3, leg3, size3, across3 = patches.most, patches.leg, patches.size, patches.across
-    uneven3, quarters3, share3 = patches.uneven, patches.quarters, patches.share
-    allowed, sharp, peak = cutting.error, cutting.sharp, cutting.peak
-    limit, last_leg, proofs = cutting.coarsest, cutting.rays_on_last_leg, cutting.proofs
-    per_metre, start_bin, attenuation = clock.per_metre, clock.start, clock.attenuation
-    opens, closes = clock.opens, clock.closes
-    enough = len(listed) - 4 * RING
-    some, strongest = min(occluders.triangles, 1), 0.0
-    to_z = LISTED + some
-    free = to_z + some
-    for k in range(len(peak)):
-        strongest = max(strongest, peak[k])
-    for pair in range(len(pairs)):
-        i, p = pairs[pair, 0], pairs[pair, 1]
-        if part1[i] < 0 or (part3[p, 0] < 0 and not uneven3[p, 0]):
-            continue
-        x, k1 = get(position1, i, 0), part1[i]
-        n1, lit, z = get(normal1, i, 0), power1[i], corner(position3, p, 0)
-        lit_from = (x, n1, get(to_laser1, i, 0), kind[k1], values[k1])
-        two_legs = last_leg and distance(x, z) > flat
-        for k in range(len(roots)):
-            if allowed[k] == np.inf:
-                continue
-            into, kind2, values2, seed = row[pair] + row_of_part[k], kind[k], values[k], cutting.seed[k]
-            word = word_of(seed, row[pair], k)
-            partly = PARTLY[1] if span[roots[k], 1] - span[roots[k], 0] > MESH else PARTLY[0]
-            most, turn, cells, rays = np.inf, np.int64(word >> np.uint64(8)), 0, 0
-            cell[0, 16], cell[0, 17] = 1.0, UNFOUND
-            top = push(tag, 0, BOX, roots[k], 0, LISTED, to_z, free if two_legs else to_z)
-            alight = np.int64(0)
-            while top > 0 or alight > 0:
-                if top == 0:
-                    alight, more, beyond, top = spread_clear(
-                        clear, alight, batch, cuts, normal, x, n1, lit, leg1[i], p, patches, limit, allowed[k],
-                        clock, AT_ONCE, SMALLEST * extent, histogram, into, tag, cell, free,
-                    )  # fmt: skip
-                    cells, overflow[into] = cells + more, overflow[into] + beyond
-                    continue
-                top -= 1
-                what, at, q = tag[top, 0], tag[top, 1], tag[top, 2]
-                first, middle, last = tag[top, 3], tag[top, 4], tag[top, 5]
-                quarters = quarters3[q, 0] >= 0
-                quarter = uneven3[p, q] and quarters
-                k3 = part3[p, q]
-                if k3 < 0 and not quarter:
-                    continue
-                z, n3 = corner(position3, p, q), corner(normal3, p, q)
-                seen_from = (z, n3, corner(to_sensor3, p, q), kind[k3], values[k3])
-                keen, tilt = max(sharp[k1], sharp[k], sharp[k3]), 0.0
-                share, size, footprint = cell[top, 16], size3[p, q], footprint3[p, q]
-                # What a lobe makes of a cell for one patch it makes for the next, unless chance does.
-                of_pixel = share * share3[q] if keen > 1.0 else 1.0
-                may, alike = allowed[k] * math.sqrt(of_pixel), allowed[k] * of_pixel
-                gain = lit * weight3[p, q] * share
-                few = halve = alone = cut = False
-                if quarter:
-                    if what == BOX:
-                        m, h = ball(around, at)
-                        area = area_before[span[at, 1]] - area_before[span[at, 0]]
-                        rise, height = above(around, at, x, n1), np.inf
-                        halve = children[at, 0] >= 0 and h > size
-                    else:
-                        m, side, h = middle_of(cell, top)
-                        area, rise = cell[top, 15], highest_above(cell, top, x, n1)
-                        height = abs(dot(less(x, vertex_of(cell, top, 0)), get(normal, at, 0)))
-                        halve = h > max(size, SMALLEST * extent)
-                    if rise <= 0.0 or most3[p, q] <= 0.0:
-                        continue
-                    at_most = share * lit * most3[p, q] * peak[k1] * peak[k] * strongest
-                    at_most *= brightest(m, h, area, rise, height, x, z, size, attenuation)
-                    if what == BOX and q == 0 and at == roots[k]:
-                        most = at_most
-                    # Whatever of the patch is seen, its light is little: one quarter stands for it, and such cells
-                    # take turns, so that what one has too much of its neighbours lack.
-                    few = at_most <= min(TURNS * allowed[k], most * FEWEST)
-                    turn += few and share == 1.0
-                    if halve and not few:
-                        if what == BOX:
-                            top = push_boxes(tag, cell, top, children[at], q, first, middle, last)
-                        else:
-                            y = half(vertex_of(cell, top, side), vertex_of(cell, top, (side + 1) % 3))
-                            top = push_halves(tag, cell, top, side, y, 0.0, 0.0, FRESH, at, q, first, middle, last)
-                        continue
-                device = leg1[i] + leg3[p, q] if clock.device else 0.0
-                if what == BOX and not quarter:
-                    rise1, rise3 = above(around, at, x, n1), above(around, at, z, n3)
-                    if rise1 <= 0.0 or (rise3 <= 0.0 and size <= 0.0):
-                        continue
-                    start, end = span[at, 0], span[at, 1]
-                    many, area = end - start > CLUSTER, area_before[end] - area_before[start]
-                    sides, diffuse, own = 0, kind2 == LAMBERTIAN, seen_from_outside(solid_box, of_box[at], x)
-                    if many:
-                        m, h = ball(around, at)
-                        axis, cosine = get(moment, cluster[at], 15), moment[cluster[at], 18]
-                        sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-                        sides = side_turned(less(x, m), h, axis, cosine, sine)
-                        if proofs and own >= 0 and sides < 0:
-                            continue
-                        sides *= side_turned(less(z, m), h, axis, cosine, sine)
-                        # The other side does not light the patch's middle; it may light parts of a large one.
-                        if sides < 0 and not quarters:
-                            continue
-                        # One normal cannot stand for many where a lobe goes with each of them.
-                        alone = (sides > 0 and (diffuse or kind2 == OREN_NAYAR)) or (sides == 0 and diffuse)
-                        alone = alone and dot(less(m, x), n1) > h and dot(less(m, z), n3) > h
-                    if many and not alone:
-                        at_most = gain * peak[k1] * peak[k] * peak[k3] * area
-                        at_most *= facing_at_most(m, h, axis, cosine, sine, x, rise1)
-                        at_most *= facing_at_most(m, h + size, axis, cosine, sine, z, rise3 + size)
-                        small, near3 = is_small(around, at, x, z, at_most, may, attenuation)
-                        if sides > 0 and not small:
-                            tilt = math.acos(max(cosine, -1.0))
-                            at_most = gain * area * weight_at_most(
-                                m, axis, kind2, values2, lit_from, seen_from, footprint, attenuation, 2.0 * h, size,
-                                tilt,
-                            )  # fmt: skip
-                            small = at_most <= may and 2.0 * h <= COARSEST * near3
-                        quarter = small and quarters and size > 0.3 * near3
-                        if small and not quarter:
-                            word = _word_at(seed, row[pair], q, less(m, x), extent)
-                            f, y = anywhere(start, end, area_before, corners, word)
-                            n = get(normal, f, 0)
-                            w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
-                            if not w > 0.0:
-                                continue
-                            cells += 1
-                            if proofs and inner_side(x, n, corners, f, solid, solid_box):
-                                continue
-                            rays += 1
-                            if _seen(y, x, z, f, first, middle, last, hides, listed):
-                                path = r1 + r3
-                                t = (path + device) * per_metre - start_bin
-                                energy = w * gain * area
-                                variance = smear(less(y, z), seen_from[2], clock.device, across3, p, q)
-                                at_a, at_b, at_c = widened(t, t, t, variance * per_metre * per_metre)
-                                overflow[into] += spread(histogram, into, at_a, at_b, at_c, 1.0, 1.0, 1.0, energy)
-                            continue
-                if not quarter and (alone or what != BOX):
-                    if alone:
-                        m, n, tilted, unlike, h, longer, apart = as_one(
-                            moment, cluster[at], x, z, sides, diffuse, keen, per_metre
-                        )
-                        f, side, a, b, c, height1, height3 = at, 0, m, m, m, 1.0, 1.0
-                        tilt = math.acos(max(cosine, -1.0))
-                    else:
-                        f, n = at, get(normal, at, 0)
-                        if highest_above(cell, top, x, n1) <= 0.0 or highest_above(cell, top, z, n3) <= 0.0:
-                            continue
-                        a, b, c = vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2)
-                        height1, height3 = dot(less(x, a), n), dot(less(z, a), n)
-                        if abs(height1) < flat:
-                            continue
-                        if what == FRESH:
-                            if proofs and inner_side(x, n, corners, f, solid, solid_box):
-                                continue
-                            for j in range(3):
-                                y = vertex_of(cell, top, j)
-                                w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
-                                put_vertex(cell, top, j, y, w, r1 + r3)
-                        if first == last and what != KEPT and height1 * height3 > 0.0 and abs(height3) > flat:
-                            others = alight
-                            alight = put_clear(clear, alight, cell, top, f, q, lit_from, kind2, values2, seen_from)
-                            if alight > others:
-                                continue
-                        m, side, h = middle_of(cell, top)
-                    wm, r1, r3 = weight(m, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
-                    if alone:
-                        wm *= tilted
-                        cell[top, 15] = area
-                        for j in range(3):
-                            put_vertex(cell, top, j, m, wm, r1 + r3 + 4.0 * longer + (j - 1.0) * apart)
-                    bright = wm
-                    if kind[k1] != LAMBERTIAN or kind2 != LAMBERTIAN or kind[k3] != LAMBERTIAN:
-                        # A lobe that no point of the cell meets may cross it all the same: it is not dark for that.
-                        bright = max(wm, weight_at_most(
-                            m, n, kind2, values2, lit_from, seen_from, footprint, attenuation, h, size, tilt
-                        ))  # fmt: skip
-                    unseen = outside(cell[top, 4], cell[top, 9], cell[top, 14], r1 + r3, device, size, opens, closes)
-                    cut, quarter, over, bend = judged(
-                        cell, top, h, bright, r1, r3, gain, footprint, size, limit, keen, alike, quarters,
-                        per_metre, attenuation, unseen,
-                    )  # fmt: skip
-                    if alone:
-                        # What is cut once need not be cut again for each quarter of the pixel.
-                        cut |= (over * unlike > alike and not unseen) or (quarter and h > 2.0 * size)
-                        quarter &= not cut
-                    if height1 * height3 <= 0.0 or abs(height3) < flat:
-                        # This side does not light the patch's middle; it may light parts of it, as it does what lies
-                        # so far above it.
-                        if not (quarters and abs(height3) < size):
-                            continue
-                        rise = math.copysign(size, height1)
-                        z_lit = (z[0] + rise * n[0], z[1] + rise * n[1], z[2] + rise * n[2])
-                        lit_part = (z_lit, n3, seen_from[2], kind[k3], values[k3])
-                        if gain * cell[top, 15] * weight_at_most(
-                            m, n, kind2, values2, lit_from, lit_part, footprint, attenuation, h, size, tilt
-                        ) <= alike:  # fmt: skip
-                            continue
-                        quarter = True
-                    if not (quarter or over > 0.0):
-                        continue
-                    # One ray tells enough of what is partly seen, if that makes no larger error than it may.
-                    at_stake = OUTSIDE * over if unseen else over
-                    faint = partly * at_stake <= may
-                    inner = alone and proofs and own >= 0 and sides == 0
-                    if not quarter and (first < last or inner):
-                        if cut and not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed):
-                            continue
-                        if faint and not cut:
-                            rays += 1
-                            word = _word_at(seed, row[pair], q, less(m, x), extent)
-                            if alone:
-                                f, y = facing(start, end, area_before, corners, normal, x, z, word)
-                                if inner and _inner_side(x, z, f, normal, corners, solid, solid_box):
-                                    continue
-                            else:
-                                y = somewhere(a, b, c, word)
-                            if not _seen(y, x, z, f, first, middle, last, hides, listed):
-                                continue
-                        elif not cut:
-                            seen = 0
-                            for j in range(3):
-                                rays += 1
-                                word = mix(_word_at(seed, row[pair], q, less(m, x), extent), np.uint64(j))
-                                if alone:
-                                    low, high = start + j * (end - start) // 3, start + (j + 1) * (end - start) // 3
-                                    f, y = facing(low, high, area_before, corners, normal, x, z, word)
-                                else:
-                                    # One in each of the triangles that the middle makes with the sides.
-                                    one, other = vertex_of(cell, top, j), vertex_of(cell, top, (j + 1) % 3)
-                                    y = somewhere(m, one, other, word)
-                                if not (inner and _inner_side(x, z, f, normal, corners, solid, solid_box)):
-                                    seen += _seen(y, x, z, f, first, middle, last, hides, listed)
-                                if 0 < seen <= j:
-                                    break
-                            # What three rays do not find may still be there: it is cut a little less eagerly.
-                            cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > may)
-                            if seen == 0 and (
-                                not cut
-                                or (not alone and _none_seen(x, a, b, c, z, f, first, middle, last, hides, listed))
-                            ):  # fmt: skip
-                                continue
-                            cell[top, 17] = STILL_UNFOUND * cell[top, 17] if seen == 0 else UNFOUND
-                    # Rays find their way through what may hide the cell it is cut from; it pays to narrow that down
-                    # for what is cut.
-                    if cut and not (alone or quarter) and proofs and first < last < enough:
-                        own = seen_from_outside(solid_box, solid[f], x)
-                        half_way = narrowed(x, a, b, c, f, own, first, middle, last, hides, listed)
-                        behind = narrowed(z, a, b, c, f, own, middle, last, half_way, hides, listed)
-                        first, middle, last = last, half_way, behind
-                if quarter:
-                    cell[top, 17] = UNFOUND
-                    # Another point of the wall, before which other things may stand; what may hide the cell from
-                    # the laser point is what it was.
-                    for j in range(middle - first):
-                        listed[last + j] = listed[first + j]
-                    first, middle = last, last + middle - first
-                    last = middle + (some if last_leg else 0)
-                    listed[middle] = 0
-                    here, kept = top, BOX if what == BOX else FRESH
-                    if few:
-                        cell[top, 16] = 4.0 * share
-                        only = quarters3[q, _digit(turn, share)]
-                        top = push(tag, top, kept, at, only, first, middle, last)
-                        continue
-                    for j in range(4):
-                        copy_cell(cell, here, top)
-                        top = push(tag, top, kept, at, quarters3[q, j], first, middle, last)
-                    continue
-                if what == BOX and (cut or not alone):
-                    if many:
-                        top = push_boxes(tag, cell, top, children[at], q, first, middle, last)
-                        continue
-                    unfound = cell[top, 17]
-                    for f in range(start, end):
-                        cell[top, 16] = share
-                        for j in range(3):
-                            put_vertex(cell, top, j, corner(corners, f, j), 0.0, 0.0)
-                        cell[top, 15], cell[top, 17] = area_before[f + 1] - area_before[f], unfound
-                        top = push(tag, top, FRESH, f, q, first, middle, last)
-                    continue
-                if cut:
-                    if h <= SMALLEST * extent:
-                        continue
-                    # Across the longest side.
-                    y = half(vertex_of(cell, top, side), vertex_of(cell, top, (side + 1) % 3))
-                    w, r1, r3 = weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation)
-                    top = push_halves(tag, cell, top, side, y, w, r1 + r3, CELL, f, q, first, middle, last)
-                    continue
-                wa, wb, wc = cell[top, 3], cell[top, 8], cell[top, 13]
-                energy = gain * cell[top, 15] * (0.75 * wm + 0.25 * (wa + wb + wc) / 3)
-                cells += 1
-                zero = (device - 0.75 * bend) * per_metre - start_bin
-                at_a, at_b, at_c = (
-                    cell[top, 4] * per_metre + zero, cell[top, 9] * per_metre + zero, cell[top, 14] * per_metre + zero
-                )  # fmt: skip
-                if size * per_metre > AT_ONCE:
-                    variance = smear(less(m, z), seen_from[2], clock.device, across3, p, q) * per_metre * per_metre
-                    at_a, at_b, at_c = widened(at_a, at_b, at_c, variance)
-                overflow[into] += spread(histogram, into, at_a, at_b, at_c, wa, wb, wc, energy)
-            work[k, 0] += cells
-            work[k, 1] += rays
+    if view.size * per_metre > AT_ONCE:
+        # The footprint is reached at more than one time.
+        path, across = less(element.m, view.z), scan.patches.across
+        variance = smear(path, view.vertex[2], scan.clock.device, across, view.p, view.q) * per_metre * per_metre
+        at_a, at_b, at_c = widened(at_a, at_b, at_c, variance)
+    return spread(histogram, into, at_a, at_b, at_c, wa, wb, wc, energy)

@@ -1,13 +1,13 @@
-"""The primary of a scan without noise: light of three bounces, found by cutting surfaces into cells.
+"""The primary of a scan without noise: light of three bounces, found by cutting surfaces into elements.
 
 What a pixel receives by way of the hidden surface is an integral over that surface, and one whose integrand is smooth
-wherever nothing hides it. So it is not sampled: each triangle is halved until a cell is small against its distance
-from the laser point and the pixel, and until the error that it can still make in the histogram is small
-(`three_bounce_kernel.py`); cells that are partly hidden are halved further. How large a cell may be is one number for
-each object and one for all else, the L2 error that it may make, and an accuracy target chooses these numbers: some
-laser points are gathered with ever smaller cells, until the difference that this makes is small in the whole and in
-each object's own light (`refinement.py`). The error of what is chosen is thus known without noise, a function of the
-scene alone.
+wherever nothing hides it. So it is not sampled: each triangle is halved until an element is small against its
+distance from the laser point and the pixel, and until the error that it can still make in the histogram is small
+(`three_bounce_kernel.py`); elements that are partly hidden are halved further. How large an element may be is one
+number for each object and one for all else, the L2 error that it may make, and an accuracy target chooses these
+numbers: some laser points are gathered with ever smaller elements, until the difference that this makes is small in
+the whole and in each object's own light (`refinement.py`). The error of what is chosen is thus known without noise, a
+function of the scene alone.
 
 Clusters of small triangles, whose light would be lost in the rest, are seen through one random point each.
 """
@@ -65,15 +65,15 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
             return None
         if quartering.levels <= trial.levels or quartering.gain <= asked.target * choice.whole:
             break
-        # Smaller patches see light that those of the trial missed (a narrow lobe passes between their points): how
-        # finely its cells have to be cut is not known yet.
+        # Smaller footprints see light that those of the trial missed (a narrow lobe passes between their points): how
+        # finely its elements have to be cut is not known yet.
         trial = replace(trial, levels=quartering.levels, seen={})
     cutting, parts = choice.cutting[trial.group], len(asked.objects)
     rows = np.arange(parts) if task.splits.parts else np.zeros(parts, np.int64)
     seen = gathering.seen(pairs, quartering.levels, quartering.edge_levels)
     found = gathering.gathered(pairs, seen, cutting, rows)
     shape, names = task.capture.shape, task.scene.part_names
-    # Those of cells and of patches have nothing to do with each other.
+    # Those of elements and of footprints have nothing to do with each other.
     errors = np.hypot(choice.still, quartering.of_parts) / np.where(choice.held, choice.own, 1.0)
     return Primary(
         [np.ascontiguousarray(found.histogram[:, k]).reshape(shape) for k in range(rows.max() + 1)],

@@ -1,11 +1,11 @@
-"""What a cell gives to one laser point and pixel, how wrong that may be, and how much it is at most.
+"""What an element gives to one laser point and pixel, how wrong that may be, and how much it is at most.
 
-Flux per hidden area at y, with x the laser point and z the middle of a patch of the pixel (docs/physics.md):
+Flux per hidden area at y, with x the laser point and z the middle of a footprint of the pixel (docs/physics.md):
 
     w(y) = f₁ cosθ₁ cosθ₂ / R₁²  ·  f₂  ·  cosθ₂′ cosθ₃ / (R₂² + a/π)  ·  f₃ W,     arriving at (R₁ + R₂)/c,
 
-a the patch's area, which bounds what a near cell can give it, and W the sensor's share. What air leaves of it,
-exp(−κ (R₁ + R₂)), is put to each point's w: in dense fog nothing else tells a near cell from a far one.
+a the footprint's area, which bounds what a near element can give it, and W the sensor's share. What air leaves of it,
+exp(−κ (R₁ + R₂)), is put to each point's w: in dense fog nothing else tells a near element from a far one.
 """
 
 from __future__ import annotations
@@ -20,12 +20,15 @@ from datagen.transport.geometry import air, distance, less
 from datagen.transport.quadrature.clusters import UNLIKE
 
 SMEARED = 0.3
-"""Of a patch, the share that its arrival times spread over."""
+"""Of a footprint, the share that its arrival times spread over."""
 BLURRED = 0.25
-"""Of the error that a cell may make, the share that may come of the patch that sees it, as it does for many alike."""
+"""Of the error that an element may make, the share that may come of the footprint that sees it, as it does for many
+alike."""
+AT_ONCE = 0.01
+"""Size of a footprint, in bins, up to which all of it is reached at once."""
 OUTSIDE = 0.01
-"""Error of a cell whose light comes outside the window, relative to it, that it may always make: no bin has it, and
-when exactly it comes does not matter."""
+"""Error of an element whose light comes outside the window, relative to it, that it may always make: no bin has it,
+and when exactly it comes does not matter."""
 
 
 @compiled()
@@ -56,9 +59,10 @@ def weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation):  
 def weight_at_most(  # type: ignore[no-untyped-def]
     y, n, kind2, values2, lit_from, seen_from, footprint, attenuation, h, size, tilt
 ):  # fmt: skip
-    """The largest w that the BRDFs allow within a cell about y that is h long, seen from a patch of some size.
+    """The largest w that the BRDFs allow within an element about y that is h long, seen from a footprint of some
+    size.
 
-    Lobes that none of the cell's points meets may still cross it: the directions to its ends turn by h/R₁ and
+    Lobes that none of the element's points meets may still cross it: the directions to its ends turn by h/R₁ and
     (h + size)/R₂ over it, and its normals deviate from n by up to `tilt`, rad. All else of w is that of y.
     """
     x, n1, to_laser, kind1, values1 = lit_from
@@ -85,46 +89,39 @@ def weight_at_most(  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def outside(at_a, at_b, at_c, middle, legs, size, start, stop):  # type: ignore[no-untyped-def]
-    """Whether all of a cell's light comes before a window or after it. All in metres of path: by way of its vertices
-    and its middle, of the legs to the device, the size of its patch, of the window.
+def outside(paths, middle, legs, size, opens, closes):  # type: ignore[no-untyped-def]
+    """Whether all of an element's light comes before a window or after it.
+
+    paths, middle : m by way of its vertices and its middle. legs : to the device, m. size : of the footprint, m.
+    opens, closes : the window, m of path.
 
     Paths are convex: within the triangle none is longer than by way of a vertex, or shorter than three times that of
     the middle less twice that.
     """
-    most = max(at_a, at_b, at_c)
-    return (most + legs + 2.0 * size < start) | (3.0 * middle - 2.0 * most + legs - 2.0 * size > stop)
+    most = max(paths[0], paths[1], paths[2])
+    return (most + legs + 2.0 * size < opens) | (3.0 * middle - 2.0 * most + legs - 2.0 * size > closes)
 
 
 @compiled()
-def judged(  # type: ignore[no-untyped-def]
-    cell, k, h, bright, r1, r3, gain, footprint, size, limit, keen, allowed, quarters, per_metre, attenuation,
-    unseen,
-):  # fmt: skip
-    """`verdict` of waiting cell k, whose w is at most `bright` as far as its middle tells."""
-    w = max(bright, cell[k, 3], cell[k, 8], cell[k, 13])
-    return verdict(
-        cell[k, 4], cell[k, 9], cell[k, 14], cell[k, 15], w, h, r1, r3, gain, footprint, size, limit, keen, allowed,
-        quarters, per_metre, attenuation, unseen,
-    )  # fmt: skip
+def verdict(paths, light, lengths, view, limits, air_and_bins, unseen):  # type: ignore[no-untyped-def]
+    """What becomes of an element, seen from a footprint.
 
+    paths : m by way of its vertices. light : its area, and its largest `weight`. lengths : its longest side, R₁ and
+        R₂ by way of its middle, m. view : photons per unit of weight and area, and area, size and whether there are
+        quarters of the footprint.
+    limits : largest element, relative to its distance; 1/width² of the narrowest lobe on the path, 1 if all its
+        surfaces are matt; and the L2 error that it may make. What a lobe makes of an element is never more wrong than
+        all its light.
+    air_and_bins : bins per m of path, and attenuation, 1/m. unseen : whether it is `outside` the window.
 
-@compiled()
-def verdict(  # type: ignore[no-untyped-def]
-    at_a, at_b, at_c, area, w, h, r1, r3, gain, footprint, size, limit, keen, allowed, quarters,
-    per_metre, attenuation, unseen,
-):  # fmt: skip
-    """What becomes of a cell, h long, with paths at_a, at_b and at_c by way of its vertices, R₁ and R₂ by way of its
-    middle and at most w anywhere, seen from a patch of some size; `unseen` if it is `outside` the window.
-
-    limit : largest cell, relative to its distance. keen : 1/width² of the narrowest lobe on the path, 1 if all its
-        surfaces are matt. What a lobe makes of a cell is never more wrong than all its light.
-
-    Returns whether it is cut; whether the patch is quartered first; the L2 error if its light should be missing
+    Returns whether it is cut; whether the footprint is quartered first; the L2 error if its light should be missing
     (infinite where that was not asked); and how far its arrival times are bent.
     """
-    # What the patch itself cannot tell apart needs no cutting. All is worked out before it is asked, so that loops
-    # over many cells need no branches.
+    (at_a, at_b, at_c), (area, w), (h, r1, r3) = paths, light, lengths
+    (gain, footprint, size, quarters), (limit, keen, allowed) = view, limits
+    per_metre, attenuation = air_and_bins
+    # What the footprint itself cannot tell apart needs no cutting. All is worked out before it is asked, so that
+    # loops over many elements need no branches.
     per_metre = 0.0 if unseen else per_metre
     ratio1, ratio3, ratio_z = h / r1, h / math.sqrt(r3 * r3 + footprint / math.pi), size / r3
     patch_first = (ratio_z > limit) & quarters & (size > 0.5 * h)
@@ -147,7 +144,7 @@ def verdict(  # type: ignore[no-untyped-def]
 
 @compiled()
 def smear(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
-    """`smeared` by patch q of row p, whose direction to the sensor counts if `device`."""
+    """`smeared` by footprint q of row p, whose direction to the sensor counts if `device`."""
     towards = to_sensor if device else (0.0, 0.0, 0.0)
     sides = (across[p, q, 0, 0], across[p, q, 0, 1], across[p, q, 0, 2])
     others = (across[p, q, 1, 0], across[p, q, 1, 1], across[p, q, 1, 2])
@@ -156,8 +153,8 @@ def smear(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
 
 @compiled()
 def smeared(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
-    """Variance of the path by way of a patch, from one side of it to the other, m²; d3 from it to the cell, R₃ long,
-    and what the direction to the sensor adds."""
+    """Variance of the path by way of a footprint, from one side of it to the other, m²; d3 from it to the element, R₃
+    long, and what the direction to the sensor adds."""
     per = 1.0 / r3
     g = (d3[0] * per + to_sensor[0], d3[1] * per + to_sensor[1], d3[2] * per + to_sensor[2])
     one, two = dot(g, side), dot(g, other)
@@ -166,8 +163,8 @@ def smeared(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
 
 @compiled()
 def brightest(m, radius, area, rise, height, x, z, size, attenuation):  # type: ignore[no-untyped-def]
-    """What a box or cell about m may bring at most for every photon, BRDF and solid angle of one, if x lights it and
-    something within `size` of z is seen by it; `rise` it has above the plane of x, `height` x above its own."""
+    """What a box or element about m may bring at most for every photon, BRDF and solid angle of one, if x lights it
+    and something within `size` of z is seen by it; `rise` it has above the plane of x, `height` x above its own."""
     far1, far3 = max(distance(m, x) - radius, 0.0), max(distance(m, z) - radius - size, 0.0)
     near1, near3 = max(far1, math.sqrt(area / (2 * math.pi))), max(far3, 0.25 * size)
     area *= air(attenuation, far1 + far3)

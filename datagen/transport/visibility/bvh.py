@@ -20,9 +20,9 @@ from datagen.transport.visibility.closed_surfaces import NONE, bounds, closed, c
 LEAF = 2
 """Most triangles of a box that is not halved."""
 CLUSTER = 4
-"""Triangles of a box up to which each is a cell of its own; not below `LEAF`."""
+"""Triangles of a box up to which each is an element of its own; not below `LEAF`."""
 SMALLEST = 1e-8
-"""Smallest cell that is cut, relative to the scene."""
+"""Smallest element that is cut, relative to the scene."""
 MORTON_BITS = 16
 ON_PLANE = 1e-9
 """Distance from a plane, relative to the scene, below which a point lies on it."""

@@ -1,6 +1,6 @@
 """What stands between two points, or between a point and all of a triangle, in double precision.
 
-It is asked of a tree of boxes over the triangles that can hide anything (`occluder_rows.py`), answers the same on
+It is asked of a BVH over the triangles that can hide anything (`occluder_rows.py`), answers the same on
 every processor, and in compiled loops, one line at a time.
 """
 
@@ -13,7 +13,6 @@ from datagen.transport.brdf import dot
 from datagen.transport.geometry import above, cross, get, half, less
 from datagen.transport.visibility.closed_surfaces import encloses, side_turned
 from datagen.transport.visibility.occluder_rows import (
-    AT_ONCE,
     CONVEX,
     COSINE,
     FIRST,
@@ -28,8 +27,6 @@ from datagen.transport.visibility.occluder_rows import (
     SOLIDS,
     TURNED,
     WHOLE,
-    WIDE,
-    WIDE_ROWS,
     C,
 )
 
@@ -83,55 +80,33 @@ def hidden(x, y, of, first, last, row, listed):  # type: ignore[no-untyped-def]
     d, suspect = less(y, x), listed[SUSPECT]
     if suspect > 0 and _stands_between(x, d, of, suspect, row):
         return suspect
-    slope = (1.0 / (d[0] or TINY), 1.0 / (d[1] or TINY), 1.0 / (d[2] or TINY))
-    wide = int(row[HEAD, WIDE])
+    per = (1.0 / (d[0] or TINY), 1.0 / (d[1] or TINY), 1.0 / (d[2] or TINY))
     for i in range(first, last):
         listed[0], top = listed[i], 1
-        if listed[0] >= 0 and row[listed[0], LINK] <= 0.0:
-            top = _opened(listed, 0, row, listed[0])
         while top > 0:
             top -= 1
             k = listed[top]
             if k < 0:
                 if _stands_between(x, d, of, -k, row):
+                    # What hides one point often hides the next: it is looked at first then.
                     listed[SUSPECT] = -k
                     return -k
-                continue
-            top = _met(x, slope, wide + WIDE_ROWS * k, row, listed, top)
+            elif _meets(x, per, k, row):
+                top = _opened(listed, top, row, k)
     return 0
 
 
-LOWEST = np.array([(k & -k).bit_length() - 1 for k in range(1 << AT_ONCE)])
-"""Number of the lowest bit that is set in a number; −1 in 0."""
-
-
 @compiled(forceinline=True)
-def _met(x, slope, at, row, listed, top):  # type: ignore[no-untyped-def]
-    """Put what a line meets of the boxes in rows `at` … behind the first `top` entries; returns how many there are
-    then. slope : 1 over each component of the line."""
-    # Without branches, and with as many turns as rows have columns, which compilers do not unroll but make one turn
-    # of vector instructions of: all boxes are held against the line at once, and each that it meets sets a bit.
-    met = np.int64(0)
-    for j in range(row.shape[1]):
-        a, b = (row[at, j] - x[0]) * slope[0], (row[at + 3, j] - x[0]) * slope[0]
-        enter, leave = min(a, b), max(a, b)
-        a, b = (row[at + 1, j] - x[1]) * slope[1], (row[at + 4, j] - x[1]) * slope[1]
-        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
-        a, b = (row[at + 2, j] - x[2]) * slope[2], (row[at + 5, j] - x[2]) * slope[2]
-        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
-        met |= np.int64(max(enter, 0.0) <= min(leave, 1.0 + TOUCHING) * (1.0 + 1e-12)) << j
-    while met > 0:
-        k = int(row[at + 6, LOWEST[met]])
-        met &= met - 1
-        if k > 0:
-            listed[top] = k
-            top += 1
-        else:
-            inside = -k >> 2
-            for m in range(-k & 3):
-                listed[top + m] = -(inside + 2 * m)
-            top += -k & 3
-    return top
+def _meets(x, per, k, row):  # type: ignore[no-untyped-def]
+    """Whether a line from x meets box k; per : 1 over each component of the line."""
+    a, b = (row[k, 0] - x[0]) * per[0], (row[k, 3] - x[0]) * per[0]
+    enter, leave = min(a, b), max(a, b)
+    a, b = (row[k, 1] - x[1]) * per[1], (row[k, 4] - x[1]) * per[1]
+    enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+    a, b = (row[k, 2] - x[2]) * per[2], (row[k, 5] - x[2]) * per[2]
+    enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+    # A box is taken as a little larger than it is, for a triangle in its plane must not be lost to rounding.
+    return max(enter, 0.0) <= min(leave, 1.0 + TOUCHING) * (1.0 + 1e-12)
 
 
 @compiled(forceinline=True)
@@ -149,7 +124,7 @@ def _opened(listed, top, row, k):  # type: ignore[no-untyped-def]
     """Put what box k holds behind the first `top` entries; returns how many there are then."""
     one = int(row[k, LINK])
     if one > 0:
-        listed[top], listed[top + 1] = one, one + 1
+        listed[top], listed[top + 1] = one, int(row[k, FIRST])
         return top + 2
     first = int(row[k, FIRST])
     for j in range(-one):
@@ -257,12 +232,11 @@ def narrowed(x, a, b, c, of, own, first, last, free, row, listed):  # type: igno
         ):
             continue
         elif end - free + tail - head < MOST:
-            one_of = int(row[k, LINK])
+            one_of, inside = int(row[k, LINK]), int(row[k, FIRST])
             if one_of > 0:
-                listed[tail & RING], listed[(tail + 1) & RING] = one_of, one_of + 1
+                listed[tail & RING], listed[(tail + 1) & RING] = one_of, inside
                 tail += 2
             else:
-                inside = int(row[k, FIRST])
                 for j in range(-one_of):
                     listed[(tail + j) & RING] = -(inside + 2 * j)
                 tail -= one_of

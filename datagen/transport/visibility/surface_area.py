@@ -17,7 +17,7 @@ def boxes_over(low, high):  # type: ignore[no-untyped-def]
 
     low, high : (F, 3) lowest and highest corner of each triangle.
 
-    Returns order : (F,), and box and link as `Occluders` has them.
+    Returns order : (F,), and box, children and span as `Hierarchy` has them.
     """
     count = len(low)
     most = max(2 * count, 1)
@@ -69,7 +69,8 @@ def boxes_over(low, high):  # type: ignore[no-untyped-def]
             link[n, 1], link[n, 2], link[n + 1, 1], link[n + 1, 2] = first, middle, middle, last
             n += 2
         k += 1
-    return order, box[:n], link[:n]
+    second = np.where(link[:n, 0] < 0, -1, link[:n, 0] + 1)
+    return order, box[:n], np.column_stack((link[:n, 0], second)), link[:n, 1:]
 
 
 @compiled()
