@@ -50,7 +50,7 @@ class FovPool(NamedTuple):
             apart = values.reshape(sets, pixels, *values.shape[1:])
             return np.ascontiguousarray(apart.swapaxes(0, 1)).reshape(pixels, -1, *values.shape[2:])
 
-        return FovPool(*(joined(values) for values in self[:-1]), sets)
+        return FovPool._make([*(joined(values) for values in self[:-1]), sets])
 
 
 class PixelCones(NamedTuple):

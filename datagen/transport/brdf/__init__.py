@@ -15,6 +15,7 @@ from datagen.transport.brdf.table import (
     PHONG,
     RETROREFLECTOR,
     SIN_LOBE,
+    Materials,
     MaterialTable,
 )
 
@@ -26,6 +27,7 @@ __all__ = [
     "RETROREFLECTOR",
     "SIN_LOBE",
     "MaterialTable",
+    "Materials",
     "Vector",
     "albedo",
     "cosine_directions",

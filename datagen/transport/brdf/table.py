@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,15 @@ LAMBERTIAN, SIN_LOBE, PHONG, OREN_NAYAR, GGX_LOBE, RETROREFLECTOR = range(6)
 NARROWEST_ROW = 4
 
 
-class MaterialTable(NamedTuple):
+class Materials(NamedTuple):
+    """A `MaterialTable` as compiled loops take it; its fields."""
+
+    kind: Ints | NDArray[np.uint8]
+    values: Floats
+
+
+@dataclass(frozen=True)
+class MaterialTable:
     """What each of K parts is made of.
 
     kind : (K,) int64, or uint8 where all are Lambertian, for which the loops are then compiled (see `models.py`).
@@ -35,6 +44,11 @@ class MaterialTable(NamedTuple):
             place[: len(row)] = row
         kind = np.array([kind for kind, _ in described], np.int64)
         return cls(kind if kind.any() else kind.astype(np.uint8), values)
+
+    @property
+    def arrays(self) -> Materials:
+        """The same for compiled loops."""
+        return Materials(self.kind, self.values)
 
 
 def _described(material: Material) -> tuple[int, tuple[float, ...]]:

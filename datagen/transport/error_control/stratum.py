@@ -126,7 +126,7 @@ class Stratum:
         last, more = self.rounds[-1].scatter, each * replicates
         of_round = last.variance * last.replicates / replicates * (self.rounds[-1].each / max(each, 1)) ** CONVERGENCE
         old = self.samples**2 * total_variance(self.scatters())
-        return self.excess * (old + more**2 * of_round) / (self.samples + more) ** 2
+        return float(self.excess * (old + more**2 * of_round) / (self.samples + more) ** 2)
 
     def sample(self, each: int, replicates: int, seed: int) -> None:
         """One more round: `each` samples of each laser point in each of `replicates`."""

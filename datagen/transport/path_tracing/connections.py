@@ -28,7 +28,7 @@ from datagen.compiled import compiled
 from datagen.records import Scene, Sensor
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.binning import put
-from datagen.transport.brdf import LAMBERTIAN, MaterialTable, Vector, dot, evaluate, pdf
+from datagen.transport.brdf import LAMBERTIAN, Materials, MaterialTable, Vector, dot, evaluate, pdf
 from datagen.transport.fields_of_view import FovPool, PixelCones, PixelPatches
 from datagen.transport.path_tracing.vertices import LaserPoints, Vertices, at
 from datagen.transport.visibility.raycast import Hits, Raycaster, lifted_and_scaled
@@ -180,10 +180,10 @@ class Receiver:
         for start in range(0, count, per_batch):
             batch = slice(start, start + per_batch)
             found = connections(
-                vertices.take(batch), block[batch], self.pool, self.patches, self.materials, self.device, self.clock,
-                self.rows, split_of_part, frame, waiting,
+                vertices.take(batch), block[batch], self.pool, self.patches, self.materials.arrays, self.device,
+                self.clock, self.rows, split_of_part, frame, waiting,
             )  # fmt: skip
-            arrivals = Arrivals(*(values[:found] for values in waiting.arrivals))
+            arrivals = Arrivals._make(values[:found] for values in waiting.arrivals)
             hidden = np.zeros(found, np.bool_)
             if self.occlusion:
                 hidden = self.caster.occluded_scaled(waiting.origin[:found], waiting.span[:found])
@@ -201,15 +201,15 @@ class Receiver:
         """Add those of the vertices' own rays (with their throughput f cosθ / pdf) that land inside a pixel."""
         part = np.where(hits.valid, self.scene.face_part[hits.face], -1).astype(np.int64)
         found = landed(
-            vertices, hits, part, directions, throughput, self.materials, self.cones, self.patches, self.device,
-            self.clock, self.rows, split_of_part,
+            vertices, hits, part, directions, throughput, self.materials.arrays, self.cones, self.patches,
+            self.device, self.clock, self.rows, split_of_part,
         )  # fmt: skip
         self._add_if_seen(hits.position[found.owner] + self.caster.offset_m * hits.normal[found.owner], found)
 
     def add_laser_points(self, points: LaserPoints, lasers: Ints, split: int) -> None:
         """Add the laser points themselves where a pixel looks at them: the direct return of one bounce."""
         found = laser_points_seen(
-            lasers, points, self.materials, self.cones, self.device, self.clock, self.rows, split
+            lasers, points, self.materials.arrays, self.cones, self.device, self.clock, self.rows, split
         )  # fmt: skip
         self._add_if_seen(points.position[found.owner] + self.caster.offset_m * points.normal[found.owner], found)
 
@@ -225,7 +225,7 @@ def _is_near(position: Vector, kind: int, patches: PixelPatches, p: int) -> bool
         return True
     c = patches.center
     d = (position[0] - c[p, 0], position[1] - c[p, 1], position[2] - c[p, 2])
-    return dot(d, d) < reach * reach
+    return bool(dot(d, d) < reach * reach)
 
 
 @compiled(inline="always")
@@ -277,7 +277,7 @@ def near_a_pixel(v: Vertices, kind: NDArray[np.integer], patches: PixelPatches, 
 
 @compiled()
 def connections(
-    v: Vertices, block: Ints, pool: FovPool, patches: PixelPatches, materials: MaterialTable, device: Device,
+    v: Vertices, block: Ints, pool: FovPool, patches: PixelPatches, materials: Materials, device: Device,
     clock: Clock, rows: Rows, split_of_part: Ints, frame: Frame, waiting: Waiting,
 ) -> int:  # fmt: skip
     """Write every connection of the vertices that can carry energy to `waiting`; returns how many these are.
@@ -341,7 +341,7 @@ def deposit(arrivals: Arrivals, hidden: Bools, tally: Tally) -> None:
 
 @compiled()
 def landed(
-    v: Vertices, hits: Hits, part3: Ints, direction: Floats, throughput: Floats, materials: MaterialTable,
+    v: Vertices, hits: Hits, part3: Ints, direction: Floats, throughput: Floats, materials: Materials,
     cones: PixelCones, patches: PixelPatches, device: Device, clock: Clock, rows: Rows, split_of_part: Ints,
 ) -> Arrivals:  # fmt: skip
     """The vertices' own rays that landed inside a pixel, which count if the sensor sees where."""
@@ -381,7 +381,7 @@ def landed(
             if not energy > 0.0:
                 continue
             owners.append(np.int64(i))
-            in_rows.append(_row(rows, local, p, split_of_part[v.part[i]]))
+            in_rows.append(np.int64(_row(rows, local, p, split_of_part[v.part[i]])))
             positions.append(_bin(v.path[i] + distance, reach, local, clock))
             energies.append(energy)
     # The first entries only told the compiler the types of the lists.
@@ -390,7 +390,7 @@ def landed(
 
 @compiled()
 def laser_points_seen(
-    lasers: Ints, points: LaserPoints, materials: MaterialTable, cones: PixelCones, device: Device, clock: Clock,
+    lasers: Ints, points: LaserPoints, materials: Materials, cones: PixelCones, device: Device, clock: Clock,
     rows: Rows, split: int,
 ) -> Arrivals:  # fmt: skip
     """Laser points that a pixel looks at (one bounce), which count if the sensor sees them: f cosθ A / R²."""
@@ -413,7 +413,7 @@ def laser_points_seen(
         for p in range(_first_pixel(rows, local), _end_of_pixels(rows, local)):
             if _inside(span, cones, p):
                 owners.append(np.int64(o))
-                in_rows.append(_row(rows, local, p, split))
+                in_rows.append(np.int64(_row(rows, local, p, split)))
                 positions.append(_bin(0.0, reach, local, clock))
                 energies.append(energy)
     return Arrivals(np.array(owners[1:]), np.array(in_rows[1:]), np.array(positions[1:]), np.array(energies[1:]))

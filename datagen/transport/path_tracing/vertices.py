@@ -22,7 +22,7 @@ from datagen.compiled import compiled
 from datagen.records import Laser, Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
-from datagen.transport.brdf import MaterialTable, Vector, dot, evaluate, pdf, sample
+from datagen.transport.brdf import Materials, MaterialTable, Vector, dot, evaluate, pdf, sample
 from datagen.transport.sampling import Streams, mix, scrambled_sobol, stream_seeds
 from datagen.transport.visibility.raycast import Hits, Raycaster
 
@@ -57,7 +57,7 @@ class LaserPoints(NamedTuple):
 
     def take(self, lasers: Ints) -> LaserPoints:
         """Some of them, or several copies of them."""
-        return LaserPoints(*(values[lasers] for values in self))
+        return LaserPoints._make(values[lasers] for values in self)
 
 
 class Vertices(NamedTuple):
@@ -84,7 +84,7 @@ class Vertices(NamedTuple):
 
     def take(self, rows: Ints | slice) -> Vertices:
         """Some of them."""
-        return Vertices(*(values[rows] for values in self))
+        return Vertices._make(values[rows] for values in self)
 
     def numbers(self, step: int) -> Floats:
         """(n, CHOICES) numbers in 0 … 1 for the choices at step 0 (the first hidden vertex), 1, 2 …"""
@@ -195,7 +195,7 @@ def draw_lookins(
         owner = np.concatenate([owner, area_owner])
         sobol = np.concatenate([sobol, area_sobol])
     kept, normal, to_previous, distance, power = _lit(
-        face, position, owner, points, materials, caster.face_normal, target.contains, float(by_ray),
+        face, position, owner, points, materials.arrays, caster.face_normal, target.contains, float(by_ray),
         by_area / target.area_m2,
     )  # fmt: skip
     owner = owner[kept]
@@ -229,13 +229,13 @@ def scattered_rays(
 ) -> tuple[Hits, Floats, Floats]:
     """One ray from each vertex drawn by its BRDF: hits, unit directions (n, 3), throughput f cosθ / pdf (n,)."""
     uv = np.ascontiguousarray(numbers[:, 1:3])
-    directions, throughput = _scattered(materials, vertices.part, vertices.normal, vertices.to_previous, uv)
+    directions, throughput = _scattered(materials.arrays, vertices.part, vertices.normal, vertices.to_previous, uv)
     return caster.leaving(vertices.position, vertices.normal, directions), directions, throughput
 
 
 def _rays(caster: Raycaster, materials: MaterialTable, points: LaserPoints, owner: Ints, uv: Floats) -> Hits:
     normals = points.normal[owner]
-    directions, _ = _scattered(materials, points.part[owner], normals, points.to_laser[owner], uv)
+    directions, _ = _scattered(materials.arrays, points.part[owner], normals, points.to_laser[owner], uv)
     return caster.leaving(points.position[owner], normals, directions)
 
 
@@ -258,9 +258,7 @@ def at(array: Floats, i: int) -> Vector:
 
 
 @compiled()
-def _scattered(
-    materials: MaterialTable, part: Ints, normal: Floats, w_in: Floats, uv: Floats
-) -> tuple[Floats, Floats]:
+def _scattered(materials: Materials, part: Ints, normal: Floats, w_in: Floats, uv: Floats) -> tuple[Floats, Floats]:
     """Directions (n, 3) drawn by each vertex's BRDF, and the throughput f cosθ / pdf (n,)."""
     directions, throughput = np.empty((len(part), 3)), np.empty(len(part))
     for i in range(len(part)):
@@ -289,7 +287,7 @@ def _independent_numbers(streams: NDArray[np.uint64], step: int, count: int) -> 
 
 @compiled()
 def _lit(
-    face: NDArray[np.int32], position: Floats, owner: Ints, points: LaserPoints, materials: MaterialTable,
+    face: NDArray[np.int32], position: Floats, owner: Ints, points: LaserPoints, materials: Materials,
     face_normal: Floats, by_area_too: Bools, rays: float, area_density: float,
 ) -> tuple[Ints, Floats, Floats, Floats, Floats]:  # fmt: skip
     """Which candidates for hidden vertices the laser points light, their normal on the lit side, direction and
