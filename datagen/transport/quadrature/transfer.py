@@ -48,9 +48,9 @@ NORMAL, ENERGY, LENGTH, SPAN, ALONG, LONG, BACK, BLUR, CLUSTERED, TURNED, NUMBER
 )  # fmt: skip
 """Columns of `Elements.known`: the middle of its light (0–2), its normal towards the end, its light, the path to its
 middle, two vectors whose squared products with a slope of the path add up to the variance that this gives, these
-products for the path to the end, its longest side, the direction to the end, the variance over its points of the path,
-1 for a cluster and 0 for a triangle, and of a cluster the variance of its normals along a direction across their mean,
-relative to the square of that mean."""
+products for the path to the end, its longest side, the direction to the end, the variance over its points of the
+path, 1 for a cluster and 0 for a triangle, and of a cluster the variance of its normals along a direction across
+their mean, relative to the square of that mean."""
 UPWARD, TO_DEVICE, SHARE, LONGER = 3, 6, 9, 10
 """Columns of an end's point, whose first three are its position."""
 
@@ -70,7 +70,9 @@ class Ends(NamedTuple):
     part: Ints
 
     @classmethod
-    def of(cls, position: Floats, normal: Floats, to_device: Floats, part: Ints, share: Floats, longer: Floats) -> Ends:
+    def of(
+        cls, position: Floats, normal: Floats, to_device: Floats, part: Ints, share: Floats, longer: Floats
+    ) -> Ends:
         """Ends from arrays (N, Q, 3) and (N, Q)."""
         numbers = np.stack([share, longer], axis=-1)
         return cls(np.concatenate([position, normal, to_device, numbers], axis=-1), np.ascontiguousarray(part))
@@ -117,7 +119,8 @@ class Elements(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Boxes and parts of a triangle that wait, with their areas; what a cluster has drawn; lists of `occlusion.py`."""
+    """Boxes and pieces of a triangle that wait, with their areas; what a cluster has drawn; the lists of
+    `occlusion.py`."""
 
     boxes: Ints
     corners: Floats
@@ -184,9 +187,7 @@ def _lit_at_most(y, n, h, p, ends, optics):  # type: ignore[no-untyped-def]
         if up > 0.0 and down > 0.0:
             per = 1.0 / r
             onward = (d[0] * per, d[1] * per, d[2] * per)
-            f = evaluate_at_most(
-                optics.kind[k], optics.values[k], n1, get(point, q, TO_DEVICE), onward, h * per, 0.0
-            )
+            f = evaluate_at_most(optics.kind[k], optics.values[k], n1, get(point, q, TO_DEVICE), onward, h * per, 0.0)
             w += point[q, SHARE] * f * up * down / (square * square)
     return w
 
