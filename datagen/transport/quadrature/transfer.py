@@ -48,9 +48,9 @@ NORMAL, ENERGY, LENGTH, SPAN, ALONG, LONG, BACK, BLUR, CLUSTERED, TURNED, NUMBER
 )  # fmt: skip
 """Columns of `Elements.known`: the middle of its light (0–2), its normal towards the end, its light, the path to its
 middle, two vectors whose squared products with a slope of the path add up to the variance that this gives, these
-products for the path to the end, its longest side, the direction to the end, the variance over its points of the path,
-1 for a cluster and 0 for a triangle, and of a cluster the variance of its normals along a direction across their mean,
-relative to the square of that mean."""
+products for the path to the end, its longest side, the direction to the end, the variance over its points of the
+path, 1 for a cluster and 0 for a triangle, and of a cluster the variance of its normals along a direction across
+their mean, relative to the square of that mean."""
 UPWARD, TO_DEVICE, SHARE, LONGER = 3, 6, 9, 10
 """Columns of an end's point, whose first three are its position."""
 
@@ -119,7 +119,8 @@ class Elements(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Boxes and parts of a triangle that wait, with their areas; what a cluster has drawn; lists of `occlusion.py`."""
+    """Boxes and pieces of a triangle that wait, with their areas; what a cluster has drawn; the lists of
+    `occlusion.py`."""
 
     boxes: Ints
     corners: Floats
