@@ -202,8 +202,7 @@ def _level(
                 return None
         # What clusters give to cells beside them is wrong alike at all levels.
         doubt = [run.doubt * l2_norm(histogram) for run, histogram in zip(runs, histograms, strict=True)]
-        # How elements are cut and how pixels are quartered have nothing to do with each other.
-        still = np.hypot(_still(histograms), of_patches) + doubt[:-1]
+        still = _still(histograms) + of_patches + doubt[:-1]
         costs = [run.cost for run in runs]
         # The error of its own light is given up where that costs too much, and where no level is left.
         for goal in (wanted, limit):
@@ -214,7 +213,7 @@ def _level(
             return None
         if number > n - 1:
             continue
-        left = math.hypot((REST - 1) * l2_norm(histograms[-1] - histograms[-2]), of_patches) + doubt[-1]
+        left = (REST - 1) * l2_norm(histograms[-1] - histograms[-2]) + of_patches + doubt[-1]
         return _Level(
             number, patches, error, runs[-1], left, sum(run.pairs for run in runs), sum(run.rays for run in runs)
         )
@@ -265,19 +264,9 @@ def _patches_for(
 
 
 def _still(histograms: list[Floats]) -> Floats:
-    """(n − 1,) L2 error that each run still has, the last of them apart.
-
-    It is what a run differs by from the last, and the error of that. The two add up as far as errors keep their sign
-    from run to run, and as squares as far as they are chance: what the step to the last run has in common with the
-    steps before it tells.
-    """
-    *others, last = histograms
-    off = np.array([l2_norm(run - last) for run in others])
-    rest, common = (REST - 1) * off[-1], np.ones(len(off))
-    for k, run in enumerate(others[:-1]):
-        steps = float(np.vdot(run - others[-1], others[-1] - last))
-        common[k:] = max(steps, 0.0) / max(l2_norm(run - others[-1]) * off[-1], 1e-300)
-    return np.asarray(np.sqrt(off**2 + rest**2 + 2.0 * common * off * rest))
+    """(n − 1,) L2 error that each run still has, the last of them apart."""
+    off = np.array([l2_norm(run - histograms[-1]) for run in histograms[:-1]])
+    return np.asarray(off + (REST - 1) * off[-1])
 
 
 @dataclass(frozen=True)
