@@ -19,6 +19,7 @@ from datagen.bench.problems import DEVICE, WALL, furnished_room
 from datagen.errors import InputWarning
 from datagen.records import Transient
 from datagen.transport.fields_of_view import PixelCones
+from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
 
 FINE = Accuracy(target=0.01, part_target=0.01)
 
@@ -134,6 +135,27 @@ def off_by(found: Transient, truth: Transient) -> float:
 def cells_of(found: Transient) -> float:
     assert found.spend is not None
     return found.spend.lookins["primary"]
+
+
+@pytest.mark.parametrize("origin", ["wall", "source"])
+def test_a_small_patch_amplitude_and_arrival(origin: str) -> None:
+    """L = (ρ₁/π) cosθ₁cosθ₂ a/R₁₂² · (ρ₂/π) cosθ₂′cosθ₃/R₂₃² · (ρ₃/π) A Ω, at one time."""
+    side, h = 1e-3, 5e-4
+    x2 = np.array([1.2, 0.5, -0.3])
+    x1, x3, device = np.array([0, -0.4, 0.2]), np.array([0, 0.9, 0.1]), np.array([2.0, -1.0, 0.4])
+    scene = wall_and_box(rectangle(x2, (0, side / 2, 0), (0, 0, side / 2)))
+    time = bins_of_path(400, 0.01, 0.0 if origin == "wall" else 4.0, origin)
+    found = cells(scene, one_point_capture(x1, x3, h, time, device))
+    r12, r23, r3s = (np.linalg.norm(d) for d in (x2 - x1, x3 - x2, device - x3))
+    patch = 0.8 / np.pi * (1.2 / r12) ** 2 / r12**2 * side**2
+    omega = (2 * h) ** 2 * (device - x3)[0] / r3s**3
+    expected = patch * 0.6 / np.pi * (1.2 / r23) ** 2 / r23**2 * 0.8 / np.pi * np.pi * 0.02**2 * omega
+    assert found.total.sum() == pytest.approx(expected, rel=1e-5)
+    path = r12 + r23 + (r3s + np.linalg.norm(device - x1) if origin == "source" else 0.0)
+    assert (found.total[0, 0] * found.time.centers_s).sum() / found.total.sum() == pytest.approx(
+        path / C, abs=5e-3 / C
+    )
+    assert np.count_nonzero(found.total) <= 2
 
 
 def test_the_error_falls_with_the_square_of_the_cells_size() -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.materials import GGX, Lambertian, Material, Phong, Retroreflector
@@ -86,7 +87,7 @@ class Scan(NamedTuple):
     occluders: Occluders
     lasers: Lasers
     patches: Patches
-    kind: Ints
+    kind: Ints | NDArray[np.uint8]
     values: Floats
     cutting: Cutting
     clock: Clock

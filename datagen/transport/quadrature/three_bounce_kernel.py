@@ -121,7 +121,7 @@ class View(NamedTuple):
     alike: float
     keen: float
     device: float
-    word: int
+    word: np.uint64
 
 
 class Element(NamedTuple):
@@ -578,14 +578,14 @@ def _points_seen(scan, lit, view, element, count, candidates, room, top):  # typ
             start, end = tree.span[at, 0], tree.span[at, 1]
             low, high = start + j * (end - start) // count, start + (j + 1) * (end - start) // count
             f, y = facing(low, high, tree.area, tree.corners, tree.normal, x, z, word)
-            if element.inner and _inner_side(x, z, f, tree):
-                continue
         elif count == 1:
             y = somewhere(vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2), word)
         else:
             # One in each of the triangles that the middle makes with the sides.
             y = somewhere(m, vertex_of(cell, top, j), vertex_of(cell, top, (j + 1) % 3), word)
-        seen += _seen(y, x, z, f, candidates, scan.occluders.row, room.listed)
+        # Of a solid's inner side nothing is seen from outside.
+        if not (element.inner and _inner_side(x, z, f, tree)):
+            seen += _seen(y, x, z, f, candidates, scan.occluders.row, room.listed)
         if 0 < seen <= j:
             break
     return seen, rays
