@@ -10,9 +10,6 @@ from rooms import demonstration_room, furnished_box
 from datagen import Scene
 from datagen.transport.visibility.clearance import (
     flat_patch,
-    light_buffer,
-    lit_for_certain,
-    plane_of_faces,
     pyramids_clear,
 )
 from datagen.transport.visibility.raycast import Raycaster
@@ -29,24 +26,15 @@ from datagen.transport.visibility.raycast import Raycaster
 def test_proofs_of_clear_sight_are_never_wrong(
     scene: Scene, on_wall: NDArray[np.float64], normal: NDArray[np.float64]
 ) -> None:
-    """What light buffer and pyramids prove, rays confirm; and they prove most of what is true."""
+    """What pyramids prove, rays confirm; and they prove most of what is true."""
     caster = Raycaster(scene)
     rng = np.random.default_rng(4)
-    start = on_wall + 1e-5 * normal
     hits = caster.closest(on_wall + 1.3 * normal, rng.normal(size=(40_000, 3)))
     keep = hits.valid
-    face, position, facing = hits.face[keep], hits.position[keep], hits.normal[keep]
+    position, facing = hits.position[keep], hits.normal[keep]
     # Seen from elsewhere, on sides that face the point on the wall or not: only those that face it can be lit.
     front = (np.einsum("nk,nk->n", on_wall - position, facing) > 1e-6) & ((position - on_wall) @ normal > 1e-6)
-    face, position, facing = face[front], position[front], facing[front]
-    buffer = light_buffer(caster, plane_of_faces(caster), on_wall, normal)
-    proven = np.array(
-        [lit_for_certain(*buffer, f, *(p - on_wall)) for f, p in zip(face, position, strict=True)], bool
-    )
-    lit = ~caster.occluded(start, position + caster.offset_m * facing)
-    assert lit[proven].all()
-    assert proven.sum() > 0.6 * lit.sum()
-
+    position, facing = position[front], facing[front]
     fov = on_wall + np.column_stack([np.zeros(64), rng.uniform(-0.4, 0.4, (64, 2))])
     patch = flat_patch(fov, np.tile(normal, (64, 1)), caster.offset_m)
     assert patch is not None
