@@ -12,7 +12,7 @@ import numpy as np
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.materials import GGX, Lambertian, Material, Phong, Retroreflector
 from datagen.seeding import LightStream
-from datagen.transport.path_tracing.trace import WalkTask
+from datagen.transport.problem import Problem
 from datagen.transport.quadrature.clusters import COARSEST
 from datagen.transport.quadrature.footprints import Patches, at_edges
 from datagen.transport.quadrature.three_bounce_kernel import Room, gather
@@ -141,7 +141,7 @@ class Seen:
 class Gathering:
     """A scene and a capture as the compiled loop wants them."""
 
-    task: WalkTask
+    task: Problem
     tree: Hierarchy
     occluders: Occluders
     lasers: Lasers
@@ -155,7 +155,7 @@ class Gathering:
     """Largest element, relative to its distance."""
 
     @classmethod
-    def of(cls, task: WalkTask) -> Gathering:
+    def of(cls, task: Problem) -> Gathering:
         """That of a task, with its surfaces in one tree."""
         points, axis, air = task.points, task.capture.time, task.scene.attenuation_per_m
         lasers = Lasers(
@@ -241,7 +241,7 @@ class Gathering:
         )
 
 
-def patches_of(task: WalkTask, pixels: Ints, levels: int) -> Patches:
+def patches_of(task: Problem, pixels: Ints, levels: int) -> Patches:
     """Those of some pixels, quartered `levels` times at most."""
     return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
 
