@@ -19,7 +19,7 @@ from datagen.records import Accuracy, Capture, Lambertian, Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
-from datagen.transport.path_tracing.averages import walk_average
+from datagen.transport.path_tracing.averages import path_average
 from datagen.transport.path_tracing.vertices import LaserPoints
 from datagen.transport.simulate import prepared
 from datagen.transport.visibility.lines_of_sight import lines_of_sight
@@ -56,11 +56,11 @@ def light_in_sight(
     task = prepared(
         scene, replace(capture, illumination="scan"), asked, seed, split_parts=True, caster=caster
     )  # fmt: skip
-    whole, found = walk_average(task).rows, {}
+    whole, found = path_average(task).rows, {}
     for name in seen:
         k = scene.part_names.index(name)
         black = replace(scene, materials=(*scene.materials[:k], Lambertian(0.0), *scene.materials[k + 1 :]))
-        rest = walk_average(replace(task, scene=black, materials=MaterialTable.of(black.materials))).rows
+        rest = path_average(replace(task, scene=black, materials=MaterialTable.of(black.materials))).rows
         own = np.zeros_like(whole[0])
         for row, (there, left) in enumerate(zip(whole, rest, strict=True)):
             # The row of the object itself is `parts[object]`, which is known better.

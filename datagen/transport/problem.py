@@ -94,7 +94,7 @@ class Problem:
     """The small parts that hidden vertices are drawn on by area. Trial rays choose them when this is first called:
     quadrature never does."""
     seed: int
-    splits: TallyRows
+    tally_rows: TallyRows
     walked: Bools
     """(K,) parts whose vertices path tracing connects with the field of view in paths of four bounces; the others are
     left out, or left to the factorised form (`factorised/secondary.py`)."""
@@ -102,7 +102,7 @@ class Problem:
     @property
     def last_order(self) -> int | None:
         """The highest order to be followed; None for all."""
-        asked = self.splits.components
+        asked = self.tally_rows.components
         if "higher" in asked:
             return self.accuracy.max_bounces
         return 4 if "secondary" in asked and self.walked.any() else 3

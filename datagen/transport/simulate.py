@@ -24,7 +24,7 @@ from datagen.transport.error_control.surroundings import CONTACT, surroundings
 from datagen.transport.factorised.secondary import factorising, secondary_transient
 from datagen.transport.fields_of_view import PixelCones, PixelPatches
 from datagen.transport.flood import flooded
-from datagen.transport.path_tracing.averages import Average, Estimate, rays_of, split_rows, walk_average
+from datagen.transport.path_tracing.averages import Average, Estimate, path_average, rays_of, split_rows
 from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints
 from datagen.transport.problem import Problem, TallyRows, components_asked
 from datagen.transport.visibility.raycast import Raycaster
@@ -115,7 +115,7 @@ def transient_of(
     if accuracy.target is not None:
         estimate, traced = meet_target(problem), clock_time.perf_counter()
     else:
-        average = walk_average(problem)
+        average = path_average(problem)
         traced = clock_time.perf_counter()
         estimate = _with_factorised(problem, average)
     finished = clock_time.perf_counter()
@@ -149,7 +149,7 @@ def _factorises_unasked(problem: Problem) -> bool:
     """Whether path tracing would seldom meet the surfaces that give the field of view its secondary."""
     accuracy = problem.accuracy
     unasked = accuracy.target is None and accuracy.observed is None and accuracy.occlusion != "off"
-    if not unasked or "secondary" not in problem.splits.components or not factorising(problem.materials).any():
+    if not unasked or "secondary" not in problem.tally_rows.components or not factorising(problem.materials).any():
         return False
     return surroundings(problem, problem.seed) > CONTACT
 
@@ -163,7 +163,7 @@ def _walked(accuracy: Accuracy, materials: MaterialTable) -> Bools:
 
 def _with_factorised(problem: Problem, average: Average) -> Estimate:
     """What path tracing found, with what the factorised form gives of the secondary; its error is independent."""
-    accuracy, splits = problem.accuracy, problem.splits
+    accuracy, splits = problem.accuracy, problem.tally_rows
     components, parts = split_rows(average.rows, splits)
     stderr, overflow = average.stderr, average.overflow
     costs = dict.fromkeys(components, average.work.cost / len(components))

@@ -8,7 +8,10 @@ from numpy.typing import NDArray
 from rooms import demonstration_room, furnished_box
 
 from datagen import Scene
-from datagen.transport.visibility.clearance import flat_patch, pyramids_clear
+from datagen.transport.visibility.clearance import (
+    flat_patch,
+    pyramids_clear,
+)
 from datagen.transport.visibility.raycast import Raycaster
 
 
@@ -27,7 +30,8 @@ def test_proofs_of_clear_sight_are_never_wrong(
     caster = Raycaster(scene)
     rng = np.random.default_rng(4)
     hits = caster.closest(on_wall + 1.3 * normal, rng.normal(size=(40_000, 3)))
-    position, facing = hits.position[hits.valid], hits.normal[hits.valid]
+    keep = hits.valid
+    position, facing = hits.position[keep], hits.normal[keep]
     # Seen from elsewhere, on sides that face the point on the wall or not: only those that face it can be lit.
     front = (np.einsum("nk,nk->n", on_wall - position, facing) > 1e-6) & ((position - on_wall) @ normal > 1e-6)
     position, facing = position[front], facing[front]

@@ -22,7 +22,13 @@ from datagen.transport.brdf import MaterialTable
 from datagen.transport.factorised import secondary
 from datagen.transport.factorised.convolution import SUB_BINS, Paths, Sums, convolve, double_sum, keep_strongest
 from datagen.transport.fields_of_view import PixelCones, fov_pool
-from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
+from datagen.transport.path_tracing.vertices import (
+    AreaTarget,
+    LaserPoints,
+    continued,
+    draw_hidden_vertices,
+    scattered_rays,
+)
 from datagen.transport.sampling import Streams, stream_seeds
 from datagen.transport.simulate import prepared
 from datagen.transport.visibility.raycast import Raycaster
@@ -263,7 +269,7 @@ def walk_by_third_vertex(scene: Scene, capture: Capture, carriers: NDArray[np.bo
     out = []
     for seed in range(8):
         alone = Streams.of(seed, np.array([0]), np.array([0]))
-        o = draw_lookins(caster, scene, materials, points, np.array([0]), count, nothing, alone, 2)
+        o = draw_hidden_vertices(caster, scene, materials, points, np.array([0]), count, nothing, alone, 2)
         b = continued(scene, o, *scattered_rays(caster, materials, o, o.numbers(0)))
         b = b.take(np.flatnonzero(carriers[b.part]))
         pool = fov_pool(caster, scene, capture.sensor, cones, np.array([0]), 1, count, stream_seeds(seed, 99, 0))

@@ -169,7 +169,7 @@ def test_a_walk_costs_about_what_is_forecast() -> None:
     the rounds are powers of two, and a first round knows the variance to some ten per cent."""
     asked = Accuracy(target=0.05, max_bounces=4)
     task = prepared(with_meshes(), scan("exhaustive", 5e-4), asked, 0, split_parts=False)
-    alone = replace(task, splits=replace(task.splits, components=("secondary",), parts=()))
+    alone = replace(task, tally_rows=replace(task.tally_rows, components=("secondary",), parts=()))
     walked = sampled(alone, None)
     forecast = Forecast(alone, 0.05 * float(np.linalg.norm(walked.components["secondary"])))
     assert walked.met_target and set(walked.spend.way.values()) == {"walk"}

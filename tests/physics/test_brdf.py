@@ -30,7 +30,13 @@ from datagen import GGX, Lambertian, OrenNayar, Phong, Retroreflector, SinLobe
 from datagen.errors import InputError
 from datagen.records import Material, Scene
 from datagen.transport.brdf import LAMBERTIAN, MaterialTable, albedo, ggx
-from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints, continued, draw_lookins, scattered_rays
+from datagen.transport.path_tracing.vertices import (
+    AreaTarget,
+    LaserPoints,
+    continued,
+    draw_hidden_vertices,
+    scattered_rays,
+)
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 from datagen.transport.visibility.raycast import Raycaster
 
@@ -295,7 +301,7 @@ def walk(scene: Scene, count: int, bounces: int) -> tuple[NDArray, NDArray, NDAr
     points = LaserPoints.of(caster, scene, one_point_capture().laser)
     target = AreaTarget.choose(caster, scene, table, points, 0)
     alone = Streams.of(9, np.array([0]), np.array([0]))
-    vertices = draw_lookins(caster, scene, table, points, np.array([0]), count, target, alone, bounces)
+    vertices = draw_hidden_vertices(caster, scene, table, points, np.array([0]), count, target, alone, bounces)
     power, expected, noise = [vertices.power.sum()], [], []
     expected.append(float(directional(scene, points.normal, points.to_laser, points.part)[0]))
     noise.append(vertices.power.std() / math.sqrt(len(vertices)) * len(vertices))

@@ -10,14 +10,14 @@ from datagen.bench.foreign_scenes import foreign_scene
 from datagen.transport.reference import reference
 from datagen.transport.sampled_paths import sample_paths
 
-SCENE, OBJECT = 2167, "object 1"
+PIXEL_IN_A_BALL, OBJECT = 2167, "object 1"
 """The foreign scene whose laser point 3 lies in the ball; trials once agreed there in 3 % too little light."""
 
 
 @pytest.mark.parametrize("seed", [2167, 1])
 def test_trials_are_fine_enough_for_what_is_near(seed: int) -> None:
-    """Energy of the ball within 1.5 % of paths that know of no elements, where 5 % were asked and 0.7 % was claimed."""
-    foreign = foreign_scene(SCENE)
+    """The ball's energy is within 1.5 % of that of paths that know of no elements; 5 % are asked of its light."""
+    foreign = foreign_scene(PIXEL_IN_A_BALL)
     truth = reference(
         foreign.scene, foreign.capture, samples=1 << 12, replicates=8, seed=5, max_bounces=3, draw=sample_paths
     )

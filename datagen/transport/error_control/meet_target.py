@@ -60,7 +60,7 @@ class _Quadrature:
 
 def meet_target(problem: Problem) -> Estimate:
     """A transient whose relative L2 error, in all and in each object's primary, is within what `Accuracy` asks."""
-    splits = problem.splits
+    splits = problem.tally_rows
     if not (problem.points.part >= 0).any():
         return _nothing(problem)
     gathering, opinions = Gathering.of(problem), list[Opinion]()
@@ -77,7 +77,7 @@ def meet_target(problem: Problem) -> Estimate:
     )
     left = tuple(name for name in splits.others if name not in found)
     if left:
-        rest = sampled(replace(problem, splits=replace(splits, components=left, parts=())), known)
+        rest = sampled(replace(problem, tally_rows=replace(splits, components=left, parts=())), known)
     else:
         rest = _no_rest(problem, known)
     return _confirmed(problem, _claimed(problem, _joined(problem, found, primary, rest)), tuple(found), opinions)
@@ -112,11 +112,11 @@ def _primary(gathering: Gathering, share: float, opinions: list[Opinion]) -> Pri
 
 def _secondary(gathering: Gathering, primary: _Quadrature, opinions: list[Opinion]) -> _Quadrature | None:
     """The secondary by quadrature, where that costs less than path tracing and unbiased samples agree with it."""
-    problem, accuracy, splits = gathering.task, gathering.task.accuracy, gathering.task.splits
+    problem, accuracy, splits = gathering.task, gathering.task.accuracy, gathering.task.tally_rows
     assert accuracy.target is not None
     asked, own = accuracy.target * l2_norm(primary.light), min(SECONDARY_OWN * accuracy.each_part, 1.0)
     limit = math.sqrt(max(asked**2 - primary.error**2, LEAST_LEFT * asked**2) / len(splits.others))
-    alone = replace(problem, splits=replace(splits, components=("secondary",), parts=()))
+    alone = replace(problem, tally_rows=replace(splits, components=("secondary",), parts=()))
     traced = Forecast(alone, limit)
     secondary = secondary_by_cells(gathering, limit, own, accuracy.faint_part, traced.costs_less_than)
     if secondary is None:
@@ -136,7 +136,7 @@ def _claims(problem: Problem, primary: Primary) -> dict[str, Claim]:
     whole = reduce(np.add, primary.rows)
     of_whole = primary.error * float(whole.sum())
     claims = {"primary": Claim(whole, of_whole, order=3)}
-    for k, name in enumerate(problem.splits.parts):
+    for k, name in enumerate(problem.tally_rows.parts):
         own = primary.part_errors.get(name)
         if own is not None or primary.rows[k].any():
             error = of_whole if own is None else own * float(primary.rows[k].sum())
@@ -199,7 +199,7 @@ def _joined(problem: Problem, found: dict[str, _Quadrature], primary: Primary, r
     share = {name: share * rest.spend.cost for name, share in rest.spend.share.items()}
     share |= {name: one.cost for name, one in found.items()}
     components = {
-        name: found[name].light if name in found else rest.components[name] for name in problem.splits.components
+        name: found[name].light if name in found else rest.components[name] for name in problem.tally_rows.components
     }
     parts_met = all(error <= problem.accuracy.each_part for error in primary.part_errors.values())
     outcome = rest.spend.outcome
@@ -215,7 +215,7 @@ def _joined(problem: Problem, found: dict[str, _Quadrature], primary: Primary, r
     errors = [one.error / (l2_norm(one.light) or 1.0) * one.light for one in found.values()]
     overflow = reduce(np.add, [rest.overflow, *(one.overflow for one in found.values())])
     return Estimate(
-        components, dict(zip(problem.splits.parts, primary.rows, strict=False)),
+        components, dict(zip(problem.tally_rows.parts, primary.rows, strict=False)),
         reduce(np.hypot, [rest.stderr, *errors] if rest.components else errors), overflow, spend,
         rest.error_bound, rest.met_target and parts_met, dict(primary.part_errors), rest.rays,
     )  # fmt: skip
@@ -223,12 +223,12 @@ def _joined(problem: Problem, found: dict[str, _Quadrature], primary: Primary, r
 
 def _nothing(problem: Problem) -> Estimate:
     """No laser ray meets the scene: the transient is zero, exactly."""
-    asked, shape = problem.splits.components, problem.capture.shape
+    asked, shape = problem.tally_rows.components, problem.capture.shape
     spend = Spend(
         lookins=dict.fromkeys(asked, 0.0), share=dict.fromkeys(asked, 0.0), way=dict.fromkeys(asked, "walk"),
         fov_samples=dict.fromkeys(asked, 1), rounds=0, cost=0.0,
         outcome="nothing visible: no laser ray meets the scene",
     )  # fmt: skip
     zeros = {name: np.zeros(shape) for name in asked}
-    parts = {name: np.zeros(shape) for name in problem.splits.parts}
+    parts = {name: np.zeros(shape) for name in problem.tally_rows.parts}
     return Estimate(zeros, parts, np.zeros(shape), np.zeros(shape[:2]), spend, 0.0, True)

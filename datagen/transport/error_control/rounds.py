@@ -208,7 +208,7 @@ def _estimate(problem: Problem, strata: list[Stratum], rounds: int, bound: float
     for stratum in strata:
         variance += stratum.variance / stratum.samples**2
         overflow += stratum.overflow / stratum.samples
-        found, of_parts = split_rows([row / stratum.samples for row in stratum.rows], stratum.problem.splits)
+        found, of_parts = split_rows([row / stratum.samples for row in stratum.rows], stratum.problem.tally_rows)
         parts |= of_parts
         for name, values in found.items():
             components[name] = components[name] + values if name in components else values
@@ -217,7 +217,7 @@ def _estimate(problem: Problem, strata: list[Stratum], rounds: int, bound: float
             way = "walk" if stratum.observed is None else "factorised"
             ways[name] = "walk + factorised" if ways.get(name, way) != way else way
             points[name] = int(stratum.problem.accuracy.fov_samples)
-    total, asked = sum(costs.values()), problem.splits.components
+    total, asked = sum(costs.values()), problem.tally_rows.components
     spend = Spend(
         lookins={name: samples[name] for name in asked}, share={name: costs[name] / total for name in asked},
         way={name: ways[name] for name in asked}, fov_samples={name: points[name] for name in asked}, rounds=rounds,

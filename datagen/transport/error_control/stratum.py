@@ -12,7 +12,7 @@ from datagen.transport.error_control.cost import Work
 from datagen.transport.error_control.surroundings import CONTACT, surroundings
 from datagen.transport.factorised.secondary import factorising, secondary_transient
 from datagen.transport.fields_of_view import PixelPatches
-from datagen.transport.path_tracing.averages import Average, walk_average
+from datagen.transport.path_tracing.averages import Average, path_average
 from datagen.transport.path_tracing.replicate_spread import Sketch
 from datagen.transport.problem import Problem
 
@@ -80,7 +80,7 @@ class Stratum:
 
     def __post_init__(self) -> None:
         shape = self.problem.capture.shape
-        self.rows = [np.zeros(shape) for _ in range(self.problem.splits.count)]
+        self.rows = [np.zeros(shape) for _ in range(self.problem.tally_rows.count)]
         self.variance, self.overflow = np.zeros(shape), np.zeros(shape[:2])
 
     @property
@@ -148,7 +148,7 @@ class Stratum:
         counts = replace(self.problem.accuracy, target=None, part_target=None, lookins=samples, replicates=replicates)
         problem = replace(self.problem, accuracy=counts, seed=seed)
         if self.observed is None:
-            return walk_average(problem, sketch)
+            return path_average(problem, sketch)
         return secondary_transient(problem, self.observed, self.carriers, sketch=sketch)
 
 
@@ -176,7 +176,7 @@ def strata_of(problem: Problem) -> list[Stratum]:
     The secondary is factorised where only the strongest paths are asked for, and where surfaces right beside the
     field of view bring much of it: path tracing seldom goes there, and its scatter tells nothing of what it missed.
     """
-    accuracy, asked = problem.accuracy, problem.splits.components
+    accuracy, asked = problem.accuracy, problem.tally_rows.components
     assert accuracy.target is not None
     factor = factorising(problem.materials)
     factorised = "secondary" in asked and bool(factor.any())
@@ -198,8 +198,8 @@ def strata_of(problem: Problem) -> list[Stratum]:
 
 def of_components(problem: Problem, components: tuple[str, ...], walked: Bools) -> Problem:
     """The same problem for some of its components."""
-    parts = problem.splits.parts if "primary" in components else ()
-    return replace(problem, splits=replace(problem.splits, components=components, parts=parts), walked=walked)
+    parts = problem.tally_rows.parts if "primary" in components else ()
+    return replace(problem, tally_rows=replace(problem.tally_rows, components=components, parts=parts), walked=walked)
 
 
 def with_usual_fov_samples(problem: Problem) -> Problem:

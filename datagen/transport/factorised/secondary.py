@@ -43,8 +43,14 @@ from datagen.transport.fields_of_view import FovPool, fov_pool
 from datagen.transport.path_tracing.averages import Average
 from datagen.transport.path_tracing.connections import Clock, Receiver, Rows, Tally
 from datagen.transport.path_tracing.replicate_spread import Sketch, standard_error
-from datagen.transport.path_tracing.trace import WalkTask
-from datagen.transport.path_tracing.vertices import AreaTarget, continued, draw_lookins, runs_of, scattered_rays
+from datagen.transport.path_tracing.vertices import (
+    AreaTarget,
+    continued,
+    draw_hidden_vertices,
+    runs_of,
+    scattered_rays,
+)
+from datagen.transport.problem import Problem
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 from datagen.units import path_from_time
 
@@ -72,14 +78,14 @@ class _Secondary:
     """A secondary to compute: observed points of each lookin, which parts (K,) carry lookins, the scene as the loops
     want it, and what is found so far."""
 
-    task: WalkTask
+    task: Problem
     observed: int
     carries: Bools
     room: Room
     sums: Sums
 
     @classmethod
-    def of(cls, task: WalkTask, observed: int, allowed: Bools) -> _Secondary:
+    def of(cls, task: Problem, observed: int, allowed: Bools) -> _Secondary:
         caster, axis, scene, materials = task.caster, task.capture.time, task.scene, task.materials
         room = Room(
             caster.corners[:, 0].copy(), caster.face_normal, scene.face_part, materials.kind, materials.values,
@@ -107,7 +113,7 @@ class _Secondary:
 
 
 def secondary_transient(
-    task: WalkTask, observed: int, carriers: Bools | None = None, *, sketch: Sketch | None = None
+    task: Problem, observed: int, carriers: Bools | None = None, *, sketch: Sketch | None = None
 ) -> Average:
     """The four-bounce transient, every path from `observed` observed points through all FoV points of a lookin.
 
@@ -176,7 +182,7 @@ def _add_group(own: _Secondary, lasers: Ints, pixels: Ints, count: int, replicat
         _walk_near(own, lasers, pixels, pool, count, replicate)
 
 
-def _fov_points(task: WalkTask, pixels: Ints, count: int, replicate: int) -> tuple[FovPool, FovPoints, int]:
+def _fov_points(task: Problem, pixels: Ints, count: int, replicate: int) -> tuple[FovPool, FovPoints, int]:
     """Blocks of FoV points (their number a power of two, so that they cover the pixel evenly) and how many."""
     affordable = FOV_POINTS_PER_POOL // (len(pixels) * task.accuracy.fov_samples)
     blocks = 1 << max(0, min(count, affordable).bit_length() - 1)
@@ -271,7 +277,9 @@ def _walk_near(own: _Secondary, lasers: Ints, pixels: Ints, pool: FovPool, count
     axis, walks = task.capture.time, WALKS_PER_LOOKIN * count
     at_once = max(1, min(RAYS_PER_CHUNK // walks, HISTOGRAM_VALUES_AT_ONCE // (len(pixels) * bins)))
     for run in runs_of(lasers, at_once):
-        lookins = draw_lookins(task.caster, task.scene, task.materials, task.points, run, walks, nothing, streams, 2)
+        lookins = draw_hidden_vertices(
+            task.caster, task.scene, task.materials, task.points, run, walks, nothing, streams, 2
+        )
         rays = scattered_rays(task.caster, task.materials, lookins, lookins.numbers(0))
         found = continued(task.scene, lookins, *rays)
         apart = ((found.position - task.points.position[found.laser]) ** 2).sum(axis=1)

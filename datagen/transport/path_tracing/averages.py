@@ -79,13 +79,13 @@ def rays_of(problem: Problem, work: Work) -> dict[str, int]:
     return {"asked": 0 if assumed else int(work.bright), "assumed": int(work.bright) if assumed else 0}
 
 
-def walk_average(problem: Problem, sketch: Sketch | None = None) -> Average:
+def path_average(problem: Problem, sketch: Sketch | None = None) -> Average:
     """Average over independent replicates; their spread is the standard error.
 
     sketch : gets each replicate's transient too, for the correlations between bins.
     """
     lasers, pixels, bins = problem.capture.shape
-    splits, lookins = problem.splits, problem.accuracy.lookins
+    splits, lookins = problem.tally_rows, problem.accuracy.lookins
     replicates = min(problem.accuracy.replicates, lookins)
     squares = np.zeros((lasers, pixels, bins))
     overflow = np.zeros((lasers, pixels))
@@ -123,7 +123,7 @@ def _traced(problem: Problem, count: int, replicates: Ints) -> Iterator[tuple[in
     confocal = problem.capture.pairing == "confocal"
     seen = existing if confocal else np.arange(pixels)
     fov_points = len(seen) * problem.accuracy.fov_samples * blocks_for(problem, seen, count)
-    values = HISTOGRAM_VALUES_PER_CHUNK // (pixels * problem.splits.count * bins)
+    values = HISTOGRAM_VALUES_PER_CHUNK // (pixels * problem.tally_rows.count * bins)
     together = min(LOOKINS_TOGETHER // count, values) // len(existing)
     together = max(1, min(together, FOV_POINTS_PER_POOL // fov_points, len(replicates)))
     size = max(1, min(LOOKINS_PER_CHUNK // count, values) // together)

@@ -33,17 +33,15 @@ and makes the overflow noisier."""
 SURVIVAL_AT_LEAST = 0.05
 """Least chance to survive, so that no weight grows by more than 20 at once; half of it allows 40."""
 
-WalkTask = Problem
 
-
-def trace_chunk(problem: WalkTask, chunk: Ints, pool: FovPool, count: int, streams: Streams) -> tuple[Tally, Work]:
+def trace_chunk(problem: Problem, chunk: Ints, pool: FovPool, count: int, streams: Streams) -> tuple[Tally, Work]:
     """The light from a run of consecutive laser points, and the work of finding it.
 
     streams : the random numbers of each of the problem's laser points. pool : as many sets of FoV points as the run
     has replicates, in the order of their first laser points; confocally one, with each laser point's own pixel.
     """
     receiver = _receiver(problem, chunk, pool, streams)
-    asked, last = problem.splits.components, problem.last_order
+    asked, last = problem.tally_rows.components, problem.last_order
     rays, connections, bright = 0, 0, 0
     per_vertex = problem.accuracy.fov_samples * (1 if receiver.rows.confocal else receiver.rows.pixels)
     if "direct" in asked:
@@ -52,7 +50,7 @@ def trace_chunk(problem: WalkTask, chunk: Ints, pool: FovPool, count: int, strea
         connections += count * len(chunk) * per_vertex
     if asked == ("direct",):
         return receiver.tally, Work(rays, connections, receiver.tally.histogram.size, bright=bright)
-    vertices = ends.draw_lookins(
+    vertices = ends.draw_hidden_vertices(
         problem.caster, problem.scene, problem.materials, problem.points, chunk, count, problem.aim(), streams,
         SOBOL_STEPS + 1 if last is None else last - 2,
     )  # fmt: skip
@@ -67,7 +65,7 @@ def trace_chunk(problem: WalkTask, chunk: Ints, pool: FovPool, count: int, strea
         if order == 4:
             connected = connected[problem.walked[vertices.part[connected]]]
         if len(connected):
-            split_of_part = problem.splits.of_part(order)
+            split_of_part = problem.tally_rows.of_part(order)
             bright += receiver.connect(vertices.take(connected), numbers[connected, 0], split_of_part)
             connections += len(connected) * per_vertex
         if order == last:
@@ -100,10 +98,10 @@ def trace_chunk(problem: WalkTask, chunk: Ints, pool: FovPool, count: int, strea
     return receiver.tally, Work(rays, connections, receiver.tally.histogram.size, calls, bright)
 
 
-def _add_direct(problem: WalkTask, receiver: Receiver, chunk: Ints, count: int, streams: Streams) -> int:
+def _add_direct(problem: Problem, receiver: Receiver, chunk: Ints, count: int, streams: Streams) -> int:
     """One bounce: the laser point seen by a pixel. Two: a surface in the FoV that the laser point lights. Returns how
     many connections could carry energy."""
-    split_of_part = problem.splits.of_part(2)
+    split_of_part = problem.tally_rows.of_part(2)
     receiver.add_laser_points(problem.points, chunk, int(split_of_part[0]))
     vertices = ends.laser_point_vertices(problem.points, chunk, count, streams, problem.scene.attenuation_per_m)
     numbers = vertices.numbers(0)
@@ -115,24 +113,24 @@ def _add_direct(problem: WalkTask, receiver: Receiver, chunk: Ints, count: int, 
     return bright
 
 
-def _receiver(problem: WalkTask, chunk: Ints, pool: FovPool, streams: Streams) -> Receiver:
+def _receiver(problem: Problem, chunk: Ints, pool: FovPool, streams: Streams) -> Receiver:
     _, pixels, bins = problem.capture.shape
     confocal = problem.capture.pairing == "confocal"
     axis = problem.capture.time
     seen = chunk if confocal else np.arange(pixels)
     device_leg = problem.points.leg[chunk] if axis.origin == "source" else np.full(len(chunk), -1.0)
-    rows = len(chunk) * pixels * problem.splits.count
+    rows = len(chunk) * pixels * problem.tally_rows.count
     pool_set = None if pool.sets == 1 else np.unique(streams.replicate[chunk], return_inverse=True)[1]
     return Receiver(
         problem.caster, problem.scene, problem.materials, problem.capture.sensor, pool, problem.cones.take(seen),
         problem.patches.take(seen), problem.accuracy.fov_samples,
         Clock(1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s, device_leg),
-        Rows(int(chunk[0]), confocal, pixels, problem.splits.count),
+        Rows(int(chunk[0]), confocal, pixels, problem.tally_rows.count),
         Tally(np.zeros((rows, bins)), np.zeros(rows)), problem.accuracy.occlusion != "off", pool_set,
     )  # fmt: skip
 
 
-def blocks_for(problem: WalkTask, pixels: Ints, count: int) -> int:
+def blocks_for(problem: Problem, pixels: Ints, count: int) -> int:
     """How many blocks of FoV points are drawn: enough for what varies across the pixel, never more than hidden
     vertices to use them or memory to hold them; a power of two, so that they cover the pixel evenly."""
     samples = problem.accuracy.fov_samples
@@ -142,7 +140,7 @@ def blocks_for(problem: WalkTask, pixels: Ints, count: int) -> int:
     return 1 << max(0, int(min(count, affordable, useful)).bit_length() - 1)
 
 
-def pool_for(problem: WalkTask, pixels: Ints, blocks: int, streams: Streams) -> FovPool:
+def pool_for(problem: Problem, pixels: Ints, blocks: int, streams: Streams) -> FovPool:
     """So many blocks of FoV points for each of `pixels`, which may repeat; `streams` has a row for each."""
     return fov_pool(
         problem.caster, problem.scene, problem.capture.sensor, problem.cones, pixels, problem.accuracy.fov_samples,

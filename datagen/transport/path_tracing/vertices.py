@@ -165,7 +165,7 @@ def laser_point_vertices(
     )  # fmt: skip
 
 
-def draw_lookins(
+def draw_hidden_vertices(
     caster: Raycaster, scene: Scene, materials: MaterialTable, points: LaserPoints, lasers: Ints, count: int,
     target: AreaTarget, streams: Streams, steps: int,
 ) -> Vertices:  # fmt: skip

@@ -23,7 +23,7 @@ from datagen.seeding import LightStream
 from datagen.transport.brdf.table import LAMBERTIAN, OREN_NAYAR
 from datagen.transport.error_control.cost import CELL_PAIR, PAIR_RAY
 from datagen.transport.error_control.refinement import by_light, spread_evenly
-from datagen.transport.path_tracing.trace import WalkTask
+from datagen.transport.problem import Problem
 from datagen.transport.quadrature.element_pairs import DEEPEST, EndPairs, Found, Rules, arrive, join
 from datagen.transport.quadrature.gathering import Gathering, patches_of
 from datagen.transport.quadrature.transfer import (
@@ -314,7 +314,7 @@ class _Scan:
         return cls(gathering, not small or at_edge, 2 if at_edge else 0)
 
     @property
-    def task(self) -> WalkTask:
+    def task(self) -> Problem:
         """What is asked of the scene."""
         return self.gathering.task
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.materials import GGX, Lambertian, Material, Phong, Retroreflector
 from datagen.seeding import LightStream
-from datagen.transport.path_tracing.trace import WalkTask
+from datagen.transport.problem import Problem
 from datagen.transport.quadrature.clusters import COARSEST
 from datagen.transport.quadrature.footprints import Patches, at_edges
 from datagen.transport.quadrature.three_bounce_kernel import Room, gather
@@ -25,8 +25,8 @@ from datagen.units import path_from_time
 
 LEVELS, SIZED, TINY = (2, 5), 64, 1e-4
 """How often even pixels are quartered, if at all; how many of them are measured for that; and their size, relative to
-the scene and to the narrowest lobe, up to which they are points. With one quartering at least, trials of a pixel inside
-of an open ball agreed with each other in 3 % too little light."""
+the scene and to the narrowest lobe, up to which they are points. With one quartering at least, trials of a pixel
+inside of an open ball agreed with each other in 3 % too little light."""
 PATCHES_AT_ONCE = 1 << 17
 EDGE_LEVELS, MOST_AT_EDGES = range(2, 6), 1 << 14
 """How often pixels that see more than one surface are quartered: as often as leaves no more than so many footprints
@@ -143,7 +143,7 @@ class Seen:
 class Gathering:
     """A scene and a capture as the compiled loop wants them."""
 
-    task: WalkTask
+    task: Problem
     tree: Hierarchy
     occluders: Occluders
     lasers: Lasers
@@ -157,7 +157,7 @@ class Gathering:
     """Largest element, relative to its distance."""
 
     @classmethod
-    def of(cls, task: WalkTask) -> Gathering:
+    def of(cls, task: Problem) -> Gathering:
         """That of a task, with its surfaces in one tree."""
         points, axis, air = task.points, task.capture.time, task.scene.attenuation_per_m
         lasers = Lasers(
@@ -243,7 +243,7 @@ class Gathering:
         )
 
 
-def patches_of(task: WalkTask, pixels: Ints, levels: int) -> Patches:
+def patches_of(task: Problem, pixels: Ints, levels: int) -> Patches:
     """Those of some pixels, quartered `levels` times at most."""
     return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
 

@@ -69,7 +69,7 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
         # finely its elements have to be cut is not known yet.
         trial = replace(trial, levels=quartering.levels, seen={})
     cutting, parts = choice.cutting[trial.group], len(asked.objects)
-    rows = np.arange(parts) if task.splits.parts else np.zeros(parts, np.int64)
+    rows = np.arange(parts) if task.tally_rows.parts else np.zeros(parts, np.int64)
     seen = gathering.seen(pairs, quartering.levels, quartering.edge_levels)
     found = gathering.gathered(pairs, seen, cutting, rows)
     shape, names = task.capture.shape, task.scene.part_names

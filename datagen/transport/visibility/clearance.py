@@ -1,8 +1,8 @@
-"""Proofs that nothing stands between points and a flat patch, so that no shadow ray need be sent.
+"""A proof, without a ray, that nothing stands between a point and a flat patch of wall.
 
-A proof is one-sided: `True` is certain (to the distance ray ends are lifted off their surface), `False` only means
-that a ray has to tell. Two convex bodies that a plane separates do not meet; the planes tried are the faces of
-both bodies.
+It is one-sided: `True` is certain (to the distance that ray ends are lifted off their surfaces), `False` only means
+that a ray has to tell. Two convex bodies that a plane separates do not meet: the planes tried are the sides of the
+pyramid from the point to the patch, and the planes of the triangles.
 """
 
 from __future__ import annotations
