@@ -273,7 +273,7 @@ def walk_by_third_vertex(scene: Scene, capture: Capture, carriers: NDArray[np.bo
         b = continued(scene, o, *scattered_rays(caster, materials, o, o.numbers(0)))
         b = b.take(np.flatnonzero(carriers[b.part]))
         pool = fov_pool(caster, scene, capture.sensor, cones, np.array([0]), 1, count, stream_seeds(seed, 99, 0))
-        q = np.random.default_rng(seed).permutation(count)[: len(b)]
+        q = np.random.default_rng(seed).permutation(count)[: len(b.part)]
         span = pool.position[0, q] - b.position
         square = (span**2).sum(axis=1)
         cosines = np.einsum("nk,nk->n", span, b.normal) * -np.einsum("nk,nk->n", span, pool.normal[0, q])

@@ -304,7 +304,7 @@ def walk(scene: Scene, count: int, bounces: int) -> tuple[NDArray, NDArray, NDAr
     vertices = draw_hidden_vertices(caster, scene, table, points, np.array([0]), count, target, alone, bounces)
     power, expected, noise = [vertices.power.sum()], [], []
     expected.append(float(directional(scene, points.normal, points.to_laser, points.part)[0]))
-    noise.append(vertices.power.std() / math.sqrt(len(vertices)) * len(vertices))
+    noise.append(vertices.power.std() * math.sqrt(len(vertices.power)))
     for step in range(1, bounces):
         share = directional(scene, vertices.normal, vertices.to_previous, vertices.part)
         expected.append(float((vertices.power * share).sum()))

@@ -15,7 +15,7 @@ BOX = {"kind": "box", "width_m": 0.3, "depth_m": 0.3, "height_m": 0.5}
 WHEN_READ: list[tuple[dict[str, Any], str]] = [
     ({"contents": [{"kind": "pilar"}]}, "scene.contents[0]: kind = 'pilar' is unknown; did you mean 'pillar'?"),
     ({"contents": [{"width_m": 1}]}, "scene.contents[0]: the key kind is missing"),
-    ({"contents": ["box"]}, "scene.contents[0]: a mapping with the key kind is needed"),
+    ({"contents": ["box"]}, "scene.contents[0] = 'box': a mapping is needed with the key kind"),
     ({"contents": [{"kind": "box", "widht_m": 1}]}, "scene.contents[0].widht_m: unknown key"),
     ({"contents": [{"kind": "box", "albedo": -0.1}]}, "scene.contents[0].albedo: -0.1 given; must be ≥ 0 and ≤ 1"),
     ({"contents": [{"kind": "box", "albedo": 1.5}]}, "scene.contents[0].albedo: 1.5 given; must be ≥ 0 and ≤ 1"),

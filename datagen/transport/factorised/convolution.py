@@ -99,7 +99,7 @@ def _binned(paths, r, displacement):  # type: ignore[no-untyped-def]
         if paths.energy[k] > 0.0:
             bin_ = np.int64(math.floor(paths.position[k] + displacement))
             smallest, largest = min(smallest, bin_), max(largest, bin_)
-    values = np.zeros(max(largest - smallest + 1, 0))
+    values = np.zeros(largest - smallest + 1 if largest >= smallest else 0)
     for k in range(paths.first[r], paths.first[r + 1]):
         if paths.energy[k] > 0.0:
             values[np.int64(math.floor(paths.position[k] + displacement)) - smallest] += paths.energy[k]

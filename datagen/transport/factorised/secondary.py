@@ -264,7 +264,7 @@ def _leaving(own: _Secondary, fov: FovPoints, lookins: Lookins) -> tuple[Paths, 
     hidden = own.task.caster.occluded_scaled(*rays)
     paths.energy[hidden], each[hidden] = 0.0, 0.0
     of_lookin = np.repeat(np.arange(len(lookins.part)), np.diff(paths.first[:: fov.weight.shape[0]]))
-    return paths, np.bincount(of_lookin, each, len(lookins.part))
+    return paths, np.bincount(of_lookin, each, len(lookins.part)).astype(np.float64, copy=False)
 
 
 def _walk_near(own: _Secondary, lasers: Ints, pixels: Ints, pool: FovPool, count: int, replicate: int) -> None:

@@ -18,6 +18,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
@@ -82,7 +83,7 @@ class Optics(NamedTuple):
     """kind (K,) and values (K, n) of each part's BRDF, as in `MaterialTable`; sharp (K,) 1/width² of its narrowest
     lobe; narrow (K,) whether that is too narrow for one normal to stand for many."""
 
-    kind: Ints
+    kind: Ints | NDArray[np.uint8]
     values: Floats
     sharp: Floats
     narrow: Bools
