@@ -175,7 +175,6 @@ def _applied(rows: Sequence[Effect[Any]], decisions: Sequence[Decision], given: 
         if decision is not None and decision.kind != "absent":
             if not decision.simulated:
                 given = row.without(given)
-            else:
-                forced = decision.setting != "auto"
-                given = row.always(given, decision.setting) if forced else row.cheapest(given)
+            elif decision.setting != "auto":
+                given = row.always(given, decision.setting)
     return given

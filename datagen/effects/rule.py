@@ -42,7 +42,6 @@ class Effect(Generic[Given]):
     change : how much leaving it out can change the answer; or a sentence that says why it is never worth asking.
     without : what is given, with the effect not simulated.
     always : with the effect simulated even where that can change nothing; also given the setting.
-    cheapest : with the effect simulated as is cheapest there, the answer being the same.
     """
 
     name: str
@@ -55,7 +54,6 @@ class Effect(Generic[Given]):
     change: Callable[[Given], Change] | str
     without: Callable[[Given], Given]
     always: Callable[[Given, str | int], Given] = lambda given, setting: given
-    cheapest: Callable[[Given], Given] = lambda given: given
 
 
 @dataclass(frozen=True)
