@@ -1,6 +1,6 @@
 """Seconds and errors in rooms with meshes that are not ours, and in ready configurations that take long.
 
-`python tests/benchmarks/foreign_rooms.py [FOLDER]` prints the tables of docs/figures.md. The closed room of 4 × 3 ×
+`python tests/benchmarks/foreign_rooms.py [FOLDER]` prints two tables, some minutes each. The closed room of 4 × 3 ×
 2.5 m holds two open meshes of some thousand triangles: a part of a dented ball and a torus that is cut open, or
 `spot.obj` and `teapot.obj` of a folder. An error is that of the whole transient against a run of another seed to a
 quarter of the target.
