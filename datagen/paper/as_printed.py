@@ -1,4 +1,4 @@
-"""The paper's estimator as its Eq. 6 and Eq. 8 print it, beside the radiometric one of `solver.py`.
+"""The paper's estimator as its Eq. 6 and Eq. 8 print it, beside the radiometric one of `simulate.py`.
 
 Scholes & Leach, "Path Tracing-Inspired Modeling of Non-Line-of-Sight SPAD Data", Sensors 24(20), 6522 (2024). It
 reproduces that paper's figures and shows what its weights do; for data use `simulate`.

@@ -66,6 +66,8 @@ def test_rectangle_against_quadrature_per_3_mm_bin(side: int, accuracy: Accuracy
     truth *= 0.8**2 * 0.6 / np.pi**3 * APERTURE_M2 * omega[:, None]
     result = simulate(scene, capture, accuracy, seed=5, split_parts=False)
     assert np.abs(result.total[:, 0] - truth).sum() / truth.sum() < 0.01
+    if accuracy is BY_ELEMENTS:
+        assert np.linalg.norm(result.total[:, 0] - truth) < 0.008 * np.linalg.norm(truth)
     assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4)
 
 
