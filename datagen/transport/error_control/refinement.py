@@ -41,11 +41,13 @@ LOOKS = 4
 """Coarsest cuttings, each with other rays, in which a group is looked for that has no light."""
 SETTLED = 0.3
 """Share of the error to be met, for each of G groups over √G, under which one is not cut further for the whole."""
-UNSEEN = 1e-4
-"""Norm that a group is taken to have at least, relative to the whole, when it is cut."""
-NEGLIGIBLE = 1e-9
+UNSEEN, UNSEEN_BY_RAYS = 1e-4, 1e-2
+"""Norm that a group is taken to have at least, relative to the whole, when it is cut; and one whose light comes by
+rays, of which many a one is sent before it is known to be hidden."""
+NEGLIGIBLE, NEGLIGIBLE_BY_RAYS = 1e-9, 1e-5
 """Norm of a part, relative to the whole, up to which nothing is claimed of its own light: the finest of `LEVELS`
-cuttings does not resolve it, and a cutting that changes nothing agrees with itself."""
+cuttings does not resolve it, and a cutting that changes nothing agrees with itself; nor do rays that hardly ever meet
+a mesh."""
 LOOKED_AT, EVENLY = 12, 0.25
 """Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
 HELPS = 0.1
@@ -53,6 +55,8 @@ HELPS = 0.1
 TOO_DEAR = 1 << 16
 """Elements and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
 hidden may take any number of rays for light that is a millionth of the whole."""
+RAYS_CHEAPER = 2.0
+"""How many rays of a lattice, with what they meet, cost as much as an element with its rays, about."""
 WITHIN = 0.7
 """Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
 others may be worse."""
@@ -143,6 +147,11 @@ class Trial:
         scale = np.sqrt(np.divide(of_all, of_these, where=of_these > 0, out=np.ones(groups)))
         weight = stands_for * len(lit) / len(looked)
         return cls(gathering, looked[places], weight, group, scale, rough.levels, rough.work)
+
+    @property
+    def by_rays(self) -> Bools:
+        """(G,) groups all of whose parts come by rays."""
+        return np.bincount(self.group, ~self.gathering.by_rays, len(self.scale)) == 0
 
     def some(self, which: Bools) -> Trial:
         """Only some of the pairs."""
@@ -251,7 +260,7 @@ class _Runs:
         self.cuttings.append(np.where(settled, self.cuttings[-1], cutting))
         self.cells.append(np.where(settled, self.cells[-1], found.cells))
         self.costs.append(np.where(settled, self.costs[-1], CELL * found.cells + CELL_RAY * found.rays))
-        self.dear = self.dear | (found.cells + found.rays > TOO_DEAR * len(self.trial.pairs))
+        self.dear = self.dear | (found.cells + found.rays > TOO_DEAR * len(self.trial.pairs) * np.where(self.trial.by_rays, RAYS_CHEAPER, 1.0))
         self.finest[~settled] = len(self.histograms) - 1
 
     def tell_of_error(self, in_scale: Floats) -> Bools:
@@ -288,22 +297,24 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
     whole, own = _norm(light), _norms(light)
     if whole == 0.0:
         return None
-    share = FIRST / math.sqrt(trial.weight.sum())
-    cutting = share / FINER * np.maximum(own, UNSEEN * whole)
+    share, by_rays = FIRST / math.sqrt(trial.weight.sum()), trial.by_rays
+    unseen = np.where(by_rays, UNSEEN_BY_RAYS, UNSEEN)
+    negligible = np.where(by_rays, NEGLIGIBLE_BY_RAYS, NEGLIGIBLE)
+    cutting = share / FINER * np.maximum(own, unseen * whole)
     while True:
-        cutting = np.minimum(FINER * cutting, share * np.maximum(own, UNSEEN * whole))
+        cutting = np.minimum(FINER * cutting, share * np.maximum(own, unseen * whole))
         before = trial.work.cells + trial.work.rays
         runs.refine(cutting)
         found, finest = runs.histograms[-1], runs.finest
         whole, own = _norm(found), _norms(found)
         if whole == 0.0:
             return None
-        held = objects & (own > NEGLIGIBLE * whole) & (trial.energy(found) >= asked.faint)
+        held = objects & (own > negligible * whole) & (trial.energy(found) >= asked.faint)
         limit = np.where(held & ~runs.dear, asked.part_target * own, np.inf)
         still, last = _still(runs.histograms, finest), len(runs.histograms) > LEVELS
         # Groups too faint to matter need not be known.
         counts = (held & ~runs.dear) | (own > asked.target * whole)
-        known = runs.tell_of_error(share / FINER * np.maximum(own, UNSEEN * whole)) | ~counts | last
+        known = runs.tell_of_error(share / FINER * np.maximum(own, unseen * whole)) | ~counts | last
         does = (still <= WITHIN * limit) & known & ~(held & runs.dear)
         most = WITHIN * asked.target * whole
         level, error = runs.levels(does, still, held, most)
@@ -346,11 +357,13 @@ def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quarteri
     at_edge = trial.gathering.at_edge[trial.pairs[:, 1]]
     edges, even = trial.some(at_edge), trial.some(~at_edge)
     most, limits = PATCHES_SHARE * asked.target * choice.whole, PATCHES_SHARE * choice.limit
-    runs = {trial.levels: choice.histogram[~at_edge]}
+    # Rays choose the points of pixels by their distance.
+    tried, runs = np.where(trial.by_rays, np.inf, choice.tried), {trial.levels: choice.histogram[~at_edge]}
 
     def at(levels: int) -> Floats:
         if levels not in runs:
-            runs[levels] = even.gathered(choice.tried, levels, draw=choice.draw).histogram
+            runs[levels] = even.gathered(tried, levels, draw=choice.draw).histogram
+            runs[levels][:, trial.by_rays] = choice.histogram[~at_edge][:, trial.by_rays]
         return runs[levels]
 
     # Of a surface that is close before a pixel the finest footprints may be too large, too.

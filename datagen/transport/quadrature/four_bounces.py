@@ -54,9 +54,9 @@ WITHIN = 0.85
 TRIALS, LOOKED_AT = (8, 48), 4
 """Fewest and most pairs of laser point and pixel on which the level is chosen, one in 32 in between; and how many
 are looked at roughly for each of them."""
-PATCH_LEVELS, PATCHES_SHARE, FROM_QUARTERS = 3, 0.25, 4 / 3
-"""How often pixels are quartered at most; the share of the error that may come of it; and that error, relative to
-what quartering them once more changes."""
+PATCH_LEVELS, PATCHES_SHARE, PATCHES_AT_MOST, FROM_QUARTERS = 3, 0.25, 0.5, 4 / 3
+"""How often pixels are quartered at most; the share of the error that may come of it, and with the finest footprints;
+and that error, relative to what quartering them once more changes."""
 CONFOCAL_AT_ONCE, EXHAUSTIVE_AT_ONCE, PAIRS_AT_ONCE = 512, 4096, 1 << 18
 ROUNDING = 1e-12
 """What is left of a histogram where its light has ended, relative to its highest bin; and outside of the window,
@@ -249,11 +249,13 @@ def _patches_for(
     run, coarse : with the pixels as they are, and its weighted histograms. least : cost of the coarsest cells that
     will do, relative to those of the run.
     """
+    off = math.inf
     while not most.exceeded(least * run.cost):
         if not scan.extended:
             return level, 0.0
         if level == PATCH_LEVELS:
-            break
+            # Half the error of those twice as large, where an edge makes it one of first order.
+            return (level, 0.5 * off) if 0.5 * off <= PATCHES_AT_MOST * wanted else (-1, 0.0)
         run = scan.light(pairs, 1, level + 1, allowed)
         finer = root * run.histogram
         off = FROM_QUARTERS * l2_norm(finer - coarse)

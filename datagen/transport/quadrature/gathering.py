@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from datagen.seeding import LightStream
 from datagen.transport.problem import Problem
 from datagen.transport.quadrature.clusters import COARSEST
 from datagen.transport.quadrature.footprints import Patches, at_edges
+from datagen.transport.quadrature.mesh_rays import KEENEST, TRIANGLES, Outlines, gather_by_rays
 from datagen.transport.quadrature.three_bounce_kernel import Room, gather
 from datagen.transport.quadrature.weights import AT_ONCE
 from datagen.transport.sampling import stream_seeds
@@ -28,6 +30,10 @@ LEVELS, SIZED, TINY = (2, 5), 64, 1e-4
 the scene and to the narrowest lobe, up to which they are points. With one quartering at least, trials of a pixel
 inside of an open ball agreed with each other in 3 % too little light."""
 PATCHES_AT_ONCE = 1 << 17
+RAY_FOOTPRINT, RAY_LEVELS = 0.7, 2
+"""Size of the footprints that rays are connected with, relative to their distance and to the root of the error asked
+of an object's light: the error is of second order, and was half the square of what is relative to distance. And how
+often pixels are quartered for that."""
 EDGE_LEVELS, MOST_AT_EDGES = range(2, 6), 1 << 14
 """How often pixels that see more than one surface are quartered: as often as leaves no more than so many footprints
 of all of them, for what one has too much others lack."""
@@ -178,6 +184,20 @@ class Gathering:
             task, tree, Occluders.of(task.scene, tree), lasers, clock, width, peak, at_edge,
         )  # fmt: skip
 
+    @cached_property
+    def by_rays(self) -> Bools:
+        """(K,) parts whose light comes by rays: meshes of many triangles, unless some lobe on the path is narrow."""
+        scene, sharp = self.task.scene, 1.0 / self.width**2
+        # Any surface but an object may hold a laser point or a pixel.
+        ends = np.array([role != "object" for role in scene.roles])
+        keen = np.maximum(sharp, sharp[ends].max(initial=1.0))
+        return np.asarray((np.bincount(scene.face_part, minlength=len(sharp)) >= TRIANGLES) & (keen <= KEENEST))
+
+    @cached_property
+    def outlines(self) -> Outlines:
+        """Those of the parts whose light comes by rays."""
+        return Outlines.of(self.task.scene, self.by_rays)
+
     @property
     def lobed(self) -> bool:
         """Whether some surface is not of Lambert's law."""
@@ -229,13 +249,18 @@ class Gathering:
             error, sharp, self.peak, self.coarsest, task.accuracy.occlusion != "off",
             task.accuracy.occlusion == "auto", seed.astype(np.int64),
         )  # fmt: skip
-        room = Room.new()
+        room, across = Room.new(), RAY_FOOTPRINT * math.sqrt(task.accuracy.each_part)
         for some in seen:
             scan = Scan(
                 self.tree, self.occluders, self.lasers, some.patches, materials.kind, materials.values, cutting,
                 self.clock,
             )  # fmt: skip
-            gather(some.pairs, scan, Tally(some.which, row_of_part * len(pairs), histogram, overflow, work), room)
+            tally = Tally(some.which, row_of_part * len(pairs), histogram, overflow, work)
+            gather(some.pairs, scan, self.by_rays, tally, room)
+            if self.by_rays.any():
+                gather_by_rays(
+                    task.caster, task.scene.face_part, some.pairs, scan, self.outlines, tally, across
+                )
         # Row by row, so that each is one piece of memory.
         of_rows = histogram.reshape(rows, len(pairs), task.capture.time.bins)
         return Gathered(

@@ -171,10 +171,11 @@ class Room(NamedTuple):
 
 
 @compiled(_nrt=False)
-def gather(pairs, scan, tally, room):  # type: ignore[no-untyped-def]
+def gather(pairs, scan, by_rays, tally, room):  # type: ignore[no-untyped-def]
     """Add the primary of laser points and pixels to their histograms.
 
-    pairs : (n, 2) laser point and row of footprints of each. scan, tally : `Scan` and `Tally`. room : `Room`.
+    pairs : (n, 2) laser point and row of footprints of each. scan, tally : `Scan` and `Tally`.
+    by_rays : (K,) parts whose light comes by rays. room : `Room`.
     """
     lasers, patches, strongest = scan.lasers, scan.patches, 0.0
     for k in range(len(scan.cutting.peak)):
@@ -190,7 +191,7 @@ def gather(pairs, scan, tally, room):  # type: ignore[no-untyped-def]
         apart = distance(x, corner(patches.position, p, 0)) > scan.occluders.flat
         two_legs = scan.cutting.rays_on_last_leg and apart
         for k in range(len(scan.tree.roots)):
-            if scan.cutting.error[k] < np.inf:
+            if scan.cutting.error[k] < np.inf and not by_rays[k]:
                 _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room)
 
 
