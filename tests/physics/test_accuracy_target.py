@@ -60,7 +60,7 @@ def met(runs: list[Transient]) -> Transient:
 def test_random_scenes_are_within_their_targets_at_a_fair_cost(scenes: tuple[int, ...]) -> None:
     """The bench on some cheap cases: within their targets as often as promised, and none off by more than twice. What
     they cost is fair at 5 %; looser targets cost what the coarsest cells do."""
-    found = list(outcomes(scenes, targets=(0.1, 0.05), cost=7e6))
+    found = list(outcomes(scenes, targets=(0.1, 0.05), cost=8e6))
     assert len(found) >= 6
     assert sum(not one.within for one in found) <= beyond_at_most(len(found))
     assert all(one.error < 2 * one.target for one in found)

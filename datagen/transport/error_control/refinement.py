@@ -151,7 +151,7 @@ class Trial:
     @property
     def by_rays(self) -> Bools:
         """(G,) groups all of whose parts come by rays."""
-        return np.bincount(self.group, ~self.gathering.by_rays, len(self.scale)) == 0
+        return np.asarray(np.bincount(self.group, ~self.gathering.by_rays, len(self.scale)) == 0)
 
     def some(self, which: Bools) -> Trial:
         """Only some of the pairs."""
@@ -260,7 +260,10 @@ class _Runs:
         self.cuttings.append(np.where(settled, self.cuttings[-1], cutting))
         self.cells.append(np.where(settled, self.cells[-1], found.cells))
         self.costs.append(np.where(settled, self.costs[-1], CELL * found.cells + CELL_RAY * found.rays))
-        self.dear = self.dear | (found.cells + found.rays > TOO_DEAR * len(self.trial.pairs) * np.where(self.trial.by_rays, RAYS_CHEAPER, 1.0))
+        self.dear = self.dear | (
+            found.cells + found.rays
+            > TOO_DEAR * len(self.trial.pairs) * np.where(self.trial.by_rays, RAYS_CHEAPER, 1.0)
+        )
         self.finest[~settled] = len(self.histograms) - 1
 
     def tell_of_error(self, in_scale: Floats) -> Bools:

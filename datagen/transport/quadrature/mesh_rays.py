@@ -1,15 +1,15 @@
-"""Light of three bounces that comes by way of meshes: rays from the laser point on a lattice.
+"""Light of three bounces by way of meshes: rays from the laser point on a lattice of directions.
 
-Of a mesh of many small triangles nearly everything is hidden from somewhere, by itself or by others. Cut into elements
-most rays would ask in vain; sent out from the laser point x, a ray finds what x lights, and all that is left to ask is
-whether the pixel's point z sees that, too. With dω = cosθ₂/R₁² dA₂ the primary of `simulate` becomes
+Of a mesh of many small triangles nearly everything is hidden from somewhere, by itself or by others. Cut into elements,
+most rays would be asked in vain. Sent out from the laser point x, a ray finds what x lights, and all that is left to
+ask is whether the pixel's point z sees that, too. With dω = cosθ₂/R₁² dA₂ the primary becomes
 
     L = ∫ f₁ cosθ₁ · f₂ · cosθ₂′ cosθ₃ V₂₃/R₂₃² · f₃ W dω,
 
 W the sensor's share. The directions are a rank-1 lattice (Fibonacci's) in the rectangle that frames the mesh, shifted
 at random; the light of a ray is spread over the arrival times of its cell of the lattice, a parallelogram on the
 surface that it meets. So the error falls nearly as 1/N for N rays, where samples that fall into one bin each have
-1/√N. What a ray meets is connected with points all over the pixel.
+1/√N. What a ray meets is connected with points all over the pixel, the closer ones the more densely.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from datagen.compiled import compiled
@@ -47,10 +48,10 @@ all around, and rays go into the whole half space."""
 GRAZING = 0.05
 """Least cosine that is taken for the light that a ray carries: half of it changes little, for it only sets how many
 rays are sent."""
-LEVEL, EDGE_LEVEL = 2, 3
-"""How often a pixel is quartered at most to be connected with what a ray meets: 16 points, of which a quarter would do
-for pixels 20 cm wide and meshes 1.5 m away, where they leave an error of 0.7 %. And how often where an edge runs
-through it, with one random point in each footprint on the edge: half as many leave twice the noise there."""
+LEVEL, EDGE_LEVEL = 4, 3
+"""How often a pixel is quartered at most to be connected with what a ray meets: with half as many, pixels 20 cm wide
+see a mesh beside them too coarsely. And how often where an edge runs through it, with one random point in each
+footprint on the edge: one level less leaves twice the noise there."""
 RAYS_AT_ONCE, FANS_AT_ONCE = 1 << 15, 1 << 13
 TURN = 0.6180339887498949
 """The golden section, by which the second coordinate of a lattice goes on from one ray to the next."""
@@ -73,7 +74,9 @@ class Outlines(NamedTuple):
             for k, is_mesh in enumerate(meshes)
         ]
         middle = np.array([(h.min(axis=0) + h.max(axis=0)) / 2 if len(h) else np.zeros(3) for h in hulls])
-        radius = np.array([np.linalg.norm(h - c, axis=1).max(initial=0.0) for h, c in zip(hulls, middle, strict=True)])
+        radius = np.array(
+            [np.linalg.norm(h - c, axis=1).max(initial=0.0) for h, c in zip(hulls, middle, strict=True)]
+        )
         first = np.concatenate([[0], np.cumsum([len(h) for h in hulls])])
         return cls(np.concatenate(hulls), first, middle, radius)
 
@@ -124,18 +127,29 @@ class Connections(NamedTuple):
     end: Floats
     asked: Bools
 
+    @classmethod
+    def room(cls, count: int) -> Connections:
+        """Room for so many."""
+        photons, at, variance = np.empty((3, count))
+        part, into = np.empty((2, count), np.int64)
+        start, end = np.empty((2, count, 3))
+        return cls(photons, at, variance, part, into, start, end, np.empty(count, np.bool_))
 
-def gather_by_rays(caster: Raycaster, face_part: Ints, pairs: Ints, scan, outlines: Outlines, tally, across: float) -> None:  # type: ignore[no-untyped-def]
+
+def gather_by_rays(  # type: ignore[no-untyped-def]
+    caster: Raycaster, face_part: NDArray[np.integer], pairs: Ints, scan, outlines: Outlines, tally, across: float
+) -> None:
     """Add the light of meshes to the histograms of pairs of laser point and row of footprints.
 
     caster, face_part : of the scene's triangles (F,). pairs : (n, 2). scan, tally : `Scan` and `Tally`.
     across : largest footprint of a point that is connected with what rays meet, relative to its distance from there.
     """
-    parts, points = len(outlines.radius), 4**EDGE_LEVEL
+    parts, points = len(outlines.radius), min(4**LEVEL, scan.patches.part.shape[1])
     for run in range(0, len(pairs) if outlines.first[-1] else 0, FANS_AT_ONCE):
         some = np.arange(run, min(run + FANS_AT_ONCE, len(pairs)))
         room = len(some) * parts
-        fans = Fans(*np.empty((2, room), np.int64), np.zeros(room + 1, np.int64), np.zeros((room, 9)))
+        pair, part = np.empty((2, room), np.int64)
+        fans = Fans(pair, part, np.zeros(room + 1, np.int64), np.zeros((room, 9)))
         first = fans.first[: 1 + _plan(pairs, some, scan, outlines, fans)]
         for start in range(0, int(first[-1]), RAYS_AT_ONCE):
             count = min(RAYS_AT_ONCE, int(first[-1]) - start)
@@ -143,10 +157,7 @@ def gather_by_rays(caster: Raycaster, face_part: Ints, pairs: Ints, scan, outlin
             origin, normal, direction = np.empty((3, count, 3))
             _aim(pairs, scan, tally, fans, fan, start, origin, normal, direction)
             hits = caster.leaving(origin, normal, direction)
-            found = Connections(
-                *np.empty((3, count * points)), *np.empty((2, count * points), np.int64),
-                *np.empty((2, count * points, 3)), np.empty(count * points, np.bool_),
-            )  # fmt: skip
+            found = Connections.room(count * points)
             n = _connect(pairs, scan, fans, fan, start, hits, face_part, caster.offset_m, across, tally, found)
             asked = np.flatnonzero(found.asked[:n])
             found.photons[asked[caster.occluded(found.start[asked], found.end[asked])]] = 0.0
@@ -224,11 +235,15 @@ def _direction(fans, fan, j, n, word):  # type: ignore[no-untyped-def]
     if first[0] == 0.0 and first[1] == 0.0 and first[2] == 0.0:
         # Evenly over the half space: evenly in height and angle.
         angle, sine = 2.0 * math.pi * t, max(math.sqrt(1.0 - s * s), 1e-9)
-        c, d = math.cos(angle), math.sin(angle)
-        along = in_frame_of(n, -s / sine * c, -s / sine * d, 1.0)
-        round_it = in_frame_of(n, -2.0 * math.pi * sine * d, 2.0 * math.pi * sine * c, 0.0)
-        return in_frame_of(n, sine * c, sine * d, s), along, round_it, 2.0 * math.pi
-    d = (first[0] + s * right[0] + t * up[0], first[1] + s * right[1] + t * up[1], first[2] + s * right[2] + t * up[2])
+        east, north = math.cos(angle), math.sin(angle)
+        along = in_frame_of(n, -s / sine * east, -s / sine * north, 1.0)
+        round_it = in_frame_of(n, -2.0 * math.pi * sine * north, 2.0 * math.pi * sine * east, 0.0)
+        return in_frame_of(n, sine * east, sine * north, s), along, round_it, 2.0 * math.pi
+    d = (
+        first[0] + s * right[0] + t * up[0],
+        first[1] + s * right[1] + t * up[1],
+        first[2] + s * right[2] + t * up[2],
+    )
     square = dot(d, d)
     # The frame lies in a plane one away, across its axis.
     return d, right, up, math.sqrt(dot(right, right) * dot(up, up)) / (square * math.sqrt(square))
@@ -257,7 +272,7 @@ def _aim(pairs, scan, tally, fans, fan, start, origin, normal, direction):  # ty
 def _connect(pairs, scan, fans, fan, start, hits, face_part, offset, wide, tally, found):  # type: ignore[no-untyped-def]
     """Fill `found` with what rays met, from ray number `start` on, which is of a fan; returns how many these are."""
     lasers, patches, clock, m = scan.lasers, scan.patches, scan.clock, 0
-    chosen, waiting = np.empty((4**EDGE_LEVEL, 2), np.int64), np.empty((4**EDGE_LEVEL, 2), np.int64)
+    chosen, waiting = np.empty((4**LEVEL, 2), np.int64), np.empty((4**LEVEL, 2), np.int64)
     for r in range(len(hits.face)):
         while start + r >= fans.first[fan + 1]:
             fan += 1
@@ -326,7 +341,9 @@ def _points(patches, p, y, wide, word, chosen, waiting):  # type: ignore[no-unty
                 word = mix(word, np.uint64(q))
                 q, share = quarters[q, np.int64(word & np.uint64(3))], 4 * share
             finest = True
-        fine = not edge and (level >= LEVEL or patches.size[p, q] <= wide * distance(y, corner(patches.position, p, q)))
+        fine = not edge and (
+            level >= LEVEL or patches.size[p, q] <= wide * distance(y, corner(patches.position, p, q))
+        )
         if finest or fine:
             chosen[found, 0], chosen[found, 1] = q, share
             found += patches.part[p, q] >= 0

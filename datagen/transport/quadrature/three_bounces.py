@@ -22,7 +22,7 @@ import numpy as np
 
 from datagen.records.arrays import Floats
 from datagen.transport.error_control.refinement import Asked, Trial, choose, quarter
-from datagen.transport.quadrature.gathering import RAY_LEVELS, Gathering
+from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import pairs_of
 
 
@@ -70,9 +70,7 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
         trial = replace(trial, levels=quartering.levels, seen={})
     cutting, parts = choice.cutting[trial.group], len(asked.objects)
     rows = np.arange(parts) if task.tally_rows.parts else np.zeros(parts, np.int64)
-    levels = quartering.levels
-    if gathering.by_rays.any():
-        levels = max(levels, min(trial.levels, RAY_LEVELS))
+    levels = max(quartering.levels, gathering.ray_levels())
     seen = gathering.seen(pairs, levels, quartering.edge_levels)
     found = gathering.gathered(pairs, seen, cutting, rows)
     shape, names = task.capture.shape, task.scene.part_names
