@@ -102,7 +102,7 @@ class Sensor:
     ) -> Sensor:  # fmt: skip
         """rows × cols pixels that tile the rectangle `center ± right ± up`; row 0 at the top, column 0 at −right.
 
-        Raises `InputError` for fewer than one row or column.
+        Raises `InputError` for fewer than one row or column, and for `right` and `up` that span no rectangle.
 
         >>> import datagen as dg
         >>> wall_center, right, up = (3, 0, 1), (0, -0.4, 0), (0, 0, 0.3)
@@ -116,6 +116,11 @@ class Sensor:
         check_integer("Sensor.grid", "cols", cols, 1, 2**20)
         named = (("center", center), ("right", right), ("up", up))
         c, r, u = (as_points(f"Sensor.grid: {name}", value, (3,)) for name, value in named)
+        if np.linalg.norm(np.cross(r, u)) <= 1e-9 * np.linalg.norm(r) * np.linalg.norm(u):
+            raise InputError(
+                f"Sensor.grid: right = {r.tolist()} and up = {u.tolist()} span no area; give half the width and half "
+                "the height of the rectangle as vectors, neither of them 0 nor along the other"
+            )
         across = np.linspace(-1, 1, cols + 1)
         upward = np.linspace(1, -1, rows + 1)
         knots = c + across[None, :, None] * r + upward[:, None, None] * u
