@@ -31,7 +31,7 @@ def room(x: float) -> dg.Scene:
 
 def capture(time: dg.TimeAxis = TIME) -> dg.Capture:
     laser = dg.Laser((3, -1, 0), [(0, 0, 0.2), (0, 0, -0.2)])
-    sensor = dg.Sensor.grid((3, -1, 0), (0, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, cols=3)
+    sensor = dg.Sensor.grid((3, -1, 0), (0, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, columns=3)
     return dg.Capture(laser, sensor, time)
 
 
