@@ -4,18 +4,30 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Any
 
 import click
 
-from datagen.errors import CheckError, InputError, printable
+from datagen.errors import CheckError, InputError, InputWarning, printable
 
 INTERRUPTED = 130
 
 
 def guarded(command: click.Command, arguments: Sequence[str] | None = None, name: str | None = None) -> int:
-    """The exit status of a click command, which is run; errors for the user become one line on standard error."""
+    """The exit status of a click command, which is run; errors and warnings for the user become one line each on
+    standard error."""
+    otherwise = warnings.showwarning
+
+    def told(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, InputWarning):
+            _complain(f"warning: {message}", 0)
+        else:
+            otherwise(message, category, *where, **more)
+
+    warnings.showwarning = told
     try:
         status = command.main(arguments, prog_name=name, standalone_mode=False)
         sys.stdout.flush()
@@ -34,6 +46,8 @@ def guarded(command: click.Command, arguments: Sequence[str] | None = None, name
         return 0
     except OSError as error:
         return _complain(f"{error.filename or 'input/output'}: {error.strerror or error}", 2)
+    finally:
+        warnings.showwarning = otherwise
 
 
 def _one_line(error: click.ClickException) -> str:

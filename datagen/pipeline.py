@@ -7,29 +7,32 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
+from warnings import warn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
+from datagen.config.distributions import largest_count
 from datagen.config.transport import TransportConfig
 from datagen.design.light import light_of, transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
 from datagen.effects import EffectDecisions, decide_detector_effects
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.evidence import evidence_image, light_in_sight
 from datagen.evidence.image import representative_pairs
 from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
 from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
-from datagen.labels import LABEL_FIELDS, ObjectSlots, make_labels
+from datagen.labels import LABEL_FIELDS, VOLUME_FIELDS, ObjectSlots, make_labels
 from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface
+from datagen.labels.solids import LARGEST_HOLE_SHARE, open_share
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, TimeAxis, Transient
 from datagen.records.sample import SCAN_PLACE
-from datagen.scene import check_scene_config
+from datagen.scene import check_scene_config, meshes_named
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport.visibility.raycast import Raycaster
 
@@ -71,6 +74,8 @@ def sample_of(
         if given is None:
             light = light_of(config, index, scene, capture, effects, spad, exposure, caster)
             transient = light.transient()
+            if np.isnan(transient.laser_points).all():
+                raise InputError("laser: its rays meet no surface of the scene; aim Laser.targets at the relay wall")
         else:
             unknown, nowhere = np.full(given.shape, np.nan), np.zeros(given.shape[:2])
             transient = Transient(capture.time, {"given": given}, {}, unknown, nowhere, capture.laser.targets)
@@ -142,7 +147,7 @@ LIT_SCENES_TRIED = 4
 def check_inputs(config: DatasetConfig) -> None:
     """Raise `InputError` for whatever can be found wrong before a dataset is begun: mesh files, a room that cannot
     be furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
-    detector.
+    detector. What is possible and hardly meant is warned of: no objects, and volumes of meshes that are not closed.
     """
     check_scene_config(config.scene)
     capture = _tried_capture(config, 0)
@@ -153,6 +158,26 @@ def check_inputs(config: DatasetConfig) -> None:
     dark = np.zeros((1, *capture.shape[1:]))
     given = config.detector
     choose_sampler(dark, capture.time, spad, exposure, tolerance=given.tolerance, approximate=given.approximate)
+    for told in _hardly_meant(config):
+        warn(told, InputWarning, stacklevel=3)
+
+
+def _hardly_meant(config: DatasetConfig) -> Iterator[str]:
+    """A line for each thing that is possible and most likely not meant: no objects; volumes of meshes with holes."""
+    if not any(largest_count(item.count) for item in config.scene.contents):
+        yield (
+            "scene.contents: no scene has an object, so nothing is hidden and labels are empty; list some, or leave "
+            "the key out for a pillar and a box"
+        )
+    volumes = [name for name in config.store.fields if name in VOLUME_FIELDS]
+    meshes = meshes_named(config.scene) if volumes else ()
+    holed = [where for where, of in meshes if open_share(of.vertices[of.triangles]) > LARGEST_HOLE_SHARE]
+    if holed:
+        more = f" and {len(holed) - 1} more" if len(holed) > 1 else ""
+        yield (
+            f"{holed[0]}{more}: the mesh is not closed, so it has no inside: only its surface is in "
+            f"{' and '.join(volumes)}; close it in a mesh editor, or leave the field out (store.fields)"
+        )
 
 
 def _tried_capture(config: DatasetConfig, index: int) -> Capture:

@@ -35,6 +35,7 @@ STAGES = (
     "evidence",
     "design",
     "building",
+    "export",
     "importing",
     "loader",
     "suites",

@@ -21,7 +21,7 @@ CONFIG = Path(__file__).parents[1] / "configs" / "quickstart.yaml"
 EYE = (2.0, -1.0, 1.0)
 TIME = dg.TimeAxis(bins=64, width_s=4e-10, origin="wall")
 LASER = dg.Laser(EYE, [(0, -0.2, 1)])
-SENSOR = dg.Sensor.grid(EYE, (0, 0.2, 1), (0, 0.1, 0), (0, 0, 0.1), rows=1, cols=2)
+SENSOR = dg.Sensor.grid(EYE, (0, 0.2, 1), (0, 0.1, 0), (0, 0, 0.1), rows=1, columns=2)
 CAPTURE = dg.Capture(LASER, SENSOR, TIME)
 FEW = dg.Accuracy(lookins=16, fov_samples=1)
 SPAD, EXPOSURE = dg.Spad(), dg.Exposure()
@@ -116,7 +116,9 @@ BAD: dict[str, tuple[str, Callable[[], object]]] = {
     "finite aperture of a number": ("finite_aperture", lambda: dg.Sensor(EYE, SENSOR.pixels, 0.02, 0.1)),
     "pixels without corners": ("pixels", lambda: dg.Sensor(EYE, [(0, 0, 1)])),
     "half a row": ("rows", lambda: dg.Sensor.grid(EYE, (0, 0, 1), (0, 1, 0), (0, 0, 1), 1.5, 2)),
-    "no column": ("cols", lambda: dg.Sensor.grid(EYE, (0, 0, 1), (0, 1, 0), (0, 0, 1), 1, 0)),
+    "no column": ("columns", lambda: dg.Sensor.grid(EYE, (0, 0, 1), (0, 1, 0), (0, 0, 1), 1, 0)),
+    "a grid of no width": ("right = ", lambda: dg.Sensor.grid(EYE, (0, 0, 1), (0, 0, 0), (0, 0, 1), 1, 1)),
+    "a grid along a line": ("and up = ", lambda: dg.Sensor.grid(EYE, (0, 0, 1), (0, 1, 0), (0, -2, 0), 1, 1)),
     "1e12 bins": ("bins", lambda: dg.TimeAxis(10**12, 1e-10)),
     "bins of a fraction": ("bins", lambda: dg.TimeAxis(64.0, 1e-10)),
     "width with a unit": ("width_s", lambda: dg.TimeAxis(64, "100ps")),
@@ -215,6 +217,10 @@ BAD: dict[str, tuple[str, Callable[[], object]]] = {
     "dataset of None": ("path", lambda: dg.TransientDataset(None)),
     "dataset nowhere": ("no such dataset", lambda: dg.TransientDataset("nowhere.zarr")),
     "fields of a number": ("fields", lambda: dg.TransientDataset("nowhere.zarr", fields=3)),
+    "fields in fields": ("fields = ['depth']", lambda: dg.TransientDataset("nowhere.zarr", fields=(["depth"],))),
+    "evidence of text": (
+        "evidence_at_least = '3'", lambda: dg.TransientDataset("nowhere.zarr", evidence_at_least="3"),
+    ),
     "noise of text": ("redraw_noise", lambda: dg.TransientDataset("nowhere.zarr", redraw_noise="yes")),
     "sampler of nothing": ("data", lambda: dg.EpochSampler(None)),
     "rank beyond ranks": ("rank", lambda: dg.EpochSampler([1, 2], rank=2, ranks=2)),
@@ -260,6 +266,12 @@ def test_what_is_legal_and_absurd_is_warned_of(what: str) -> None:
     with pytest.warns(dg.InputWarning, match=name) as told:
         call()
     assert len(told) == 1 and told[0].filename == __file__
+
+
+def test_a_keyword_that_was_renamed_is_read() -> None:
+    with pytest.warns(DeprecationWarning, match="now called columns") as told:
+        former = dg.Sensor.grid(EYE, (0, 0.2, 1), (0, 0.1, 0), (0, 0, 0.1), rows=1, cols=2)
+    assert np.array_equal(former.pixels, SENSOR.pixels) and told[0].filename == __file__
 
 
 def test_what_is_usual_is_not() -> None:

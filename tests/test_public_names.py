@@ -9,7 +9,11 @@ import dataclasses
 import inspect
 import re
 import runpy
+import shutil
+import subprocess
+import sys
 import typing
+import zipfile
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -81,6 +85,19 @@ def test_every_public_name_is_there() -> None:
     assert all(getattr(datagen, name) is not None for name in datagen.__all__)
     with pytest.raises(AttributeError, match="EpochSampler_"):
         datagen.EpochSampler_  # noqa: B018
+
+
+def test_type_checkers_find_an_editable_install(tmp_path: Path) -> None:
+    """They read the paths in .pth files and run no import hooks."""
+    pytest.importorskip("setuptools", minversion="77", reason="setuptools is not installed, which builds the package")
+    for name in ("pyproject.toml", "README.md", "LICENSE", "datagen/_version.py", "scene_library/__init__.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    command = "from setuptools.build_meta import build_editable; print(build_editable('.'))"
+    done = subprocess.run([sys.executable, "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True)
+    with zipfile.ZipFile(tmp_path / done.stdout.split()[-1]) as wheel:
+        (written,) = (name for name in wheel.namelist() if ".dist-info/" not in name)
+        assert wheel.read(written).decode().strip() == str(tmp_path)
 
 
 def test_a_transient_is_printed_in_a_line() -> None:

@@ -222,5 +222,5 @@ def _capture(rng: Generator, size: Floats, device: Floats, scan: str, diagonal_m
     center = places(1)[0]
     low, high = np.array([-size[1] / 2, 0.0]), np.array([size[1] / 2, size[2]])
     center[1:] = np.clip(center[1:], low + across, high - across)
-    sensor = Sensor.grid(device, center, (0, across[0], 0), (0, 0, across[1]), rows=side, cols=side)
+    sensor = Sensor.grid(device, center, (0, across[0], 0), (0, 0, across[1]), rows=side, columns=side)
     return Capture(Laser(device, places(1)), sensor, time)

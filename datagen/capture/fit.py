@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datagen.capture.in_sight import check_hidden, check_in_sight, pixel_points
+from datagen.capture.in_sight import check_hidden, check_in_sight, check_met, pixel_points
 from datagen.capture.scans import flood_targets, rectangle_on, scan_targets
 from datagen.config import DatasetConfig
 from datagen.config.capture import CaptureConfig, FieldOfView
@@ -118,6 +118,8 @@ def _check_sight(settings: CaptureConfig, scene: Scene, capture: Capture) -> Non
         if elsewhere[device] or aimed:
             key = _key(settings, device) if elsewhere[device] else "scan.points_m"
             check_in_sight(key, what, scene, places[device], seen)
+    if anywhere:
+        check_met("scan.points_m", scene, places["laser"], capture.laser.targets)
     for device, place in places.items():
         if elsewhere[device]:
             check_hidden(_key(settings, device), scene, place)

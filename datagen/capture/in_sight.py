@@ -36,6 +36,16 @@ def check_in_sight(key: str, what: str, scene: Scene, eye: Floats, points: Float
         )
 
 
+def check_met(key: str, scene: Scene, eye: Floats, points: Floats) -> None:
+    """Raise `InputError` naming `capture.<key>` when a ray from `eye` past one of `points` (n, 3) meets nothing."""
+    missing = first_faces(scene.corners, eye, points, slack=-np.inf) < 0
+    if missing.any():
+        raise InputError(
+            f"capture.{key}: from {_place(eye)} the laser meets nothing towards {int(missing.sum())} of "
+            f"{len(points)} points (the first is {_place(points[np.argmax(missing)])}); put them on a surface"
+        )
+
+
 def check_hidden(key: str, scene: Scene, eye: Floats) -> None:
     """Raise `InputError` naming `capture.<key>` when `eye` sees an object, which has to lie around the corner.
 

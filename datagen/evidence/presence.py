@@ -76,7 +76,7 @@ def presence_evidence(
     ...     dg.Part("back", plate(2, 2), dg.Lambertian(0.8), "structure"),
     ...     dg.Part("plate", plate(1, 0.4), dg.Lambertian(0.0))])
     >>> laser = dg.Laser((1.5, -1.5, 0), [(0, 0.2, 0.2)])
-    >>> sensor = dg.Sensor.grid((1.5, -1.5, 0), (0, 0.1, 0), (0, 0.1, 0), (0, 0, 0.1), rows=1, cols=1)
+    >>> sensor = dg.Sensor.grid((1.5, -1.5, 0), (0, 0.1, 0), (0, 0.1, 0), (0, 0, 0.1), rows=1, columns=1)
     >>> capture = dg.Capture(laser, sensor, dg.TimeAxis(bins=60, width_s=4e-10, origin="wall"))
     >>> exposure = dg.Exposure(cycles=10**4, photons_per_pulse=1e9)
     >>> found = dg.presence_evidence(scene, capture, dg.Accuracy(target=0.02), dg.Spad(mode="ideal"), exposure)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from datagen.errors import CheckError, InputError
-from datagen.export.glb import write_glb
+from datagen.export.glb import write_stored_glb
 from datagen.export.hub import write_hub
 from datagen.export.mat import write_mat
 from datagen.export.measurement import QUANTITIES
@@ -20,7 +20,7 @@ FORMATS = ("tal", "mat", "npz", "h5", "glb", "hub")
 _ENDINGS = {"tal": "hdf5"}
 _MEASURED = ("tal", "mat")
 _WRITERS: dict[str, Callable[..., None]] = {
-    "tal": write_tal, "mat": write_mat, "npz": write_npz, "h5": write_h5, "glb": write_glb,
+    "tal": write_tal, "mat": write_mat, "npz": write_npz, "h5": write_h5, "glb": write_stored_glb,
 }  # fmt: skip
 
 

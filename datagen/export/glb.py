@@ -6,7 +6,8 @@ Metres; what is up in the scene is glTF's +Y, which Blender turns to +Z again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.design.scene_for import scene_for
-from datagen.records import GGX, Phong, Retroreflector, Scene
+from datagen.errors import InputError
+from datagen.records import GGX, Capture, Phong, Retroreflector, Scene
 from datagen.records.arrays import Floats
+from datagen.records.checks import check_kind
 from datagen.records.materials import Material
 from datagen.store.scenes import SceneContent
+from datagen.transport.visibility.raycast import Raycaster
 
 _MARK_M = 0.04
 """Radius of the balls that stand for laser and sensor, metres."""
@@ -26,18 +30,49 @@ _TINTS = {"relay_wall": (0.55, 0.75, 1.0), "structure": (1.0, 1.0, 1.0), "object
 _UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
-def write_glb(scene: SceneContent, path: Path) -> None:
-    """Write one scene, drawn again from the dataset's seed.
+def write_stored_glb(scene: SceneContent, path: Path) -> None:
+    """Write one scene of a dataset, drawn again from the dataset's seed.
 
     Raises `InputError` where a mesh file is gone, or the scenes were made in Python.
     """
     config = scene.manifest.parsed_config()
     room = scene_for(config, scene.index)
-    path.write_bytes(glb_of(room, scene.arrays))
+    path.write_bytes(_glb_of(room, scene.arrays))
 
 
-def glb_of(room: Scene, arrays: dict[str, NDArray[Any]] | Any) -> bytes:
-    """The glTF file of a room; `arrays` are the fields of a stored scene, which place the device and the scan."""
+def write_glb(scene: Scene, path: str | Path, capture: Capture | None = None) -> None:
+    """Write a scene as a glTF file (.glb), which Blender, MeshLab and Open3D open: its parts by name, with albedo and
+    roughness; of a capture laser, sensor, laser points and outlines of the pixels, too.
+
+    Raises `InputError` for arguments of another type, and a file that cannot be written.
+
+    >>> import datagen as dg, tempfile, trimesh
+    >>> ball = dg.Part("ball", trimesh.creation.icosphere(2, 0.3), dg.Lambertian(0.6))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     dg.write_glb(dg.Scene.from_parts([ball]), f"{folder}/ball.glb")
+    ...     sorted(trimesh.load(f"{folder}/ball.glb").geometry)
+    ['ball']
+    """
+    check_kind("scene", scene, Scene)
+    check_kind("path", path, str, os.PathLike, remedy="name a .glb file")
+    check_kind("capture", capture, Capture, type(None))
+    placed = {}
+    if capture is not None:
+        laser, sensor = capture.laser, capture.sensor
+        met = Raycaster(scene).closest(laser.position, laser.targets - laser.position)
+        placed = {
+            "laser_position": laser.position, "sensor_position": sensor.position,
+            "laser_points": met.position[met.valid], "sensor_pixels": sensor.pixels,
+        }  # fmt: skip
+    try:
+        Path(path).write_bytes(_glb_of(scene, placed))
+    except OSError as error:
+        raise InputError(f"path = {str(path)!r}: cannot be written ({error.strerror or error})") from None
+
+
+def _glb_of(room: Scene, placed: Mapping[str, NDArray[Any]]) -> bytes:
+    """The glTF file of a room; `placed` are the fields of a stored scene that say where device and scan are, or none
+    of them."""
     import trimesh
 
     world = trimesh.Scene(base_frame="world")
@@ -49,15 +84,17 @@ def glb_of(room: Scene, arrays: dict[str, NDArray[Any]] | Any) -> bytes:
         mesh = trimesh.Trimesh(room.vertices[used], index.reshape(-1, 3), visual=visual, process=False)
         mesh.metadata |= {"role": room.roles[number], "material": repr(room.materials[number])}
         world.add_geometry(mesh, node_name=name, geom_name=name)
-    for device, color in (("laser", (1.0, 0.1, 0.1)), ("sensor", (0.1, 0.3, 1.0))):
-        ball = trimesh.creation.icosphere(2, _MARK_M).apply_translation(arrays[f"{device}_position"])
+    for device, color in (("laser", (1.0, 0.1, 0.1)), ("sensor", (0.1, 0.3, 1.0))) if placed else ():
+        ball = trimesh.creation.icosphere(2, _MARK_M).apply_translation(placed[f"{device}_position"])
         ball.visual = trimesh.visual.TextureVisuals(material=_plain(device, color))
         world.add_geometry(ball, node_name=device, geom_name=device)
-    lit = arrays["laser_points"][np.isfinite(arrays["laser_points"]).all(axis=1)]
-    if len(lit):
-        dots = trimesh.PointCloud(lit, colors=[255, 40, 40, 255])
-        world.add_geometry(dots, node_name="laser_points", geom_name="laser_points")
-    world.add_geometry(_outlines(arrays["sensor_pixels"]), node_name="sensor_pixels", geom_name="sensor_pixels")
+    if placed:
+        lit = placed["laser_points"][np.isfinite(placed["laser_points"]).all(axis=1)]
+        if len(lit):
+            dots = trimesh.PointCloud(lit, colors=[255, 40, 40, 255])
+            world.add_geometry(dots, node_name="laser_points", geom_name="laser_points")
+        pixels = _outlines(placed["sensor_pixels"])
+        world.add_geometry(pixels, node_name="sensor_pixels", geom_name="sensor_pixels")
     world.apply_transform(_UP)
     found: bytes = world.export(file_type="glb")
     return found

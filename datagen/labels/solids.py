@@ -58,6 +58,18 @@ def connected_surfaces(corners: Floats) -> list[ConnectedSurface]:
     return [_surface(corners[faces], triangles[faces]) for faces in np.split(order, cuts)]
 
 
+def open_share(corners: Floats) -> float:
+    """Share of the area of triangles (F, 3, 3) in open surfaces; flat ones, which nobody takes for solids, apart."""
+    found = [surface.corners for surface in connected_surfaces(corners) if not surface.closed]
+    return sum(float(_areas(one).sum()) for one in found if not _is_flat(one)) / float(_areas(corners).sum())
+
+
+def _is_flat(corners: Floats) -> bool:
+    points = corners.reshape(-1, 3)
+    widths = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(widths[2] <= 1e-6 * widths[0])
+
+
 def _connected(links: Ints, count: int) -> tuple[int, Ints]:
     """How many connected sets `links` (n, 2) make of `count` vertices, and the set of each."""
     from scipy.sparse import coo_array

@@ -23,7 +23,7 @@ from datagen.loader.events import events_of
 from datagen.loader.redrawn_noise import TRANSIENT_OF, DrawCounter, NoiseSource
 from datagen.loader.volumes import Volumes
 from datagen.reconstruction.backprojection import GEOMETRY
-from datagen.records.checks import check_flag, check_kind, check_seed
+from datagen.records.checks import check_flag, check_kind, check_number, check_seed, shown
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.location import Bucket, location_of
 from datagen.store.reader import Part
@@ -124,14 +124,19 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder that build made")
         check_seed(seed)
         check_kind("fields", fields, str, Sequence, remedy="such as ('histogram', 'depth')")
+        wanted = (fields,) if isinstance(fields, str) else tuple(fields)
+        for name in wanted:
+            check_kind("fields", name, str, remedy="such as ('histogram', 'depth')")
         for name, flag in (("redraw_noise", redraw_noise), ("check", check)):
             check_flag(name, flag)
+        if evidence_at_least is not None:
+            sigmas = "standard deviations, such as 3"
+            check_number("TransientDataset", "evidence_at_least", evidence_at_least, 0.0, 1e9, sigmas)
         self.path = location_of(path).resolve()
         self._manifest = manifest = read_manifest(path)
         self._schema = manifest.schema
         self.fields = tuple(self._schema.by_name)
         tables = tuple(name for name in self.fields if name.startswith("object_")) or ("objects",)
-        wanted = (fields,) if isinstance(fields, str) else tuple(fields)
         self.selected = tuple(dict.fromkeys(f for name in wanted for f in (tables if name == "objects" else (name,))))
         self._light = {name: of for name, of in TRANSIENT_OF.items() if redraw_noise and of in self.fields}
         for name in self.selected:
@@ -225,13 +230,18 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         independent of reads that workers had begun when an epoch was left early. Running workers see it.
         `EpochSampler` calls it at the start of each epoch.
         """
+        chosen = np.arange(len(self)) if items is None else np.asarray(items)
+        if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iu"):
+            raise InputError(f"items = {shown(items)}: must be a list of whole numbers, the items' own")
         if self._draws is not None:
-            self._draws.fix(epoch, self.scenes if items is None else self.scenes[np.asarray(items, np.int64)])
+            self._draws.fix(epoch, self.scenes[chosen.astype(np.int64)])
 
     def shape(self, field: str) -> tuple[int, ...]:
         """The shape of one scene's value of a field, as it is handed over."""
         if field == "volume" and self._volumes is not None:
             return self._volumes.shape
+        if field not in (*self.fields, *self._light):
+            raise InputError(f"shape: {field!r} is not in {self.path}; it has {', '.join(self.fields)}")
         name = self._light.get(field, field)
         return (self._parts[name] or self._schema.by_name[name]).shape
 
@@ -282,8 +292,6 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     def _scenes_with_evidence(self, least: float) -> NDArray[np.int64]:
         """(N,) the scenes of `self.scenes` whose weakest object has this significance, and those without objects."""
-        if not 0 <= least < float("inf"):
-            raise InputError(f"evidence_at_least = {least}: must be a finite number ≥ 0, such as 3")
         if self._manifest.schema_version < EVIDENCE_SINCE:
             raise InputError(
                 f"evidence_at_least: {self.path} is of an earlier schema version, which has none; build it anew"

@@ -92,8 +92,8 @@ class DrawCounter:
 
     def fix(self, epoch: int, scenes: NDArray[np.int64]) -> None:
         """The next read of each of these scenes is draw `epoch`, and those that follow count on from there."""
-        if not isinstance(epoch, int | np.integer) or epoch < 0:
-            raise InputError(f"epoch = {epoch!r}: must be a whole number ≥ 0")
+        if not isinstance(epoch, int | np.integer) or not 0 <= epoch < 2**62:
+            raise InputError(f"epoch = {epoch!r}: must be a whole number in 0 … 2^62")
         self._state[torch.from_numpy(scenes)] = torch.tensor([int(epoch), 1])
 
     def take(self, scenes: Sequence[int]) -> list[tuple[int, int]]:

@@ -97,30 +97,40 @@ class Sensor:
 
     @classmethod
     def grid(
-        cls, position: ArrayLike, center: ArrayLike, right: ArrayLike, up: ArrayLike, rows: int, cols: int,
-        aperture_radius_m: float = 0.02,
+        cls, position: ArrayLike, center: ArrayLike, right: ArrayLike, up: ArrayLike, rows: int,
+        columns: int | None = None, aperture_radius_m: float = 0.02, *, cols: int | None = None,
     ) -> Sensor:  # fmt: skip
-        """rows × cols pixels that tile the rectangle `center ± right ± up`; row 0 at the top, column 0 at −right.
+        """rows × columns pixels that tile the rectangle `center ± right ± up`; row 0 at the top, column 0 at −right.
 
-        Raises `InputError` for fewer than one row or column.
+        Raises `InputError` for fewer than one row or column, and for `right` and `up` that span no rectangle.
+        `cols` is the former name of `columns`.
 
         >>> import datagen as dg
         >>> wall_center, right, up = (3, 0, 1), (0, -0.4, 0), (0, 0, 0.3)
-        >>> sensor = dg.Sensor.grid((0, 0, 1), wall_center, right, up, rows=3, cols=4)
+        >>> sensor = dg.Sensor.grid((0, 0, 1), wall_center, right, up, rows=3, columns=4)
         >>> sensor.pixels.shape
         (12, 4, 3)
         >>> print(sensor.pixels[0].mean(axis=0))  # the middle of the pixel at the top left
         [3.  0.3 1.2]
         """
         check_integer("Sensor.grid", "rows", rows, 1, 2**20)
-        check_integer("Sensor.grid", "cols", cols, 1, 2**20)
+        if cols is not None:
+            warn("Sensor.grid: cols is now called columns", DeprecationWarning, stacklevel=2)
+            columns = cols
+        check_integer("Sensor.grid", "columns", columns, 1, 2**20)
+        assert columns is not None
         named = (("center", center), ("right", right), ("up", up))
         c, r, u = (as_points(f"Sensor.grid: {name}", value, (3,)) for name, value in named)
-        across = np.linspace(-1, 1, cols + 1)
+        if np.linalg.norm(np.cross(r, u)) <= 1e-9 * np.linalg.norm(r) * np.linalg.norm(u):
+            raise InputError(
+                f"Sensor.grid: right = {r.tolist()} and up = {u.tolist()} span no area; give half the width and half "
+                "the height of the rectangle as vectors, neither of them 0 nor along the other"
+            )
+        across = np.linspace(-1, 1, columns + 1)
         upward = np.linspace(1, -1, rows + 1)
         knots = c + across[None, :, None] * r + upward[:, None, None] * u
         pixels = np.stack([knots[1:, :-1], knots[1:, 1:], knots[:-1, 1:], knots[:-1, :-1]], axis=2)
-        return cls(position, pixels.reshape(rows * cols, 4, 3), aperture_radius_m)
+        return cls(position, pixels.reshape(rows * columns, 4, 3), aperture_radius_m)
 
     @property
     def aperture_area_m2(self) -> float:
@@ -203,7 +213,7 @@ class Capture:
     --------
     >>> import datagen as dg
     >>> laser = dg.Laser((0, 0, 1), [(3, -0.5, 1), (3, 0.5, 1)])
-    >>> sensor = dg.Sensor.grid((0, 0, 1), (3, 0, 1), (0, -0.4, 0), (0, 0, 0.3), rows=3, cols=4)
+    >>> sensor = dg.Sensor.grid((0, 0, 1), (3, 0, 1), (0, -0.4, 0), (0, 0, 0.3), rows=3, columns=4)
     >>> dg.Capture(laser, sensor, dg.TimeAxis(bins=512, width_s=1e-10)).shape  # laser, pixel, bin
     (2, 12, 512)
     """

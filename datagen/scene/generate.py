@@ -7,7 +7,7 @@ every try at placing its objects, so what one consumed never shifts the next.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -28,7 +28,7 @@ from scene_library.placement import FreeSpace
 from scene_library.rooms import FloorPlan, RoomDoesNotClose
 from scene_library.rounding import length
 from scene_library.sightlines import even_points, seen_fractions
-from scene_library.solids import joined
+from scene_library.solids import Solid, joined
 from scene_library.visibility import visible_fan, visible_interval
 
 MESHES_CHECKED = 200
@@ -217,17 +217,27 @@ def _upright(right_end: Floats, left_end: Floats, height_m: float) -> Rectangle:
 
 
 def check_scene_config(spec: SceneConfig) -> None:
-    """Load the meshes named, so that a bad file is refused before anything is built. Raises `InputError`.
+    """Load the meshes named, so that a bad file is refused before anything is built. Raises `InputError`."""
+    for _ in meshes_named(spec):
+        pass
 
-    Of a folder with very many files an even selection is loaded.
+
+def meshes_named(spec: SceneConfig) -> Iterator[tuple[str, Solid]]:
+    """Each mesh that the settings name, as `scene.contents[0].path = 'spot.obj'` and its solid at height 1.
+
+    Of a folder with very many files an even selection. Raises `InputError` for a bad file.
     """
     for i, item in enumerate(spec.contents):
-        try:
-            if isinstance(item, Mesh):
-                load_mesh(item, item.file, item.path)
-            elif isinstance(item, MeshFolder):
-                files = [file for files in item.files().values() for file in files]
-                for file in files[:: 1 + len(files) // MESHES_CHECKED]:
-                    load_mesh(item, file, item.shown(file))
-        except InputError as error:
-            raise InputError(f"scene.contents[{i}].{error}") from None
+        if not isinstance(item, Mesh | MeshFolder):
+            continue
+        if isinstance(item, Mesh):
+            files = {item.path: item.file}
+        else:
+            every = [file for files in item.files().values() for file in files]
+            files = {item.shown(file): file for file in every[:: 1 + len(every) // MESHES_CHECKED]}
+        for shown, file in files.items():
+            try:
+                solid = load_mesh(item, file, shown)
+            except InputError as error:
+                raise InputError(f"scene.contents[{i}].{error}") from None
+            yield f"scene.contents[{i}].path = {shown!r}", solid

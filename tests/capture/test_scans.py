@@ -178,3 +178,12 @@ def test_scans_larger_than_the_visible_wall_are_refused(scan: dict[str, Any], ke
         targets(scan, scene)
     assert str(caught.value).startswith(key)
     assert "\n" not in str(caught.value)
+
+
+def test_a_laser_that_meets_nothing_is_refused() -> None:
+    """Of a list of places in the room; what lies on the relay wall is met."""
+    open_air = {"layout": {"kind": "isolated_wall"}}
+    capture = {"pairing": "exhaustive", "scan": {"kind": "points", "points_m": [[0, 0], [0.0, 0.0, 100.0]]}}
+    config = config_from_mapping({"scene": open_air, "capture": capture})
+    with pytest.raises(InputError, match=r"^capture\.scan\.points_m: .* meets nothing towards 1 of 2 "):
+        dg.capture_for(config, dg.generate_scene(config.scene, 0, 0))

@@ -5,11 +5,19 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
+import click
 import pytest
+import trimesh
 
 from datagen.cli import run
+from datagen.config import load_config
+from datagen.errors import InputWarning
+from datagen.exit_status import guarded
+from datagen.pipeline import check_inputs
 
 SMALL = """
 scenes: 2
@@ -111,6 +119,34 @@ def test_an_engine_whose_package_is_missing_says_what_to_install(
     monkeypatch.setitem(sys.modules, "distributed", None)
     line = refused(capsys, "build", "config.yaml", "out", "--engine", "dask")
     assert "pip install nlos-datagen[cluster]" in line
+
+
+def test_what_is_hardly_meant_is_warned_of_before_a_build(here: Path) -> None:
+    trimesh.creation.box().submesh([range(10)], append=True).export("lidless.obj")
+    trimesh.creation.box().export("box.obj")
+    mesh = "{kind: mesh, height_m: 0.5, path: "
+    for contents, fields, line in (
+        ("", "depth", r"scene\.contents: no scene has an object"),
+        ("{kind: box, count: 0}", "depth", r"scene\.contents: no scene has an object"),
+        (f"{mesh}lidless.obj}}", "occupancy, sdf", r"\[0\].path = 'lidless.obj': .* in occupancy and sdf; close"),
+        (f"{mesh}box.obj}}", "occupancy", None),
+        (f"{mesh}lidless.obj}}", "depth", None),
+    ):
+        text = f"scenes: 1\nscene: {{contents: [{contents}]}}\nstore: {{fields: [histogram, {fields}]}}"
+        Path("odd.yaml").write_text(text)
+        with nullcontext() if line is None else pytest.warns(InputWarning, match=line):
+            check_inputs(load_config("odd.yaml"))
+
+
+def test_a_warning_is_a_line_too(capsys: pytest.CaptureFixture[str]) -> None:
+    @click.command()
+    def odd() -> None:
+        warnings.warn("a lens\nof 20 m", InputWarning, stacklevel=1)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert guarded(odd, []) == 0
+    assert capsys.readouterr().err == "datagen: warning: a lens of 20 m\n"
 
 
 def test_no_traceback_from_the_real_command(here: Path) -> None:

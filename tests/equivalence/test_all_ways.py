@@ -107,7 +107,7 @@ def exhaustive() -> Capture:
 
 
 def array() -> Capture:
-    sensor = Sensor.grid(DEVICE, (0, 0.1, 1.0), (0, 0.4, 0), (0, 0, 0.4), rows=3, cols=3)
+    sensor = Sensor.grid(DEVICE, (0, 0.1, 1.0), (0, 0.4, 0), (0, 0, 0.4), rows=3, columns=3)
     return Capture(Laser(DEVICE, [[0, -0.5, 0.9]]), sensor, TIME)
 
 

@@ -55,7 +55,7 @@ def confocal(n: int) -> dg.Capture:
 
 def exhaustive() -> dg.Capture:
     place = (3.0, 2.9, -1.5)
-    sensor = dg.Sensor.grid(place, (0, 0.1, 0), (0, 0.1, 0), (0, 0, 0.1), rows=2, cols=2)
+    sensor = dg.Sensor.grid(place, (0, 0.1, 0), (0, 0.1, 0), (0, 0, 0.1), rows=2, columns=2)
     return dg.Capture(dg.Laser(place, grid(2)), sensor, TIME)
 
 

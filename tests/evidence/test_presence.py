@@ -42,7 +42,7 @@ def room(albedo: float = 0.6, back: bool = True) -> dg.Scene:
 
 def capture() -> dg.Capture:
     place, points = (1.2, -1.5, 0.0), [(0, 0.3, 0.2), (0, -0.3, 0.3), (0, 0.1, -0.4)]
-    sensor = dg.Sensor.grid(place, (0, 0.1, 0), (0, 0.2, 0), (0, 0, 0.2), rows=1, cols=2)
+    sensor = dg.Sensor.grid(place, (0, 0.1, 0), (0, 0.2, 0), (0, 0, 0.2), rows=1, columns=2)
     return dg.Capture(dg.Laser(place, points), sensor, dg.TimeAxis(bins=100, width_s=2.5e-10, origin="wall"))
 
 

@@ -18,6 +18,7 @@ import trimesh
 import yaml
 from point_target import LIGHT, SCANS, config_of, hidden_point
 
+import datagen as dg
 from datagen.errors import InputError
 from datagen.export import export
 from datagen.export.measurement import WallFrame, lattice, measurement
@@ -187,6 +188,24 @@ def test_glb_holds_parts_device_and_scan(made: Any, tmp_path: Path) -> None:
     stored = Scenes(made("confocal")).read(1).arrays
     np.testing.assert_allclose(placed("laser").mean(axis=0), stored["laser_position"], atol=1e-4)
     np.testing.assert_allclose(placed("laser_points"), stored["laser_points"], atol=1e-5)
+
+
+def test_glb_of_a_scene_made_in_python(tmp_path: Path) -> None:
+    wall = dg.Part("wall", trimesh.creation.box((0.1, 4, 3)), dg.Lambertian(0.8), "relay_wall")
+    ball = trimesh.creation.icosphere(1, 0.3).apply_translation((1, 1.5, 0))
+    scene = dg.Scene.from_parts([wall, dg.Part("ball", ball, dg.Phong(0.5))])
+    laser = dg.Laser((3, -1, 0), [(0, 0, 0.2), (3, 0, 9)])
+    sensor = dg.Sensor.grid((3, -1, 0), (0.05, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, columns=2)
+    dg.write_glb(scene, tmp_path / "parts.glb")
+    dg.write_glb(scene, str(tmp_path / "all.glb"), dg.Capture(laser, sensor, dg.TimeAxis(8, 1e-9)))
+    parts, all_of_it = (trimesh.load(tmp_path / f"{name}.glb") for name in ("parts", "all"))
+    assert set(parts.geometry) == {"wall", "ball"}
+    assert set(all_of_it.geometry) == {"wall", "ball", "laser", "sensor", "laser_points", "sensor_pixels"}
+    # The first laser ray meets the wall, the second nothing; the node turns what is up to +Y.
+    lit = all_of_it.geometry["laser_points"].vertices
+    np.testing.assert_allclose(lit, [[0.05, -1 / 60, 0.2 * 2.95 / 3]], atol=1e-6)
+    with pytest.raises(InputError, match=r"^path = .*: cannot be written \(No such file or directory\)$"):
+        dg.write_glb(scene, tmp_path / "nowhere" / "parts.glb")
 
 
 def test_hub_folder_is_the_dataset_with_rows_to_look_at(made: Any, tmp_path: Path) -> None:

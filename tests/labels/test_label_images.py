@@ -90,7 +90,7 @@ def test_pixels_lie_over_those_of_a_sensor_grid(side: int) -> None:
     scene = l_corridor(side)
     view = scene.hidden_view
     assert view is not None
-    sensor = Sensor.grid((0, 0, 1), view.center, view.right, view.up, rows=5, cols=7)
+    sensor = Sensor.grid((0, 0, 1), view.center, view.right, view.up, rows=5, columns=7)
     frame = ViewFrame.of(scene)
     place = frame.to_pixels(frame.to_view(sensor.pixels.mean(axis=1)), 5, 7).reshape(5, 7, 3)
     row, column = np.mgrid[:5, :7]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 
@@ -220,6 +221,43 @@ def test_bad_files_are_refused_in_one_line(tmp_path: Path, name: str) -> None:
     assert message.startswith(f"scene.contents[0].path = '{name}': ")
     assert reason in message
     assert "\n" not in message
+
+
+def glb(path: Path, nodes: list[dict[str, object]], triangles: int = 1) -> None:
+    """A file whose one mesh, which is not there, has so many triangles."""
+    tree = {
+        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": nodes,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"componentType": 5126, "count": 3 * triangles, "type": "VEC3"}],
+    }  # fmt: skip
+    text = json.dumps(tree).encode()
+    lengths = np.array([2, 20 + len(text), len(text), 0x4E4F534A], "<u4")
+    path.write_bytes(b"glTF" + lengths.tobytes() + text)
+
+
+def test_too_many_triangles_are_counted_before_they_are_read(tmp_path: Path) -> None:
+    """Of every format; more of them are read to be thinned. The files end where the triangles would begin."""
+    many = meshes.MOST_TRIANGLES + 9
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex 3\nelement face {many}\nend_header\n"
+    _write(tmp_path, "many.ply", header)
+    with (tmp_path / "many.stl").open("wb") as file:
+        file.write(bytes(80) + many.to_bytes(4, "little"))
+        file.truncate(84 + 50 * many)
+    _write(tmp_path, "many.obj", "v 0 0 0\nv 1 0 0\nv 0 1 1\n" + "f 1 2 3\n" * many)
+    glb(tmp_path / "many.glb", [{"mesh": 0, "children": [1]}, {"mesh": 0}], many // 2 + 1)
+    for suffix in meshes.SUFFIXES:
+        with pytest.raises(BadMesh, match=r"^has 40000\d\d triangles, .* set max_triangles, .* or thin it"):
+            unit_mesh(tmp_path / f"many{suffix}", MeshOptions())
+    glb(tmp_path / "more.glb", [{"mesh": 0}], meshes.MOST_THINNED + 1)
+    with pytest.raises(BadMesh, match=r"^has 16000001 triangles, and at most 16000000 are handled; thin it"):
+        unit_mesh(tmp_path / "more.glb", MeshOptions(max_triangles=20))
+
+
+def test_nodes_of_several_parents_are_refused(tmp_path: Path) -> None:
+    """Thirty levels of them would be a billion triangles."""
+    glb(tmp_path / "tree.glb", [{"children": [k + 1, k + 1]} for k in range(30)] + [{"mesh": 0}])
+    with pytest.raises(BadMesh, match=r"^has a node \(1\) with 2 parents, and glTF allows one"):
+        unit_mesh(tmp_path / "tree.glb", MeshOptions())
 
 
 def test_coordinates_far_from_the_origin(tmp_path: Path) -> None:

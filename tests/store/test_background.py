@@ -63,7 +63,7 @@ def room(albedo: float | None) -> dg.Scene:
 
 def capture() -> dg.Capture:
     place, points = (1.5, -1.5, 0.0), [(0, 0.2, 0.2), (0, -0.2, 0.3)]
-    sensor = dg.Sensor.grid(place, (0, 0.1, 0), (0, 0.1, 0), (0, 0, 0.1), rows=1, cols=2)
+    sensor = dg.Sensor.grid(place, (0, 0.1, 0), (0, 0.1, 0), (0, 0, 0.1), rows=1, columns=2)
     return dg.Capture(dg.Laser(place, points), sensor, dg.TimeAxis(bins=120, width_s=2e-10, origin="wall"))
 
 

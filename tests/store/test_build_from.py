@@ -31,7 +31,7 @@ def room(x: float) -> dg.Scene:
 
 def capture(time: dg.TimeAxis = TIME) -> dg.Capture:
     laser = dg.Laser((3, -1, 0), [(0, 0, 0.2), (0, 0, -0.2)])
-    sensor = dg.Sensor.grid((3, -1, 0), (0, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, cols=3)
+    sensor = dg.Sensor.grid((3, -1, 0), (0, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, columns=3)
     return dg.Capture(laser, sensor, time)
 
 
@@ -99,3 +99,11 @@ def test_what_fits_no_dataset_is_told(tmp_path: Path) -> None:
         with pytest.raises(dg.InputError, match=told):
             dg.build_from(scenes, tmp_path / "no", given, settings=settings, progress=False)  # type: ignore[arg-type]
     assert not (tmp_path / "no").exists()
+
+
+def test_a_laser_that_meets_nothing_fails_its_scene(tmp_path: Path) -> None:
+    past = dg.Laser((3, -1, 0), [(0, 0, 50), (0, 0, 60)])
+    scenes = [room(1.0), (room(1.5), dg.Capture(past, capture().sensor, TIME))]
+    with pytest.raises(dg.CheckError, match="1 of 2 scenes"):
+        dg.build_from(scenes, tmp_path / "past", capture(), settings=QUICK, progress=False)
+    assert "meet no surface" in info(tmp_path / "past")

@@ -209,6 +209,11 @@ def test_workers_that_outlive_an_epoch_see_it_fixed(data: TransientDataset) -> N
         data.set_epoch(epoch)
         epochs.append(epoch_of(loader))
     assert alike(epochs[0], epochs[2]) and all_new(epochs[:2])
-    for wrong in (-1, 1.5):
+    for wrong in (-1, 1.5, 2**70):
         with pytest.raises(InputError, match=f"epoch = {wrong}: must be a whole number"):
             data.set_epoch(wrong)  # type: ignore[arg-type]
+    for items in (["a"], 3):
+        with pytest.raises(InputError, match=r"^items = .*: must be a list of whole numbers"):
+            data.set_epoch(0, items)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^shape: 'hist' is not in .*; it has histogram, "):
+        data.shape("hist")
