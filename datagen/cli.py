@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Sequence
 from typing import Any, ClassVar, NoReturn, cast
 
@@ -11,7 +10,7 @@ import click
 
 from datagen._version import __version__
 from datagen.errors import CheckError
-from datagen.exit_status import guarded
+from datagen.exit_status import exit_with, guarded
 
 
 @click.group(
@@ -305,7 +304,7 @@ def schema() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Entry point: run a command and exit with its status."""
-    sys.exit(run(arguments))
+    exit_with(lambda: run(arguments))
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

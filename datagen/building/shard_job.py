@@ -12,9 +12,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.building.engines import Terminated
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
+from datagen.exit_status import Ended
 from datagen.locks import locked
 from datagen.records import Sample
 from datagen.store import (
@@ -152,7 +152,7 @@ def _attempt(job: ShardJob, index: int) -> Sample | str:
                 return job.sample_function(job.config, index)
         except (InputError, Overtime) as error:
             return str(error)
-        except Terminated:
+        except Ended:
             raise
         except (Exception, SystemExit) as error:
             text = " ".join(str(error).split())
