@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
+from contextlib import closing
 from typing import Any, ClassVar, NoReturn, cast
 
 import click
@@ -69,18 +70,22 @@ def plan(
 def build(config: str, out: str, quiet: bool, **options: Any) -> None:
     """Build the dataset that CONFIG describes in the folder OUT. Running it again resumes."""
     from datagen.building.engines import start_imports
+    from datagen.building.progress import Progress
     from datagen.config import load_config
 
     settings = load_config(config)
-    # Not before the configuration can be read, and beside the imports of this process.
-    if options["engine"] == "local":
-        start_imports("datagen.building.build", "datagen.pipeline")
-    from datagen.building.build import build as build_dataset
+    with closing(Progress(not quiet)) as progress:
+        # Imports take seconds.
+        progress.doing("starting")
+        # Not before the configuration can be read, and beside the imports of this process.
+        if options["engine"] == "local":
+            start_imports("datagen.building.build", "datagen.pipeline")
+        from datagen.building.build import build as build_dataset
 
-    if options["scene_seconds"] is not None:
-        from datagen.forecast.text import scene_limit
+        if options["scene_seconds"] is not None:
+            from datagen.forecast.text import scene_limit
 
-        options["scene_seconds"] = scene_limit(options["scene_seconds"], settings)
+            options["scene_seconds"] = scene_limit(options["scene_seconds"], settings)
     result = build_dataset(settings, out, progress=not quiet, **options)
     if quiet and result.noisy:
         click.echo(result.noisy, err=True)

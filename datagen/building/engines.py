@@ -60,9 +60,11 @@ class Engine(Protocol):
 
     capacity : how many jobs to have under way at once.
     deaths : the exceptions that say that a worker died, as opposed to a job that failed.
+    shares_shards : whether scenes of one shard may come from several workers: what a job returns comes back cheaply.
     """
 
     capacity: int
+    shares_shards: bool
     deaths: tuple[type[BaseException], ...]
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
@@ -85,7 +87,9 @@ class LocalProcesses:
     """`workers` processes, each in its own pool: when one dies, its job alone is lost, and is known to be to
     blame."""
 
-    deaths: tuple[type[BaseException], ...] = (BrokenExecutor,)
+    # `Ended` of a worker that got a signal of its own.
+    deaths: tuple[type[BaseException], ...] = (BrokenExecutor, Ended)
+    shares_shards = True
 
     def __init__(self, workers: int) -> None:
         self.capacity = workers
@@ -197,6 +201,9 @@ def _interrupt_blocked() -> Iterator[None]:
 
 class DaskCluster:
     """The workers of a Dask cluster that share a file system; without `scheduler` a cluster is started here."""
+
+    # Samples would pass through the scheduler.
+    shares_shards = False
 
     def __init__(self, workers: int, scheduler: str | None) -> None:
         # It has no annotations, and may not be installed.

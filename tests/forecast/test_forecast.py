@@ -125,15 +125,21 @@ def test_a_pilot_that_compiles_a_kernel_is_run_again() -> None:
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 7])
 @pytest.mark.parametrize("scenes", [1, 5, 25, 28, 160, 387])
-def test_wall_clock_of_workers_that_take_shard_after_shard(scenes: int, workers: int, one_pilot: Pilots) -> None:
+def test_wall_clock_of_workers_that_take_shards_and_share_the_last_ones(
+    scenes: int, workers: int, one_pilot: Pilots
+) -> None:
     """Against a plain simulation of the queue."""
     config, startup_s = small_config(scenes=scenes), 1.5
     schema, pilots = schema_of(config), one_pilot
     expected = forecast(schema, pilots, startup_s, workers, cores=8)
-    free = [(0.0, 0, worker) for worker in range(min(workers, schema.shards))]
+    jobs: list[int] = []
     for shard in range(schema.shards):
+        number = len(schema.scenes_of(shard))
+        jobs += [number] if schema.shards - shard > workers or workers == 1 else [1] * number
+    free = [(0.0, 0, worker) for worker in range(min(workers, scenes))]
+    for number in jobs:
         at, done, worker = heapq.heappop(free)
-        at += startup_s * (done == 0) + len(schema.scenes_of(shard)) * sum(expected.seconds.values())
+        at += startup_s * (done == 0) + number * sum(expected.seconds.values())
         heapq.heappush(free, (at, done + 1, worker))
     assert expected.build_s == pytest.approx(max(free)[0])
     assert expected.working == len(free)

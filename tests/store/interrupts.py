@@ -35,7 +35,7 @@ LATEST_S = 6.0
 """Signals come up to so many seconds after the start: most go to imports and to workers that are starting."""
 PATIENCE_S = 60.0
 ONE_LINE = re.compile(r"datagen: (interrupted|terminated); what is committed stays, run the same command again .*")
-PROGRESS = re.compile(r"\d+ of \d+ s.*|shard \d+: .*|")
+PROGRESS = re.compile(r"starting|checking the configuration|.*, once after an installation|\d+ of \d+ s.*|")
 
 
 def processes_of(session: int) -> list[str]:
