@@ -31,8 +31,8 @@ transport: {target: 0.1}
 store: {fields: [histogram, depth], scenes_per_shard: 4}
 """
 STATUS = {signal.SIGINT: 130, signal.SIGTERM: 143}
-LATEST_S = 6.0
-"""Signals come up to so many seconds after the start: most go to imports and to workers that are starting."""
+LATEST_S = 10.0
+"""Signals come up to so many seconds after the start: half go to imports and to workers that are starting."""
 PATIENCE_S = 60.0
 ONE_LINE = re.compile(r"datagen: (interrupted|terminated); what is committed stays, run the same command again .*")
 PROGRESS = re.compile(r"starting|checking the configuration|.*, once after an installation|\d+ of \d+ s.*|")
@@ -119,28 +119,35 @@ def interrupted(kind: signal.Signals, root: Path, group: bool, delay: float) -> 
     return [f"{kind.name} after {delay:.2f} s ({took:.1f} s to end): {line}" for line in wrong]
 
 
-def interruptions(kind: signal.Signals, tries: int, folder: Path, seed: int, latest_s: float) -> Counter[str]:
-    """How many builds were ended, what was wrong with how many, how many went on until they were whole, and how many
-    different datasets these are. What is wrong is printed."""
-    rng, counted, digests = random.Random(seed), Counter[str](), set[str]()
+def interruptions(
+    kind: signal.Signals, tries: int, folder: Path, seed: int, latest_s: float, resume: bool
+) -> Counter[str]:
+    """How many builds were ended, what was wrong with how many, and how many went on until they were whole; what is
+    wrong is printed.
+
+    resume : let the last one end, and hold it against a dataset that was built without interruptions.
+    """
+    rng, counted = random.Random(seed), Counter[str]()
     while counted["ended"] < tries:
         root = folder / str(counted["whole"])
         # A terminal sends Ctrl-C to all processes, `kill` SIGTERM to one, `timeout` to all.
         group = kind == signal.SIGINT or counted["ended"] % 2 == 0
         wrong = interrupted(kind, root, group, rng.uniform(0.0, latest_s))
-        if wrong is None:
-            counted["whole"] += 1
-            digests.add(dataset_digest(root))
-            wrong = list(verify(root, deep=True).problems)
-        else:
-            counted["ended"] += 1
+        counted["whole" if wrong is None else "ended"] += 1
         counted.update(wrong=bool(wrong), tracebacks="Traceback" in str(wrong))
-        print(*wrong, sep="\n", end="\n" if wrong else "", flush=True)
-    return counted + Counter(datasets=len(digests))
+        print(*(wrong or ()), sep="\n", end="\n" if wrong else "", flush=True)
+    if resume:
+        for name in (root.name, "anew"):
+            assert interrupted(kind, folder / name, False, 10 * PATIENCE_S) is None
+        found = [path for path in folder.iterdir() if (path / "samples.parquet").is_file()]
+        counted["wrong"] += len({dataset_digest(path) for path in found}) != 1
+        counted["wrong"] += any(verify(path, deep=True).problems for path in found)
+        counted["whole"] = len(found) - 1
+    return counted
 
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         which, tries = signal.Signals[sys.argv[1]], int(sys.argv[2])
-        counted = interruptions(which, tries, Path(folder), int(time.time()), LATEST_S)
-    print(which.name, *(f"{name} {counted[name]}" for name in ("ended", "wrong", "tracebacks", "whole", "datasets")))
+        counted = interruptions(which, tries, Path(folder), int(time.time()), LATEST_S, resume=True)
+    print(which.name, *(f"{name} {counted[name]}" for name in ("ended", "wrong", "tracebacks", "whole")))

