@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Sequence
+from contextlib import closing
 from typing import Any, ClassVar, NoReturn, cast
 
 import click
 
 from datagen._version import __version__
 from datagen.errors import CheckError
-from datagen.exit_status import guarded
+from datagen.exit_status import exit_with, guarded
 
 
 @click.group(
@@ -70,18 +70,22 @@ def plan(
 def build(config: str, out: str, quiet: bool, **options: Any) -> None:
     """Build the dataset that CONFIG describes in the folder OUT. Running it again resumes."""
     from datagen.building.engines import start_imports
+    from datagen.building.progress import Progress
     from datagen.config import load_config
 
     settings = load_config(config)
-    # Not before the configuration can be read, and beside the imports of this process.
-    if options["engine"] == "local":
-        start_imports("datagen.building.build", "datagen.pipeline")
-    from datagen.building.build import build as build_dataset
+    with closing(Progress(not quiet)) as progress:
+        # Imports take seconds.
+        progress.doing("starting")
+        # Not before the configuration can be read, and beside the imports of this process.
+        if options["engine"] == "local":
+            start_imports("datagen.building.build", "datagen.pipeline")
+        from datagen.building.build import build as build_dataset
 
-    if options["scene_seconds"] is not None:
-        from datagen.forecast.text import scene_limit
+        if options["scene_seconds"] is not None:
+            from datagen.forecast.text import scene_limit
 
-        options["scene_seconds"] = scene_limit(options["scene_seconds"], settings)
+            options["scene_seconds"] = scene_limit(options["scene_seconds"], settings)
     result = build_dataset(settings, out, progress=not quiet, **options)
     if quiet and result.noisy:
         click.echo(result.noisy, err=True)
@@ -305,7 +309,7 @@ def schema() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Entry point: run a command and exit with its status."""
-    sys.exit(run(arguments))
+    exit_with(lambda: run(arguments))
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

@@ -1,19 +1,77 @@
-"""Exit statuses: 0 success, 1 a check failed, 2 bad input (one line on standard error), 130 interrupted."""
+"""Exit statuses: 0 success, 1 a check failed, 2 bad input (one line on standard error), 130 ended by Ctrl-C, 143 by
+SIGTERM."""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
 from datagen.errors import CheckError, InputError, InputWarning, printable
 
-INTERRUPTED = 130
+WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+AGAIN_S = 0.1
+"""Seconds after which `Ended` is raised again where a library swallowed it. Half as many would gain nothing."""
+
+
+class Ended(SystemExit):
+    """Raised in the main thread of a process that got Ctrl-C or SIGTERM, so that the process clears up."""
+
+
+def exit_with(command: Callable[[], int]) -> NoReturn:
+    """Run a command as all that this process does, and exit with its status. Ctrl-C and SIGTERM end it with one
+    line."""
+    came = list[int]()
+
+    def end(number: int, _: object) -> None:
+        came.append(number)
+        # Libraries that are being imported swallow what is raised in them, or make errors of their own of it.
+        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+        if not _is_clearing_up():
+            raise Ended(128 + came[0])
+
+    # Not as a KeyboardInterrupt: after one that came during an import Python may kill itself in place of a status.
+    # Shells let what runs in the background ignore Ctrl-C.
+    ours = [number for number in (*WORDS, signal.SIGALRM) if signal.getsignal(number) != signal.SIG_IGN]
+    for number in ours:
+        signal.signal(number, end)
+    sys.unraisablehook = _unraisable
+    status = 0
+    try:
+        status = command()
+    except BaseException:
+        if not came:
+            raise
+    finally:
+        # Another signal would print a traceback of Python's own end.
+        for number in ours:
+            signal.signal(number, signal.SIG_IGN)
+    if came:
+        status = 128 + came[0]
+        # A terminal has printed ^C.
+        print(end="\n" if sys.stderr.isatty() else "", file=sys.stderr)
+        _complain(f"{WORDS[came[0]]}; what is committed stays, run the same command again to go on", status)
+    sys.exit(status)
+
+
+def _is_clearing_up() -> bool:
+    """Whether this thread is in the handler of an `Ended`, which another signal must not cut short."""
+    error = sys.exception()
+    while error is not None and not isinstance(error, Ended):
+        error = error.__context__
+    return error is not None
+
+
+def _unraisable(given: sys.UnraisableHookArgs) -> None:
+    # One that hit a destructor comes again.
+    if not isinstance(given.exc_value, Ended):
+        sys.__unraisablehook__(given)
 
 
 def guarded(command: click.Command, arguments: Sequence[str] | None = None, name: str | None = None) -> int:
@@ -38,8 +96,6 @@ def guarded(command: click.Command, arguments: Sequence[str] | None = None, name
         return _complain(str(error), 2)
     except CheckError as error:
         return _complain(str(error), 1)
-    except (KeyboardInterrupt, click.Abort):
-        return _complain("interrupted; what is committed stays, run the same command again to go on", INTERRUPTED)
     except BrokenPipeError:
         # The reader of our output (such as `head`) has closed it. Nothing more may be written, not even at exit.
         _silence(sys.stdout)

@@ -15,6 +15,7 @@ class HereAndNow:
 
     capacity = 1
     deaths = ()
+    shares_shards = True
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         done: Future[Any] = Future()

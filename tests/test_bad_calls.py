@@ -242,9 +242,21 @@ def test_it_is_refused_in_one_line_that_names_the_argument(what: str) -> None:
     assert name in message and "\n" not in message and len(message) < 300, message
 
 
+def lit(target: tuple[float, float, float]) -> dg.Transient:
+    return dg.simulate(room(), dg.Capture(dg.Laser(EYE, [(0, -0.2, 1), target]), SENSOR, TIME), FEW)
+
+
 ABSURD: dict[str, tuple[str, Callable[[], object]]] = {
     "aperture of 20 m": ("aperture_radius_m = 20", lambda: dg.Sensor(EYE, SENSOR.pixels, 20)),
     "bins of 100 s": ("width_s = 100", lambda: dg.TimeAxis(64, 100)),
+    "a laser past everything": (
+        "1 of 2 laser rays, the first to Laser.targets\\[1\\], meet nothing",
+        lambda: lit((3, 0, 1)),
+    ),
+    "a laser on an object": (
+        "1 of 2 laser points, the first Laser.targets\\[1\\], lie on the object 'box'",
+        lambda: lit((1.2, 0.5, 0.9)),
+    ),
     "a scene in millimetres": (
         "outside the time axis",
         lambda: dg.simulate(

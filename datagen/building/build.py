@@ -1,8 +1,8 @@
 """Building a dataset: workers make shards and commit each with a record. Building again resumes.
 
-One job is one shard and has one writer; this process alone writes metadata. A sample depends on (dataset seed, scene
-index) only and the division into shards on the configuration only, so the bytes are the same for any number of
-workers, any engine, and any number of interruptions.
+One job is one shard, or one scene of the last shards, which workers share. A shard has one writer; this process alone
+writes metadata. A sample depends on (dataset seed, scene index) only, and the division into shards on the
+configuration only: the bytes are the same for any number of workers, any engine, and any number of interruptions.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 import os
 import statistics
-import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,10 @@ from datagen.building.shard_job import (
     LONGEST_SCENE_S,
     ShardJob,
     abandon_shard,
+    make_scene,
     overtime,
     run_shard,
-    scene_age_s,
-    scene_at,
+    scenes_begun,
 )
 from datagen.compiled import first_use
 from datagen.config import DatasetConfig
@@ -44,10 +44,14 @@ from datagen.store.manifest import MANIFEST, DamagedManifest
 from datagen.store.summaries import placed_anew_lines
 
 SampleFunction = Callable[[DatasetConfig, int], Sample]
+Task = tuple[int, int | None]
+"""A shard, and the one scene of it that is to be made; None: the whole shard."""
 
 DEATHS_ALLOWED = 2
 """A scene over which this many worker processes died is given up. With one, a worker that the machine killed for
 another's memory would cost its scene."""
+TICK_S = 0.5
+"""Seconds between two looks at how far workers are. With half as many the clock of the bar runs more smoothly."""
 NOISY = 0.2
 """Median relative error of a dataset's transients from which on a build says that they are noise: of data that are a
 fifth noise of the simulation, photon noise of an ordinary exposure is no longer the larger part. Half as much would
@@ -145,45 +149,52 @@ def build(
     root = target if isinstance(target, Path) else upload.staging_of(target)
     if engine == "local":
         start_imports(__name__, "datagen.pipeline" if sample_function is None else sample_function.__module__)
-    if bucket is not None:
-        upload.fetch(root, bucket)
-    config = _with_exposure(root, config)
-    plan = store.planned(root, config)
-    store.check_writable(root)
-    wanted = parse_shards(shards, plan.schema.shards)
-    there = store.committed(root, plan, hashes=True)
-    if not accept_mixed:
-        _check_unmixed(root, there)
-    is_simulated = sample_function is None
-    if sample_function is None:
-        from datagen import pipeline
-
-        sample_function, input_check = pipeline.simulate_sample, input_check or pipeline.check_inputs
-    if input_check is not None:
-        input_check(config)
-    try:
-        with started(engine, workers, scheduler) as running:
-            if is_simulated and workers > 1 and first_use():
-                # One worker fills the cache of compiled kernels, or each would compile all of them. An error of this
-                # scene shows when the scene is built.
-                wait([running.submit(sample_function, config, 0)])
-            manifest = store.prepare(root, config)
-            if bucket is not None:
-                upload.begin(root, bucket, manifest)
-            state = _Build(config, root, manifest, running, sample_function, accept_mixed, scene_seconds, bucket)
-            kept = state.run(wanted, there, progress)
-        records = store.committed(root, manifest)
-        complete = len(records) == manifest.schema.shards
-        (store.finish if complete else store.write_card)(root, manifest, records)
+    with closing(Progress(progress)) as shown:
+        shown.doing("checking the configuration")
         if bucket is not None:
-            upload.finish_upload(root, bucket, records, complete)
-    except OSError as error:
-        reason = error.strerror or error
-        raise CheckError(f"{error.filename or root}: {reason}; mend that and build again to resume") from None
+            upload.fetch(root, bucket)
+        config = _with_exposure(root, config)
+        plan = store.planned(root, config)
+        store.check_writable(root)
+        wanted = parse_shards(shards, plan.schema.shards)
+        there = store.committed(root, plan, hashes=True)
+        if not accept_mixed:
+            _check_unmixed(root, there)
+        is_simulated = sample_function is None
+        if sample_function is None:
+            from datagen import pipeline
+
+            sample_function, input_check = pipeline.simulate_sample, input_check or pipeline.check_inputs
+        if input_check is not None:
+            input_check(config)
+        try:
+            with started(engine, workers, scheduler) as running:
+                compiles = is_simulated and first_use()
+                if compiles and workers == 1:
+                    shown.say("the first scene compiles, once after an installation")
+                elif compiles:
+                    # One worker fills the cache of compiled kernels, or each would compile all of them. An error of
+                    # this scene shows when the scene is built.
+                    compiling = running.submit(sample_function, config, 0)
+                    while not wait([compiling], TICK_S).done:
+                        shown.doing("compiling, once after an installation")
+                manifest = store.prepare(root, config)
+                if bucket is not None:
+                    upload.begin(root, bucket, manifest)
+                state = _Build(config, root, manifest, running, sample_function, accept_mixed, scene_seconds, bucket)
+                kept = state.run(wanted, there, shown)
+            records = store.committed(root, manifest)
+            complete = len(records) == manifest.schema.shards
+            (store.finish if complete else store.write_card)(root, manifest, records)
+            if bucket is not None:
+                upload.finish_upload(root, bucket, records, complete)
+        except OSError as error:
+            reason = error.strerror or error
+            raise CheckError(f"{error.filename or root}: {reason}; mend that and build again to resume") from None
     _check_no_failures(records, manifest.schema.scenes)
     noisy = _noise_line(config, records)
-    if noisy and progress:
-        print(noisy, file=sys.stderr, flush=True)
+    if noisy:
+        shown.say(noisy)
     return BuildResult(
         path=root if bucket is None else str(bucket), scenes=manifest.schema.scenes, built=len(wanted) - kept,
         kept=kept, complete=complete, seconds=time.monotonic() - began, noisy=noisy,
@@ -280,109 +291,143 @@ class _Build:
     deaths: Counter[int] = field(default_factory=Counter)
     """Scene → workers that died over it; −1 → workers in a row that died before any scene."""
     given_up: dict[int, str] = field(default_factory=dict)
+    shared: dict[int, dict[int, bytes | str]] = field(default_factory=dict)
+    """Shard whose scenes come from several workers → those of its scenes that are there."""
 
     @property
     def schema(self) -> store.Schema:
         return self.manifest.schema
 
-    def run(self, wanted: Sequence[int], there: Sequence[store.ShardRecord], shown: bool) -> int:
+    def run(self, wanted: Sequence[int], there: Sequence[store.ShardRecord], progress: Progress) -> int:
         """The number of wanted shards that were there with all scenes; the other wanted ones are made."""
         kept = {record.shard for record in there if not record.failures}
         for shard in kept:
             store.running_path(self.root, shard).unlink(missing_ok=True)
-        waiting = deque(shard for shard in wanted if shard not in kept)
+        waiting = deque[Task]((shard, None) for shard in wanted if shard not in kept)
         if not waiting:
             return len(wanted)
         store.forget_complete(self.root)
         store.write_card(self.root, self.manifest, there)
         sizes = {shard: len(self.schema.scenes_of(shard)) for shard in wanted}
-        progress = Progress(sum(sizes.values()), sum(sizes[shard] for shard in wanted if shard in kept), shown)
+        finished = sum(sizes[shard] for shard in wanted if shard in kept)
+        progress.begin(sum(sizes.values()), finished)
         if len(waiting) < len(wanted):
             progress.say(f"{len(wanted) - len(waiting)} of {len(wanted)} shards are there already")
-        running: dict[Future[Any], int] = {}
+        # In a shard that is there only scenes that failed are made.
+        undivided = {record.shard for record in there} if self.engine.shares_shards else set(wanted)
+        running: dict[Future[Any], tuple[ShardJob, int | None]] = {}
         # Ctrl-C may come after a shard was handed out and before its future is in `running`: this set has it then.
         begun: set[int] = set()
         made = failed = 0
         try:
             while waiting or running:
                 while waiting and len(running) < self.engine.capacity:
-                    shard = waiting.popleft()
+                    shard, scene = waiting.popleft()
+                    if shard not in undivided and len(waiting) < self.engine.capacity > 1:
+                        # The last ones: workers would have nothing to do. A shard is written when all its scenes are
+                        # there.
+                        undivided.add(shard)
+                        self.shared[shard] = {}
+                        first, *others = self.schema.scenes_of(shard)
+                        waiting.extendleft((shard, scene) for scene in reversed(others))
+                        scene = first
                     begun.add(shard)
-                    running[self.engine.submit(run_shard, self._job(shard))] = shard
-                done, _ = wait(running, timeout=0.5, return_when=FIRST_COMPLETED)
-                progress.under_way(sum(self._scenes_done(shard) for shard in running.values()))
+                    job = self._job(shard)
+                    does = (run_shard, job) if scene is None else (make_scene, job, scene)
+                    running[self.engine.submit(*does)] = job, scene
+                done, _ = wait(running, timeout=TICK_S, return_when=FIRST_COMPLETED)
+                ahead, in_work = self._under_way(running.values())
+                progress.update(finished + ahead, in_work, failed)
                 for future in done:
-                    shard = running.pop(future)
+                    job, scene = running.pop(future)
+                    shard = job.shard
                     if future.cancelled():
                         self.engine.restore(progress.say)
                         self._clear(shard)
-                        waiting.appendleft(shard)
+                        waiting.appendleft((shard, scene))
                         continue
-                    failures = self._outcome(future, shard)
-                    if failures is None:
-                        waiting.appendleft(shard)
+                    result = self._outcome(future, job, scene)
+                    if result is None:
+                        waiting.appendleft((shard, scene))
                         continue
                     # Workers do get to their first scene, so the others that died did so by chance.
                     self.deaths[-1] = 0
+                    if scene is not None:
+                        self.shared[shard][scene] = result
+                        if len(self.shared[shard]) == sizes[shard]:
+                            waiting.appendleft((shard, None))
+                        continue
                     if self.bucket is not None:
                         for record in store.committed(self.root, self.manifest, [shard]):
                             upload.put_shard(self.root, self.bucket, record)
-                    progress.shard_done(shard, sizes[shard], len(failures))
-                    made, failed = made + sizes[shard], failed + len(failures)
+                    self.shared.pop(shard, None)
                     begun.discard(shard)
+                    finished, made, failed = finished + sizes[shard], made + sizes[shard], failed + len(result)
                     if failed == made >= min(HOPELESS, self.schema.scenes):
-                        scene, reason = min(failures.items())
+                        scene, reason = min(result.items())
                         stops = f"all of the first {made} scenes failed, so the build stops"
                         raise CheckError(f"{stops}; scene {scene}: {reason}")
+            progress.update(finished, (), failed)
         except BaseException:
             # The writers must be gone before their files are removed.
             self.engine.close(kill=True)
             for shard in begun:
                 self._clear(shard)
             raise
-        finally:
-            progress.close()
         return sum(shard in kept for shard in wanted)
 
     def _job(self, shard: int) -> ShardJob:
-        skip = {scene: self.given_up[scene] for scene in self.schema.scenes_of(shard) if scene in self.given_up}
+        scenes = self.schema.scenes_of(shard)
+        skip = {scene: self.given_up[scene] for scene in scenes if scene in self.given_up}
         root, fingerprint = self.root.resolve(), self.manifest.fingerprint
         made = None if self.accept_mixed else made_with()
-        return ShardJob(
+        job = ShardJob(
             root, self.config, self.schema, fingerprint, shard, self.sample_function, skip, time.time(), made,
             self.scene_seconds,
         )  # fmt: skip
+        given = self.shared.get(shard, {})
+        if len(given) < len(scenes):
+            return job
+        return replace(job, given=given, begun=min(scenes_begun(job.root, self.schema, shard).values(), default=None))
 
-    def _scenes_done(self, shard: int) -> int:
-        scene = scene_at(self.root, shard)
-        return 0 if scene is None else scene - self.schema.scenes_of(shard).start
+    def _under_way(self, running: Iterable[tuple[ShardJob, int | None]]) -> tuple[int, list[int]]:
+        """How many scenes of unfinished shards are made, and the scenes that workers are at."""
+        made, in_work = sum(map(len, self.shared.values())), list[int]()
+        for job, scene in running:
+            if scene is not None:
+                in_work.append(scene)
+            elif job.given is None and (scenes := list(scenes_begun(self.root, self.schema, job.shard))):
+                made += scenes[-1] - self.schema.scenes_of(job.shard).start
+                in_work.append(scenes[-1])
+        return made, in_work
 
-    def _outcome(self, future: Future[Any], shard: int) -> dict[int, str] | None:
-        """Scene → failure of a finished shard; None when its worker died and the shard must be made again."""
+    def _outcome(self, future: Future[Any], job: ShardJob, scene: int | None) -> Any:
+        """The result of a finished job; None when its worker died and it must be done again."""
         error = future.exception()
         if error is None:
-            failures: dict[int, str] = future.result()
-            return failures
+            return future.result()
         if not isinstance(error, self.engine.deaths):
-            self._clear(shard)
+            self._clear(job.shard)
             raise error
-        scene = scene_at(self.root, shard)
+        begun = scenes_begun(self.root, self.schema, job.shard)
+        if scene is None:
+            scene = max(begun, default=None)
+            self._clear(job.shard)
+        elif begun.get(scene, 0.0) < job.handed_out:
+            scene = None
         self.deaths[-1 if scene is None else scene] += 1
         if scene is None and self.deaths[-1] > DEATHS_ALLOWED:
             raise CheckError(
                 "worker processes die before their first scene; in a script, call build under "
                 'if __name__ == "__main__": and see the messages above'
             )
-        if (
-            scene is not None
-            and self.scene_seconds is not None
-            and scene_age_s(self.root, shard) > self.scene_seconds
-        ):
+        if scene is None:
+            return None
+        if self.scene_seconds is not None and time.time() - begun[scene] > self.scene_seconds:
             # No exception could reach the scene, so its worker ended itself.
             self.given_up[scene] = overtime(self.scene_seconds)
-        elif scene is not None and self.deaths[scene] >= DEATHS_ALLOWED:
+        elif self.deaths[scene] >= DEATHS_ALLOWED:
             self.given_up[scene] = f"{DEATHS_ALLOWED} worker processes died over it (killed, or out of memory)"
-        self._clear(shard)
         return None
 
     def _clear(self, shard: int) -> None:

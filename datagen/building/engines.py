@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import importlib.util
 import logging
@@ -16,6 +17,7 @@ from contextlib import contextmanager
 from typing import Any, NoReturn, Protocol
 
 from datagen.errors import CheckError, InputError
+from datagen.exit_status import Ended
 
 MOST_WORKERS = 4096
 PATIENCE_S = 3.0
@@ -31,19 +33,26 @@ _START_METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_me
 Arrow's allocator, which is safe to fork."""
 
 
-class Terminated(SystemExit):
-    """Raised in a worker that got SIGTERM. Any other `SystemExit` comes from the sample function and fails its
-    scene."""
-
-
 def start_imports(*modules: str) -> None:
     """Start to import these modules in the server process from which local workers fork; this process goes on."""
     if _START_METHOD == "forkserver":
-        from multiprocessing import forkserver
+        from multiprocessing import forkserver, resource_tracker
 
+        # Before the block: Python up to 3.12 unblocks Ctrl-C when it has started its tracker of semaphores.
+        resource_tracker.ensure_running()
         multiprocessing.get_context(_START_METHOD).set_forkserver_preload(list(modules))
+        atexit.register(_end_server)
         with _environment(ONE_THREAD), _interrupt_blocked():
             forkserver.ensure_running()
+
+
+def _end_server() -> None:
+    """End the server process. By itself it would finish its imports before it finds that this process is gone."""
+    from multiprocessing import forkserver
+
+    server: Any = forkserver
+    if server._forkserver._forkserver_pid is not None:
+        os.kill(server._forkserver._forkserver_pid, signal.SIGTERM)
 
 
 class Engine(Protocol):
@@ -51,9 +60,11 @@ class Engine(Protocol):
 
     capacity : how many jobs to have under way at once.
     deaths : the exceptions that say that a worker died, as opposed to a job that failed.
+    shares_shards : whether scenes of one shard may come from several workers: what a job returns comes back cheaply.
     """
 
     capacity: int
+    shares_shards: bool
     deaths: tuple[type[BaseException], ...]
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
@@ -76,7 +87,9 @@ class LocalProcesses:
     """`workers` processes, each in its own pool: when one dies, its job alone is lost, and is known to be to
     blame."""
 
-    deaths: tuple[type[BaseException], ...] = (BrokenExecutor,)
+    # `Ended` of a worker that got a signal of its own.
+    deaths: tuple[type[BaseException], ...] = (BrokenExecutor, Ended)
+    shares_shards = True
 
     def __init__(self, workers: int) -> None:
         self.capacity = workers
@@ -144,7 +157,7 @@ def _start_worker() -> None:
 def _terminate(*_: object) -> NoReturn:
     # A result that the worker is handing over finds no reader, and must not be complained about.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    raise Terminated(1)
+    raise Ended(1)
 
 
 def _die_with(sentinel: int) -> None:
@@ -188,6 +201,9 @@ def _interrupt_blocked() -> Iterator[None]:
 
 class DaskCluster:
     """The workers of a Dask cluster that share a file system; without `scheduler` a cluster is started here."""
+
+    # Samples would pass through the scheduler.
+    shares_shards = False
 
     def __init__(self, workers: int, scheduler: str | None) -> None:
         # It has no annotations, and may not be installed.

@@ -1,55 +1,73 @@
-"""Progress of a build: a bar on a terminal, plain lines elsewhere."""
+"""Progress of a build: a bar on a terminal, a line now and then elsewhere."""
 
 from __future__ import annotations
 
 import os
 import sys
 import time
+from collections.abc import Sequence
 from typing import Any
+
+LINE_S = 10.0
+"""Seconds from one line to the next, at first; later a twentieth of the time since the build began. With half as many
+a log has twice the lines."""
 
 
 class Progress:
-    """Counts scenes: one tqdm when standard error is a terminal, else a line for every shard; nothing if not `shown`.
+    """Counts scenes on standard error, and says what is done before the first one; nothing if not `shown`."""
 
-    total, done : scenes of this build, and those found finished when it began.
-    """
-
-    def __init__(self, total: int, done: int, shown: bool) -> None:
-        self._total, self._done, self._shown = total, done, shown
-        self._at_start, self._started, self._failures = done, time.monotonic(), 0
+    def __init__(self, shown: bool) -> None:
+        self._shown, self._began = shown, time.monotonic()
+        self._total = self._done = self._at_start = 0
+        # Bad input is refused in a line of its own, and in less time.
+        self._line_due = self._began + LINE_S
         self._bar: Any = None
-        if shown and sys.stderr.isatty():
+        # A dumb terminal would print the characters that move the bar.
+        if shown and sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
             from tqdm import tqdm
 
             # A terminal may say that it has no size (containers do); tqdm would then show nothing.
             sized = min(os.get_terminal_size(sys.stderr.fileno())) > 1
             size = {"dynamic_ncols": True} if sized else {"ncols": 80, "nrows": 24}
-            self._bar = tqdm(total=total, initial=done, unit="scene", **size)
+            self._bar = tqdm(unit="scene", leave=False, **size)
 
-    def under_way(self, scenes: int) -> None:
-        """Show the number of scenes that are finished in unfinished shards."""
+    def doing(self, what: str) -> None:
+        """Show what is done before the first scene. Called again while that lasts, it lets the bar's clock go on."""
         if self._bar is not None:
-            self._advance(self._done + scenes)
-            self._bar.refresh()
+            self._bar.set_description_str(what)
+        elif time.monotonic() >= self._line_due:
+            self._line(what)
 
-    def shard_done(self, shard: int, scenes: int, failures: int) -> None:
-        """Count a finished shard of so many scenes, of which `failures` failed."""
-        self._done += scenes
-        self._failures += failures
+    def begin(self, total: int, done: int) -> None:
+        """Begin to count: so many scenes in all, so many of them found finished."""
+        self._total, self._done, self._at_start, self._began = total, done, done, time.monotonic()
+        self._line_due = self._began
         if self._bar is not None:
-            self._advance(self._done)
-            self._bar.set_postfix(failed=self._failures) if self._failures else self._bar.refresh()
-            return
-        rate = (self._done - self._at_start) / max(time.monotonic() - self._started, 1e-9)
-        failed = f", {self._failures} failed" if self._failures else ""
-        left = (self._total - self._done) / rate
-        self.say(
-            f"shard {shard}: {self._done} of {self._total} scenes{failed}, {rate:.2f} scenes/s, {left:.0f} s left"
-        )
+            self._bar.set_description_str("", refresh=False)
+            self._bar.reset(total)
+            self._bar.n, self._bar.initial, self._bar.leave = done, done, True
 
-    def _advance(self, scenes: int) -> None:
-        """Move the bar, never backwards: the count drops for a moment when a shard ends, and when a worker dies."""
-        self._bar.n = max(self._bar.n, min(self._total, scenes))
+    def update(self, done: int, in_work: Sequence[int], failures: int) -> None:
+        """Show how many scenes are finished, which ones workers are at, and how many failed."""
+        # Never backwards: a shard begins anew when its worker dies.
+        before, self._done = self._done, max(self._done, min(self._total, done))
+        others = f" and {len(in_work) - 1} more" if len(in_work) > 1 else ""
+        at = f"scene {min(in_work)}{others}" if in_work else ""
+        if self._bar is not None:
+            self._bar.n = self._done
+            self._bar.set_description_str(at, refresh=False)
+            self._bar.set_postfix(failed=failures) if failures else self._bar.refresh()
+        elif time.monotonic() >= self._line_due or before < self._done == self._total:
+            rate = (self._done - self._at_start) / max(time.monotonic() - self._began, 1e-9)
+            speed = f", {rate:.2g} scenes/s, {(self._total - self._done) / rate:.0f} s left" if rate else ""
+            failed, at = f", {failures} failed" if failures else "", at and f"; {at} in work"
+            self._line(f"{self._done} of {self._total} scenes{failed}{speed}{at}")
+
+    def _line(self, line: str) -> None:
+        """Print a line, and say when the next one is due."""
+        self.say(line)
+        now = time.monotonic()
+        self._line_due = now + max(LINE_S, (now - self._began) / 20)
 
     def say(self, line: str) -> None:
         """Print a line of text, above the bar where there is one."""

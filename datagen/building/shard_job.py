@@ -1,9 +1,12 @@
-"""The job of a worker: make the scenes of one shard one after the other, write the shard and commit it."""
+"""The jobs of a worker: make the scenes of one shard one after the other, write the shard and commit it; or make one
+scene of a shard that several workers share."""
 
 from __future__ import annotations
 
 import faulthandler
 import os
+import pickle
+import re
 import signal
 import threading
 import time
@@ -12,9 +15,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.building.engines import Terminated
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
+from datagen.exit_status import Ended
 from datagen.locks import locked
 from datagen.records import Sample
 from datagen.store import (
@@ -32,6 +35,8 @@ from datagen.store.environment import made_with, mixed, together
 GRACE_S = 10.0
 """Seconds (at most the limit itself) after which a process ends that the exception could not reach. Half as many
 would end one that is in a long library call, and cost its start."""
+SLOT = 20
+"""Bytes for each scene in the file that says when it was begun; half as many have no room for the time."""
 LONGEST_SCENE_S = 30 * 86400.0
 LOCK_PATIENCE_S = 10.0
 """Seconds to wait for another writer of the same shard, such as an orphan of a killed build, which ends within 3 s.
@@ -48,6 +53,8 @@ class ShardJob:
     handed_out : Unix time at which the job was submitted.
     made_with : the environment of the other shards; None where any mixture is accepted.
     scene_seconds : after which a scene is given up; None: never.
+    given : scene → what `make_scene` returned, where several workers made the scenes; the shard is only written then.
+    begun : Unix time at which the first of these was handed out.
     """
 
     root: Path
@@ -60,6 +67,21 @@ class ShardJob:
     handed_out: float
     made_with: Mapping[str, str] | None = None
     scene_seconds: float | None = None
+    given: Mapping[int, bytes | str] | None = None
+    begun: float | None = None
+
+
+def make_scene(job: ShardJob, index: int) -> bytes | str:
+    """One scene of a shard as a pickled sample, or one line on why there is none."""
+    if index in job.skip:
+        return job.skip[index]
+    with _opened(running_path(job.root, job.shard)) as running:
+        _begin(job, running, index)
+        sample = _attempt(job, index)
+    try:
+        return sample if isinstance(sample, str) else pickle.dumps(sample)
+    except Exception as error:
+        return f"not a sample: {type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def run_shard(job: ShardJob) -> dict[int, str]:
@@ -79,7 +101,8 @@ def run_shard(job: ShardJob) -> dict[int, str]:
             samples = _samples(job, running) if record is None else _tried_anew(job, record, running)
             made_by = made_with() if record is None else together(record.environment, made_with())
             if samples is not None:
-                record = write_shard(job.root, job.schema, job.shard, job.fingerprint, samples, made_by)
+                where = (job.root, job.schema, job.shard, job.fingerprint)
+                record = write_shard(*where, samples, made_by, job.begun)
         path.unlink(missing_ok=True)
     assert record is not None
     return record.failures
@@ -117,28 +140,32 @@ def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
         path.unlink(missing_ok=True)
 
 
-def scene_at(root: Path, shard: int) -> int | None:
-    """The scene that the writer of a shard is at, or was at when it died; None before the first one."""
-    path = running_path(root, shard)
+def scenes_begun(root: Path, schema: Schema, shard: int) -> dict[int, float]:
+    """Scene → Unix time at which its worker began it, in the order of the scenes; of an unfinished shard."""
     try:
-        text = path.read_text().strip() if path.is_file() else ""
-    except (OSError, ValueError):
-        return None
-    return int(text) if text.isdigit() else None
-
-
-def scene_age_s(root: Path, shard: int) -> float:
-    """Seconds since the writer of a shard began the scene that it is at; 0 where that is unknown."""
-    try:
-        return time.time() - running_path(root, shard).stat().st_mtime
+        content = running_path(root, shard).read_bytes()
     except OSError:
-        return 0.0
+        return {}
+    slots = {scene: content[SLOT * k : SLOT * (k + 1)] for k, scene in enumerate(schema.scenes_of(shard))}
+    return {scene: float(slot) for scene, slot in slots.items() if re.fullmatch(rb"[0-9]+[.][0-9]+ *", slot)}
+
+
+def _begin(job: ShardJob, running: int, index: int) -> None:
+    """Note the time at which a scene is begun."""
+    at = SLOT * (index - job.schema.scenes_of(job.shard).start)
+    os.pwrite(running, f"{time.time():<{SLOT}.6f}".encode(), at)
 
 
 def _samples(job: ShardJob, running: int, scenes: Iterable[int] | None = None) -> Iterator[tuple[int, Sample | str]]:
     for index in job.schema.scenes_of(job.shard) if scenes is None else scenes:
-        os.pwrite(running, f"{index:<20d}".encode(), 0)
-        yield index, job.skip[index] if index in job.skip else _attempt(job, index)
+        _begin(job, running, index)
+        if index in job.skip:
+            yield index, job.skip[index]
+        elif job.given is None:
+            yield index, _attempt(job, index)
+        else:
+            made = job.given[index]
+            yield index, made if isinstance(made, str) else pickle.loads(made)
 
 
 def _attempt(job: ShardJob, index: int) -> Sample | str:
@@ -152,7 +179,7 @@ def _attempt(job: ShardJob, index: int) -> Sample | str:
                 return job.sample_function(job.config, index)
         except (InputError, Overtime) as error:
             return str(error)
-        except Terminated:
+        except Ended:
             raise
         except (Exception, SystemExit) as error:
             text = " ".join(str(error).split())
@@ -170,24 +197,30 @@ def _last_line_of(error: BaseException) -> str:
 
 
 @contextmanager
+def _opened(path: Path) -> Iterator[int]:
+    """The handle of a file, which is made where it is missing."""
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+    try:
+        yield handle
+    finally:
+        os.close(handle)
+
+
+@contextmanager
 def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
     """The handle of a locked file; the system unlocks it when this process ends. Two writers in one shard would lose
     data silently."""
     deadline = time.monotonic() + patience_s
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
-        # Where the file system has no locks, nothing keeps a user from starting two builds of one shard.
-        if locked(handle, otherwise=True) and os.fstat(handle).st_nlink > 0:
-            break
-        os.close(handle)
+        with _opened(path) as handle:
+            # Where the file system has no locks, nothing keeps a user from starting two builds of one shard.
+            if locked(handle, otherwise=True) and os.fstat(handle).st_nlink > 0:
+                os.ftruncate(handle, 0)
+                yield handle
+                return
         if time.monotonic() > deadline:
             raise CheckError(f"{path}: another build is writing this shard; wait for it, or choose other --shards")
         time.sleep(0.05)
-    try:
-        os.ftruncate(handle, 0)
-        yield handle
-    finally:
-        os.close(handle)
 
 
 class Overtime(BaseException):

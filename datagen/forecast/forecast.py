@@ -31,7 +31,7 @@ class Forecast:
     scene_s : least, median and greatest total of a pilot scene, seconds.
     error : least, median and greatest estimated relative L2 error of a transient; NaN when nothing estimates it.
     stored : field → bytes on disk of one scene, mean; "records": its commit record and its row of the table.
-    workers, working : processes asked for, and those that have a shard to work on.
+    workers, working : processes asked for, and those that have a scene to work on.
     startup_s : of each worker process.
     build_s : the whole build, wall clock.
     build_bytes : the whole dataset on disk. shard_memory_bytes : what a worker holds of the shard it fills.
@@ -77,13 +77,13 @@ class Forecast:
 def forecast(schema: Schema, pilots: Pilots, startup_s: float, workers: int, cores: int) -> Forecast:
     """The forecast of a build with `workers` processes on a machine with `cores` cores: pilots times scenes.
 
-    The wall clock is that of the busiest worker, which takes shard 0 and then every `workers`-th; more workers than
-    cores share these.
+    The wall clock is that of the busiest worker, which makes every `workers`-th scene; more workers than cores share
+    these.
     """
     scenes = [pilot.at_full_effort() for pilot in pilots.scenes]
     seconds = {stage: statistics.fmean(one.seconds[stage] for one in scenes) for stage in scenes[0].seconds}
-    working = min(workers, schema.shards)
-    busiest = sum(len(schema.scenes_of(shard)) for shard in range(0, schema.shards, working))
+    working = min(workers, schema.scenes)
+    busiest = math.ceil(schema.scenes / working)
     sharing = max(1.0, working / cores)
     return Forecast(
         scenes=schema.scenes,
@@ -152,8 +152,7 @@ def outcomes(expected: Forecast, records: Sequence[ShardRecord], dataset: str | 
     files."""
     made = [scene for record in records for scene in record.scenes if scene.failure is None]
     scenes = sum(len(record.scenes) for record in records)
-    staged_s = sum(sum(scene.seconds.values()) for record in records for scene in record.scenes)
-    store_s = (sum(record.seconds["total"] for record in records) - staged_s) / scenes
+    store_s = sum(record.seconds["store"] for record in records) / scenes
     scene_s = statistics.median(sum(scene.seconds.values()) for scene in made) + store_s
     errors = [float(scene.parameters.get("transient.relative_error", math.nan)) for scene in made]
     files = bytes_below(Path(dataset))

@@ -1,8 +1,10 @@
 """Pilot scenes: a few of a dataset's scenes, simulated and written as a build would, to forecast the whole of it.
 
-Pilots have the configured accuracy, so their seconds and bytes need no model. Only where a single scene would take
-far more than the budget, two trials with 1/16 and 1/256 of the paths are run, and the scene is extrapolated on the
-line through both. Effects are decided with the configured accuracy, so that trials simulate the same effects.
+Pilots have the configured accuracy, so their seconds and bytes need no model. Where the budget has room for one such
+scene only, a few scenes are compared by trials with 1/16 of the paths, and the one of median cost is simulated in
+full: it says how many times as long as its trial a scene takes. Only where one scene could take far more than the
+budget, two trials with 1/16 and 1/256 of the paths are run, and the scene is extrapolated on the line through both.
+Effects are decided with the configured accuracy, so that trials simulate the same effects.
 """
 
 from __future__ import annotations
@@ -14,6 +16,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+
+from numba.core.event import install_timer
 
 from datagen.config import DatasetConfig
 from datagen.errors import InputError
@@ -30,12 +34,15 @@ REDUCTION = 16
 trials of large scenes take twice as long."""
 LOOSEST_TARGET = 0.5
 """The loosest target of a trial; half of it makes the trials of loose targets slower."""
-FAR = 4.0
-"""A scene that is expected to take more than so many times the budget is extrapolated; half would do so more
-often."""
-SURPRISING = 1.5
-"""A pilot that takes so many times longer than its trial predicts is run again, as a kernel was compiled for it. Half
-would run most pilots twice."""
+FAR = 80.0
+"""A scene that could take more than so many times the budget, in proportion to the paths of its trial, is
+extrapolated. Half would do so with scenes of 20 s: light to a target takes an eighth to once its proportion, and the
+line through trials was up to 9 times too low."""
+LOADING = 0.1
+"""A pilot of which more than this share went into compiling or loading kernels is run again: a build does so once.
+Half as many would run long pilots twice for little."""
+COMPARED = 4
+"""Scenes compared by trials; half as many may both be unlike the others."""
 
 LIGHT_STAGES = ("transport", "background", "presence")
 """Stages whose time grows with the number of paths."""
@@ -80,6 +87,14 @@ class Pilot:
         noise = self.effort * self.error**2 / max(1.0 - self.error**2, 1e-6)
         error = math.sqrt(noise / (1.0 + noise)) if self.target is None else min(self.error, self.target)
         return replace(self, effort=1.0, seconds=seconds, processor_s=self.processor_s * slower, error=error)
+
+    def scaled(self, trial: Pilot, full: Pilot) -> Pilot:
+        """This trial at full effort, if it takes as many times longer then as another scene's trial did. Its error
+        stays unknown."""
+        grown = {of: full.seconds[of] / trial.seconds[of] for of in LIGHT_STAGES if trial.seconds.get(of, 0.0) > 0}
+        seconds = {stage: taken * grown.get(stage, 1.0) for stage, taken in self.seconds.items()}
+        processor_s = self.processor_s * full.processor_s / trial.processor_s
+        return replace(self, effort=1.0, seconds=seconds, processor_s=processor_s, error=math.nan)
 
     def _light_s(self, stage: str) -> float:
         """Seconds of a stage at full effort: at least those now, and at most in proportion to effort."""
@@ -131,52 +146,58 @@ def run_pilots(
         from datagen.pipeline import simulate_sample
 
         simulate = partial(simulate_sample, planned=config.transport)
-    pilots, samples, failed = list[Pilot](), list[Sample](), dict[int, str]()
+    failed = dict[int, str]()
 
     def attempt(index: int, reduction: float = 1.0) -> tuple[Pilot, Sample] | None:
         tried, effort = with_less_effort(config, reduction)
-        began = clock()
-        try:
-            sample = simulate(tried, index)
-        except InputError as refusal:
-            failed[index] = str(refusal)
-            return None
+        for _ in range(2):
+            loading = list[float]()
+            began, began_processor = time.perf_counter(), clock()
+            try:
+                with install_timer("numba:compiler_lock", loading.append):
+                    sample = simulate(tried, index)
+            except InputError as refusal:
+                failed[index] = str(refusal)
+                return None
+            processor_s = clock() - began_processor
+            if sum(loading) <= LOADING * (time.perf_counter() - began):
+                break
         error = float(sample.parameters.get("transient.relative_error", math.nan))
-        return Pilot(index, effort, dict(sample.seconds), clock() - began, error, config.transport.target), sample
+        return Pilot(index, effort, dict(sample.seconds), processor_s, error, config.transport.target), sample
 
-    expected_s, spent_s = math.nan, 0.0
-    for index in spread_indices(config.scenes, MOST):
-        if math.isnan(expected_s):
-            # The first run of all loads (or compiles) the kernels.
-            made = attempt(index, REDUCTION) and attempt(index, REDUCTION)
-            if made is not None:
-                compiled(index)
-                if made[0].at_full_effort().processor_s > FAR * budget_s and (second := attempt(index, REDUCTION**2)):
-                    made = replace(made[0], smaller=second[0]), made[1]
-                expected_s = made[0].at_full_effort().processor_s
-        if expected_s <= FAR * budget_s:
-            made = attempt(index)
-            if made is not None and made[0].processor_s > SURPRISING * expected_s:
-                made = min(made, attempt(index) or made, key=lambda one: one[0].processor_s)
-        if made is not None:
-            pilots.append(made[0])
-            samples.append(made[1])
+    indices = spread_indices(config.scenes, MOST)
+    first = next(filter(None, (attempt(index, REDUCTION) for index in indices)), None)
+    if first is None:
+        return _written(config, [], failed, clock)
+    trial, sample = first
+    compiled(trial.index)
+    if trial.processor_s / trial.effort > FAR * budget_s:
+        second = attempt(trial.index, REDUCTION**2)
+        return _written(config, [(replace(trial, smaller=second and second[0]), sample)], failed, clock)
+    if trial.processor_s > budget_s / COMPARED:
+        others = [
+            attempt(index, REDUCTION) for index in spread_indices(config.scenes, COMPARED) if index != trial.index
+        ]
+        trials = sorted([first, *filter(None, others)], key=lambda made: made[0].processor_s)
+        typical, _ = trials.pop((len(trials) - 1) // 2)
+        if full := attempt(typical.index):
+            scaled = [(other.scaled(typical, full[0]), sample) for other, sample in trials]
+            return _written(config, [full, *scaled], failed, clock)
+    pilots, spent_s = list[tuple[Pilot, Sample]](), 0.0
+    for index in indices:
+        if index not in failed and spent_s < budget_s and (made := attempt(index)):
+            pilots.append(made)
             spent_s += made[0].processor_s
-        if spent_s >= budget_s or expected_s > FAR * budget_s:
-            break
-    return _written(config, pilots, samples, failed, clock)
+    return _written(config, pilots, failed, clock)
 
 
 def _written(
-    config: DatasetConfig,
-    pilots: Sequence[Pilot],
-    samples: Sequence[Sample],
-    failed: dict[int, str],
-    clock: Callable[[], float],
+    config: DatasetConfig, made: Sequence[tuple[Pilot, Sample]], failed: dict[int, str], clock: Callable[[], float]
 ) -> Pilots:
     """The pilots with the seconds and bytes of writing them, in shards as large as those of the build."""
+    pilots, samples = [pilot for pilot, _ in made], [sample for _, sample in made]
     with tempfile.TemporaryDirectory(prefix="datagen-plan-") as folder:
-        root, count = Path(folder), max(len(pilots), 1)
+        root, count = Path(folder), max(len(made), 1)
         store = config.store.model_copy(update={"scenes_per_shard": min(schema_of(config).scenes_per_shard, count)})
         manifest = prepare(root, config.with_scenes(count).model_copy(update={"store": store}))
         schema = manifest.schema
@@ -186,7 +207,7 @@ def _written(
         # Twice, because the first time loads what writing needs.
         for _ in range(2):
             began, began_processor = time.perf_counter(), clock()
-            records = [write_shard(root, schema, k, manifest.fingerprint, made) for k, made in enumerate(shards)]
+            records = [write_shard(root, schema, k, manifest.fingerprint, of) for k, of in enumerate(shards)]
             store_s, processor_s = (time.perf_counter() - began) / count, (clock() - began_processor) / count
         failed |= {pilots[k].index: reason for record in records for k, reason in record.failures.items()}
         scenes = tuple(

@@ -118,7 +118,7 @@ def _record_name(shard: int) -> str:
 
 
 def running_path(root: Path, shard: int) -> Path:
-    """Path of the file that the writer of a shard locks; it holds the number of the scene that is being made."""
+    """Path of the file that the writer of a shard locks; it holds the times at which scenes were begun."""
     return root / BUILD / f"shard-{shard:06d}.running"
 
 

@@ -83,14 +83,15 @@ def digest(field: Field, value: NDArray[np.generic]) -> str:
 
 def write_shard(
     root: Path, schema: Schema, shard: int, fingerprint: str, samples: Iterable[tuple[int, Sample | str]],
-    made_by: Mapping[str, str] | None = None,
+    made_by: Mapping[str, str] | None = None, started: float | None = None,
 ) -> ShardRecord:  # fmt: skip
     """Write one shard and commit it; returns its record.
 
     samples : (index, sample) for each scene of the shard in order, or (index, reason) for one that could not be made.
     made_by : what made them; left out: this process, now.
+    started : Unix time at which the first of them was begun; left out: now.
     """
-    started, scenes = time.time(), schema.scenes_of(shard)
+    started, scenes = time.time() if started is None else started, schema.scenes_of(shard)
     discard_shard(root, schema, shard)
     # A scene that could not be made keeps the fill value.
     made: dict[Field, NDArray[np.generic]] = {

@@ -16,7 +16,7 @@ import numpy as np
 
 from datagen.errors import InputWarning
 from datagen.records import Accuracy, Capture, Scene, Spend, Transient
-from datagen.records.arrays import Bools
+from datagen.records.arrays import Bools, Ints
 from datagen.records.checks import check_kind, check_seed
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.error_control.meet_target import meet_target
@@ -67,7 +67,8 @@ def simulate(
 
     Warns
     -----
-    InputWarning : no light falls into the time axis, though some arrives outside it: mostly a scene in millimetres.
+    InputWarning : no light falls into the time axis, though some arrives outside it: mostly a scene in millimetres; a
+        laser ray meets nothing, or, where there is a relay wall and `accuracy.direct` is off, an object.
 
     Examples
     --------
@@ -88,7 +89,11 @@ def simulate(
     accuracy = Accuracy() if accuracy is None else accuracy
     check_kind("accuracy", accuracy, Accuracy, remedy="an error to be met is Accuracy(target=0.05)")
     check_seed(seed)
-    found = transient_of(scene, capture, accuracy, seed, split_parts=split_parts)
+    caster = Raycaster(scene)
+    astray = _astray(scene, accuracy, LaserPoints.of(caster, scene, capture.laser).part)
+    if astray:
+        warn(f"simulate: {astray}", InputWarning, stacklevel=2)
+    found = transient_of(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
     if found.overflow.any() and not found.total.any():
         start, stop = capture.time.start_s * 1e9, capture.time.stop_s * 1e9
         warn(
@@ -96,6 +101,26 @@ def simulate(
             InputWarning, stacklevel=2,
         )  # fmt: skip
     return found
+
+
+def _astray(scene: Scene, accuracy: Accuracy, part: Ints) -> str:
+    """What is wrong with laser points (L,) on these parts, −1 for none, in words; empty if nothing is."""
+    missing = part < 0
+    if missing.any():
+        return (
+            f"{missing.sum()} of {len(part)} laser rays, the first to Laser.targets[{missing.argmax()}], meet "
+            "nothing and bring no light; aim them at the relay wall"
+        )
+    # Somebody who asks for the first return may well look straight at objects.
+    roles = np.array(scene.roles)
+    on_object = roles[part] == "object"
+    if accuracy.direct or "relay_wall" not in scene.roles or not on_object.any():
+        return ""
+    first = int(on_object.argmax())
+    return (
+        f"{on_object.sum()} of {len(part)} laser points, the first Laser.targets[{first}], lie on the object "
+        f"{scene.part_names[part[first]]!r} and not on the relay wall; move them, or give the part another role"
+    )
 
 
 def transient_of(

@@ -1,33 +1,72 @@
-"""The progress bar of a build never runs backwards."""
+"""Progress of a build: a bar that never runs backwards on a terminal, plain lines elsewhere, from the start."""
 
 from __future__ import annotations
 
-from typing import Any
+import os
+import pty
+import re
 
+import pytest
+
+from datagen.building import progress
 from datagen.building.progress import Progress
 
 
-class Bar:
-    """What tqdm shows, kept."""
+def shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, kind: str) -> str:
+    """What a terminal gets of a build: of two shards under way one ends; then the worker of the other dies, and it
+    begins anew."""
+    ours, theirs = pty.openpty()
+    monkeypatch.setenv("TERM", kind)
+    with os.fdopen(theirs, "w") as stderr:
+        monkeypatch.setattr("sys.stderr", stderr)
+        shown = Progress(True)
+        shown.doing("starting")
+        shown.doing("compiling")
+        shown.begin(16, 0)
+        for done, in_work, failures in ((13, (7, 12), 0), (8, (8,), 1), (14, (14,), 1), (16, (), 1)):
+            shown.update(done, in_work, failures)
+        shown.close()
+        print(end="END", file=stderr, flush=True)
+        said = b""
+        while not said.endswith(b"END"):
+            said += os.read(ours, 1024)
+    os.close(ours)
+    return said.removesuffix(b"END").decode()
 
-    def __init__(self) -> None:
-        self.n = 0
-        self.shown: list[int] = []
 
-    def refresh(self) -> None:
-        self.shown.append(self.n)
-
-    def set_postfix(self, **_: Any) -> None:
-        self.refresh()
+def test_a_bar_says_what_is_in_work_and_never_runs_backwards(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = shown_on_a_terminal(monkeypatch, "xterm")
+    counts = [int(count) for count in re.findall(r"(\d+)/16", said)]
+    assert counts == sorted(counts) and {0, 13, 16} <= set(counts)
+    places = [said.index(text) for text in ("starting", "compiling", "scene 7 and 1 more", "failed=1")]
+    assert places == sorted(places)
 
 
-def test_it_never_runs_backwards() -> None:
-    """Two shards under way: one ends; then the worker of the other dies, and it begins anew."""
-    progress, bar = Progress(16, 0, shown=False), Bar()
-    progress._bar = bar
-    progress.under_way(13)
-    progress.shard_done(0, 8, failures=1)
-    progress.under_way(6)
-    progress.under_way(0)
-    progress.shard_done(1, 8, failures=0)
-    assert bar.shown == sorted(bar.shown) and bar.shown[-1] == 16
+def test_a_dumb_terminal_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, last = shown_on_a_terminal(monkeypatch, "dumb").splitlines()
+    assert first.startswith("13 of 16 scenes, ") and last.startswith("16 of 16 scenes, 1 failed, ")
+
+
+def test_a_log_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    shown = Progress(True)
+    shown.begin(1000, 0)
+    for scene in range(1000):
+        now[0] += 1.0
+        shown.update(scene, [scene], 0)
+    for _ in range(5):
+        shown.update(1000, (), 0)
+    *lines, last = capsys.readouterr().err.splitlines()
+    assert last == "1000 of 1000 scenes, 1 scenes/s, 0 s left"
+    assert lines[0] == "0 of 1000 scenes; scene 0 in work" and "10 of 1000 scenes, 0.91 scenes/s" in lines[1]
+    # Every ten seconds, later at each twentieth of the time.
+    assert 40 < len(lines) < 70
+
+
+def test_nothing_is_shown_unasked(capsys: pytest.CaptureFixture[str]) -> None:
+    report = Progress(False)
+    report.begin(4, 0)
+    report.update(4, (), 0)
+    report.close()
+    assert capsys.readouterr() == ("", "")

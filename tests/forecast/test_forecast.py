@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from datasets import write_dataset
@@ -32,10 +33,11 @@ def small_config(**changes: object) -> DatasetConfig:
 
 
 class Simulated:
-    """A sample function on an idle machine whose clock it moves: 0.2 s and a millisecond a lookin."""
+    """A sample function on an idle machine whose clock it moves: 0.2 s and a millisecond a lookin, in later scenes by
+    the share `harder` of it more."""
 
-    def __init__(self, refused: tuple[int, ...] = (), compiling_s: float = 0.0) -> None:
-        self.now_s, self.refused, self.compiling_s = 0.0, refused, compiling_s
+    def __init__(self, refused: tuple[int, ...] = (), compiling_s: float = 0.0, harder: float = 0.0) -> None:
+        self.now_s, self.refused, self.compiling_s, self.harder = 0.0, refused, compiling_s, harder
         self.full: list[int] = []
 
     def __call__(self, config: DatasetConfig, index: int) -> Sample:
@@ -47,7 +49,10 @@ class Simulated:
             for f in schema_of(config).fields
         }
         seconds = {"scene": 0.01, "transport": FIXED_S + LOOKIN_S * lookins, "detector": DETECTOR_S}
+        seconds["transport"] *= 1.0 + self.harder * index
         if lookins > 1000:
+            if self.compiling_s:
+                numba.njit(lambda x: x)(index)
             seconds["transport"] += self.compiling_s
             self.compiling_s = 0.0
             self.full.append(index)
@@ -88,17 +93,27 @@ def test_known_costs_are_forecast() -> None:
     assert two.build_bytes - pilots.fixed_bytes == pytest.approx(2 * (one.build_bytes - pilots.fixed_bytes))
 
 
-@pytest.mark.parametrize(("budget_s", "scenes"), [(20.0, 5), (4.7, 2), (2.0, 1)])
+@pytest.mark.parametrize(("budget_s", "scenes"), [(20.0, 5), (4.7, 2), (3.1, 1)])
 def test_pilots_keep_to_their_budget(budget_s: float, scenes: int) -> None:
     """A scene takes 4.6 s; one is always run, and none is begun once the budget is spent."""
     simulated = Simulated()
     assert len(pilots_of(small_config(), budget_s, simulated).scenes) == scenes == len(simulated.full)
 
 
+@pytest.mark.parametrize("budget_s", [0.2, 1.0, 3.0])
+def test_scenes_that_the_budget_has_no_room_for_are_compared_by_trials(budget_s: float) -> None:
+    """Later ones take longer, and the mean of those compared is that of all; one is simulated in full."""
+    simulated = Simulated(harder=0.3)
+    expected = expected_of(small_config(), pilots_of(small_config(), budget_s, simulated))
+    assert (expected.effort, expected.pilots, len(simulated.full)) == (1.0, 4, 1)
+    assert expected.seconds["transport"] == pytest.approx((FIXED_S + LOOKIN_S * 4096) * (1.0 + 0.3 * 5.5))
+    assert expected.error[1] == pytest.approx(NOISE / math.sqrt(4096 + NOISE**2))
+
+
 def test_a_scene_far_beyond_the_budget_lies_on_the_line_of_two_trials() -> None:
     """Which has what each scene takes in any case, too; and the error of independent samples."""
     simulated = Simulated()
-    expected = expected_of(small_config(), pilots_of(small_config(), 0.5, simulated))
+    expected = expected_of(small_config(), pilots_of(small_config(), 0.1, simulated))
     assert (expected.effort, expected.pilots, simulated.full) == (1 / 16, 1, [])
     assert expected.seconds["transport"] == pytest.approx(FIXED_S + LOOKIN_S * 4096)
     assert expected.error[1] == pytest.approx(NOISE / math.sqrt(4096 + NOISE**2))
@@ -125,15 +140,21 @@ def test_a_pilot_that_compiles_a_kernel_is_run_again() -> None:
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 7])
 @pytest.mark.parametrize("scenes", [1, 5, 25, 28, 160, 387])
-def test_wall_clock_of_workers_that_take_shard_after_shard(scenes: int, workers: int, one_pilot: Pilots) -> None:
+def test_wall_clock_of_workers_that_take_shards_and_share_the_last_ones(
+    scenes: int, workers: int, one_pilot: Pilots
+) -> None:
     """Against a plain simulation of the queue."""
     config, startup_s = small_config(scenes=scenes), 1.5
     schema, pilots = schema_of(config), one_pilot
     expected = forecast(schema, pilots, startup_s, workers, cores=8)
-    free = [(0.0, 0, worker) for worker in range(min(workers, schema.shards))]
+    jobs: list[int] = []
     for shard in range(schema.shards):
+        number = len(schema.scenes_of(shard))
+        jobs += [number] if schema.shards - shard > workers or workers == 1 else [1] * number
+    free = [(0.0, 0, worker) for worker in range(min(workers, scenes))]
+    for number in jobs:
         at, done, worker = heapq.heappop(free)
-        at += startup_s * (done == 0) + len(schema.scenes_of(shard)) * sum(expected.seconds.values())
+        at += startup_s * (done == 0) + number * sum(expected.seconds.values())
         heapq.heappush(free, (at, done + 1, worker))
     assert expected.build_s == pytest.approx(max(free)[0])
     assert expected.working == len(free)

@@ -94,6 +94,16 @@ def dies_once_at_5(config: DatasetConfig, index: int) -> Sample:
     return fake_sample(config, index)
 
 
+def waits_for_another(config: DatasetConfig, index: int) -> Sample:
+    """Waits for a second process; the description of the configuration names the folder where they meet."""
+    folder = Path(config.description)
+    (folder / f"{os.getpid()}.pid").touch()
+    deadline = time.monotonic() + 60.0
+    while len(list(folder.glob("*.pid"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return fake_sample(config, index)
+
+
 def too_many_counts(config: DatasetConfig, index: int) -> Sample:
     sample = fake_sample(config, index)
     if index == 2:

@@ -25,6 +25,7 @@ from fake_samples import (
     large_config,
     small_config,
     too_many_counts,
+    waits_for_another,
 )
 
 from datagen.building.build import build, parse_shards
@@ -68,9 +69,18 @@ def whole(pristine: Path) -> dict[str, bytes]:
     return content(pristine)
 
 
-def test_two_workers_write_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
-    quiet_build(small_config(), tmp_path / "set", 2)
+@pytest.mark.parametrize("workers", [2, 4])
+def test_more_workers_write_the_same_bytes(whole: dict[str, bytes], tmp_path: Path, workers: int) -> None:
+    """Three shards: two workers share two of them, four all."""
+    quiet_build(small_config(), tmp_path / "set", workers)
     assert content(tmp_path / "set") == whole
+
+
+def test_scenes_of_one_shard_come_from_several_workers(tmp_path: Path) -> None:
+    """Each waits until the other is at a scene, too."""
+    config = small_config(scenes=4, description=str(tmp_path))
+    quiet_build(config, tmp_path / "set", 2, sample_function=waits_for_another)
+    assert len(list(tmp_path.glob("*.pid"))) == 2 and verify(tmp_path / "set").problems == ()
 
 
 def test_shards_built_one_by_one_make_the_same_dataset(whole: dict[str, bytes], tmp_path: Path) -> None:
@@ -231,9 +241,10 @@ def test_a_worker_that_dies_is_replaced(whole: dict[str, bytes], tmp_path: Path)
     }
 
 
-def test_a_scene_that_kills_its_workers_is_given_up(tmp_path: Path) -> None:
-    with pytest.raises(CheckError, match=r"1 of 12 scenes.*scene 5: 2 worker processes died over it"):
-        quiet_build(small_config(), tmp_path / "set", 2, sample_function=dies_at_5)
+@pytest.mark.parametrize("scenes", [8, 16], ids=["a shared shard", "a worker's shard"])
+def test_a_scene_that_kills_its_workers_is_given_up(tmp_path: Path, scenes: int) -> None:
+    with pytest.raises(CheckError, match=rf"1 of {scenes} scenes.*scene 5: 2 worker processes died over it"):
+        quiet_build(small_config(scenes=scenes), tmp_path / "set", 2, sample_function=dies_at_5)
     assert len(verify(tmp_path / "set").problems) == 1
 
 

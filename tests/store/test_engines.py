@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 from fake_samples import fake_sample, small_config
 from here_and_now import HereAndNow, jobs_go_to
+from interrupts import LATEST_S, interruptions
 
 from datagen.building import engines
 from datagen.building.build import build
@@ -46,3 +48,14 @@ def test_ctrl_c_while_a_shard_is_handed_out_leaves_nothing_of_it(tmp_path: Path)
     with jobs_go_to(Interrupted()), pytest.raises(KeyboardInterrupt):
         build(small_config(), tmp_path / "set", sample_function=fake_sample, progress=False)
     assert list((tmp_path / "set/build").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("tries", "latest_s"), [(2, 2.0), pytest.param(50, LATEST_S, marks=pytest.mark.nightly)], ids=["two", "fifty"]
+)
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_at_any_moment_ends_a_build_in_one_line(
+    kind: signal.Signals, tries: int, latest_s: float, tmp_path: Path
+) -> None:
+    counted = interruptions(kind, tries, tmp_path, kind.value, latest_s, resume=tries > 2)
+    assert counted["ended"] == tries and counted["wrong"] == 0
