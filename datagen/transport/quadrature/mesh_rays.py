@@ -1,8 +1,8 @@
 """Light of three bounces by way of meshes: rays from the laser point on a lattice of directions.
 
-Of a mesh of many small triangles nearly everything is hidden from somewhere, by itself or by others. Cut into
-elements, most rays would be asked in vain. Sent out from the laser point x, a ray finds what x lights, and all that is left to
-ask is whether the pixel's point z sees that, too. With dω = cosθ₂/R₁² dA₂ the primary becomes
+Of a mesh of many small triangles nearly everything is hidden from somewhere, by itself or by others: of elements that
+it is cut into, most would be asked for in vain. Sent out from the laser point x, a ray finds what x lights, and all
+that is left to ask is whether the pixel's point z sees that, too. With dω = cosθ₂/R₁² dA₂ the primary becomes
 
     L = ∫ f₁ cosθ₁ · f₂ · cosθ₂′ cosθ₃ V₂₃/R₂₃² · f₃ W dω,
 
