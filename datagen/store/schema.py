@@ -33,6 +33,7 @@ SCHEMA_VERSIONS = {
     13: "datagen 0.14: columns labels.scan_*_m, transport.spend.second_opinion; other direct return and evidence",
     14: "datagen 0.15: with a target other light, most of it where pixels see lobes",
     15: "datagen 0.16: with a target other light in some scenes",
+    16: "datagen 0.17: with a target other light of meshes",
 }
 """Version of the stored format → the release that began it, and what its files or its scenes of a seed have that is
 other than before (CHANGELOG.md has the details). All are read; only the last is written. It is raised with every such

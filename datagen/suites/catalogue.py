@@ -128,7 +128,7 @@ def build_suite(name: str, path: str | Path, workers: int = 1, *, progress: bool
 
     Parameters
     ----------
-    name : such as `letters-4`; `datagen suite` lists them.
+    name : such as `letters-5`; `datagen suite` lists them.
     path : the folder to make, or to go on with.
     workers, progress : as of `build`; the bytes do not depend on them.
 
