@@ -61,7 +61,7 @@ def build_from(
     ...     ball = trimesh.creation.icosphere(2, 0.3).apply_translation((x, 1, 0))
     ...     return dg.Scene.from_parts([wall, dg.Part("ball", ball, dg.Lambertian(0.6))], parameters={"x_m": x})
     >>> laser = dg.Laser((3, -1, 0), [(0.05, 0, 0.2), (0.05, 0, -0.2)])
-    >>> sensor = dg.Sensor.grid((3, -1, 0), (0.05, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, cols=2)
+    >>> sensor = dg.Sensor.grid((3, -1, 0), (0.05, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, columns=2)
     >>> capture = dg.Capture(laser, sensor, dg.TimeAxis(bins=64, width_s=4e-10, origin="wall"))
     >>> given = {"transport": {"target": 0.1}}
     >>> with tempfile.TemporaryDirectory() as folder:

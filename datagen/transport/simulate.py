@@ -78,7 +78,7 @@ def simulate(
     >>> scene = dg.Scene.from_parts([dg.Part("relay_wall", wall, dg.Lambertian(0.8)),
     ...                              dg.Part("box", box, dg.Lambertian(0.5))])
     >>> laser = dg.Laser((2, -1, 1), [(0, -0.2, 1)])
-    >>> sensor = dg.Sensor.grid((2, -1, 1), (0, 0.2, 1), (0, 0.1, 0), (0, 0, 0.1), rows=1, cols=2)
+    >>> sensor = dg.Sensor.grid((2, -1, 1), (0, 0.2, 1), (0, 0.1, 0), (0, 0, 0.1), rows=1, columns=2)
     >>> capture = dg.Capture(laser, sensor, dg.TimeAxis(bins=200, width_s=1e-10, origin="wall"))
     >>> t = dg.simulate(scene, capture, dg.Accuracy(lookins=1024, max_bounces=4), seed=0)
     >>> t.total.shape, sorted(t.components), bool(t.parts["box"].sum() > 0)

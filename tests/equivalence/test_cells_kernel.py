@@ -10,7 +10,6 @@ import trimesh
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle
 
 from datagen import Accuracy, Capture, Lambertian, OrenNayar, Part, Scene
-from datagen.bench.problems import lump
 from datagen.records.materials import Material
 from datagen.transport.quadrature.arrival_times import spread
 from datagen.transport.quadrature.gathering import Gathering
@@ -135,15 +134,9 @@ def touching() -> Scene:
     return Scene.from_parts([wall, Part("shelf", shelf, Lambertian(0.6))])
 
 
-def bumpy() -> Scene:
-    """Meshes of clusters, which hide parts of themselves."""
-    wall = Part("wall", rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall")
-    return Scene.from_parts([wall, lump("small", (1.0, 0.5, 0.3), 0.3, 8), lump("large", (1.2, -0.4, 0.2), 0.4, 20)])
-
-
 @pytest.mark.parametrize(
     ("scene", "share"),
-    [(cluttered, 0.75), (furnished_box, 0.8), (within_a_ring, 1.0), (touching, 0.8), (bumpy, 0.6)],
+    [(cluttered, 0.75), (furnished_box, 0.8), (within_a_ring, 1.0), (touching, 0.8)],
     ids=lambda given: getattr(given, "__name__", "of rays"),
 )  # fmt: skip
 @pytest.mark.parametrize("half_side_m", [1e-3, 0.2])
