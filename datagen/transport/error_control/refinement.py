@@ -43,11 +43,11 @@ SETTLED = 0.3
 """Share of the error to be met, for each of G groups over √G, under which one is not cut further for the whole."""
 UNSEEN, UNSEEN_BY_RAYS = 1e-4, 1e-2
 """Norm that a group is taken to have at least, relative to the whole, when it is cut; and one whose light comes by
-rays, of which many a one is sent before it is known to be hidden."""
+rays, for half as much would send twice as many before it is known to be hidden."""
 NEGLIGIBLE, NEGLIGIBLE_BY_RAYS = 1e-9, 1e-5
 """Norm of a part, relative to the whole, up to which nothing is claimed of its own light: the finest of `LEVELS`
-cuttings does not resolve it, and a cutting that changes nothing agrees with itself; nor do rays that hardly ever meet
-a mesh."""
+cuttings does not resolve it, and a cutting that changes nothing agrees with itself; and the same norm of a mesh whose
+light comes by rays, which hardly ever meet it."""
 LOOKED_AT, EVENLY = 12, 0.25
 """Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
 HELPS = 0.1
@@ -360,7 +360,7 @@ def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quarteri
     at_edge = trial.gathering.at_edge[trial.pairs[:, 1]]
     edges, even = trial.some(at_edge), trial.some(~at_edge)
     most, limits = PATCHES_SHARE * asked.target * choice.whole, PATCHES_SHARE * choice.limit
-    # Rays choose the points of pixels by their distance.
+    # What comes by rays is not gathered again: its points of pixels are chosen by their distance.
     tried, runs = np.where(trial.by_rays, np.inf, choice.tried), {trial.levels: choice.histogram[~at_edge]}
 
     def at(levels: int) -> Floats:

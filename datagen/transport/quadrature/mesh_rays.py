@@ -69,7 +69,7 @@ class Outlines(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene, meshes: Bools) -> Outlines:
-        """Those of the parts for which `meshes` (K,) says so."""
+        """The outlines of the parts that `meshes` (K,) marks."""
         hulls = [
             _hull(scene.vertices[np.unique(scene.triangles[scene.face_part == k])]) if is_mesh else np.empty((0, 3))
             for k, is_mesh in enumerate(meshes)
@@ -130,7 +130,7 @@ class Connections(NamedTuple):
 
     @classmethod
     def room(cls, count: int) -> Connections:
-        """Room for so many."""
+        """Unfilled arrays for `count` connections."""
         photons, at, variance = np.empty((3, count))
         part, into = np.empty((2, count), np.int64)
         start, end = np.empty((2, count, 3))
@@ -220,18 +220,12 @@ def _frame(o, k, outlines, frame, n):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _fraction(x):  # type: ignore[no-untyped-def]
-    """What is left of x behind the point."""
-    return x - math.floor(x)
-
-
-@compiled()
 def _direction(fans, fan, j, n, word):  # type: ignore[no-untyped-def]
     """Ray j of a fan from a laser point with normal n: its direction, of any length, what that changes by along both
     sides of the frame, and the solid angle of all rays if all were like this one; word : shifts the lattice."""
     count = fans.first[fan + 1] - fans.first[fan]
-    s = _fraction((j + 0.5) / count + np.float64(mix(word, np.uint64(0))) * 2.0**-32)
-    t = _fraction(j * TURN + np.float64(mix(word, np.uint64(1))) * 2.0**-32)
+    s = ((j + 0.5) / count + np.float64(mix(word, np.uint64(0))) * 2.0**-32) % 1.0
+    t = (j * TURN + np.float64(mix(word, np.uint64(1))) * 2.0**-32) % 1.0
     first, right, up = get(fans.frame, fan, 0), get(fans.frame, fan, 3), get(fans.frame, fan, 6)
     if first[0] == 0.0 and first[1] == 0.0 and first[2] == 0.0:
         # Evenly over the half space: evenly in height and angle.
