@@ -1,6 +1,6 @@
 """The primary of one laser point and pixel: surfaces cut into elements, each of them spread over its arrival times.
 
-A surface element is a triangle, or a cluster of small ones. Its energy is exact for weights (`weights.py`) of second
+A surface element is a triangle or a part of one. Its energy is exact for weights (`weights.py`) of second
 degree (three quarters of the middle and a quarter of the vertices), its weights are taken as linear and its arrival
 times too, moved so that their mean is that of second degree.
 
@@ -17,15 +17,13 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, Vector, dot
+from datagen.transport.brdf import LAMBERTIAN, Vector, dot
 from datagen.transport.geometry import above, ball, corner, distance, get, half, less
 from datagen.transport.quadrature.arrival_times import spread, widened
 from datagen.transport.quadrature.clear_elements import put_clear, room_for_clear, spread_clear
 from datagen.transport.quadrature.clusters import (
     COARSEST,
     anywhere,
-    as_one,
-    facing,
     facing_at_most,
     is_small,
     somewhere,
@@ -73,9 +71,9 @@ PLACES = 2.0**20
 TURNS, FEWEST = 16, 1 / 64
 """Light up to which one quarter of a pixel stands for the others: relative to the error that an element may make, and
 to what all of the part might bring."""
-DROPPED, OPENED, QUARTERED, ONE_POINT, AS_ONE, CUT, CLEAR, SPREAD = range(8)
+DROPPED, OPENED, QUARTERED, ONE_POINT, CUT, CLEAR, SPREAD = range(7)
 """What becomes of a box or element: it brings nothing; what is in the box is looked at; the footprint is quartered;
-one random point stands for the box; the box is one element; the element is halved; it waits with the clear ones;
+one random point stands for the box; the element is halved; it waits with the clear ones;
 its light is spread."""
 STEP = {"forceinline": True, "_nrt": False, "no_cpython_wrapper": True}
 """How the steps of `_gather_part` are compiled. Calls would cost more than many of them; without `_nrt=False` arrays
@@ -125,17 +123,14 @@ class View(NamedTuple):
 
 
 class Element(NamedTuple):
-    """A triangle, or a cluster of them, that is judged.
+    """A surface element: a triangle of the scene or a part of one.
 
     Attributes
     ----------
-    f : the triangle, or the cluster's box. m, n : its middle and its normal.
-    h, side : its longest side, m, and which that is.
-    w, r1, r3 : `weight` in the middle, and the ways from there to laser point and footprint.
-    tilt : largest angle of a normal with n.
-    rise1, rise3 : height of laser point and footprint above its plane; 1 for clusters.
-    unlike : error of a cluster beside that of a triangle, relative to its light.
-    cluster, inner : whether it is a cluster; and one that may turn inner sides of its solid to either end.
+    f : number of the triangle in the BVH. m, n : the element's middle, metres, and its unit normal.
+    h, side : length of its longest side, metres, and which side (0–2) that is.
+    w, r1, r3 : `weight` in the middle, and the distances from there to laser point and footprint, metres.
+    rise1, rise3 : height of laser point and footprint above the element's plane, metres.
     """
 
     f: int
@@ -146,12 +141,8 @@ class Element(NamedTuple):
     w: float
     r1: float
     r3: float
-    tilt: float
     rise1: float
     rise3: float
-    unlike: float
-    cluster: bool
-    inner: bool
 
 
 class Room(NamedTuple):
@@ -245,24 +236,21 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
                 top = push_halves(room, top, side, (y, 0.0, 0.0), FRESH, at, q, candidates)
             continue
         view = _view(scan, lit, p, q, k, share, row)
-        becomes, cone = SPREAD, (0, (0.0, 0.0, 0.0), 1.0, False)
+        becomes = SPREAD
         if what == BOX:
-            becomes, cone = _of_box(scan, lit, view, at, k)
+            becomes = _of_box(scan, lit, view, at, k)
             if becomes == ONE_POINT:
                 counted, asked = _one_point(scan, lit, view, at, k, candidates, room.listed, tally, into)
                 cells, rays = cells + counted, rays + asked
                 continue
             if becomes == DROPPED:
                 continue
-        if becomes == AS_ONE or what != BOX:
-            if becomes == AS_ONE:
-                element = _cluster_as_element(scan, lit, view, at, k, cone, cell, top)
-            else:
-                becomes = _light_at_vertices(scan, lit, view, what, at, k, candidates, room, top, alight)
-                alight += becomes == CLEAR
-                if becomes in (DROPPED, CLEAR):
-                    continue
-                element = _triangle_as_element(scan, lit, view, at, k, cell, top)
+        else:
+            becomes = _light_at_vertices(scan, lit, view, what, at, k, candidates, room, top, alight)
+            alight += becomes == CLEAR
+            if becomes in (DROPPED, CLEAR):
+                continue
+            element = _as_element(scan, lit, view, at, k, cell, top)
             becomes, over, bend = _judge(scan, lit, view, element, k, cell, top)
             if becomes == DROPPED:
                 continue
@@ -271,11 +259,11 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
                 rays += asked
                 if becomes == DROPPED:
                     continue
-                if becomes == CUT and not element.cluster:
+                if becomes == CUT:
                     candidates = _narrow(scan, lit, view, element, candidates, room, top)
         if becomes == QUARTERED:
             top = _quarter(scan, room, top, what, at, q, candidates, -1)
-        elif what == BOX and becomes != SPREAD:
+        elif what == BOX:
             top = _open(scan, room, top, at, q, candidates)
         elif becomes == CUT:
             if element.h > SMALLEST * tree.extent:
@@ -349,50 +337,42 @@ def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ign
 
 @compiled(**STEP)
 def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
-    """What becomes of a box of the BVH, and the cone of its normals: which side of it both ends see (−1, 0, 1, as
-    `side_turned`), its axis, the cosine of its half angle, and whether some of it may turn inner sides to them."""
-    tree, x, z, kind2 = scan.tree, lit.x, view.z, scan.kind[k]
+    """What becomes of a box of the BVH: DROPPED, OPENED, QUARTERED or ONE_POINT."""
+    tree, x, z = scan.tree, lit.x, view.z
     rise1, rise3 = above(tree.box, at, x, lit.normal), above(tree.box, at, z, view.normal)
-    cone = (0, (0.0, 0.0, 0.0), 1.0, False)
-    # Of a large footprint some may see what lies behind its middle's plane.
+    # A large footprint may see what lies behind the plane of its middle.
     if rise1 <= 0.0 or (rise3 <= 0.0 and view.size <= 0.0):
-        return DROPPED, cone
+        return DROPPED
     start, end = tree.span[at, 0], tree.span[at, 1]
     if end - start <= CLUSTER:
-        return OPENED, cone
+        return OPENED
     m, h = ball(tree.box, at)
-    row = tree.cluster[at]
-    axis, cosine = get(tree.moment, row, 15), tree.moment[row, 18]
+    axis, cosine = get(tree.cone, at, 0), tree.cone[at, 3]
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    solid = scan.cutting.proofs and seen_from_outside(tree.solid_box, tree.of_box[at], x) >= 0
     sides = side_turned(less(x, m), h, axis, cosine, sine)
-    if solid and sides < 0:
-        return DROPPED, cone
+    # Nothing outside of a closed surface sees its inner side.
+    if sides < 0 and scan.cutting.proofs and seen_from_outside(tree.solid_box, tree.of_box[at], x) >= 0:
+        return DROPPED
     sides *= side_turned(less(z, m), h, axis, cosine, sine)
-    # The other side does not light the footprint's middle; it may light parts of a large one.
+    # The side that is lit is not the one that the footprint's middle sees; parts of a large footprint may see it.
     if sides < 0 and not view.quarters:
-        return DROPPED, cone
-    cone = (sides, axis, cosine, solid and sides == 0)
-    # One normal cannot stand for many where a lobe goes with each of them.
-    diffuse = kind2 == LAMBERTIAN
-    alone = (sides > 0 and (diffuse or kind2 == OREN_NAYAR)) or (sides == 0 and diffuse)
-    if alone and dot(less(m, x), lit.normal) > h and dot(less(m, z), view.normal) > h:
-        return AS_ONE, cone
+        return DROPPED
     area, peak, attenuation = tree.area[end] - tree.area[start], scan.cutting.peak, scan.clock.attenuation
     at_most = view.gain * peak[lit.part] * peak[k] * peak[scan.patches.part[view.p, view.q]] * area
     at_most *= facing_at_most(m, h, axis, cosine, sine, x, rise1)
     at_most *= facing_at_most(m, h + view.size, axis, cosine, sine, z, rise3 + view.size)
     small, near3 = is_small(tree.box, at, x, z, at_most, view.may, attenuation)
     if sides > 0 and not small:
-        # The peak of a lobe says little of what turns its back to it.
+        # The peak of a lobe is far more than what a box turned away from it brings.
         tilt = math.acos(max(cosine, -1.0))
         at_most = view.gain * area * weight_at_most(
-            m, axis, kind2, scan.values[k], lit.vertex, view.vertex, view.area, attenuation, 2.0 * h, view.size, tilt
+            m, axis, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area, attenuation, 2.0 * h,
+            view.size, tilt,
         )  # fmt: skip
         small = at_most <= view.may and 2.0 * h <= COARSEST * near3
     if small and view.quarters and view.size > 0.3 * near3:
-        return QUARTERED, cone
-    return ONE_POINT if small else OPENED, cone
+        return QUARTERED
+    return ONE_POINT if small else OPENED
 
 
 @compiled(**STEP)
@@ -416,32 +396,6 @@ def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type
         energy = w * view.gain * (tree.area[end] - tree.area[start])
         tally.overflow[into] += spread(tally.histogram, into, at_a, at_b, at_c, 1.0, 1.0, 1.0, energy)
     return 1, 1
-
-
-@compiled(**STEP)
-def _cluster_as_element(scan, lit, view, at, k, cone, cell, top):  # type: ignore[no-untyped-def]
-    """The cluster in a box as one element, whose row `top` is filled as if it were a triangle."""
-    tree, (sides, _, cosine, inner) = scan.tree, cone
-    diffuse, row = scan.kind[k] == LAMBERTIAN, tree.cluster[at]
-    m, n, tilted, unlike, h, longer, apart = as_one(
-        tree.moment, row, lit.x, view.z, sides, diffuse, view.keen, scan.clock.per_metre
-    )
-    w, r1, r3 = weight(
-        m, n, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area, scan.clock.attenuation
-    )  # fmt: skip
-    w *= tilted
-    cell[top, 15] = tree.area[tree.span[at, 1]] - tree.area[tree.span[at, 0]]
-    # Paths as far apart as those of a triangle with the cluster's variance.
-    for j in range(3):
-        put_vertex(cell, top, j, m, w, r1 + r3 + 4.0 * longer + (j - 1.0) * apart)
-    tilt = math.acos(max(cosine, -1.0))
-    return _element(at, m, n, h, 0, w, r1, r3, tilt, 1.0, 1.0, unlike, True, inner)
-
-
-@compiled(forceinline=True)
-def _element(f, m, n, h, side, *rest):  # type: ignore[no-untyped-def]
-    """An `Element` of these, of one type for numba whether its numbers are constants or not."""
-    return Element(f, m, n, h, side, *rest)
 
 
 @compiled(**STEP)
@@ -477,14 +431,14 @@ def _light_at_vertices(  # type: ignore[no-untyped-def]
 
 
 @compiled(**STEP)
-def _triangle_as_element(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-def]
-    """A triangle, or a part of one, as an element."""
+def _as_element(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-def]
+    """The `Element` that waits in row `top`, which lies on triangle f."""
     n, a, (m, side, h) = get(scan.tree.normal, f, 0), vertex_of(cell, top, 0), middle_of(cell, top)
     w, r1, r3 = weight(
         m, n, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area, scan.clock.attenuation
     )  # fmt: skip
     rise1, rise3 = dot(less(lit.x, a), n), dot(less(view.z, a), n)
-    return _element(f, m, n, h, side, w, r1, r3, 0.0, rise1, rise3, 0.0, False, False)
+    return Element(f, m, n, h, side, w, r1, r3, rise1, rise3)
 
 
 @compiled(**STEP)
@@ -492,11 +446,11 @@ def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-d
     """What becomes of an element whatever hides it; the L2 error if its light should be missing, of which little
     counts outside the window; and how far its arrival times are bent."""
     clock, kind2, values2, m, n = scan.clock, scan.kind[k], scan.values[k], element.m, element.n
-    bright, size, h, tilt, rise3 = element.w, view.size, element.h, element.tilt, element.rise3
+    bright, size, h, rise3 = element.w, view.size, element.h, element.rise3
     if lit.vertex[3] != LAMBERTIAN or kind2 != LAMBERTIAN or view.vertex[3] != LAMBERTIAN:
         # A lobe that no point of the element meets may cross it all the same: it is not dark for that.
         bright = max(bright, weight_at_most(
-            m, n, kind2, values2, lit.vertex, view.vertex, view.area, clock.attenuation, h, size, tilt
+            m, n, kind2, values2, lit.vertex, view.vertex, view.area, clock.attenuation, h, size, 0.0
         ))  # fmt: skip
     paths, r1, r3 = (cell[top, 4], cell[top, 9], cell[top, 14]), element.r1, element.r3
     unseen = outside(paths, r1 + r3, view.device, size, clock.opens, clock.closes)
@@ -505,10 +459,6 @@ def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-d
         paths, (cell[top, 15], w), (h, r1, r3), (view.gain, view.area, size, view.quarters),
         (scan.cutting.coarsest, view.keen, view.alike), (clock.per_metre, clock.attenuation), unseen,
     )  # fmt: skip
-    if element.cluster:
-        # What is cut once need not be cut again for each quarter of the pixel.
-        cut |= (over * element.unlike > view.alike and not unseen) or (quarter and h > 2.0 * size)
-        quarter &= not cut
     if element.rise1 * rise3 <= 0.0 or abs(rise3) < scan.occluders.flat:
         # This side does not light the footprint's middle; it may light parts of it, as it does what lies so far
         # above it.
@@ -519,7 +469,7 @@ def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-d
         _, n3, to_sensor, kind3, values3 = view.vertex
         if view.gain * cell[top, 15] * weight_at_most(
             m, n, kind2, values2, lit.vertex, (z_lit, n3, to_sensor, kind3, values3), view.area,
-            clock.attenuation, h, size, tilt,
+            clock.attenuation, h, size, 0.0,
         ) <= view.alike:  # fmt: skip
             return DROPPED, over, bend
         quarter = True
@@ -533,11 +483,11 @@ def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top)
     """What becomes of an element by what rays find of it, and how many were asked; at_stake : the L2 error if its
     light should be missing."""
     first, _, last = candidates
-    if not (first < last or element.inner):
+    if first == last:
         return becomes, 0
     tree, cell = scan.tree, room.cell
     if becomes == CUT:
-        hidden_all = not element.cluster and _none_seen(scan, lit, view, element, candidates, room, top)
+        hidden_all = _none_seen(scan, lit, view, element, candidates, room, top)
         return DROPPED if hidden_all else CUT, 0
     mesh = tree.span[tree.roots[k], 1] - tree.span[tree.roots[k], 0] > MESH
     # One ray tells enough of what is partly seen, if that makes no larger error than it may.
@@ -547,9 +497,7 @@ def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top)
         return SPREAD if seen > 0 else DROPPED, rays
     # What three rays do not find may still be there: it is cut a little less eagerly.
     cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > view.may)
-    if seen == 0 and (
-        not cut or (not element.cluster and _none_seen(scan, lit, view, element, candidates, room, top))
-    ):
+    if seen == 0 and (not cut or _none_seen(scan, lit, view, element, candidates, room, top)):
         return DROPPED, rays
     cell[top, 17] = STILL_UNFOUND * cell[top, 17] if seen == 0 else UNFOUND
     return CUT if cut else SPREAD, rays
@@ -570,23 +518,16 @@ def _points_seen(scan, lit, view, element, count, candidates, room, top):  # typ
     """How many random points of an element, one or three, the laser point lights and the footprint sees, as soon as
     some are and some are not; and how many rays were asked."""
     tree, x, z, m, cell = scan.tree, lit.x, view.z, element.m, room.cell
-    at, seen, rays = element.f, 0, 0
+    seen, rays = 0, 0
     word_here = _word_at(view.word, less(m, x), tree.extent)
     for j in range(count):
-        rays, word, f = rays + 1, word_here if count == 1 else mix(word_here, np.uint64(j)), at
-        if element.cluster:
-            # One in each third of its triangles.
-            start, end = tree.span[at, 0], tree.span[at, 1]
-            low, high = start + j * (end - start) // count, start + (j + 1) * (end - start) // count
-            f, y = facing(low, high, tree.area, tree.corners, tree.normal, x, z, word)
-        elif count == 1:
+        rays, word = rays + 1, word_here if count == 1 else mix(word_here, np.uint64(j))
+        if count == 1:
             y = somewhere(vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2), word)
         else:
             # One in each of the triangles that the middle makes with the sides.
             y = somewhere(m, vertex_of(cell, top, j), vertex_of(cell, top, (j + 1) % 3), word)
-        # Of a solid's inner side nothing is seen from outside.
-        if not (element.inner and _inner_side(x, z, f, tree)):
-            seen += _seen(y, x, z, f, candidates, scan.occluders.row, room.listed)
+        seen += _seen(y, x, z, element.f, candidates, scan.occluders.row, room.listed)
         if 0 < seen <= j:
             break
     return seen, rays
@@ -610,13 +551,6 @@ def _seen(y, x, z, f, candidates, hides, listed):  # type: ignore[no-untyped-def
     if first < middle and hidden(x, y, f, first, middle, hides, listed) > 0:
         return False
     return middle == last or hidden(z, y, f, middle, last, hides, listed) == 0
-
-
-@compiled()
-def _inner_side(x, z, f, tree):  # type: ignore[no-untyped-def]
-    """Whether triangle f of a solid turns its inner side to the laser point or to the footprint."""
-    n, corners, solid, solid_box = get(tree.normal, f, 0), tree.corners, tree.solid, tree.solid_box
-    return inner_side(x, n, corners, f, solid, solid_box) or inner_side(z, n, corners, f, solid, solid_box)
 
 
 @compiled(**STEP)

@@ -392,11 +392,11 @@ def _cluster(at, p, end, ends, tree, hides, optics, seed, out, scratch):  # type
     back = _towards(y, end[0])
     put(known, k, BACK, back)
     if found == 1:
-        # Of one there is no scatter: that of all the box.
-        moment, g = tree.moment[tree.cluster[at]], (-back[0], -back[1], -back[2])
-        spread = (moment[3], moment[6], moment[7], moment[4], moment[8], moment[5])
-        xx, xy, xz, yy, yz, zz = spread
-        along = (dot((xx, xy, xz), g), dot((xy, yy, yz), g), dot((xz, yz, zz), g))
+        # One point has no scatter: that of places evenly in its box stands for it.
+        g, box = (-back[0], -back[1], -back[2]), tree.box
+        xx, yy, zz = (box[at, 3] - box[at, 0]) ** 2, (box[at, 4] - box[at, 1]) ** 2, (box[at, 5] - box[at, 2]) ** 2
+        spread = (xx / 12, 0.0, 0.0, yy / 12, 0.0, zz / 12)
+        along = (spread[0] * g[0], spread[3] * g[1], spread[5] * g[2])
     else:
         spread, along = _scatter(drawn, found, y, length, whole)
     known[k, BLUR] = _blur(y, p, ends, length) + _spans(spread, along, known, k)

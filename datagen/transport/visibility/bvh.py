@@ -40,11 +40,8 @@ class Hierarchy(NamedTuple):
     box : (N, 6) lowest and highest corner, metres.
     children : (N, 2) boxes, −1 in a box that holds its triangles itself.
     span : (N, 2) its triangles, first and behind the last; all those within.
-    cluster : (N,) which row of `moment` a box has, −1 for those of at most `CLUSTER` triangles.
-    moment : (M, 38) of all the surface of a box: centroid, metres (0–2); covariance of its points about that, m²,
-        as xx, yy, zz, xy, xz, yz (3–8); mean of n nᵀ likewise (9–14); direction of the mean normal n̄ (15–17), the
-        least cosine of a normal with it (18), and 1 − |n̄|² (19); means of n nᵀ times x, y and z from the centroid,
-        metres (20–37).
+    cone : (N, 4) direction of the mean normal of each box's triangles, weighted by area, and the least cosine of a
+        normal with it.
     roots : (K,) the box of each part.
     solid : (F,) the solid that a triangle bounds with others, its normal outwards, or −1 (`closed_surfaces.py`).
     solid_box : (S, 6) lowest and highest corner of each, metres.
@@ -60,8 +57,7 @@ class Hierarchy(NamedTuple):
     box: Floats
     children: Ints
     span: Ints
-    cluster: Ints
-    moment: Floats
+    cone: Floats
     roots: Ints
     solid: Ints
     solid_box: Floats
@@ -92,9 +88,8 @@ class Hierarchy(NamedTuple):
         found = np.zeros(len(inside_out), np.bool_)
         pierced(corners, normal, box, children, span, roots, solid, ON_PLANE * extent, found)
         solid = np.where(np.append(found, True)[solid], NONE, solid)
-        cluster, moment = _moments(corners, normal, length, children, span)
         return cls(
-            corners, normal, area, order, box, children, span, cluster, moment, roots, solid,
+            corners, normal, area, order, box, children, span, _cones(normal, area, span), roots, solid,
             bounds(solid, corners, ON_PLANE * extent), convex(solid, corners, normal, ON_PLANE * extent),
             of_boxes(solid, children, span), extent,
         )  # fmt: skip
@@ -149,74 +144,21 @@ def _boxes(corners, ends, leaf):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _moments(corners, normal, area, children, span):  # type: ignore[no-untyped-def]
-    """`Hierarchy.cluster` and `Hierarchy.moment`; `area` (F,) in any unit. Those of two boxes give those of the one
-    about them."""
-    count = len(children)
-    cluster, many = np.full(count, -1), 0
-    for k in range(count):
-        if span[k, 1] - span[k, 0] > CLUSTER:
-            cluster[k] = many
-            many += 1
-    moment, size, own = np.zeros((many, 38)), np.zeros(many), np.zeros(38)
-    for k in range(count - 1, -1, -1):
-        row = cluster[k]
-        if row < 0:
-            continue
-        for child in children[k]:
-            if cluster[child] >= 0:
-                size[row] = _added(moment, size[row], row, moment[cluster[child]], size[cluster[child]])
-                continue
-            for f in range(span[child, 0], span[child, 1]):
-                for j in range(3):
-                    own[j] = (corners[f, 0, j] + corners[f, 1, j] + corners[f, 2, j]) / 3
-                    own[15 + j] = normal[f, j]
-                for m in range(6):
-                    i, j = _place(m)
-                    own[3 + m], own[9 + m] = 0.0, normal[f, i] * normal[f, j]
-                    for v in range(3):
-                        own[3 + m] += (corners[f, v, i] - own[i]) * (corners[f, v, j] - own[j]) / 12
-                size[row] = _added(moment, size[row], row, own, area[f])
-    for k in range(count):
-        row = cluster[k]
-        if row < 0:
-            continue
-        square = moment[row, 15] ** 2 + moment[row, 16] ** 2 + moment[row, 17] ** 2
-        moment[row, 19], moment[row, 18] = max(1.0 - square, 0.0), 1.0
-        for j in range(15, 18):
-            moment[row, j] = moment[row, j] / math.sqrt(square) if square > 0.0 else 0.0
+def _cones(normal, area, span):  # type: ignore[no-untyped-def]
+    """`Hierarchy.cone` of boxes that hold triangles span[k, 0] … span[k, 1]."""
+    cone = np.zeros((len(span), 4))
+    for k in range(len(span)):
         for f in range(span[k, 0], span[k, 1]):
-            cosine = moment[row, 15] * normal[f, 0] + moment[row, 16] * normal[f, 1] + moment[row, 17] * normal[f, 2]
-            moment[row, 18] = min(moment[row, 18], cosine)
-    return cluster, moment
-
-
-@compiled()
-def _added(moment, size, k, other, more):  # type: ignore[no-untyped-def]
-    """Add to the moments in row k, of an area of `size`, others of an area of `more`; returns the area of both."""
-    both = size + more
-    share = more / both
-    for axis in range(3):
-        apart = other[axis] - moment[k, axis]
-        for m in range(6):
-            here = moment[k, 20 + 6 * axis + m] - moment[k, 9 + m] * share * apart
-            there = other[20 + 6 * axis + m] + other[9 + m] * (1.0 - share) * apart
-            moment[k, 20 + 6 * axis + m] = here + share * (there - here)
-    for m in range(6):
-        i, j = _place(m)
-        apart = (other[i] - moment[k, i]) * (other[j] - moment[k, j])
-        moment[k, 3 + m] += share * (other[3 + m] - moment[k, 3 + m]) + share * (1.0 - share) * apart
-    for j in range(3):
-        moment[k, j] += share * (other[j] - moment[k, j])
-    for j in range(9, 18):
-        moment[k, j] += share * (other[j] - moment[k, j])
-    return both
-
-
-@compiled()
-def _place(m):  # type: ignore[no-untyped-def]
-    """Row and column of number m of xx, yy, zz, xy, xz, yz."""
-    return (m, m) if m < 3 else (0, m - 2) if m < 5 else (1, 2)
+            for j in range(3):
+                cone[k, j] += (area[f + 1] - area[f]) * normal[f, j]
+        length = math.sqrt(cone[k, 0] ** 2 + cone[k, 1] ** 2 + cone[k, 2] ** 2)
+        for j in range(3):
+            cone[k, j] = cone[k, j] / length if length > 0.0 else 0.0
+        cone[k, 3] = 1.0
+        for f in range(span[k, 0], span[k, 1]):
+            cosine = cone[k, 0] * normal[f, 0] + cone[k, 1] * normal[f, 1] + cone[k, 2] * normal[f, 2]
+            cone[k, 3] = min(cone[k, 3], cosine)
+    return cone
 
 
 @compiled()
