@@ -62,3 +62,19 @@ def somewhere(a, b, c, word):  # type: ignore[no-untyped-def]
     v = (np.float64(mix(word, np.uint64(2))) + 0.5) * 2.0**-32
     r, s, t = 1 - u, u * (1 - v), u * v
     return (r * a[0] + s * b[0] + t * c[0], r * a[1] + s * b[1] + t * c[1], r * a[2] + s * b[2] + t * c[2])
+
+
+@compiled()
+def side_turned(d, radius, axis, cosine, sine):  # type: ignore[no-untyped-def]
+    """Which side all surface within a ball turns to a point: 1 for that of its normals, −1 for the other, 0 for both.
+
+    d : from the ball's middle to the point. cosine, sine : of the largest angle of a normal with the axis.
+    """
+    free = dot(d, d) - radius * radius
+    if not (free > 0.0 and cosine > 0.0):
+        return 0
+    tangent, across = math.sqrt(free), dot(d, axis)
+    # The cone of the normals, widened by that of the lines to the ball, on one side of a right angle.
+    if cosine * tangent <= sine * radius or abs(across) <= radius * cosine + tangent * sine:
+        return 0
+    return 1 if across > 0.0 else -1

@@ -26,6 +26,7 @@ from datagen.transport.quadrature.clusters import (
     anywhere,
     facing_at_most,
     is_small,
+    side_turned,
     somewhere,
 )
 from datagen.transport.quadrature.waiting import (
@@ -54,8 +55,7 @@ from datagen.transport.quadrature.weights import (
 )
 from datagen.transport.sampling import mix, word_of
 from datagen.transport.visibility.bvh import CLUSTER, SMALLEST
-from datagen.transport.visibility.closed_surfaces import inner_side, seen_from_outside, side_turned
-from datagen.transport.visibility.occlusion import LISTED, RING, hidden, lists, narrowed, shaded
+from datagen.transport.visibility.occlusion import LISTED, RING, hidden, lists, narrowed
 
 PARTLY, UNFOUND, MESH = (0.5, 0.05), 0.05, 256
 """Error of an element that one ray stands for, on a part of up to `MESH` triangles and on one of more, and of an
@@ -349,11 +349,7 @@ def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
     m, h = ball(tree.box, at)
     axis, cosine = get(tree.cone, at, 0), tree.cone[at, 3]
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    sides = side_turned(less(x, m), h, axis, cosine, sine)
-    # Nothing outside of a closed surface sees its inner side.
-    if sides < 0 and scan.cutting.proofs and seen_from_outside(tree.solid_box, tree.of_box[at], x) >= 0:
-        return DROPPED
-    sides *= side_turned(less(z, m), h, axis, cosine, sine)
+    sides = side_turned(less(x, m), h, axis, cosine, sine) * side_turned(less(z, m), h, axis, cosine, sine)
     # The side that is lit is not the one that the footprint's middle sees; parts of a large footprint may see it.
     if sides < 0 and not view.quarters:
         return DROPPED
@@ -387,8 +383,6 @@ def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type
     )  # fmt: skip
     if not w > 0.0:
         return 0, 0
-    if scan.cutting.proofs and inner_side(x, n, tree.corners, f, tree.solid, tree.solid_box):
-        return 1, 0
     if _seen(y, x, view.z, f, candidates, scan.occluders.row, listed):
         t, path = (r1 + r3 + view.device) * clock.per_metre - clock.start, less(y, view.z)
         variance = smear(path, view.vertex[2], clock.device, scan.patches.across, view.p, view.q)
@@ -415,8 +409,6 @@ def _light_at_vertices(  # type: ignore[no-untyped-def]
     if abs(rise1) < flat:
         return DROPPED
     if what == FRESH:
-        if scan.cutting.proofs and inner_side(x, n, tree.corners, f, tree.solid, tree.solid_box):
-            return DROPPED
         for j in range(3):
             y = vertex_of(cell, top, j)
             w, r1, r3 = weight(
@@ -487,8 +479,7 @@ def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top)
         return becomes, 0
     tree, cell = scan.tree, room.cell
     if becomes == CUT:
-        hidden_all = _none_seen(scan, lit, view, element, candidates, room, top)
-        return DROPPED if hidden_all else CUT, 0
+        return CUT, 0
     mesh = tree.span[tree.roots[k], 1] - tree.span[tree.roots[k], 0] > MESH
     # One ray tells enough of what is partly seen, if that makes no larger error than it may.
     count = 1 if (PARTLY[1] if mesh else PARTLY[0]) * at_stake <= view.may else 3
@@ -497,20 +488,10 @@ def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top)
         return SPREAD if seen > 0 else DROPPED, rays
     # What three rays do not find may still be there: it is cut a little less eagerly.
     cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > view.may)
-    if seen == 0 and (not cut or _none_seen(scan, lit, view, element, candidates, room, top)):
+    if seen == 0 and not cut:
         return DROPPED, rays
     cell[top, 17] = STILL_UNFOUND * cell[top, 17] if seen == 0 else UNFOUND
     return CUT if cut else SPREAD, rays
-
-
-@compiled(**STEP)
-def _none_seen(scan, lit, view, element, candidates, room, top):  # type: ignore[no-untyped-def]
-    """Whether it is proven that nothing of a triangle is lit by the laser point and seen by the footprint."""
-    (first, middle, last), hides, listed, cell = candidates, scan.occluders.row, room.listed, room.cell
-    a, b, c = vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2)
-    if first < middle and shaded(lit.x, a, b, c, element.f, first, middle, hides, listed):
-        return True
-    return middle < last and shaded(view.z, a, b, c, element.f, middle, last, hides, listed)
 
 
 @compiled(**STEP)
@@ -557,14 +538,14 @@ def _seen(y, x, z, f, candidates, hides, listed):  # type: ignore[no-untyped-def
 def _narrow(scan, lit, view, element, candidates, room, top):  # type: ignore[no-untyped-def]
     """The candidates that may hide some of a triangle that is cut: rays find their way through what may hide the one
     it is cut from, and it pays to narrow that down for its halves, of which many are then clear."""
-    (first, middle, last), listed, cell, f, tree = candidates, room.listed, room.cell, element.f, scan.tree
+    (first, middle, last), listed, cell, f = candidates, room.listed, room.cell, element.f
     # Room is left for a ring on either leg.
     if not (scan.cutting.proofs and first < last < len(listed) - 4 * RING):
         return candidates
     a, b, c = vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2)
-    own, row = seen_from_outside(tree.solid_box, tree.solid[f], lit.x), scan.occluders.row
-    half_way = narrowed(lit.x, a, b, c, f, own, first, middle, last, row, listed)
-    return last, half_way, narrowed(view.z, a, b, c, f, own, middle, last, half_way, row, listed)
+    row = scan.occluders.row
+    half_way = narrowed(lit.x, a, b, c, f, first, middle, last, row, listed)
+    return last, half_way, narrowed(view.z, a, b, c, f, middle, last, half_way, row, listed)
 
 
 @compiled(**STEP)

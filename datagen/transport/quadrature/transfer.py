@@ -26,9 +26,8 @@ from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, evaluate_at_most
 from datagen.transport.geometry import above, ball, corner, distance, get, half, less, longest, put
 from datagen.transport.sampling import word_of
 from datagen.transport.visibility.bvh import CLUSTER, SMALLEST, Hierarchy, one_of
-from datagen.transport.visibility.closed_surfaces import inner_side
 from datagen.transport.visibility.occluder_rows import Occluders
-from datagen.transport.visibility.occlusion import LISTED, hidden, lists, shaded
+from datagen.transport.visibility.occlusion import LISTED, hidden, lists
 
 PARTLY, UNFOUND = 4.0, 0.4
 """Error of an element that is partly seen, and of one of which three rays found nothing, relative to its light. With
@@ -294,17 +293,6 @@ def _faces_any(box, at, ends, p):  # type: ignore[no-untyped-def]
 
 
 @compiled(_nrt=False)
-def _see_inner_side(ends, p, f, n, tree):  # type: ignore[no-untyped-def]
-    """Whether triangle f turns the inner side of a solid to all points of an end."""
-    for q in range(ends.part.shape[1]):
-        if ends.part[p, q] >= 0 and not inner_side(
-            get(ends.point[p], q, 0), n, tree.corners, f, tree.solid, tree.solid_box
-        ):
-            return False
-    return True
-
-
-@compiled(_nrt=False)
 def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
     """Variance of the path to y over an end's points, m²."""
     variance, points = 0.0, ends.part.shape[1]
@@ -341,8 +329,6 @@ def _draw(at, p, end, turn, ends, tree, hides, optics, seed, scratch):  # type: 
             f = one_of(first, behind, area, (2.0**32 * s + word) / count)
             size = (area[behind] - area[first]) / count
         n = get(tree.normal, f, 0)
-        if last > LISTED and _see_inner_side(ends, p, f, n, tree):
-            continue
         a, b, c = corner(tree.corners, f, 0), corner(tree.corners, f, 1), corner(tree.corners, f, 2)
         y = ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3)
         if dot(less(x, y), n) < 0.0:
@@ -515,8 +501,6 @@ def _cut_triangle(f, p, k, end, ends, tree, occluders, optics, fineness, out, sc
     (x, one, last), points, part, rays = end, ends.part.shape[1], ends.part, 0
     waits, area, error, smallest = scratch.corners, scratch.area, fineness.error, SMALLEST * tree.extent
     n = get(tree.normal, f, 0)
-    if last > LISTED and _see_inner_side(ends, p, f, n, tree):
-        return rays
     height = dot(less(x, corner(tree.corners, f, 0)), n)
     # A single point in the triangle's own plane lights none of it; a footprint may reach above that.
     if abs(height) < occluders.flat and points == 1:
@@ -562,10 +546,7 @@ def _cut_triangle(f, p, k, end, ends, tree, occluders, optics, fineness, out, sc
             if seen == 0 and not cut:
                 continue
         if cut:
-            none = h <= smallest
-            if last > LISTED and points == 1 and not none:
-                none = shaded(x, a, b, c, f, LISTED, last, occluders.row, scratch.listed)
-            if not none and top <= DEEPEST:
+            if h > smallest and top <= DEEPEST:
                 _halve(waits, area, top, side)
                 top += 2
             continue

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records import Scene
-from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.visibility.closed_surfaces import NONE, bounds, closed, convex, of_boxes, pierced
+from datagen.records.arrays import Floats, Ints
 
 LEAF = 2
 """Most triangles of a box that is not halved."""
@@ -43,10 +42,6 @@ class Hierarchy(NamedTuple):
     cone : (N, 4) direction of the mean normal of each box's triangles, weighted by area, and the least cosine of a
         normal with it.
     roots : (K,) the box of each part.
-    solid : (F,) the solid that a triangle bounds with others, its normal outwards, or −1 (`closed_surfaces.py`).
-    solid_box : (S, 6) lowest and highest corner of each, metres.
-    convex : (S,) whether it is.
-    of_box : (N,) the solid of all triangles of a box, −1 if none is of any, else −2.
     extent : the scene's largest side, metres.
     """
 
@@ -59,10 +54,6 @@ class Hierarchy(NamedTuple):
     span: Ints
     cone: Floats
     roots: Ints
-    solid: Ints
-    solid_box: Floats
-    convex: Bools
-    of_box: Ints
     extent: float
 
     @classmethod
@@ -72,27 +63,13 @@ class Hierarchy(NamedTuple):
         order = np.lexsort((_morton(corners.mean(axis=1)), scene.face_part))
         corners = np.ascontiguousarray(corners[order])
         extent = float(np.ptp(scene.vertices, axis=0).max())
-        solid, inside_out = closed(
-            scene.triangles[order].astype(np.int64),
-            scene.vertices,
-            scene.face_part[order].astype(np.int64),
-            ON_PLANE * extent,
-        )
         doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(doubled, axis=1)
         normal = doubled / length[:, None]
-        normal[np.append(inside_out, False)[solid]] *= -1.0
         ends = np.searchsorted(scene.face_part[order], np.arange(parts + 1))
         box, children, span, roots = _boxes(corners, ends.astype(np.int64), LEAF)
         area = np.concatenate([[0.0], np.cumsum(length / 2)])
-        found = np.zeros(len(inside_out), np.bool_)
-        pierced(corners, normal, box, children, span, roots, solid, ON_PLANE * extent, found)
-        solid = np.where(np.append(found, True)[solid], NONE, solid)
-        return cls(
-            corners, normal, area, order, box, children, span, _cones(normal, area, span), roots, solid,
-            bounds(solid, corners, ON_PLANE * extent), convex(solid, corners, normal, ON_PLANE * extent),
-            of_boxes(solid, children, span), extent,
-        )  # fmt: skip
+        return cls(corners, normal, area, order, box, children, span, _cones(normal, area, span), roots, extent)
 
 
 def _morton(points: Floats) -> NDArray[np.uint64]:

@@ -1,7 +1,8 @@
-"""What can hide anything, as rows of one array: boxes within boxes, their triangles, and the solids these bound."""
+"""What can hide anything, as rows of one array: boxes within boxes, and their triangles."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,23 +11,18 @@ from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import dot
-from datagen.transport.geometry import ball, corner, get, less
+from datagen.transport.geometry import corner, cross, get, less
 from datagen.transport.visibility.bvh import ON_PLANE, Hierarchy
-from datagen.transport.visibility.closed_surfaces import NONE, apart_in_plane
 from datagen.transport.visibility.surface_area import boxes_over
 
 FEW_VERTICES = 256
 """Vertices of a part up to which each is asked whether it lies behind a wall; of larger parts their box is."""
 MANY_WALLS = 1024
 """Walls that hide nothing up to which each is held against all others, whether it lies on one of them."""
-LINK, FIRST, NUMBER, C, NORMAL, SOLID, COLUMNS = 6, 7, 6, 0, 3, 6, 8
+LINK, FIRST, NUMBER, C, NORMAL, COLUMNS = 6, 7, 6, 0, 3, 8
 """Columns of `Occluders.row`: those of a box, of a triangle's first row and of its second."""
-HEAD, TURNED, SOLIDS, FLAT = 1, 0, 1, 2
-"""The row that says where others are, and its columns."""
-COSINE, SINE, RADIUS, WHOLE = 3, 4, 5, 6
-"""Columns of what else is known of a box."""
-CONVEX = 6
-"""Column of a solid."""
+HEAD, FLAT = 1, 2
+"""The row of what holds for all, and its column of `flat`."""
 
 
 class Occluders(NamedTuple):
@@ -41,12 +37,8 @@ class Occluders(NamedTuple):
         - A box: its lowest and highest corner, metres (0–5), and the rows of the two boxes within it (`LINK` and
           `FIRST`); of a leaf minus the number of its triangles (`LINK`) and the row of its first one (`FIRST`).
         - A triangle, two rows: two corners, metres (0–5), and its number in the `Hierarchy` (`NUMBER`); then the
-          third corner (`C`), its unit normal (`NORMAL`) and the solid it bounds (`SOLID`).
-        - Row `HEAD`: `flat`, and the first rows of the next two.
-        - `TURNED` + k: of the triangles in box k the mean normal (0–2), the cosine and the sine of the largest angle
-          between a normal and it (`COSINE`, `SINE`), the radius of the box's bounding sphere, metres (`RADIUS`), and
-          the solid that all of them bound, −1 if there is none (`WHOLE`).
-        - `SOLIDS` + s: the box of solid s, as the `Hierarchy` has it, and whether it is convex (`CONVEX`).
+          third corner (`C`) and its unit normal (`NORMAL`).
+        - Row `HEAD`: `flat`.
     triangles : F.
     flat : distance from a plane within which a point lies on it, metres.
     """
@@ -65,19 +57,15 @@ class Occluders(NamedTuple):
         # Row HEAD lies between the box that holds all and the others.
         at = np.arange(len(box)) + (np.arange(len(box)) > 0)
         first = len(box) + 1
-        turned = first + 2 * len(number)
-        solids, flat = turned + first, ON_PLANE * tree.extent
-        row, leaf = np.zeros((solids + len(tree.solid_box), COLUMNS)), children[:, 0] < 0
-        row[HEAD, [TURNED, SOLIDS, FLAT]] = turned, solids, flat
+        flat, leaf = ON_PLANE * tree.extent, children[:, 0] < 0
+        row = np.zeros((first + 2 * len(number), COLUMNS))
+        row[HEAD, FLAT] = flat
         row[at, :LINK] = box
         row[at, LINK] = np.where(leaf, span[:, 0] - span[:, 1], children[:, 0] + 1)
         row[at, FIRST] = np.where(leaf, first + 2 * span[:, 0], children[:, 1] + 1)
-        row[first:turned:2, :NUMBER], row[first:turned:2, NUMBER] = corners[:, :2].reshape(-1, 6), number
-        seconds = row[first + 1 : turned : 2]
-        seconds[:, C:NORMAL], seconds[:, NORMAL:SOLID] = corners[:, 2], tree.normal[number]
-        seconds[:, SOLID] = tree.solid[number]
-        row[turned + at] = _cones(box, span, tree.normal[number], tree.solid[number])
-        row[solids:, :6], row[solids:, CONVEX] = tree.solid_box, tree.convex
+        row[first::2, :NUMBER], row[first::2, NUMBER] = corners[:, :2].reshape(-1, 6), number
+        seconds = row[first + 1 :: 2]
+        seconds[:, C:NORMAL], seconds[:, NORMAL : NORMAL + 3] = corners[:, 2], tree.normal[number]
         return cls(row, len(number), flat)
 
     @property
@@ -110,30 +98,6 @@ def _hides(scene: Scene, tree: Hierarchy) -> Bools:
 
 
 @compiled()
-def _cones(box, span, normal, solid):  # type: ignore[no-untyped-def]
-    """Rows `TURNED` … of boxes (N, 6), of which box k holds triangles span[k, 0] … span[k, 1]."""
-    found = np.zeros((len(span), COLUMNS))
-    for k in range(len(span)):
-        first, last = span[k, 0], span[k, 1]
-        found[k, WHOLE], found[k, RADIUS] = solid[first] if last > first else NONE, ball(box, k)[1]
-        for f in range(first, last):
-            found[k, WHOLE] = found[k, WHOLE] if solid[f] == found[k, WHOLE] else NONE
-        if found[k, WHOLE] < 0.0:
-            continue
-        x = y = z = 0.0
-        for f in range(first, last):
-            x, y, z = x + normal[f, 0], y + normal[f, 1], z + normal[f, 2]
-        length, cosine = np.sqrt(x * x + y * y + z * z), 1.0
-        axis = (x / length, y / length, z / length) if length > 0.0 else (0.0, 0.0, 0.0)
-        for f in range(first, last):
-            cosine = min(cosine, dot(axis, get(normal, f, 0)))
-        for j in range(3):
-            found[k, j] = axis[j]
-        found[k, COSINE], found[k, SINE] = cosine, np.sqrt(max(1.0 - cosine * cosine, 0.0))
-    return found
-
-
-@compiled()
 def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-untyped-def]
     """Mark those of some triangles that overlap another one of them in its plane."""
     for i in some:
@@ -142,6 +106,41 @@ def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-u
             apart = i == j
             for v in range(3):
                 apart |= abs(dot(less(corner(corners, j, v), corner(corners, i, 0)), n)) > near
-            if not (apart or apart_in_plane(corners, normal, i, j, near)):
+            if not (apart or _apart_in_plane(corners, normal, i, j, near)):
                 found[i] = True
                 break
+
+
+@compiled()
+def _apart_in_plane(corners, normal, f, g, near):  # type: ignore[no-untyped-def]
+    """Whether a side of triangle f or g has the other wholly beyond it, but for touching."""
+    for i in range(3):
+        out_f, out_g = cross(_side(corners, f, i), get(normal, f, 0)), cross(_side(corners, g, i), get(normal, g, 0))
+        if _apart(corners, f, g, out_f, near) or _apart(corners, f, g, out_g, near):
+            return True
+    return False
+
+
+@compiled()
+def _side(corners, f, i):  # type: ignore[no-untyped-def]
+    return less(corner(corners, f, (i + 1) % 3), corner(corners, f, i))
+
+
+@compiled()
+def _along(corners, f, g, axis):  # type: ignore[no-untyped-def]
+    """Least and greatest place of triangle f along an axis, from the first corner of g."""
+    a = corner(corners, g, 0)
+    one, two, three = (
+        dot(less(corner(corners, f, 0), a), axis), dot(less(corner(corners, f, 1), a), axis),
+        dot(less(corner(corners, f, 2), a), axis),
+    )  # fmt: skip
+    return min(one, two, three), max(one, two, three)
+
+
+@compiled()
+def _apart(corners, f, g, axis, near):  # type: ignore[no-untyped-def]
+    """Whether two triangles are beyond each other along an axis, but for touching."""
+    length = math.sqrt(dot(axis, axis))
+    least_f, most_f = _along(corners, f, g, axis)
+    least_g, most_g = _along(corners, g, g, axis)
+    return length > 0.0 and (most_f <= least_g + near * length or most_g <= least_f + near * length)

@@ -10,23 +10,14 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot
-from datagen.transport.geometry import above, cross, get, half, less
-from datagen.transport.visibility.closed_surfaces import encloses, side_turned
+from datagen.transport.geometry import above, cross, get, less
 from datagen.transport.visibility.occluder_rows import (
-    CONVEX,
-    COSINE,
     FIRST,
     FLAT,
     HEAD,
     LINK,
     NORMAL,
     NUMBER,
-    RADIUS,
-    SINE,
-    SOLID,
-    SOLIDS,
-    TURNED,
-    WHOLE,
     C,
 )
 
@@ -133,45 +124,6 @@ def _opened(listed, top, row, k):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def shaded(x, a, b, c, of, first, last, row, listed):  # type: ignore[no-untyped-def]
-    """Whether it is proven that x sees nothing of the triangle a, b, c on triangle `of`.
-
-    A triangle that stands before all three corners stands before all between them. False is no proof of the opposite.
-    """
-    before = hidden(x, a, of, first, last, row, listed)
-    if before == 0:
-        return False
-    return _stands_between(x, less(b, x), of, before, row) and _stands_between(x, less(c, x), of, before, row)
-
-
-@compiled(forceinline=True)
-def _solid_of(k, row):  # type: ignore[no-untyped-def]
-    """The solid that all of candidate k bounds, or a number below 0."""
-    return int(row[1 - k, SOLID] if k < 0 else row[int(row[HEAD, TURNED]) + k, WHOLE])
-
-
-@compiled()
-def _turned(x, k, row):  # type: ignore[no-untyped-def]
-    """`side_turned` of candidate k towards x."""
-    if k < 0:
-        height = dot(get(row, 1 - k, NORMAL), less(x, get(row, -k, 0)))
-        return 0 if abs(height) <= row[HEAD, FLAT] else 1 if height > 0.0 else -1
-    about, middle = int(row[HEAD, TURNED]) + k, half(get(row, k, 0), get(row, k, 3))
-    axis, cosine, sine = get(row, about, 0), row[about, COSINE], row[about, SINE]
-    return side_turned(less(x, middle), row[about, RADIUS], axis, cosine, sine)
-
-
-@compiled(forceinline=True)
-def _hides_none_of(own, x, k, row):  # type: ignore[no-untyped-def]
-    """Whether candidate k need not be asked what hides outer sides of solid `own` from x: all of it is of that solid,
-    which does not enclose x, and turns outer sides to it, too (`closed_surfaces.py`); or the solid is convex."""
-    if own < 0 or _solid_of(k, row) != own:
-        return False
-    of_solid = int(row[HEAD, SOLIDS]) + own
-    return row[of_solid, CONVEX] > 0.0 or (_turned(x, k, row) > 0 and not encloses(row, of_solid, x))
-
-
-@compiled()
 def _waiting(listed, first, last):  # type: ignore[no-untyped-def]
     """Put candidates first … last into the ring of what is to be looked at; returns how many."""
     for i in range(last - first):
@@ -180,10 +132,10 @@ def _waiting(listed, first, last):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def narrowed(x, a, b, c, of, own, first, last, free, row, listed):  # type: ignore[no-untyped-def]
-    """Those of the candidates first … last that may stand between x and some point of the triangle a, b, c on
-    triangle `of` of solid `own`, boxes opened while they are few: written from `free` on; returns the end. None left
-    is a proof.
+def narrowed(x, a, b, c, of, first, last, free, row, listed):  # type: ignore[no-untyped-def]
+    """Write from `free` on those of the candidates first … last that may stand between x and some point of the
+    triangle a, b, c on triangle `of`, with boxes opened while they are few; returns the end of what is written. Where
+    none is left, it is proven that x sees all of the triangle.
 
     The pyramid over the triangle with its tip in x is free of every triangle that lies beyond one of its sides, or
     has all of the pyramid on one side of itself.
@@ -221,14 +173,13 @@ def narrowed(x, a, b, c, of, own, first, last, free, row, listed):  # type: igno
                     continue
             else:
                 low, high = _heights(get(row, f + 1, NORMAL), p, x, a, b, c)
-                if high <= flat or low >= -flat or _hides_none_of(own, x, k, row):
+                if high <= flat or low >= -flat:
                     continue
         elif (
             above(row, k, x, one) <= near1
             or above(row, k, x, two) <= near2
             or above(row, k, x, three) <= near3
             or above(row, k, a, base) <= -near0
-            or _hides_none_of(own, x, k, row)
         ):
             continue
         elif end - free + tail - head < MOST:
