@@ -1,7 +1,6 @@
-"""The triangles of each part in boxes within boxes, so that a mesh far away costs no more than its detail there.
+"""BVH: the triangles of each part in boxes within boxes, divided by the surface area heuristic in bins.
 
-Triangles are put in the order of a space-filling curve (Morton) and halved again and again (Lauterbach et al., "Fast
-BVH construction on GPUs", Computer Graphics Forum 28 (2009)).
+Wald, "On fast construction of SAH-based bounding volume hierarchies", IEEE Symposium on Interactive Ray Tracing 2007.
 """
 
 from __future__ import annotations
@@ -10,19 +9,19 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
 
-LEAF = 2
-"""Most triangles of a box that is not halved."""
+LEAF, BINS, DEEPEST = 3, 12, 64
+"""Triangles up to which a box is not divided; places along its longest side where it may be; and how many times boxes
+are divided so, before they are divided by number alone: stacks of those who walk the tree have room for twice that.
+Without the heuristic (halves along a space-filling curve) rooms take 1.15 to 1.34 times as long."""
 CLUSTER = 4
 """Triangles of a box up to which each is an element of its own; not below `LEAF`."""
 SMALLEST = 1e-8
 """Smallest element that is cut, relative to the scene."""
-MORTON_BITS = 16
 ON_PLANE = 1e-9
 """Distance from a plane, relative to the scene, below which a point lies on it."""
 
@@ -59,65 +58,133 @@ class Hierarchy(NamedTuple):
     @classmethod
     def of(cls, scene: Scene) -> Hierarchy:
         """That of a scene, in time nearly linear in its triangles."""
-        corners, parts = scene.corners, len(scene.part_names)
-        order = np.lexsort((_morton(corners.mean(axis=1)), scene.face_part))
-        corners = np.ascontiguousarray(corners[order])
-        extent = float(np.ptp(scene.vertices, axis=0).max())
+        order, box, children, span, roots = _boxes(scene.corners, scene.face_part, len(scene.part_names))
+        corners = np.ascontiguousarray(scene.corners[order])
         doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(doubled, axis=1)
         normal = doubled / length[:, None]
-        ends = np.searchsorted(scene.face_part[order], np.arange(parts + 1))
-        box, children, span, roots = _boxes(corners, ends.astype(np.int64), LEAF)
         area = np.concatenate([[0.0], np.cumsum(length / 2)])
-        return cls(corners, normal, area, order, box, children, span, _cones(normal, area, span), roots, extent)
+        return cls(
+            corners,
+            normal,
+            area,
+            order,
+            box,
+            children,
+            span,
+            _cones(normal, area, span),
+            roots,
+            float(np.ptp(scene.vertices, axis=0).max()),
+        )
 
 
-def _morton(points: Floats) -> NDArray[np.uint64]:
-    """Places (n, 3) along a space-filling curve."""
-    low = points.min(axis=0)
-    size = float(np.ptp(points, axis=0).max()) or 1.0
-    cell = np.minimum((points - low) / size * 2**MORTON_BITS, 2**MORTON_BITS - 1).astype(np.uint64)
-    code = np.zeros(len(points), np.uint64)
-    for bit in range(MORTON_BITS):
-        for axis in range(3):
-            code |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    return code
+def _boxes(corners: Floats, face_part: Ints, parts: int) -> tuple[Ints, Floats, Ints, Ints, Ints]:
+    """Order of triangles (F, 3, 3) by their parts (F,) and boxes; box, children, span and roots as `Hierarchy` has
+    them."""
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    orders, boxes, children, spans, roots = [], [], [], [], np.empty(parts, np.int64)
+    triangles = count = 0
+    for part in range(parts):
+        own = np.flatnonzero(face_part == part)
+        order, box, below, span = boxes_over(low[own], high[own])
+        roots[part] = count
+        orders.append(own[order])
+        boxes.append(box)
+        children.append(np.where(below < 0, -1, below + count))
+        spans.append(span + triangles)
+        triangles, count = triangles + len(own), count + len(box)
+    joined = (np.concatenate(each) for each in (orders, boxes, children, spans))
+    return *joined, roots  # type: ignore[return-value]
 
 
 @compiled()
-def _boxes(corners, ends, leaf):  # type: ignore[no-untyped-def]
-    parts = len(ends) - 1
-    most = 2 * len(corners) + 2
-    box, children = np.empty((most, 6)), np.full((most, 2), -1)
-    span, roots, n = np.zeros((most, 2), np.int64), np.empty(parts, np.int64), 0
-    waiting = np.empty((128, 3), np.int64)
-    for part in range(parts):
-        roots[part] = n
-        top = _wait(waiting, 0, ends[part], ends[part + 1], -1)
-        while top > 0:
-            top -= 1
-            first, last, parent = waiting[top, 0], waiting[top, 1], waiting[top, 2]
-            if parent >= 0:
-                children[parent, 1 if children[parent, 0] >= 0 else 0] = n
-            span[n, 0], span[n, 1] = first, last
-            if last - first > leaf:
-                middle = (first + last) // 2
-                top = _wait(waiting, top, middle, last, n)
-                top = _wait(waiting, top, first, middle, n)
-            n += 1
-    for k in range(n - 1, -1, -1):
-        left, right = children[k, 0], children[k, 1]
+def boxes_over(low, high):  # type: ignore[no-untyped-def]
+    """Order (F,) of triangles with lowest and highest corners low and high (F, 3), and the boxes over them: box,
+    children and span as `Hierarchy` has them, the first box about all.
+
+    A box is divided where the sum, over both sides, of the number of triangles times the area of their box is least.
+    """
+    count = len(low)
+    most = max(2 * count, 1)
+    order, spare, depth = np.arange(count), np.empty(count, np.int64), np.zeros(most, np.int64)
+    box, link = np.empty((most, 6)), np.zeros((most, 3), np.int64)
+    link[0, 2], n, k = count, 1, 0
+    members, bounds, cost = np.empty(BINS, np.int64), np.empty((BINS, 6)), np.empty(BINS)
+    while k < n:
+        link[k, 0], first, last = -1, link[k, 1], link[k, 2]
+        axis, smallest, largest = 0, 0.0, -1.0
         for j in range(3):
-            if left >= 0:
-                box[k, j] = min(box[left, j], box[right, j])
-                box[k, 3 + j] = max(box[left, 3 + j], box[right, 3 + j])
-                continue
-            box[k, j], box[k, 3 + j] = np.inf, -np.inf
-            for f in range(span[k, 0], span[k, 1]):
-                for v in range(3):
-                    box[k, j] = min(box[k, j], corners[f, v, j])
-                    box[k, 3 + j] = max(box[k, 3 + j], corners[f, v, j])
-    return box[:n], children[:n], span[:n], roots
+            box[k, j], box[k, 3 + j], least, greatest = np.inf, -np.inf, np.inf, -np.inf
+            for f in order[first:last]:
+                box[k, j], box[k, 3 + j] = min(box[k, j], low[f, j]), max(box[k, 3 + j], high[f, j])
+                least, greatest = min(least, low[f, j] + high[f, j]), max(greatest, low[f, j] + high[f, j])
+            if greatest - least > largest:
+                axis, smallest, largest = j, least, greatest - least
+        if last - first > LEAF:
+            members[:] = 0
+            for m in range(BINS):
+                for j in range(3):
+                    bounds[m, j], bounds[m, 3 + j] = np.inf, -np.inf
+            for f in order[first:last]:
+                m = _bin(low, high, f, axis, smallest, largest)
+                members[m] += 1
+                for j in range(3):
+                    bounds[m, j] = min(bounds[m, j], low[f, j])
+                    bounds[m, 3 + j] = max(bounds[m, 3 + j], high[f, j])
+            cost[:] = 0.0
+            for step in (1, -1):
+                _swept(members, bounds, cost, step)
+            best = 1
+            for m in range(2, BINS):
+                if cost[m] < cost[best]:
+                    best = m
+            middle, rest = first, 0
+            for f in order[first:last]:
+                if _bin(low, high, f, axis, smallest, largest) < best:
+                    order[middle] = f
+                    middle += 1
+                else:
+                    spare[rest] = f
+                    rest += 1
+            for m in range(rest):
+                order[middle + m] = spare[m]
+            # Halves of the number end what else might go on: triangles all in one place, or each box far beside all
+            # others.
+            if middle in (first, last) or depth[k] >= DEEPEST:
+                middle = (first + last) // 2
+            depth[n] = depth[n + 1] = depth[k] + 1
+            link[k, 0] = n
+            link[n, 1], link[n, 2], link[n + 1, 1], link[n + 1, 2] = first, middle, middle, last
+            n += 2
+        k += 1
+    second = np.where(link[:n, 0] < 0, -1, link[:n, 0] + 1)
+    return order, box[:n], np.column_stack((link[:n, 0], second)), link[:n, 1:]
+
+
+@compiled()
+def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
+    """Number of the bin along an axis that holds the middle of triangle f."""
+    if largest <= 0.0:
+        return 0
+    return min(int((low[f, axis] + high[f, axis] - smallest) / largest * BINS), BINS - 1)
+
+
+@compiled()
+def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
+    """Add to each cut between bins the cost of the bins on one side of it: number of triangles times area of box."""
+    total = 0
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for turn in range(BINS):
+        m = turn if step > 0 else BINS - 1 - turn
+        cut = m if step > 0 else m + 1
+        side = high - low
+        if 0 < cut < BINS and total > 0:
+            cost[cut] += total * (side[0] * side[1] + side[1] * side[2] + side[2] * side[0])
+        elif 0 < cut < BINS:
+            cost[cut] += np.inf
+        total += members[m]
+        for j in range(3):
+            low[j], high[j] = min(low[j], bounds[m, j]), max(high[j], bounds[m, 3 + j])
 
 
 @compiled()
@@ -136,12 +203,6 @@ def _cones(normal, area, span):  # type: ignore[no-untyped-def]
             cosine = cone[k, 0] * normal[f, 0] + cone[k, 1] * normal[f, 1] + cone[k, 2] * normal[f, 2]
             cone[k, 3] = min(cone[k, 3], cosine)
     return cone
-
-
-@compiled()
-def _wait(waiting, top, first, last, parent):  # type: ignore[no-untyped-def]
-    waiting[top, 0], waiting[top, 1], waiting[top, 2] = first, last, parent
-    return top + 1
 
 
 @compiled()

@@ -12,8 +12,7 @@ from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import dot
 from datagen.transport.geometry import corner, cross, get, less
-from datagen.transport.visibility.bvh import ON_PLANE, Hierarchy
-from datagen.transport.visibility.surface_area import boxes_over
+from datagen.transport.visibility.bvh import ON_PLANE, Hierarchy, boxes_over
 
 FEW_VERTICES = 256
 """Vertices of a part up to which each is asked whether it lies behind a wall; of larger parts their box is."""
