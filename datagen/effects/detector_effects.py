@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from datagen.detector import Exposure, Spad
 from datagen.detector.flux import cycle_of, dark_count_rates
 from datagen.detector.irf import response_kernel
-from datagen.detector.sampler_choice import caused
+from datagen.detector.sampler_choice import avalanches_caused
 from datagen.effects.rule import Change, Effect
 from datagen.records import TimeAxis
 
@@ -75,7 +75,7 @@ class Detection:
     @property
     def caused(self) -> float:
         """Avalanches that one causes at most by afterpulsing and crosstalk, those caused by these included."""
-        by_traps, by_neighbours = caused(self.spad)
+        by_traps, by_neighbours = avalanches_caused(self.spad)
         return 0.0 if self.counts_all else by_traps + (by_neighbours if self.transient.shape[1] > 1 else 0.0)
 
 

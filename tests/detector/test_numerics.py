@@ -18,7 +18,7 @@ from datagen.detector.events import draw_free_running
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.flux import cycle_of
 from datagen.detector.irf import response_cdf, response_kernel, spread
-from datagen.detector.random_numbers import binomial, stream_of
+from datagen.detector.random_numbers import binomial, streams_of
 from datagen.detector.sampler_choice import poisson_bias
 from datagen.detector.tdc import Tdc
 from datagen.errors import InputError
@@ -36,11 +36,11 @@ def test_tiny_flux_keeps_its_digits():
 
 def test_hazard_chain_from_nothing_to_infinity():
     lam = np.array([0.0, 1e-300, 1.0, 0.0, np.inf, 5.0])
-    counts = draw_hazard_chain(lam, 10**6, stream_of(1))
+    counts = draw_hazard_chain(lam, 10**6, streams_of(1, 0, 0)[0])
     assert counts[[0, 1, 3, 5]].tolist() == [0, 0, 0, 0]
     assert counts.sum() == 10**6
     assert abs(counts[2] - 1e6 * -np.expm1(-1)) < 6e3
-    assert draw_hazard_chain(np.array([1e4, 1.0]), 10**9, stream_of(2)).tolist() == [10**9, 0]
+    assert draw_hazard_chain(np.array([1e4, 1.0]), 10**9, streams_of(2, 0, 0)[0]).tolist() == [10**9, 0]
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_hazard_chain_from_nothing_to_infinity():
 )
 def test_binomial_at_its_extremes(n, p):
     """log(1 − p) loses a p of 1e-17 altogether and a tenth of 3e-15; the law itself is the judge."""
-    sample = _many_binomials(n, p, 100_000, stream_of(3))
+    sample = _many_binomials(n, p, 100_000, streams_of(3, 0, 0)[0])
     exact = binom(n, p)
     cuts = np.unique(exact.ppf(np.linspace(0.02, 0.98, 25)))
     edges = np.concatenate([[-np.inf], cuts, [np.inf]])
@@ -170,7 +170,7 @@ def test_flux_of_ten_thousand_per_cycle():
         assert state.mean.sum() == pytest.approx(total, rel=2e-3)
         spad = Spad(dead_time_s=tau)
         cycle = cycle_of(TIME, spad, Exposure(1e7))
-        counts = draw_free_running(lam, cycle, spad, 10**5, state, stream_of(1))
+        counts = draw_free_running(lam, cycle, spad, 10**5, state, streams_of(1, 0, 0)[0])
         assert counts.sum() == pytest.approx(1e5 * total, rel=2e-3)
 
 
@@ -192,7 +192,7 @@ def test_empty_bins_are_never_hit():
         state = equilibrium(lam, edges, 1e-9, tau)
         spad = Spad(dead_time_s=tau)
         cycle = cycle_of(TIME, spad, Exposure(1e7))
-        counts = draw_free_running(lam, cycle, spad, 200_000, state, stream_of(4))
+        counts = draw_free_running(lam, cycle, spad, 200_000, state, streams_of(4, 0, 0)[0])
         assert counts[lam == 0].sum() == 0
         assert counts[7] > 0 and counts[60] > 0
 
@@ -288,7 +288,7 @@ def test_jitter_of_counts_has_the_mean_of_jittered_counts():
         tdc = Tdc(cycle)
         counts = np.random.default_rng(0).integers(0, 4000, len(cycle.gate))
         counts[::3] = 2
-        stream = stream_of(6)
+        stream = streams_of(6, 0, 0)[0]
         got = np.stack([tdc.draw(counts, stream) for _ in range(200)]).mean(0)
         want = tdc.mean(counts.astype(float))
         assert np.abs(got - want).max() < 6 * np.sqrt(want.max() / 200)
