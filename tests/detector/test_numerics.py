@@ -1,4 +1,4 @@
-"""Where the obvious formula fails: hard cases beside the truth."""
+"""Hard cases in which the obvious formula fails."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_hazard_chain_from_nothing_to_infinity():
     ],
 )
 def test_binomial_at_its_extremes(n, p):
-    """log(1 − p) loses a p of 1e-17 altogether and a tenth of 3e-15; the law itself is the judge."""
+    """log(1 − p) loses a p of 1e-17 altogether, and a tenth of 3e-15."""
     sample = _many_binomials(n, p, 100_000, streams_of(3, 0, 0)[0])
     exact = binom(n, p)
     cuts = np.unique(exact.ppf(np.linspace(0.02, 0.98, 25)))
@@ -83,7 +83,8 @@ def _many_binomials(n, p, count, stream):
 
 
 def test_direct_peak_ten_orders_above_the_signal():
-    """Convolution by FFT leaves the peak's rounding all over the histogram; ours leaves every bin its own."""
+    """Convolution by FFT spreads the rounding of the peak over the histogram; the direct sum keeps faint bins
+    exact."""
     signal = np.full(4096, 1e-10)
     signal[100] = 1.0
     kernel = response_kernel(1e-11, 3e-10, 1e-10)
@@ -150,8 +151,7 @@ def test_response_beyond_the_window_is_lost_when_the_period_is_long():
 
 
 @pytest.mark.parametrize("mode", ["ideal", "synchronous", "free_running"])
-def test_nothing_in_nothing_out(mode):
-    """0/0 lurks in every normalisation."""
+def test_without_light_there_are_no_counts_and_no_warnings(mode):
     spad = Spad(mode=mode, dead_time_s=2e-7, afterpulse_probability=0.02 if mode == "free_running" else 0.0)
     with np.errstate(all="raise"):
         counts = detect(np.zeros((2, 2, 100)), TIME, spad, Exposure())
@@ -233,7 +233,7 @@ def test_saturating_counters():
     ],
 )
 def test_saturated_mean_is_given_for_counts_whose_law_is_known(spad):
-    """Elsewhere it once was that of Poisson or binomial counts all the same: three times too many."""
+    """Where the law is unknown, that of Poisson or binomial counts would be up to three times too large."""
     exposure, transient = Exposure(1e7, 1, 1.0), np.full(100, 0.3)
     known = Spad(pde=1.0, mode="synchronous", counter_max=1, dead_time_s=1e-9)
     expected_histogram(transient, TIME, known, exposure)
@@ -279,7 +279,7 @@ def test_poisson_bias_bounds_the_true_bias():
             )
             true = np.max(1 - mean / lam)
             assert true <= bound * (1 + 1e-6) + 1e-12
-            assert bound < 8 * true + 1e-9  # not an idle bound either
+            assert bound < 8 * true + 1e-9  # a useful bound
 
 
 def test_jitter_of_counts_has_the_mean_of_jittered_counts():

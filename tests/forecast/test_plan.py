@@ -1,4 +1,4 @@
-"""`datagen plan` as a user types it, on a tiny configuration."""
+"""The command `datagen plan` on a tiny configuration."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def config(tmp_path: Path) -> Path:
 
 
 def test_the_plan_says_what_a_build_takes(config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Decisions with reasons, then seconds, error, bytes; and after a build what it came to."""
+    """The plan has decisions with reasons, seconds, error and bytes, and the actual numbers of a build."""
     dataset, numbers = str(write_dataset(load_config(config), tmp_path / "set")), tmp_path / "plan.json"
     options = ["--workers", "2", "--seconds", "60", "--json", str(numbers), "--against", dataset]
     assert run(["plan", str(config), *options]) == 0

@@ -1,4 +1,4 @@
-"""The time limit of a scene: as asked for, or from pilots."""
+"""The time limit of a scene: the number given, or from pilot scenes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from datagen.errors import InputError
 from datagen.forecast.text import AT_LEAST_S, PILOTS_WORTH, scene_limit
 
 
-def test_the_limit_is_as_asked_or_follows_the_longest_pilot(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_limit_is_given_or_follows_the_longest_pilot(monkeypatch: pytest.MonkeyPatch) -> None:
     config = config_from_mapping({})
     assert scene_limit("2.5", config) == 2.5
     with pytest.raises(InputError, match="--scene-seconds soon: must be a number of seconds, or forecast"):
