@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import fields, replace
 
 import numpy as np
@@ -202,15 +201,14 @@ def _draw_block(
     values = flux.reshape(-1, n)
     out = np.empty((len(values), cycle.bins), np.int64)
     poisson = choices.sampler == Sampler.POISSON
-    for rows in _selected(poisson):
+    if len(rows := np.flatnonzero(poisson)):
         # Poisson events that are displaced independently stay Poisson, so the mean is displaced, not every event.
-        numbers = first_laser * pixels + np.arange(len(values))[rows]
-        mean = tdc.mean(cycles * values[rows])
-        out[rows] = draw_poisson(mean, streams[rows], lambda row: measured.where(numbers[row]))  # noqa: B023
-    for rows in _selected(~poisson & choices.in_order):
+        mean, numbers = tdc.mean(cycles * values[rows]), first_laser * pixels + rows
+        out[rows] = draw_poisson(mean, streams[rows], lambda row: measured.where(numbers[row]))
+    if len(rows := np.flatnonzero(~poisson & choices.in_order)):
         own = streams[rows]
         out[rows] = tdc.draw(draw_in_order(values[rows], cycle.edges_s, spad.dead_time_s, cycles, own), own)
-    for rows in _selected(~poisson & ~choices.in_order):
+    if len(rows := np.flatnonzero(~poisson & ~choices.in_order)):
         own = streams[rows]
         if measured.coupled:
             # The joint draw of a laser point takes its numbers from its first pixel's stream, which then goes on to
@@ -223,14 +221,6 @@ def _draw_block(
             detections = np.stack([_draw_one(measured, f, Sampler(code), stream) for f, code, stream in alone])
         out[rows] = tdc.draw(detections, own)
     return out if spad.counter_max is None else np.minimum(out, spad.counter_max)
-
-
-def _selected(wanted: NDArray[np.bool_]) -> Iterator[NDArray[np.int64] | slice]:
-    """One index of the wanted rows, a slice without a copy if all are wanted; no index if none is."""
-    if wanted.all():
-        yield slice(None)
-    elif wanted.any():
-        yield np.flatnonzero(wanted)
 
 
 def _draw_one(measured: Measurement, flux: Array, sampler: Sampler, stream: Stream) -> NDArray[np.int64]:

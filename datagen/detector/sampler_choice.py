@@ -131,10 +131,9 @@ def choose(
     in_order = np.zeros(len(flux), bool)
     beyond = np.flatnonzero((bias > 0) & ~((bias <= tolerance) & (deviation <= HIDDEN_DEVIATION)))
     if len(beyond):
-        own = flux if len(beyond) == len(flux) else flux[beyond]
         burn_in = detections[beyond] * burn_in_cycles(spad, cycle.period_s) / exposure.cycles
         sampler[beyond] = _beyond_poisson(
-            own, cycle, spad, approximate, events[beyond], detections[beyond], burn_in,
+            flux[beyond], cycle, spad, approximate, events[beyond], detections[beyond], burn_in,
             lambda row: where(int(beyond[row])),
         )  # fmt: skip
         chained = beyond[(sampler[beyond] == Sampler.HAZARD_CHAIN) | (sampler[beyond] == Sampler.RETURN_CHAIN)]

@@ -83,12 +83,10 @@ class Spad:
     counter_max: int | None = None
 
     def __post_init__(self) -> None:
-        times = self.afterpulse_times_s
-        times = tuple(times) if isinstance(times, (tuple, list, np.ndarray)) else (times,)
-        object.__setattr__(self, "afterpulse_times_s", times)
-        weights = self.afterpulse_weights
-        weights = tuple(weights) if isinstance(weights, (tuple, list, np.ndarray)) else (weights,)
-        object.__setattr__(self, "afterpulse_weights", weights)
+        for name in ("afterpulse_times_s", "afterpulse_weights"):
+            given = getattr(self, name)
+            values = tuple(given) if isinstance(given, (tuple, list, np.ndarray)) else (given,)
+            object.__setattr__(self, name, values)
         for name, low, high, remedy in (
             ("pde", 0.0, 1.0, "it is a probability; give 0.3 for 30 %"),
             ("dark_count_rate_hz", 0.0, 1e12, "counts per second"),

@@ -25,29 +25,29 @@ class Tdc:
     def __init__(self, cycle: Cycle) -> None:
         self._cycle = cycle
         jitter = cycle.after_avalanche
-        self._merged = cycle.front < len(cycle.gate)
+        merged = cycle.front < len(cycle.gate)
         lattice = cycle.back + cycle.front
         # A period that is no whole number of bins ends in a shorter one. Its own records are displaced like a moment
         # in its middle. Records of full bins that are displaced into it are split by the fold.
-        short = not self._merged and float(cycle.widths_s[-1]) < cycle.width_s * (1 - 1e-6)
+        short = not merged and float(cycle.widths_s[-1]) < cycle.width_s * (1 - 1e-6)
         self._from_short: Counts | None = None
         if short and not jitter.is_identity:
             steps = np.arange(-jitter.before, jitter.after + 1) * cycle.width_s
             moments = (cycle.edges_s[-2:].mean() + steps) % cycle.period_s
             last = np.searchsorted(cycle.edges_s, moments, side="right") - 1
             self._from_short = np.minimum(last, len(cycle.gate) - 1).astype(np.int64)
-        self._first = -cycle.back - jitter.before
-        self._length = lattice + len(jitter.weights) - 1
+        first = -cycle.back - jitter.before
         if jitter.is_identity:
             return
         # Displacements are drawn from the likeliest on, so that few records are left for the long wings.
         self._offsets = np.argsort(-jitter.weights, kind="stable")
         self._likeliest = jitter.weights[self._offsets]
-        if self._merged:
+        if merged:
+            # The background between the ends of the lattice is so long that records never wrap around the period.
             nothing = np.empty(0, np.int64)
-            self._fold = Fold(self._first, cycle.bins, range(cycle.bins), nothing, nothing, np.empty(0))
-            return
-        self._fold = fold_of(self._first, self._length, cycle.width_s, cycle.edges_s)
+            self._fold = Fold(first, cycle.bins, range(cycle.bins), nothing, nothing, np.empty(0))
+        else:
+            self._fold = fold_of(first, lattice + len(jitter.weights) - 1, cycle.width_s, cycle.edges_s)
         self._fold_rows, starts = np.unique(self._fold.rows, return_index=True)
         self._fold_starts = np.append(starts, len(self._fold.rows)).astype(np.int64)
 
@@ -79,9 +79,6 @@ class Tdc:
         rows = np.ascontiguousarray(ordered.reshape(-1, cycle.back + cycle.front))
         row_streams = streams.reshape(-1, 4)
         scattered = _scatter(rows, self._likeliest, self._offsets, row_streams)
-        if self._merged:
-            out[...] = scattered[:, -self._first : -self._first + cycle.bins].reshape(out.shape)
-            return out
         fold = self._fold
         folded = np.zeros((len(rows), fold.bins), np.int64)
         low, high = fold.aligned.start, fold.aligned.stop

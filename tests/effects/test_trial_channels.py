@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from rooms import furnished_box, square_pixels
+from rooms import furnished_box, rectangle, square_pixels
 
 from datagen.capture import capture_for
 from datagen.config import load_config
@@ -83,7 +83,7 @@ def test_direct_return_is_simulated_wherever_there_is_some(how: str) -> None:
 @pytest.mark.parametrize("width_m", [0.4, 0.03, 0.004])
 def test_direct_return_by_two_bounces_is_seen_however_small_what_returns_it(width_m: float) -> None:
     """A block on the wall, between the lines of sight of a pixel, is lit from the side and seen by the sensor."""
-    wall = trimesh.Trimesh([(0, -2, 0), (0, 2, 0), (0, 2, 2.5), (0, -2, 2.5)], [(0, 1, 2), (0, 2, 3)])
+    wall = rectangle((0, 0, 1.25), (0, 2, 0), (0, 0, 1.25))
     at = np.array([0.02, 0.233, 1.117])
     block = trimesh.creation.box(bounds=[at - [0.0199, width_m / 2, width_m / 2], at + width_m / 2])
     flat = Scene.from_parts([Part("relay_wall", wall, Lambertian(0.8))])
@@ -141,10 +141,7 @@ def test_trial_channels_leave_out_laser_points_that_are_not_there() -> None:
 
 
 def _plate(half_m: float, x: float = 0.0) -> trimesh.Trimesh:
-    corners = [
-        (x, y, 1.25 + z) for y, z in ((-half_m, -half_m), (half_m, -half_m), (half_m, half_m), (-half_m, half_m))
-    ]
-    return trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)])
+    return rectangle((x, 0, 1.25), (0, half_m, 0), (0, 0, half_m))
 
 
 def test_a_component_without_a_path_may_still_have_three_of_all_paths() -> None:
