@@ -19,8 +19,7 @@ from scene_library.rounding import length
 CONFOCAL_PIXEL_M = 0.05
 """Side of a confocal pixel on the wall if no size is configured. Halved, it collects a quarter of the light."""
 SAME_PLACE_M = 1e-9
-"""Distance below which a device counts as standing at the scene's own place. Halved, it is still far above
-rounding."""
+"""Distance below which a device stands at the scene's own place. Halved, it is still far above rounding."""
 
 
 def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, index: int = 0) -> Capture:

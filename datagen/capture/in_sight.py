@@ -18,8 +18,7 @@ Halved, an object that touches a wall may count as seen."""
 
 
 def check_in_sight(key: str, what: str, scene: Scene, eye: Floats, points: Floats) -> None:
-    """Raise `InputError` for `capture.<key>` if anything but the relay wall hides one of `points` (n, 3) from
-    `eye`."""
+    """Raise `InputError` for `capture.<key>` if a part but the relay wall hides one of `points` (n, 3) from `eye`."""
     wall = scene.relay_wall
     if wall is not None and (eye - wall.center) @ np.cross(wall.right, wall.up) <= 0:
         raise InputError(

@@ -162,8 +162,7 @@ def _of_one_cycle(
 
 
 def _rounded_up(cycles: float) -> int:
-    """A number of cycles rounded up to two significant digits, so that the last bits, which differ between
-    processors, do not matter."""
+    """Cycles rounded up to two significant digits, which hides last bits that differ between processors."""
     unit = int(10 ** max(math.floor(math.log10(max(cycles, 1.0))) - 1, 0))
     return max(math.ceil(cycles / unit - 1e-6) * unit, 1)
 

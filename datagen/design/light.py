@@ -75,15 +75,13 @@ def _one_detection(spad: Spad, exposure: Exposure) -> float:
 
 
 COARSE_TARGET = 0.1
-"""Relative error of the light for estimates, if the configuration's target is finer. Halved, estimates take
-longer."""
+"""Relative error of the light for estimates, if the configured target is finer. Halved, estimates take longer."""
 
 
 def coarse_transient(
     config: DatasetConfig, index: int, scene: Scene, capture: Capture, spad: Spad, exposure: Exposure
 ) -> Transient:
-    """The transient of scene `index` with the error `COARSE_TARGET`; if numbers of samples are configured, with
-    these."""
+    """The transient of scene `index` with the error `COARSE_TARGET`, or with the configured numbers of samples."""
     if config.transport.target is not None:
         coarse = {"target": max(COARSE_TARGET, config.transport.target), "part_target": None}
         config = config.model_copy(update={"transport": config.transport.model_copy(update=coarse)})

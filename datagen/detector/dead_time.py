@@ -42,8 +42,7 @@ _MEAN_TOLERANCE = 1e-13
 """Change from one cycle to the next, in detections, at which a mean has settled: the rounding of a cycle's sums.
 Halved, it may never be reached."""
 START_TOLERANCE = 1e-8
-"""The same for the state in which an exposure begins, which errs by 10⁻⁸ detections in all. Halved, some states take
-one sweep more."""
+"""The same for the state in which an exposure begins, an error of 10⁻⁸ detections. Halved, some take a sweep more."""
 
 
 class Pieces(NamedTuple):
@@ -390,8 +389,7 @@ def _solve(table: Table) -> Array:
 
 
 def _returns(table: Table) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """For every weight of the table the piece of the detection and the piece of the return, whose number runs on past
-    the end of the period."""
+    """For every weight of the table its pieces of detection and of return, whose numbers run past the period."""
     _, first, offset, weights = table
     piece = np.repeat(np.arange(len(first)), np.diff(offset))
     return piece, first[piece] + np.arange(len(weights)) - offset[piece]

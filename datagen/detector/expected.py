@@ -1,5 +1,4 @@
-"""The exact mean of every sampler: expected detections per laser cycle and bin, in a time proportional to the
-bins."""
+"""The exact mean of every sampler: expected detections per laser cycle and bin, in a time linear in the bins."""
 
 from __future__ import annotations
 
@@ -19,12 +18,11 @@ Array = NDArray[np.float64]
 _ROUNDS = 200
 """Most rounds of a self-consistent mean, which settles in 5 to 30. Half as many would do, too."""
 _SETTLED = 1e-11
-"""Share of the detections that a round may change in a settled mean. Halved, the mean takes one round more at
-most."""
+"""Share of the detections that a round may change in a settled mean. Halved, it takes one round more at most."""
 _PIECES, _MOST_PIECES = 32, 4096
 """Long background bins are cut into pieces of a 32nd of the shortest of trap times and dead time, at most 4096 a bin:
-avalanches caused in a piece are taken as uniform there. With half as many the error of the moments of afterpulses
-doubles."""
+avalanches caused in a piece are taken as uniform there. With half as many the moments of afterpulses have twice the
+error."""
 
 
 def one_per_cycle_mean(flux: Array) -> Array:

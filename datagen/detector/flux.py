@@ -26,8 +26,7 @@ N = TypeVar("N", bound=np.generic)
 _MAX_PERIOD_BINS = 8_000_000
 """Most bins of a laser period: 64 MB for each array. Halved, long periods in short bins are refused from half on."""
 _RAMP_PIECES = 16
-"""Pieces of a ramp of the gate beyond the window. Halved, the moments of background events there are half as
-exact."""
+"""Pieces of a ramp of the gate beyond the window. Halved, background events there have twice the error."""
 
 
 @dataclass(frozen=True)
@@ -133,8 +132,7 @@ def _gate_span(time: TimeAxis, spad: Spad, period_s: float) -> tuple[float, floa
 
 
 def _gate_knots(time: TimeAxis, spad: Spad, period_s: float) -> Array:
-    """Phases between which the gate's sensitivity is nearly constant, ascending: its ramps are cut into short
-    pieces."""
+    """Phases, ascending, between which the gate's sensitivity is nearly constant: its ramps are cut into pieces."""
     span = _gate_span(time, spad, period_s)
     if span is None:
         return np.empty(0)

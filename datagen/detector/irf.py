@@ -46,8 +46,7 @@ IDENTITY = Kernel(np.ones(1), 0)
 
 
 def response_cdf(t_s: Array, sigma_s: float, tail_s: float = 0.0, tail_fraction: float = 1.0) -> Array:
-    """Probability that a photon is displaced by less than `t_s`: a Gaussian, of which a part is delayed
-    exponentially.
+    """Probability that a photon is displaced by less than `t_s`: a Gaussian, of which a part is delayed further.
 
     With z = t/σ and Φ the normal distribution function,
 

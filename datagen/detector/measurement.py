@@ -68,8 +68,7 @@ class Measurement:
         return _has_crosstalk(self.spad) and self.transient.shape[1] > 1
 
     def where(self, histogram: int) -> str:
-        """The name of a histogram for error messages, from its number in the order of laser points and their
-        pixels."""
+        """The name of a histogram for messages, by its number in the order of laser points and their pixels."""
         laser, pixel = divmod(int(histogram), self.transient.shape[1])
         return f"laser {self.first_laser + laser}, pixel {self.first_pixel + pixel}"
 

@@ -169,8 +169,7 @@ def _stirling_rest(k: float) -> float:
 
 
 LARGEST_MEAN = 9.2e18
-"""Largest mean of a Poisson number: counts of larger ones would not fit 64 bits. Halved, it refuses what would
-fit."""
+"""Largest mean of a Poisson number: counts of larger ones do not fit 64 bits. Halved, some that fit are refused."""
 
 
 def draw_poisson(mean: Array, streams: Stream, where: Callable[[int], str]) -> NDArray[np.int64]:

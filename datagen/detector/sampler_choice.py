@@ -219,8 +219,7 @@ def poisson_bias(flux: Array, cycle: Cycle, spad: Spad) -> Array:
 
 
 def avalanches_caused(spad: Spad) -> tuple[float, float]:
-    """The most avalanches, counting those that these cause in turn, that one avalanche causes by afterpulsing and by
-    crosstalk."""
+    """The most avalanches that one causes, directly and in turn, by afterpulsing and by crosstalk."""
     load = sum(spad.trap_loads) if spad.afterpulse_probability > 0 else 0.0
     shared = min(4 * spad.crosstalk_probability, 0.99)
     return load / (1.0 - load), shared / (1.0 - shared)

@@ -86,8 +86,7 @@ def decide_transport_effects(
     scene: Scene, capture: Capture, accuracy: Accuracy, settings: EffectsConfig | None = None, seed: int = 0,
     caster: Raycaster | None = None,
 ) -> EffectDecisions:  # fmt: skip
-    """The decisions on the transport's effects; parameters as of `plan_effects`. caster : of the scene, if there is
-    one already."""
+    """The decisions on the transport's effects; parameters as of `plan_effects`, and the scene's caster, if any."""
     return _decided(TRANSPORT_EFFECTS, SceneFigures(scene, capture, accuracy, seed, caster), settings)
 
 

@@ -1,5 +1,4 @@
-"""The input of the decisions on the transport's effects: scene, capture and accuracy, and figures found by a few
-rays."""
+"""The input of the decisions on the transport's effects: scene, capture, accuracy, and figures found by few rays."""
 
 from __future__ import annotations
 
@@ -27,8 +26,7 @@ ON_THE_EDGE = -1e-12
 """Least sine of the angle to a pixel's side at which a laser point counts as inside, so that rounding does not decide
 for points on the edge. Halved, it is still far above rounding."""
 FLAT = 1e-9
-"""Rounding, relative to the distance, of the points in which lines of sight meet a plane. Halved, it is still far
-above rounding."""
+"""Rounding of points in which lines of sight meet a plane, relative to the distance. Halved, it is still enough."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +121,7 @@ class SceneFigures:
 
     @cached_property
     def laser_point_in_view(self) -> bool:
-        """Whether a laser point may lie in a pixel paired with it, so that its light returns within the time
-        window."""
+        """Whether a laser point may lie in a pixel paired with it and its light may return within the time window."""
         sensor, axis, pixels = self.capture.sensor, self.capture.time, self.capture.shape[1]
         span = self.laser_points.position - sensor.position
         reach = np.linalg.norm(span, axis=1)
@@ -174,8 +171,7 @@ _COSINES, _SHARES = (_NODES + 1) / 2, _WEIGHTS / 2
 
 
 def is_lambertian(material: Material) -> bool:
-    """Whether the surface scatters by Lambert's law, as some materials with a lobe of strength 0 do, and black
-    ones."""
+    """Whether the surface scatters by Lambert's law, as do black materials, and those whose lobe has no strength."""
     match material:
         case Lambertian() | Phong(exponent=0) | Phong(specular=0) | Retroreflector(retro=0) | OrenNayar(sigma_rad=0):
             return True

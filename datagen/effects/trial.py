@@ -212,8 +212,8 @@ PAIRS_AT_ONCE = 1 << 20
 """Pairs of laser points and pixels in one call of numpy: 100 MB of intermediate arrays. Halved, half of that."""
 AS_FAR = 1e-9
 """Distances that agree to this share of the largest count as equal, and the lower number goes first: on a regular
-grid ties are the rule, and rounding, which differs between processors, must not decide them. Halved, it still does
-not."""
+grid ties are the rule, and rounding, which differs between processors, must not decide them. Halved, it does not
+either."""
 INSIDE = -1e-9
 """Least sine of the angle to the nearest side of a pixel at which a laser point counts as inside, so that points on
 an edge do. Halved, they still do."""

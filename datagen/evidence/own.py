@@ -125,8 +125,7 @@ def _sums(own: Floats, everything: Floats) -> tuple[float, float, float]:
 def significance_in_time(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str]
 ) -> dict[str, NDArray[np.float64]]:
-    """Part name → (bin,) √Σ s²/b over laser points and pixels. The root of the sum of its squares is the
-    significance."""
+    """Part name → (bin,) √Σ s²/b over laser points and pixels, whose squares add up to that of the significance."""
     names = tuple(parts)
     squares = np.zeros((len(names), transient.time.bins))
     for block in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):

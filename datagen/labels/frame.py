@@ -75,8 +75,7 @@ class ViewFrame:
 
 
 def image_points(depth: NDArray[Any], mask: Bools, half_width_m: float, half_height_m: float) -> Floats:
-    """(N, 3) centres of the image pixels in `mask`, at their depth: right, up and depth in the label frame,
-    metres."""
+    """(N, 3) right, up and depth, in metres of the label frame, of the centres of the image pixels in `mask`."""
     rows, columns = depth.shape
     row, column = np.nonzero(mask)
     right = (2 * (column + 0.5) / columns - 1) * half_width_m

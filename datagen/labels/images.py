@@ -1,5 +1,4 @@
-"""Label images: depth, normal, albedo and part of the surfaces seen through the relay wall, as if it were a
-window."""
+"""Label images: depth, normal, albedo and part of the surfaces behind the relay wall, as if it were a window."""
 
 from __future__ import annotations
 

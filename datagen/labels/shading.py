@@ -28,8 +28,7 @@ from datagen.records.arrays import Bools, Floats
 from scene_library.sightlines import even_points, occlusion_test
 
 AMBIENT_RADIANCE = 0.15
-"""Radiance of all directions in which the lamp is not seen, in units of the lamp's. Halved, shadows are half as
-bright."""
+"""Radiance, in units of the lamp's, of directions without the lamp. Halved, shadows are half as bright."""
 LAMP_POINTS = 64
 """Points of the lamp (those of `even_points`) to which each pixel sends a ray. Halved, edges of shadows have half as
 many steps."""

@@ -17,8 +17,7 @@ import numpy as np
 from datagen.records.arrays import Floats, Ints
 
 LARGEST_HOLE_SHARE = 0.05
-"""Largest area of bridged holes, in units of the surface's, of a closed surface. Halved, more scanned meshes are
-open."""
+"""Largest area of a closed surface's bridged holes, in units of its own. Halved, more scanned meshes are open."""
 _LATTICE = 2**20
 """Cells across an object within which vertices count as the same: 1 µm in an object of 1 m. Halved, 2 µm."""
 
@@ -62,8 +61,7 @@ def connected_surfaces(corners: Floats) -> list[ConnectedSurface]:
 
 
 def open_share(corners: Floats) -> float:
-    """Share of the area of triangles (F, 3, 3) in open surfaces. Flat ones, which nobody takes for solids, do not
-    count."""
+    """Share of the area of triangles (F, 3, 3) in open surfaces, except flat ones, which nobody takes for solids."""
     opened = [surface.corners for surface in connected_surfaces(corners) if not surface.closed]
     return sum(float(_areas(one).sum()) for one in opened if not _is_flat(one)) / float(_areas(corners).sum())
 
@@ -76,8 +74,7 @@ def _is_flat(corners: Floats) -> bool:
 
 
 def _connected(links: Ints, count: int) -> tuple[int, Ints]:
-    """Number of connected sets into which `links` (n, 2) join `count` vertices, and (count,) the set of each
-    vertex."""
+    """Number of connected sets into which `links` (n, 2) join `count` vertices, and (count,) each vertex's set."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -113,8 +110,7 @@ def _surface(corners: Floats, triangles: Ints) -> ConnectedSurface:
 
 
 def _fans(edges: Ints, ends: Floats) -> Floats:
-    """(E, 3, 3) a triangle for each edge (E, 2) of a rim, from the edge's `ends` (E, 2, 3) to the centroid of its
-    rim."""
+    """(E, 3, 3) a triangle for each edge (E, 2) of a rim, from its `ends` (E, 2, 3) to the centroid of the rim."""
     _, nodes = np.unique(edges, return_inverse=True)
     nodes = nodes.reshape(-1, 2)
     rims, label = _connected(nodes, int(nodes.max()) + 1)

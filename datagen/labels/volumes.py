@@ -117,8 +117,7 @@ def signed_distance(grid: VoxelGrid, surfaces: list[ConnectedSurface]) -> NDArra
 
 
 def _distances(grid: VoxelGrid, corners: Floats, low: tuple[int, ...], high: tuple[int, ...]) -> Floats:
-    """Metres from the centres of the voxels low … high (`high` excluded) to the nearest of the triangles (F, 3,
-    3)."""
+    """Metres from the centres of voxels low … high (`high` excluded) to the nearest of triangles (F, 3, 3)."""
     step = grid.voxel_m * [1, -1, 1]
     first = np.array([grid.low[2], grid.high[1], grid.low[0]]) + (0.5 + np.array(low)) * step
     depth_row_column = np.ascontiguousarray(grid.frame.to_view(corners)[..., ::-1])
