@@ -171,9 +171,9 @@ def _decided(rows: Sequence[Effect[Any]], given: Any, settings: EffectsConfig | 
 def _applied(rows: Sequence[Effect[Any]], decisions: Sequence[Decision], given: Any) -> Any:
     """The scene or detector with the decisions applied, last row first, as pile-up is left out according to the mode
     that dead time across cycles leaves."""
-    made = {decision.effect: decision for decision in decisions}
+    by_effect = {decision.effect: decision for decision in decisions}
     for row in reversed(rows):
-        decision = made.get(row.name)
+        decision = by_effect.get(row.name)
         if decision is not None and decision.kind != "absent":
             if not decision.simulated:
                 given = row.without(given)

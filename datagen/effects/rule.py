@@ -95,15 +95,15 @@ def decide(
     another has changed.
     """
     rows = list(rows)
-    made: dict[str, Decision] = {}
+    decisions: dict[str, Decision] = {}
     spent = 0.0
     for row in sorted(rows, key=lambda r: -r.saves):
         allowance = max((1.0 + tolerance) / (1.0 + spent) - 1.0, 0.0)
         decision = _decided(row, given, setting_of(row.name), allowance)
         if decision.left_out and decision.estimate is not None:
             spent = (1.0 + spent) * (1.0 + decision.estimate) - 1.0
-        made[row.name] = decision
-    return tuple(made[row.name] for row in rows)
+        decisions[row.name] = decision
+    return tuple(decisions[row.name] for row in rows)
 
 
 def _decided(row: Effect[Given], given: Given, setting: str | int, allowance: float) -> Decision:

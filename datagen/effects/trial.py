@@ -171,14 +171,14 @@ def run_trial(
     lasers, pixels = trial_channels(capture, points, size.lasers, size.pixels)
     copies = 2 if size.at_once else 1
     twice = capture.excerpt(np.tile(lasers, copies), np.tile(pixels, copies))
-    made = [transient_of(scene, twice, few, seed=seed, split_parts=False, caster=caster)]
+    runs = [transient_of(scene, twice, few, seed=seed, split_parts=False, caster=caster)]
     # The factorised form shares its points between laser points, so the copies in one call are not independent.
-    if not size.at_once or (made[0].spend is not None and "factorised" in "".join(made[0].spend.way.values())):
+    if not size.at_once or (runs[0].spend is not None and "factorised" in "".join(runs[0].spend.way.values())):
         once = capture.excerpt(lasers, pixels)
         again = (seed + 1) % 2**64
-        made.append(transient_of(scene, once, few, seed=again, split_parts=False, caster=caster))
+        runs.append(transient_of(scene, once, few, seed=again, split_parts=False, caster=caster))
     shape = capture.excerpt(lasers, pixels).shape[:2]
-    return Trial(_paired([run.components for run in made], shape), shape[1])
+    return Trial(_paired([run.components for run in runs], shape), shape[1])
 
 
 def few_samples(accuracy: Accuracy, samples: int) -> Accuracy:

@@ -70,8 +70,8 @@ def own_evidence(
     >>> t = dg.Transient(time, {"primary": light}, {"wall": light, "box": 0.1 * light}, 0 * light, 0 * light[0],
     ...                  np.zeros((1, 3)))
     >>> exposure = dg.Exposure(cycles=10**4, photons_per_pulse=1e9)
-    >>> found = dg.own_evidence(t, dg.Spad(pde=1, mode="ideal"), exposure, ["box"])["box"]
-    >>> round(found.detections), round(found.significance, 2)
+    >>> evidence = dg.own_evidence(t, dg.Spad(pde=1, mode="ideal"), exposure, ["box"])["box"]
+    >>> round(evidence.detections), round(evidence.significance, 2)
     (1000, 10.0)
     """
     return evidence_and_gain(transient, spad, exposure, parts, in_sight=in_sight)[0]
@@ -134,19 +134,19 @@ def significance_in_time(
     return dict(zip(names, np.sqrt(squares), strict=True))
 
 
-def evidence_parameters(found: Mapping[str, Evidence]) -> dict[str, Scalar]:
+def evidence_parameters(evidence: Mapping[str, Evidence]) -> dict[str, Scalar]:
     """The evidence as scalars of a sample: `evidence.PART.…`, and the least significance as `evidence.weakest`."""
-    if not found:
+    if not evidence:
         return {}
-    flat: dict[str, Scalar] = {"evidence.weakest": min(one.significance for one in found.values())}
-    for name, one in found.items():
+    flat: dict[str, Scalar] = {"evidence.weakest": min(one.significance for one in evidence.values())}
+    for name, one in evidence.items():
         flat |= {f"evidence.{name}.{quantity}": value for quantity, value in vars(one).items()}
     return flat
 
 
-def evidence_tables(found: Sequence[Evidence], rows: int) -> dict[str, NDArray[np.float32]]:
+def evidence_tables(evidence: Sequence[Evidence], rows: int) -> dict[str, NDArray[np.float32]]:
     """Field name → (rows,) table of the objects in their order; 0 in rows without an object."""
     tables = np.zeros((len(OBJECT_EVIDENCE), rows), np.float32)
-    for row, one in enumerate(found):
+    for row, one in enumerate(evidence):
         tables[:, row] = one.detections, one.brightest_bin, one.significance
     return dict(zip(OBJECT_EVIDENCE, tables, strict=True))

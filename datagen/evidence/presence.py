@@ -80,8 +80,9 @@ def presence_evidence(
     >>> sensor = dg.Sensor.grid((1.5, -1.5, 0), (0, 0.1, 0), (0, 0.1, 0), (0, 0, 0.1), rows=1, columns=1)
     >>> capture = dg.Capture(laser, sensor, dg.TimeAxis(bins=60, width_s=4e-10, origin="wall"))
     >>> exposure = dg.Exposure(cycles=10**4, photons_per_pulse=1e9)
-    >>> found = dg.presence_evidence(scene, capture, dg.Accuracy(target=0.02), dg.Spad(mode="ideal"), exposure)
-    >>> found["plate"].detections < 0, found["plate"].significance > found["plate"].floor
+    >>> presence = dg.presence_evidence(scene, capture, dg.Accuracy(target=0.02), dg.Spad(mode="ideal"), exposure)
+    >>> plate = presence["plate"]
+    >>> plate.detections < 0, plate.significance > plate.floor
     (True, True)
     """
     given = (("scene", scene, Scene), ("capture", capture, Capture), ("accuracy", accuracy, Accuracy))
@@ -120,17 +121,17 @@ def _compared(whole: Transient, without: Transient, spad: Spad, exposure: Exposu
     return Presence(change, math.sqrt(square), floor)
 
 
-def presence_parameters(found: Mapping[str, Presence]) -> dict[str, Scalar]:
+def presence_parameters(presence: Mapping[str, Presence]) -> dict[str, Scalar]:
     """The presence as scalars: `evidence.PART.presence` (its significance), `.presence_detections` and `_floor`."""
     flat: dict[str, Scalar] = {}
-    for name, one in found.items():
+    for name, one in presence.items():
         prefix = f"evidence.{name}.presence"
         flat |= {prefix: one.significance, f"{prefix}_detections": one.detections, f"{prefix}_floor": one.floor}
     return flat
 
 
-def presence_table(found: Sequence[Presence], rows: int) -> NDArray[np.float32]:
+def presence_table(presence: Sequence[Presence], rows: int) -> NDArray[np.float32]:
     """(rows,) significance of the objects in their order; 0 in rows without an object."""
     table = np.zeros(rows, np.float32)
-    table[: len(found)] = [one.significance for one in found]
+    table[: len(presence)] = [one.significance for one in presence]
     return table

@@ -91,9 +91,9 @@ def test_points_are_midpoints_of_cells_that_fill_the_field_of_view(scene: Scene)
     capture = captured(8, scene)
     zones, targets = capture.sensor.pixels, capture.laser.targets
     low, high = zones.min(axis=1), zones.max(axis=1)
-    held = ((targets[:, None, 1:] > low[:, 1:]) & (targets[:, None, 1:] < high[:, 1:])).all(axis=-1)
-    assert (held.sum(axis=0) == 4).all()
-    for zone, own in zip(zones, held.T, strict=True):
+    inside = ((targets[:, None, 1:] > low[:, 1:]) & (targets[:, None, 1:] < high[:, 1:])).all(axis=-1)
+    assert (inside.sum(axis=0) == 4).all()
+    for zone, own in zip(zones, inside.T, strict=True):
         np.testing.assert_allclose(targets[own].mean(axis=0), zone.mean(axis=0), atol=1e-12)
 
 

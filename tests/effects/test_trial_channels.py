@@ -65,10 +65,10 @@ CAPTURES: dict[str, tuple[Capture, bool]] = {
 
 def direct_decided(scene: Scene, capture: Capture) -> tuple[EffectDecisions, float]:
     """Decisions about a transport large enough for a trial run, and how much direct light there is."""
-    asked = Accuracy(lookins=8192, fov_samples=2, replicates=2, max_bounces=4, direct=True)
+    large = Accuracy(lookins=8192, fov_samples=2, replicates=2, max_bounces=4, direct=True)
     few = Accuracy(lookins=64, fov_samples=4, replicates=1, max_bounces=3, direct=True)
-    found = simulate(scene, capture, few, seed=1, split_parts=False).components["direct"]
-    return decide_transport_effects(scene, capture, asked, seed=5), float(found.sum())
+    direct = simulate(scene, capture, few, seed=1, split_parts=False).components["direct"]
+    return decide_transport_effects(scene, capture, large, seed=5), float(direct.sum())
 
 
 @pytest.mark.parametrize("how", CAPTURES)

@@ -182,8 +182,8 @@ def test_the_summary_states_the_distance_within_which_objects_are_detected() -> 
     assert evidence_by_kind(placed(sigma[shuffled].tolist(), away[shuffled].tolist())) == [box]
     for others in (placed([9.0] * 20, away.tolist()), placed(sigma[1:].tolist(), away[1:].tolist()),
                    placed(sigma[::-1].tolist(), away.tolist()), placed(sigma.tolist(), [np.nan] * 20)):  # fmt: skip
-        (told,) = evidence_by_kind(others)
-        assert np.isnan(told.within_m) and "away" not in evidence_lines([told])[0]
+        (box,) = evidence_by_kind(others)
+        assert np.isnan(box.within_m) and "away" not in evidence_lines([box])[0]
 
 
 def test_the_summary_of_kinds() -> None:

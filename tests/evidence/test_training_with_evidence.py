@@ -41,7 +41,7 @@ def test_labels_without_light_cost_a_network_that_believes_them() -> None:
     blind = made["square_error"](torch.full_like(kept.depth, made["mean_depth"](train)), kept)
     assert errors[WEIGHTED] < 0.2 * blind[seen].mean()
     assert errors[WEIGHTED] < 0.9 * errors[PLAIN] and errors[OVER] < 0.9 * errors[PLAIN]
-    # Nobody can know these; to be told of it is what evidence is for.
+    # Without light no network can know the depth.
     assert blind[~seen].mean() == pytest.approx(1.2**2 / 12, rel=0.2)
 
 

@@ -40,12 +40,12 @@ def test_the_plan_says_what_a_build_takes(config: Path, tmp_path: Path, capsys: 
                   "2 workers", "2 of 2 scenes", "seconds per scene", "bytes per scene", "actual"):  # fmt: skip
         assert piece in text, piece
     values = json.loads(numbers.read_text())
-    expected, held = values["forecast"], {row["name"]: row for row in values["against"]}
+    expected, compared = values["forecast"], {row["name"]: row for row in values["against"]}
     assert expected["scenes"] == 3 and expected["workers"] == 2 and expected["pilots"] == 3
     assert expected["build_s"] > 0 and expected["startup_s"] > 0 and values["machine"]["cores"] >= 1
     # All three scenes were pilots, so error and size are those of the dataset.
     for name, off in (("relative error", 1e-6), ("bytes per scene", 0.1)):
-        assert held[name]["predicted"] == pytest.approx(held[name]["actual"], rel=off), name
+        assert compared[name]["predicted"] == pytest.approx(compared[name]["actual"], rel=off), name
 
 
 @pytest.mark.parametrize(
