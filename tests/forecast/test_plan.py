@@ -1,16 +1,18 @@
-"""The command `datagen plan` on a tiny configuration."""
+"""The command `datagen plan` on a tiny configuration, and the time limit of a scene."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from datasets import write_dataset
 
 from datagen.cli import run
-from datagen.config import load_config
-from datagen.forecast.text import duration
+from datagen.config import config_from_mapping, load_config
+from datagen.errors import InputError
+from datagen.forecast.text import AT_LEAST_S, PILOTS_WORTH, duration, scene_limit
 
 CONFIG = """
 name: tiny
@@ -74,3 +76,14 @@ def test_bad_input_is_one_line(
 )
 def test_durations_for_people(seconds: float, text: str) -> None:
     assert duration(seconds) == text
+
+
+def test_the_limit_is_given_or_follows_the_longest_pilot(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = config_from_mapping({})
+    assert scene_limit("2.5", config) == 2.5
+    with pytest.raises(InputError, match="--scene-seconds soon: must be a number of seconds, or forecast"):
+        scene_limit("soon", config)
+    for longest, limit in ((0.01, AT_LEAST_S), (60.0, 5.0 + 60.0 * PILOTS_WORTH)):
+        pilots = SimpleNamespace(startup_s=5.0, scene_s=(0.001, 0.002, longest))
+        monkeypatch.setattr("datagen.forecast.text.make_forecast", lambda _, pilots=pilots: pilots)
+        assert scene_limit("forecast", config) == limit
