@@ -27,31 +27,31 @@ def build_from(
     fields: tuple[str, ...] | None = None, seed: int = 0, settings: Mapping[str, Any] | None = None, workers: int = 1,
     progress: bool = True,
 ) -> BuildResult:  # fmt: skip
-    """Build a dataset of your own scenes: light, counts and labels as for a configured one, and no YAML.
+    """Build a dataset of your own scenes: light, counts and labels as for a configured dataset, without YAML.
 
     Parameters
     ----------
-    scenes : each a `Scene`; or (`Scene`, `Capture`), with a capture of its own; or (`Scene`, `Capture`, transient):
-        what another simulator made of it, (L, P, T) expected photons at the aperture per emitted photon, of which
-        counts and labels are made (its laser points are then taken to be the laser's targets).
-    path : the folder to make, or to go on with: the same scenes again resume a build.
-    capture : of scenes without one of their own, the same for all, or a function of the scene. All captures of a
-        dataset have one shape, one time axis and one pairing.
-    fields : what to store; left out: histogram, transient, and depth where every scene has a `hidden_view`.
+    scenes : each is a `Scene`; or (`Scene`, `Capture`), with a capture of its own; or (`Scene`, `Capture`, transient)
+        with a transient (L, P, T) of another simulator, in expected photons at the aperture per emitted photon.
+        Counts and labels are then made for this transient, and the laser's targets are taken as its laser points.
+    path : the folder of the dataset; the same call again resumes a build.
+    capture : the capture of all scenes without one of their own, or a function of the scene that returns it. All
+        captures of a dataset have one shape, one time axis and one pairing.
+    fields : what to store; left out: histogram, transient, and depth if every scene has a `hidden_view`.
     seed : of the light's samples and of the counts; a sample is a function of (seed, its number, its scene).
     settings : further sections of a configuration as plain values, such as `{"transport": {"target": 0.05},
         "detector": {"cycles": 10**6}, "labels": {"rows": 32}, "name": "mine"}`.
-    workers, progress : as of `build`.
+    workers, progress : as for `build`.
 
     Raises
     ------
-    InputError : no scenes, captures that differ in shape or times, settings that are none, another dataset at `path`.
+    InputError : no scenes, captures that differ in shape or times, invalid settings, another dataset at `path`.
     CheckError : scenes failed (all others are there), or the disk refused.
 
-    The dataset is read, verified and exported like any other; `show` and `preview` draw what is stored. What would
-    draw its rooms again, such as `export --format glb`, says that it cannot.
+    The dataset is read, verified and exported like any other; `show` and `preview` draw what is stored. Commands that
+    would draw its rooms again, such as `export --format glb`, say that they cannot.
 
-    A script that calls it needs `if __name__ == "__main__":`, as with all of Python's pools.
+    A script that calls `build_from` needs `if __name__ == "__main__":`, as with all of Python's pools.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def build_from(
         raise InputError("scenes: none given; a dataset needs at least one")
     config = _config(given, fields, seed, dict(settings or {}))
     with tempfile.TemporaryDirectory(prefix="datagen-") as folder:
-        # Each worker reads the scenes that it makes, and no others.
+        # One file a scene: a worker reads only the scenes that it makes.
         for number, item in enumerate(given):
             (Path(folder) / str(number)).write_bytes(pickle.dumps(item))
         return build(config, path, workers, progress=progress, sample_function=GivenSamples(folder))
@@ -83,7 +83,7 @@ def build_from(
 
 @dataclass(frozen=True)
 class Given:
-    """The input of one sample: a scene, its capture, and its transient where another simulator made that."""
+    """The input of one sample: a scene, its capture, and its transient if another simulator made it (else None)."""
 
     scene: Scene
     capture: Capture
@@ -106,7 +106,7 @@ class Given:
 
 @dataclass(frozen=True)
 class GivenSamples:
-    """The sample function of given scenes, one pickled file each in `folder`, which lasts as long as the build."""
+    """The sample function of given scenes. `folder` has a pickled file for each scene, as long as the build lasts."""
 
     folder: str
 
@@ -117,7 +117,8 @@ class GivenSamples:
 
 
 def _given(number: int, item: object, capture: Capture | Callable[[Scene], Capture] | None) -> Given:
-    scene, own, transient = item if isinstance(item, tuple) and len(item) == 3 else (*_pair(item), None)
+    parts: Any = item if isinstance(item, tuple) else (item,)
+    scene, own, transient = (*parts, None, None)[:3] if 1 <= len(parts) <= 3 else (item, None, None)
     if not isinstance(scene, Scene):
         raise InputError(f"scenes[{number}]: a {type(scene).__name__}, not a Scene or (Scene, Capture, …)")
     found = own if own is not None else capture(scene) if callable(capture) else capture
@@ -135,18 +136,14 @@ def _given(number: int, item: object, capture: Capture | Callable[[Scene], Captu
 
 
 def _with_digest(item: Given) -> Scene:
-    """The scene with its digest as a parameter. Splits recognise a room by its parameters, and would take two scenes
-    without any for one room."""
+    """The scene with its digest as a parameter. Splits recognise a room by its parameters; without the digest, all
+    scenes without parameters would count as one room."""
     digest = replace(item, transient=None).digest[:16]
     return replace(item.scene, parameters={**item.scene.parameters, "given.scene": digest})
 
 
-def _pair(item: Any) -> tuple[Any, Any]:
-    return item if isinstance(item, tuple) and len(item) == 2 else (item, None)
-
-
 def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, settings: dict[str, Any]) -> DatasetConfig:
-    """The configuration that the dataset states: the digest of the scenes, and the capture of the first."""
+    """The configuration that the dataset states: the digest of the scenes, and the capture of the first scene."""
     first = given[0].capture
     for number, item in enumerate(given):
         other = item.capture
