@@ -174,9 +174,7 @@ def build(
                     _compile(running, workers, sample_function, config, shown)
                 manifest = store.prepare(root, config)
                 output.begin(manifest)
-                jobs = _Jobs(
-                    config, output, manifest, running, sample_function, accept_mixed, scene_seconds, shown
-                )  # fmt: skip
+                jobs = _Jobs(config, output, manifest, running, sample_function, accept_mixed, scene_seconds, shown)
                 kept = jobs.run(wanted, there)
             records = store.committed(root, manifest)
             complete = len(records) == manifest.schema.shards
@@ -219,7 +217,7 @@ def _check_no_failures(records: Iterable[store.ShardRecord], scenes: int) -> Non
 
 def _noise_line(config: DatasetConfig, records: Iterable[store.ShardRecord]) -> str:
     """A warning if the median error of the transients exceeds `NOISY`; "" if it does not, or is unknown."""
-    stated = [scene.parameters.get("transient.relative_error") for of in records for scene in of.scenes]
+    stated = [scene.parameters.get("transient.relative_error") for record in records for scene in record.scenes]
     errors = [float(error) for error in stated if isinstance(error, int | float) and math.isfinite(error)]
     if not errors or (median := statistics.median(errors)) <= NOISY:
         return ""

@@ -95,7 +95,8 @@ class Given:
         s, c = self.scene, self.capture
         values = (s.part_names, s.materials, s.roles, dict(s.parameters), s.attenuation_per_m, c.time, c.pairing)
         poses = [(name, pose.label, pose.axes.tolist()) for name, pose in sorted(s.poses.items())]
-        views = [of and [v.tolist() for v in (of.center, of.right, of.up)] for of in (s.relay_wall, s.hidden_view)]
+        faces = s.relay_wall, s.hidden_view
+        views = [face and [v.tolist() for v in (face.center, face.right, face.up)] for face in faces]
         sight = c.illumination, c.sensor.aperture_radius_m, c.sensor.finite_aperture
         hashed = hashlib.sha256(repr((values, poses, views, sight)).encode())
         arrays: list[NDArray[Any] | None] = [s.vertices, s.triangles, s.face_part, s.hidden_bounds, self.transient]
@@ -157,15 +158,16 @@ def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, setti
     for name in ("scene", "capture", "seed", "scenes"):
         if name in settings:
             raise InputError(f"settings: {name!r} follows from the scenes and captures given; leave it out")
-    fields = fields or ("histogram", "transient", *(("depth",) if all(of.scene.hidden_view for of in given) else ()))
-    if any(name in BACKGROUND_FIELDS for name in fields) and any(of.transient is not None for of in given):
+    labels = ("depth",) if all(item.scene.hidden_view for item in given) else ()
+    fields = fields or ("histogram", "transient", *labels)
+    if any(name in BACKGROUND_FIELDS for name in fields) and any(item.transient is not None for item in given):
         raise InputError("fields: a background is simulated, and a transient given tells nothing of it; leave it out")
-    classes = {name for of in given for name in classes_in(of.scene)}
+    classes = {name for item in given for name in classes_in(item.scene)}
     layout = {
         "kind": "given",
-        "digest": hashlib.sha256("".join(of.digest for of in given).encode()).hexdigest(),
+        "digest": hashlib.sha256("".join(item.digest for item in given).encode()).hexdigest(),
         "classes": sorted(classes),
-        "most_objects": max(1, *(len(of.scene.objects) for of in given)),
+        "most_objects": max(1, *(len(item.scene.objects) for item in given)),
     }
     time, pixels = first.time, first.shape[1]
     capture: dict[str, Any] = {

@@ -67,5 +67,5 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
             sample = simulate_sample(self._config, scene)
             values = {name: encoded(field, sample.arrays[name]) for name, field in self._fields.items()}
             values |= {name: values[name].astype(np.float32) for name in COUNTS if name in values}
-            item = {name: torch.from_numpy(np.ascontiguousarray(of)) for name, of in values.items()}
+            item = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in values.items()}
             yield item | {"scene": torch.tensor(scene)}

@@ -127,7 +127,9 @@ def _made_lines(manifest: Manifest) -> list[str]:
     files = manifest.imported
     if not files:
         return [f"- seed {manifest.seed}; each scene depends on (seed, scene index) only"]
-    shown = [f"- scene {scene}: `{of.name}` ({of.format}), SHA-256 `{of.sha256}`" for scene, of in enumerate(files)]
+    shown = [
+        f"- scene {scene}: `{file.name}` ({file.format}), SHA-256 `{file.sha256}`" for scene, file in enumerate(files)
+    ]
     more = [f"- and {len(shown) - _MOST_FILES} more, see `dataset.json`"] if len(shown) > _MOST_FILES else []
     given = manifest.config["scene"]["layout"]["options"]
     said = ", ".join(f"{name} {_option(value)}" for name, value in given.items() if value is not None)
@@ -178,8 +180,8 @@ def _split_lines(table: pa.Table) -> list[str]:
 def _stats_lines(manifest: Manifest) -> list[str]:
     """A table with mean and standard deviation of each field in the split `train`, for the normalisation of
     inputs."""
-    of = (manifest.stats or {}).get("train", {})
-    rows = [f"| `{name}` | {s['mean']:.6g} | {s['std']:.6g} | {s['nonzero']:.4g} |" for name, s in of.items()]
+    fields = (manifest.stats or {}).get("train", {})
+    rows = [f"| `{name}` | {s['mean']:.6g} | {s['std']:.6g} | {s['nonzero']:.4g} |" for name, s in fields.items()]
     head = [
         "## Mean and spread",
         "",

@@ -68,8 +68,8 @@ def _origin(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
         f"{manifest.hardware['cores']} cores",
     ]
     if files:
-        kinds = ", ".join(dict.fromkeys(of.format for of in files))
-        names = ", ".join(of.name for of in files[:3])
+        kinds = ", ".join(dict.fromkeys(file.format for file in files))
+        names = ", ".join(file.name for file in files[:3])
         lines.append(f"imported     from {len(files)} files ({kinds}): {names}{', …' if len(files) > 3 else ''}")
     differences = mixed([record.environment for record in records])
     return lines + [f"mixed        shards differ in {difference}" for difference in differences]
@@ -123,18 +123,18 @@ def _covered(intervals: list[tuple[float, float]]) -> float:
 
 def _accuracy(made: Parameters) -> list[str]:
     """Lines with the transients' relative L2 errors, the scenes that met their target, and the transport's costs."""
-    errors = [float(of["transient.relative_error"]) for of in made if "transient.relative_error" in of]
+    errors = [float(scene["transient.relative_error"]) for scene in made if "transient.relative_error" in scene]
     if not errors:
         return []
     lines = [f"relative error of the transients: median {statistics.median(errors):.4f}, largest {max(errors):.4f}"]
-    targeted = [bool(of["transient.target_met"]) for of in made if "transient.target_met" in of]
+    targeted = [bool(scene["transient.target_met"]) for scene in made if "transient.target_met" in scene]
     if targeted:
         lines.append(
             f"  target met in {sum(targeted)} of {len(targeted)} scenes (upper bounds of the error, at 95 %)"
         )
     shares: dict[str, list[float]] = {}
-    for of in made:
-        for name, value in of.items():
+    for scene in made:
+        for name, value in scene.items():
             if name.startswith("transport.spend.") and name.endswith(".share"):
                 shares.setdefault(name.split(".")[2], []).append(float(value))
     if shares:
@@ -153,8 +153,8 @@ def _evidence(made: Parameters) -> list[str]:
 def _decisions(made: Parameters) -> list[str]:
     """A line for each parameter `decision.*`, with the number of scenes that have each of its values."""
     counted: dict[str, Counter[str]] = {}
-    for of in made:
-        for name, value in of.items():
+    for scene in made:
+        for name, value in scene.items():
             if name.startswith("decision."):
                 counted.setdefault(name.removeprefix("decision."), Counter())[str(value)] += 1
     lines = [
@@ -167,12 +167,12 @@ def _decisions(made: Parameters) -> list[str]:
 def _effects(made: Parameters) -> list[str]:
     """A line for each effect: the scenes in which it was simulated or left out, and the range of its estimates."""
     lines = []
-    for name in dict.fromkeys(name.split(".")[1] for of in made for name in of if name.startswith("effect.")):
-        there = [of for of in made if of.get(f"effect.{name}.kind", "absent") != "absent"]
+    for name in dict.fromkeys(name.split(".")[1] for scene in made for name in scene if name.startswith("effect.")):
+        there = [scene for scene in made if scene.get(f"effect.{name}.kind", "absent") != "absent"]
         if not there:
             continue
-        on = sum(bool(of[f"effect.{name}.on"]) for of in there)
-        estimates = [float(of[f"effect.{name}.estimate"]) for of in there if f"effect.{name}.estimate" in of]
+        on = sum(bool(scene[f"effect.{name}.on"]) for scene in there)
+        estimates = [float(scene[f"effect.{name}.estimate"]) for scene in there if f"effect.{name}.estimate" in scene]
         span = f"{min(estimates):9.2g} … {max(estimates):.2g}" if estimates else ""
         lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}  {span}".rstrip())
     head = f"{'effects (scenes)':27}{'simulated':>9}{'left out':>10}    leaving out changes the answer by ≤"

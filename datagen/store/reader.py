@@ -65,7 +65,7 @@ class Part:
         """The shape of the part."""
         return *map(len, self.axes), self.last.stop - self.last.start
 
-    def of(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+    def cut(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """A copy of this part of a whole value."""
         taken: NDArray[np.generic] = values[..., self.last][np.ix_(*self.axes)] if self.axes else values[self.last]
         return np.ascontiguousarray(taken)
@@ -117,7 +117,7 @@ class DatasetReader:
             scene = scenes[row]
             if not field.sharded:
                 value = self._small(field, scene)
-                out[row] = value if part is None else part.of(value)
+                out[row] = value if part is None else part.cut(value)
             elif is_kept:
                 out[row] = self._keep((name, scene, part), lambda: self._value(field, scene, part))
             else:
@@ -175,7 +175,7 @@ class DatasetReader:
             self._decode_part(field, scene, part, out)
         elif part is not None or out.dtype != _stored(field):
             value = self._value(field, scene, None)
-            out[...] = value if part is None else part.of(value)
+            out[...] = value if part is None else part.cut(value)
         else:
             for place in product(*map(range, chunk_grid(field))):
                 frame = self._chunk(field, scene, place)
@@ -296,7 +296,7 @@ class DatasetReader:
             self._records[shard] = {
                 name: (
                     record.files[shard_file(field, shard)].bytes,
-                    [None if of.failure else bytes.fromhex(of.digests[name]) for of in record.scenes],
+                    [None if scene.failure else bytes.fromhex(scene.digests[name]) for scene in record.scenes],
                 )
                 for name, field in self._fields.items()
             }

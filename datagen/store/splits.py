@@ -19,8 +19,8 @@ NOT_OF_THE_ROOM = (
 )  # fmt: skip
 """Prefixes of parameters that do not describe the room: two scenes that differ in these alone show the same room."""
 _BLOCK = 10
-"""Of ten rooms in a row each has its random number in another tenth of 0 … 1, so that small datasets have all splits,
-too. With half as many rooms, a split of a tenth would be missing in some blocks."""
+"""Ten rooms in a row have their random numbers in ten different tenths of 0 … 1, so that small datasets have all
+splits, too. With half as many rooms, a split of a tenth would be missing in some blocks."""
 
 
 def splits_of(scenes: Sequence[Parameters | None], splits: SplitsConfig) -> list[str | None]:
@@ -30,13 +30,13 @@ def splits_of(scenes: Sequence[Parameters | None], splits: SplitsConfig) -> list
     and a room keeps its split when the dataset grows.
     """
     first: dict[tuple[tuple[str, Scalar], ...], int] = {}
-    rooms = [first.setdefault(_room(of), scene) if of else scene for scene, of in enumerate(scenes)]
+    rooms = [first.setdefault(_room(scene), index) if scene else index for index, scene in enumerate(scenes)]
     share = _shares(len(scenes))[rooms]
     ends = np.cumsum(splits.shares)[:-1] - 1e-9
     dealt = np.searchsorted(ends, share, side="right")
     return [
-        None if of is None else _held_out(of, splits) or BY_SHARE[number]
-        for of, number in zip(scenes, dealt, strict=True)
+        None if scene is None else _held_out(scene, splits) or BY_SHARE[number]
+        for scene, number in zip(scenes, dealt, strict=True)
     ]
 
 

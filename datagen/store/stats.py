@@ -48,7 +48,7 @@ def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
         # numpy's log1p rounds differently on different processors.
         logs = np.array([math.log1p(count) for count in counts.tolist()])
         weighed = times * logs
-        mean, square = (math.fsum(of.tolist()) / size for of in (weighed, weighed * logs))
+        mean, square = (math.fsum(terms.tolist()) / size for terms in (weighed, weighed * logs))
     else:
         exact = found.astype(np.float64)
         mean, square = (_sum(x) / size for x in (exact, exact * exact))
@@ -70,6 +70,6 @@ def together(scenes: Sequence[FieldStats]) -> dict[str, float]:
     value."""
     if not scenes:
         raise ValueError("no scenes")
-    mean, nonzero = (math.fsum(getattr(of, name) for of in scenes) / len(scenes) for name in ("mean", "nonzero"))
-    square = math.fsum(of.std * of.std + of.mean * of.mean for of in scenes) / len(scenes)
+    mean, nonzero = (math.fsum(getattr(one, name) for one in scenes) / len(scenes) for name in ("mean", "nonzero"))
+    square = math.fsum(one.std * one.std + one.mean * one.mean for one in scenes) / len(scenes)
     return asdict(FieldStats(mean, math.sqrt(max(square - mean * mean, 0.0)), nonzero))

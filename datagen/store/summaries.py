@@ -108,11 +108,11 @@ def _within_m(sigma: Floats, away_m: Floats) -> float:
 def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
     """A line for each kind, with its significance and how to raise it."""
     lines = []
-    for of in kinds:
-        line = f"{of.kind}: {of.median:.2g} σ in the median of {of.objects}, {of.under_3:.0%} under {LEAST:g} σ"
-        if of.exposure_factor > 1:
-            ways = [f"{of.exposure_factor:.2g} × the exposure" if of.exposure_factor < 1e6 else "no exposure"]
-            ways += [] if math.isnan(of.within_m) else [f"at most {of.within_m:.2g} m away,"]
+    for k in kinds:
+        line = f"{k.kind}: {k.median:.2g} σ in the median of {k.objects}, {k.under_3:.0%} under {LEAST:g} σ"
+        if k.exposure_factor > 1:
+            ways = [f"{k.exposure_factor:.2g} × the exposure" if k.exposure_factor < 1e6 else "no exposure"]
+            ways += [] if math.isnan(k.within_m) else [f"at most {k.within_m:.2g} m away,"]
             line += f"; {', or '.join(ways)} would bring {SHARE:.0%} over"
         lines.append(line)
     return lines
@@ -121,7 +121,7 @@ def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
 def placed_anew_lines(scenes: Parameters) -> list[str]:
     """One line on how many scenes had their objects placed again for `evidence_at_least`; no line without that
     key."""
-    times = [int(of[PLACED_ANEW]) for of in scenes if isinstance(of.get(PLACED_ANEW), int)]  # type: ignore[call-overload]
+    times = [value for scene in scenes if isinstance(value := scene.get(PLACED_ANEW), int)]
     if not times:
         return []
     share, mean = sum(count > 0 for count in times) / len(times), sum(times) / len(times)
@@ -135,8 +135,8 @@ def label_place_line(scenes: Parameters) -> str:
     """One sentence on where label images lie relative to the scan; "" for datasets before version 0.14, which do not
     store it."""
     shifts = []
-    for of in scenes:
-        right, up = (of.get(name) for name in SCAN_PLACE)
+    for parameters in scenes:
+        right, up = (parameters.get(name) for name in SCAN_PLACE)
         if isinstance(right, float) and isinstance(up, float):
             shifts.append((abs(right), abs(up)))
     if not shifts:

@@ -79,15 +79,15 @@ def table_bytes(table: pa.Table) -> bytes:
 def stats_by_split(table: pa.Table) -> dict[str, dict[str, dict[str, float]]]:
     """Split → field → `mean`, `std`, `nonzero` over the values of all its scenes."""
     splits = table["split"].to_pylist()
-    rows = {name: [row for row, of in enumerate(splits) if of == name] for name in dict.fromkeys(splits) if name}
+    rows = {name: [row for row, split in enumerate(splits) if split == name] for name in {*splits} if name}
     return {name: stats_of_rows(table.take(here)) for name, here in sorted(rows.items())}
 
 
 def stats_of_rows(table: pa.Table) -> dict[str, dict[str, float]]:
     """Field → `mean`, `std`, `nonzero` over the values of all scenes of a table without failures."""
-    names = [name.split(".")[1] for name in table.column_names if re.fullmatch(r"stats\.\w+\.mean", name)]
-    columns = {name: [f"stats.{name}.{quantity}" for quantity in QUANTITIES] for name in names}
-    found = {name: table.select(of).drop_null().to_pylist() for name, of in columns.items()}
+    fields = [name.split(".")[1] for name in table.column_names if re.fullmatch(r"stats\.\w+\.mean", name)]
+    columns = {name: [f"stats.{name}.{quantity}" for quantity in QUANTITIES] for name in fields}
+    found = {name: table.select(names).drop_null().to_pylist() for name, names in columns.items()}
     stats = {
         name: [FieldStats(**{key.rpartition(".")[2]: value for key, value in row.items()}) for row in rows]
         for name, rows in found.items()

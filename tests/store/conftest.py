@@ -13,7 +13,7 @@ from datagen.building.build import build
 
 @pytest.fixture(scope="session")
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What an uninterrupted build with one worker leaves; not to be changed."""
+    """The dataset of an uninterrupted build with one worker. Tests must not change it."""
     root = tmp_path_factory.mktemp("pristine") / "set"
     result = build(small_config(), root, progress=False, sample_function=fake_sample)
     assert (result.built, result.kept, result.complete) == (3, 0, True)
@@ -22,5 +22,5 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def dataset(pristine: Path, tmp_path: Path) -> Path:
-    """A copy of that dataset, to be harmed."""
+    """A copy of that dataset, which a test may damage."""
     return shutil.copytree(pristine, tmp_path / "set")

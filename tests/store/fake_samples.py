@@ -104,13 +104,6 @@ def waits_for_another(config: DatasetConfig, index: int) -> Sample:
     return fake_sample(config, index)
 
 
-def too_many_counts(config: DatasetConfig, index: int) -> Sample:
-    sample = fake_sample(config, index)
-    if index == 2:
-        sample.arrays["histogram"][0, 0, 3] = 70000  # type: ignore[index]
-    return sample
-
-
 def leaves_at_5(config: DatasetConfig, index: int) -> Sample:
     if index == 5:
         sys.exit("enough")

@@ -24,7 +24,6 @@ from fake_samples import (
     fake_sample,
     large_config,
     small_config,
-    too_many_counts,
     waits_for_another,
 )
 
@@ -154,7 +153,7 @@ def test_a_dataset_grows_and_keeps_its_scenes(tmp_path: Path) -> None:
         quiet_build(small_config(scenes=6), root)
 
 
-def test_another_configuration_is_refusal_and_nothing_changes(whole: dict[str, bytes], dataset: Path) -> None:
+def test_another_configuration_is_refused_and_nothing_changes(whole: dict[str, bytes], dataset: Path) -> None:
     root = dataset
     with pytest.raises(InputError, match=r"capture\.time\.bins = 16, this configuration has 17"):
         quiet_build(small_config(capture={"scan": {"rows": 2, "columns": 2}, "time": {"bins": 17}}), root)
@@ -166,7 +165,7 @@ def test_another_configuration_is_refusal_and_nothing_changes(whole: dict[str, b
     assert content(root) == whole
 
 
-def test_foreign_folders_are_refusal_and_stay_as_they_are(tmp_path: Path) -> None:
+def test_folders_of_other_files_are_refused_and_stay_as_they_are(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(InputError, match=r"thesis\.tex.*no dataset\.json"):
         quiet_build(small_config(), tmp_path)
@@ -177,7 +176,7 @@ def test_foreign_folders_are_refusal_and_stay_as_they_are(tmp_path: Path) -> Non
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["dataset.json", "other", "thesis.tex"]
 
 
-def test_outputs_that_cannot_be_written_are_refusal(tmp_path: Path) -> None:
+def test_outputs_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
     with pytest.raises(InputError, match="is a file, not a folder"):
@@ -189,7 +188,7 @@ def test_outputs_that_cannot_be_written_are_refusal(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_refusal_input_creates_nothing(tmp_path: Path) -> None:
+def test_bad_input_creates_nothing(tmp_path: Path) -> None:
     def refuse(config: DatasetConfig) -> None:
         raise InputError("scene: no such room")
 
@@ -216,12 +215,6 @@ def test_a_failing_scene_is_recorded_and_the_others_are_built(tmp_path: Path) ->
     assert "no room for the box" in (root / "README.md").read_text()
     result = quiet_build(small_config(), root)
     assert result.built == 1 and verify(root).problems == ()  # type: ignore[attr-defined]
-
-
-def test_counts_beyond_the_dtype_are_an_error_not_a_wrap(tmp_path: Path) -> None:
-    with pytest.raises(CheckError, match=r"scene 2: field 'histogram': 70000 lies outside 0 … 65535 of uint16"):
-        # An error of a worker arrives as it was raised there.
-        quiet_build(small_config(), tmp_path / "set", 2, sample_function=too_many_counts)
 
 
 def test_a_build_where_every_scene_fails_stops_early(tmp_path: Path) -> None:
@@ -279,7 +272,7 @@ def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest
     assert (root / "build/shard-000000.json").read_bytes() == made, "a shard made meanwhile is not made again"
 
 
-def test_what_a_record_commits_is_on_the_disk_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_are_on_the_disk_before_their_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Power may fail at any moment: before a shard's record has its name, it and the shard's files are synced."""
     synced: set[int] = set()
     committed = []
@@ -302,7 +295,7 @@ def test_what_a_record_commits_is_on_the_disk_before(tmp_path: Path, monkeypatch
 
 @contextmanager
 def files_no_longer_than(size: int) -> Iterator[None]:
-    """As on a full disk."""
+    """A limit that acts like a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:

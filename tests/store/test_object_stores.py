@@ -102,7 +102,7 @@ def items(path: str | Path) -> list[dict[str, torch.Tensor]]:
     return [data[i] for i in range(len(data))]
 
 
-def test_what_is_built_there_is_what_is_built_here(bucket: Bucket, local: Path, tmp_path: Path) -> None:
+def test_a_dataset_in_a_store_equals_one_in_a_folder(bucket: Bucket, local: Path, tmp_path: Path) -> None:
     result = built()
     assert result.complete and str(result.path) == ADDRESS
     assert verify(ADDRESS, deep=True).problems == () and dataset_digest(ADDRESS) == dataset_digest(local)
@@ -123,7 +123,7 @@ def test_what_is_built_there_is_what_is_built_here(bucket: Bucket, local: Path, 
 
 
 @pytest.mark.parametrize("puts", [6, 17, *(pytest.param(n, marks=pytest.mark.nightly) for n in (1, 11))])
-def test_an_interrupted_upload_is_taken_up(
+def test_an_interrupted_upload_is_resumed(
     bucket: Bucket, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, puts: int
 ) -> None:
     """Whatever the last object was; with the folder that shards were made in, and (odd numbers) without."""
@@ -150,7 +150,7 @@ def test_an_interrupted_upload_is_taken_up(
     assert verify(ADDRESS, deep=True).problems == () and dataset_digest(ADDRESS) == dataset_digest(local)
 
 
-def test_damage_there_is_told_and_mended(bucket: Bucket) -> None:
+def test_damage_in_the_store_is_reported_and_repaired(bucket: Bucket) -> None:
     built()
     shard, record = bucket / "data.zarr/histogram/c/1/0/0/0", bucket / "build/shard-000000.json"
     sound = shard.read_bytes()
@@ -169,7 +169,7 @@ def test_damage_there_is_told_and_mended(bucket: Bucket) -> None:
     assert verify(ADDRESS, deep=True).problems == ()
 
 
-def test_what_is_sent_to_a_worker_reads_there(bucket: Bucket) -> None:
+def test_a_dataset_sent_to_a_worker_reads_from_the_store(bucket: Bucket) -> None:
     built()
     data = TransientDataset(ADDRESS, ("histogram",))
     sent = pickle.loads(pickle.dumps(data))
@@ -191,12 +191,12 @@ def test_what_is_sent_to_a_worker_reads_there(bucket: Bucket) -> None:
         ("gs://rooms/set", "must be s3://bucket/name"),
     ],
 )
-def test_addresses_that_are_none(address: str, why: str) -> None:
+def test_invalid_addresses_are_refused(address: str, why: str) -> None:
     with pytest.raises(InputError, match=why):
         location_of(address)
 
 
-def test_others_are_left_alone(bucket: Bucket, tmp_path: Path) -> None:
+def test_other_objects_are_left_alone(bucket: Bucket, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such dataset"):
         info(f"{ADDRESS}/nothing")
     with pytest.raises(CheckError, match=r"s3://nowhere/set.*look at the address"):
