@@ -402,6 +402,7 @@ class _Jobs:
             raise CheckError(f"{stops}; scene {scene}: {reason}")
 
     def _job(self, shard: int) -> ShardJob:
+        """The job of a shard. If all scenes of a divided shard are made, it contains them."""
         scenes = self.schema.scenes_of(shard)
         skip = {scene: self.given_up[scene] for scene in scenes if scene in self.given_up}
         root, fingerprint = self.root.resolve(), self.manifest.fingerprint

@@ -118,6 +118,7 @@ class GivenSamples:
 
 
 def _given(number: int, item: object, capture: Capture | Callable[[Scene], Capture] | None) -> Given:
+    """The input of sample `number`, from an item of `scenes`, after checks."""
     parts: Any = item if isinstance(item, tuple) else (item,)
     scene, own, transient = (*parts, None, None)[:3] if 1 <= len(parts) <= 3 else (item, None, None)
     if not isinstance(scene, Scene):

@@ -46,6 +46,7 @@ def start_imports(*modules: str) -> None:
 
 
 def _ensure_server() -> None:
+    """Start the server process if it is not running, with the environment of a worker."""
     from multiprocessing import forkserver, resource_tracker
 
     # Before the block: Python up to 3.12 unblocks Ctrl-C when it has started its tracker of semaphores.
@@ -54,10 +55,12 @@ def _ensure_server() -> None:
         with _environment(ONE_THREAD), _interrupt_blocked():
             forkserver.ensure_running()
     except OSError as error:
-        folder = tempfile.gettempdir()
+        # Only an address that is too long for a socket has no number.
+        if error.errno is not None:
+            raise
         raise InputError(
-            f"TMPDIR: workers cannot be started, since their socket lies in {folder} ({error}); set TMPDIR to a "
-            "shorter path, such as /tmp"
+            f"TMPDIR: workers cannot be started, since their socket lies in {tempfile.gettempdir()} ({error}); set "
+            "TMPDIR to a shorter path, such as /tmp"
         ) from None
 
 
@@ -178,6 +181,7 @@ def _terminate(*_: object) -> NoReturn:
 
 
 def _die_with(sentinel: int) -> None:
+    """Wait until the parent process is gone, then end this process."""
     from multiprocessing.connection import wait
 
     wait([sentinel])

@@ -162,6 +162,7 @@ def _begin(job: ShardJob, running: int, index: int) -> None:
 
 
 def _samples(job: ShardJob, running: int, scenes: Iterable[int] | None = None) -> Iterator[tuple[int, Sample | str]]:
+    """(index, sample or reason) of some scenes of a shard (None: of all), one after the other."""
     for index in job.schema.scenes_of(job.shard) if scenes is None else scenes:
         _begin(job, running, index)
         if index in job.skip:

@@ -71,6 +71,7 @@ def write_hub(scenes: Scenes, out: Path) -> list[Path]:
 
 
 def _check_limits(root: Path, files: list[Path]) -> None:
+    """Raise `InputError` if a dataset has more files than the Hub accepts."""
     folder, most = max(Counter(path.parent for path in files).items(), key=lambda found: found[1])
     shards = max((len(list(path.iterdir())) for path in root.glob("data.zarr/*/c")), default=0)
     if len(files) > MOST_FILES or max(most, shards) > MOST_IN_A_FOLDER:
@@ -133,6 +134,7 @@ def _pictures(scene: SceneContent) -> dict[str, bytes]:
 
 
 def _thumbnail(scene: SceneContent) -> NDArray[np.float64]:
+    """(row, column) image of the measurement of a scene."""
     try:
         m = measurement(scene)
     except InputError:
@@ -155,6 +157,7 @@ def _streaks(values: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _png(image: NDArray[Any], colors: str) -> bytes:
+    """A PNG of an image in the colours of a colormap; NaN becomes transparent."""
     from matplotlib import colormaps
     from matplotlib.image import imsave
 

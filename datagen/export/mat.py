@@ -46,6 +46,7 @@ def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> N
 
 
 def _confocal_grid(m: Measurement, place: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    """Variables of a confocal grid; `place` is its `lattice`."""
     # Columns × rows with y ascending → rows from the top × columns.
     order = place.T[::-1]
     points = m.seen_points[order]
@@ -69,6 +70,7 @@ def _legs_s(m: Measurement, lit: Floats, seen: Floats) -> Floats:
 
 
 def _pairs(m: Measurement) -> dict[str, NDArray[Any]]:
+    """Variables of a list of pairs, with all times shifted to count from the wall."""
     lasers, pixels, bins = m.values.shape
     lit = m.laser_points if m.paired else np.repeat(m.laser_points, pixels, axis=0)
     seen = m.seen_points if m.paired else np.tile(m.seen_points, (lasers, 1))

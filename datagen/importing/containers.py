@@ -113,6 +113,7 @@ def hdf5_content(path: Path, wanted: tuple[str, ...], matlab: bool = False) -> C
 
 
 def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
+    """A variable of an open file as numbers or text; None if it is empty. Raises as `hdf5_content` does."""
     lib = h5py()
     if not isinstance(file.get(name, getlink=True), lib.HardLink):
         raise InputError(f"{path}: {name}: is a link to somewhere else; copy what it stands for into the file")

@@ -16,20 +16,19 @@ K1, K2 = 0.01, 0.03
 
 
 def intersection_over_union(found: Bools, true: Bools) -> float:
-    """|A ∩ B| / |A ∪ B| of two sets of pixels or voxels; NaN where both are empty."""
+    """|A ∩ B| / |A ∪ B| of two sets of pixels or voxels; NaN if both are empty."""
     union = np.count_nonzero(found | true)
     return np.count_nonzero(found & true) / union if union else float("nan")
 
 
-def ssim(found: Floats, true: Floats, value_range: float = 1.0) -> float:
-    """Mean structural similarity of two images (row, column).
+def ssim(found: Floats, true: Floats) -> float:
+    """Mean structural similarity of two images (row, column) with values in 0 … 1.
 
-    SSIM = (2 μx μy + c1)(2 σxy + c2) / ((μx² + μy² + c1)(σx² + σy² + c2)), c1 = (0.01 L)², c2 = (0.03 L)², L the
-    range of values, under a Gaussian window of 11 × 11 pixels (σ = 1.5), mirrored at the border; its mean over all
-    pixels.
+    SSIM = (2 μx μy + c1)(2 σxy + c2) / ((μx² + μy² + c1)(σx² + σy² + c2)), c1 = 0.01², c2 = 0.03²,
+    under a Gaussian window of 11 × 11 pixels (σ = 1.5), mirrored at the border; its mean over all pixels.
     Wang, Bovik, Sheikh, Simoncelli, IEEE Trans. Image Processing 13(4), 600 (2004), Eq. 13.
     """
-    c1, c2 = (K1 * value_range) ** 2, (K2 * value_range) ** 2
+    c1, c2 = K1**2, K2**2
 
     def mean(image: Floats) -> Floats:
         blurred: Floats = gaussian_filter(image, WINDOW, mode="reflect", radius=REACH)

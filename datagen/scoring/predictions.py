@@ -113,6 +113,7 @@ def _rows(where: str, scene: NDArray[Any], truth: Truth) -> NDArray[np.intp]:
 
 
 def _checked(where: str, name: str, given: NDArray[Any], count: int, rows: NDArray[np.intp], truth: Truth) -> Floats:
+    """A predicted quantity in float64, the rows of the scenes of `truth` only. Raises as `read_predictions` does."""
     if given.dtype.kind not in "fiub":
         raise InputError(f"{where} is {given.dtype}; must be numbers")
     image, volume = truth.depth.shape[1:], None if truth.occupancy is None else truth.occupancy.shape[1:]

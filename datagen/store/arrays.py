@@ -52,6 +52,7 @@ COORDINATES = (f"{GROUP}/bin/zarr.json", f"{GROUP}/bin/c/0")
 
 
 def _create_arrival_times(group: zarr.Group, time: TimeConfig) -> None:
+    """Create the coordinate `bin`: the arrival time of the middle of each bin, ps."""
     origin = "laser emission" if time.origin == "source" else "the laser point, without the legs of the device"
     middles = 1000.0 * time.start_ns + time.bin_width_ps * (np.arange(time.bins) + 0.5)
     # Readers that turn units of time into dates do not know "ps", so the numbers stay numbers.
@@ -91,6 +92,7 @@ def shard_content(field: Field, values: NDArray[np.generic], scenes_per_shard: i
 
 
 def _create(group: zarr.Group, field: Field, schema: Schema) -> zarr.Array[Any]:
+    """Create the array of a field in a Zarr group, with its codecs and attributes."""
     k, dtype = schema.scenes_per_shard, np.dtype(field.dtype)
     # Low counts have mostly zero bits; bitshuffle puts these together. Floats have only their exponents in common,
     # and for those shuffling by bytes is enough.

@@ -220,6 +220,7 @@ def _class_lines(schema: Schema) -> list[str]:
 
 
 def _time_lines(capture: dict[str, Any]) -> list[str]:
+    """A line on the time axis and the pairing."""
     axis, pairing = capture["time"], capture["pairing"]
     start, width = f"{axis['start_ns']:g}", f"{axis['bin_width_ps'] / 1000:g}"
     origin = "laser emission" if axis["origin"] == "source" else "the laser point (device legs left out)"

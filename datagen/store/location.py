@@ -113,6 +113,7 @@ class Bucket:
             raise self._refusal(error) from None
 
     def _request(self, what: str, *arguments: Any, **options: Any) -> Any:
+        """The answer of a function of obstore, or an error with one line for the user."""
         if _forked:
             raise CheckError(
                 f"{self}: connections to object stores do not survive a fork; start workers anew, as by "

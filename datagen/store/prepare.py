@@ -126,6 +126,7 @@ def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
 
 
 def _resumed(root: Path, config: DatasetConfig) -> Manifest:
+    """The manifest of an existing dataset, with the scenes of this configuration. Raises as `planned` does."""
     if not (root / MANIFEST).is_file():
         first = sorted(path.name for path in root.iterdir())[0]
         raise DamagedManifest(
@@ -150,6 +151,7 @@ def _resumed(root: Path, config: DatasetConfig) -> Manifest:
 
 
 def _check_same(root: Path, old: Manifest, config: DatasetConfig) -> None:
+    """Raise `InputError`, which names the first difference, unless a dataset was made with this configuration."""
     if config.fingerprint() == old.fingerprint:
         return
     new = config.model_dump(mode="json", exclude={*WITHOUT_EFFECT})

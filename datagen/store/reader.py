@@ -277,6 +277,7 @@ class DatasetReader:
             raise self._fault(field, shard, None, f"cannot be opened ({error.strerror})") from None
 
     def _check_digest(self, field: Field, scene: int, value: NDArray[np.generic]) -> None:
+        """Compare a scene's value with the digest in its record, unless that was done before."""
         seen = self._seen[field.name]
         if not self._check or seen[scene]:
             return

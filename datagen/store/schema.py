@@ -183,6 +183,7 @@ def _scenes_per_shard(fields: tuple[Field, ...], scenes: int) -> int:
 
 
 def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
+    """The sharded fields that the configuration stores: measurements, label images and volumes."""
     measured = config.capture.shape
     image, volume = (config.labels.rows, config.labels.columns), config.labels.voxels
     imported = isinstance(config.scene.layout, ImportedCaptures)
@@ -249,6 +250,7 @@ def _object_tables(config: DatasetConfig) -> tuple[Field, ...]:
 
 
 def _presence(config: DatasetConfig) -> tuple[Field, ...]:
+    """The field of the label `presence`, if the configuration stores it."""
     if "presence" not in config.store.fields:
         return ()
     meaning = (
@@ -260,6 +262,7 @@ def _presence(config: DatasetConfig) -> tuple[Field, ...]:
 
 
 def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
+    """The fields that say where laser, sensor, relay wall and hidden part are; every dataset has them."""
     lasers, pixels = config.capture.scan.laser_points, config.capture.shape[1]
     all_pixels = lasers if config.capture.pairing == "confocal" else pixels
     rectangle = ("scene", "vector", "axis")

@@ -137,6 +137,7 @@ def read_table(root: Location, columns: Sequence[str] | None, scenes: int) -> pa
 
 
 def _column(scenes: Sequence[SceneRecord], name: str) -> pa.Array:
+    """A parameter of all scenes as a column: of booleans, integers, floats, or else texts."""
     values: list[Scalar | None] = [scene.parameters.get(name) for scene in scenes]
     present = [value for value in values if value is not None]
     kinds = {bool if isinstance(value, bool) else type(value) for value in present}

@@ -126,6 +126,7 @@ def _metadata_problems(root: Location, manifest: Manifest) -> Iterator[str]:
 
 
 def _shard_problems(root: Location, manifest: Manifest, record: ShardRecord, deep: bool) -> Iterator[str]:
+    """Problems of the files and scenes of a committed shard."""
     wrong = record.mismatch(manifest.schema, manifest.fingerprint) or record.problem(root)
     if wrong is not None:
         yield f"shard {record.shard}: {wrong}"
@@ -143,6 +144,7 @@ def _shard_problems(root: Location, manifest: Manifest, record: ShardRecord, dee
 
 
 def _summary_problems(root: Location, manifest: Manifest, records: Sequence[ShardRecord]) -> Iterator[str]:
+    """Problems of the files that a complete dataset has beside its arrays."""
     if not (root / TABLE).is_file():
         yield f"{TABLE}: missing; build again to write it"
         return

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -69,6 +68,16 @@ def slow_sample(config: DatasetConfig, index: int) -> Sample:
     return fake_sample(config, index)
 
 
+def changed_at_5(change: Callable[[Sample], Any]) -> Callable[[DatasetConfig, int], Any]:
+    """A sample function whose fifth sample is what `change` returns."""
+
+    def sample(config: DatasetConfig, index: int) -> Any:
+        made = fake_sample(config, index)
+        return change(made) if index == 5 else made
+
+    return sample
+
+
 def fails_at_5(config: DatasetConfig, index: int) -> Sample:
     if index == 5:
         raise ValueError("no room\nfor the box")
@@ -102,30 +111,6 @@ def waits_for_another(config: DatasetConfig, index: int) -> Sample:
     while len(list(folder.glob("*.pid"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
     return fake_sample(config, index)
-
-
-def leaves_at_5(config: DatasetConfig, index: int) -> Sample:
-    if index == 5:
-        sys.exit("enough")
-    return fake_sample(config, index)
-
-
-def no_depth_at_5(config: DatasetConfig, index: int) -> Sample:
-    sample = fake_sample(config, index)
-    if index == 5:
-        del sample.arrays["depth"]  # type: ignore[attr-defined]
-    return sample
-
-
-def nothing_at_5(config: DatasetConfig, index: int) -> Sample:
-    return None if index == 5 else fake_sample(config, index)  # type: ignore[return-value]
-
-
-def odd_parameter_at_5(config: DatasetConfig, index: int) -> Sample:
-    sample = fake_sample(config, index)
-    if index == 5:
-        sample.parameters["odd"] = [1, 2]  # type: ignore[index]
-    return sample
 
 
 def hangs_at_5(config: DatasetConfig, index: int) -> Sample:

@@ -20,7 +20,6 @@ from fake_samples import (
     always_fails,
     dies_at_5,
     dies_once_at_5,
-    fails_at_5,
     fake_sample,
     large_config,
     small_config,
@@ -204,17 +203,6 @@ def test_bad_input_creates_nothing(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=message):
             quiet_build(small_config(), tmp_path / "a/b", workers, **options)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_failing_scene_is_recorded_and_the_others_are_built(tmp_path: Path) -> None:
-    root = tmp_path / "set"
-    with pytest.raises(CheckError, match=r"1 of 12 scenes.*scene 5: ValueError: no room for the box"):
-        quiet_build(small_config(), root, sample_function=fails_at_5)
-    problems = verify(root).problems
-    assert len(problems) == 1 and problems[0].startswith("scene 5: could not be made: ValueError")
-    assert "no room for the box" in (root / "README.md").read_text()
-    result = quiet_build(small_config(), root)
-    assert result.built == 1 and verify(root).problems == ()  # type: ignore[attr-defined]
 
 
 def test_a_build_where_every_scene_fails_stops_early(tmp_path: Path) -> None:

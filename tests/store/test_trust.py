@@ -4,21 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from fake_samples import (
-    deaf_at_5,
-    fails_at_5,
-    fake_sample,
-    hangs_at_5,
-    leaves_at_5,
-    no_depth_at_5,
-    nothing_at_5,
-    odd_parameter_at_5,
-    reseal,
-    small_config,
-)
+from fake_samples import changed_at_5, deaf_at_5, fails_at_5, fake_sample, hangs_at_5, reseal, small_config
 
 from datagen.building.build import BuildResult, build
 from datagen.config import DatasetConfig
@@ -184,10 +175,10 @@ def test_a_worker_with_other_versions_makes_no_shard(tmp_path: Path, monkeypatch
 @pytest.mark.parametrize(
     ("sample", "why"),
     [
-        (leaves_at_5, "SystemExit: enough"),
-        (no_depth_at_5, "field 'depth': missing"),
-        (nothing_at_5, "not a sample: AttributeError"),
-        (odd_parameter_at_5, "parameter odd: list made"),
+        (changed_at_5(lambda _: sys.exit("enough")), "SystemExit: enough"),
+        (changed_at_5(lambda made: replace(made, arrays={})), "field 'histogram': missing"),
+        (changed_at_5(lambda _: None), "not a sample: AttributeError"),
+        (changed_at_5(lambda made: replace(made, parameters={"odd": [1, 2]})), "parameter odd: list made"),
     ],
 )
 def test_a_bad_sample_costs_only_its_scene(tmp_path: Path, sample: object, why: str) -> None:
@@ -203,8 +194,9 @@ def test_only_scenes_that_failed_are_tried_anew(pristine: Path, tmp_path: Path) 
         tried.append(index)
         return (fails_at_5 if len(tried) < 4 else fake_sample)(config, index)
 
-    with pytest.raises(CheckError):
+    with pytest.raises(CheckError, match=r"1 of 12 scenes.*scene 5: ValueError: no room for the box"):
         again(root, sample_function=fails_at_5)
+    assert "no room for the box" in (root / "README.md").read_text()
     record = (root / "build/shard-000001.json").read_bytes()
     with pytest.raises(CheckError, match="scene 5"):
         again(root, sample_function=counted)
