@@ -6,16 +6,14 @@ import shutil
 from pathlib import Path
 
 import pytest
-from fake_samples import fake_sample, small_config
-
-from datagen.building.build import build
+from fake_samples import build_fakes, small_config
 
 
 @pytest.fixture(scope="session")
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The dataset of an uninterrupted build with one worker. Tests must not change it."""
     root = tmp_path_factory.mktemp("pristine") / "set"
-    result = build(small_config(), root, progress=False, sample_function=fake_sample)
+    result = build_fakes(small_config(), root)
     assert (result.built, result.kept, result.complete) == (3, 0, True)
     return root
 

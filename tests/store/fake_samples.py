@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from datagen.building.build import BuildResult, build
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.records import Sample
@@ -50,6 +51,11 @@ def reseal(path: Path, change: Callable[[Any], object]) -> None:
     del values["checksum"]
     change(values)
     path.write_bytes(sealed(values))
+
+
+def build_fakes(config: DatasetConfig, root: str | Path, workers: int = 1, **options: Any) -> BuildResult:
+    """Build silently, by `fake_sample` unless `options` name another sample function."""
+    return build(config, root, workers, **{"progress": False, "sample_function": fake_sample} | options)
 
 
 def fake_sample(config: DatasetConfig, index: int) -> Sample:

@@ -15,7 +15,7 @@ from pathlib import Path
 import kills
 import pytest
 from damage import COLUMNS, HARMS, damaged, files_of, harmed, read, sample, small_dataset, told
-from fake_samples import fails_at_5, fake_sample, small_config
+from fake_samples import build_fakes, fails_at_5, small_config
 from here_and_now import one_worker_here
 
 from datagen.building.build import build
@@ -107,7 +107,7 @@ def kills_between_steps(steps: Iterator[int], folder: Path, mending: bool) -> Ou
     """A build, or (`mending`) one that tries a scene anew, makes a damaged shard again and restores dataset.json,
     is gone at each of the steps, those that there are."""
     due, harmed_one, outcome = folder / "due", folder / "harmed", Outcome()
-    kills.whole_build(due, SHORT)
+    build_fakes(SHORT, due)
     if mending:
         with suppress(CheckError):
             build(SHORT, harmed_one, progress=False, sample_function=fails_at_5)
@@ -115,7 +115,7 @@ def kills_between_steps(steps: Iterator[int], folder: Path, mending: bool) -> Ou
         (harmed_one / "data.zarr/histogram/c/0/0/0/0").write_bytes(b"")
     for step in steps:
         root = shutil.copytree(harmed_one, folder / "set") if mending else folder / "set"
-        resume = partial(kills.whole_build, root, SHORT)
+        resume = partial(build_fakes, SHORT, root)
         if not kills.killed_at(step, resume):
             break
         outcome += after_a_kill(root, resume, due, 1)
@@ -126,14 +126,14 @@ def kills_between_steps(steps: Iterator[int], folder: Path, mending: bool) -> Ou
 def kills_of_processes(what: str, number: int, folder: Path, rng: random.Random) -> Outcome:
     """One of `kills.KILLED`, at random moments. A build that lost workers goes on; one that is gone is run again."""
     due, config, outcome = folder / "due", kills.many_shards(), Outcome()
-    kills.whole_build(due, config)
+    build_fakes(config, due)
     for done, running in kills.killed_builds(what, number, folder, rng):
         status, said = running.ended()
         if what.endswith("worker") and status != 0 and "worker processes died over it" not in said:
             # A scene over which two workers died is given up, told, and tried anew by the next build.
             print(f"{what} killed, and the build ended: {said.strip()}")
             outcome["lost"] += done
-        resume = partial(build, config, running.root, progress=False, sample_function=fake_sample)
+        resume = partial(build_fakes, config, running.root)
         outcome += after_a_kill(running.root, resume, due, done, said)
     return outcome
 

@@ -16,7 +16,6 @@ from typing import Any
 
 from fake_samples import fake_sample, small_config
 
-from datagen.building.build import build
 from datagen.config import DatasetConfig
 from datagen.records import Sample
 
@@ -167,7 +166,3 @@ def killed_builds(what: str, kills: int, folder: Path, rng: random.Random) -> It
             yield in_this, running
         else:
             running.ended()
-
-
-def whole_build(root: Path, config: DatasetConfig) -> None:
-    build(config, root, progress=False, sample_function=fake_sample)

@@ -15,12 +15,13 @@ from collections.abc import Iterator
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
-from fake_samples import fake_sample, small_config
+from fake_samples import build_fakes, small_config
 
-from datagen.building.build import BuildResult, build
+from datagen.building.build import BuildResult
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
@@ -86,14 +87,14 @@ def two_shards(seed: int = 3) -> DatasetConfig:
     return small_config(scenes=8, seed=seed)
 
 
-def built(config: DatasetConfig | None = None, **options: object) -> BuildResult:
-    return build(config or two_shards(), ADDRESS, progress=False, sample_function=fake_sample, **options)  # type: ignore[arg-type]
+def built(config: DatasetConfig | None = None, **options: Any) -> BuildResult:
+    return build_fakes(config or two_shards(), ADDRESS, **options)
 
 
 @pytest.fixture(scope="module")
 def local(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("local") / "set"
-    build(two_shards(), root, progress=False, sample_function=fake_sample)
+    build_fakes(two_shards(), root)
     return root
 
 

@@ -11,13 +11,12 @@ import pytest
 import torch
 import zarr
 from datasets import write_dataset
-from fake_samples import fake_sample, reseal, small_config
+from fake_samples import build_fakes, fake_sample, reseal, small_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import datagen as dg
-from datagen.building.build import build
 from datagen.errors import InputError
 from datagen.store import verify
 from datagen.store.stats import QUANTITIES, FieldStats, stats_of, together
@@ -84,17 +83,17 @@ def test_statistics_are_those_of_a_split(dataset: Path) -> None:
 
 
 def test_statistics_are_verified_and_kept(dataset: Path, tmp_path: Path) -> None:
-    build(small_config(), tmp_path / "set", progress=False, sample_function=fake_sample)
+    build_fakes(small_config(), tmp_path / "set")
     described = tmp_path / "set/dataset.json"
     content, when = described.read_bytes(), described.stat().st_mtime_ns
-    build(small_config(), tmp_path / "set", progress=False, sample_function=fake_sample)
+    build_fakes(small_config(), tmp_path / "set")
     assert (described.read_bytes(), described.stat().st_mtime_ns) == (content, when)
     reseal(described, lambda values: values["stats"]["train"]["depth"].update(mean=7.0))
     found = verify(tmp_path / "set").problems
     assert found[0] == "dataset.json: its stats differ from what the commit records say" and len(found) == 2
-    build(small_config(), tmp_path / "set", progress=False, sample_function=fake_sample)
+    build_fakes(small_config(), tmp_path / "set")
     assert described.read_bytes() == content and verify(tmp_path / "set").problems == ()
-    build(small_config(), tmp_path / "set", scenes=24, progress=False, sample_function=fake_sample)
+    build_fakes(small_config(), tmp_path / "set", scenes=24)
     assert described.read_bytes() != content and verify(tmp_path / "set").problems == ()
 
 

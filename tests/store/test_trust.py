@@ -7,11 +7,21 @@ import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
-from fake_samples import changed_at_5, deaf_at_5, fails_at_5, fake_sample, hangs_at_5, reseal, small_config
+from fake_samples import (
+    build_fakes,
+    changed_at_5,
+    deaf_at_5,
+    fails_at_5,
+    fake_sample,
+    hangs_at_5,
+    reseal,
+    small_config,
+)
 
-from datagen.building.build import BuildResult, build
+from datagen.building.build import BuildResult
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
@@ -19,9 +29,8 @@ from datagen.store import committed, read_manifest, verify
 from datagen.store.verify import dataset_digest
 
 
-def again(root: Path, config: DatasetConfig | None = None, workers: int = 1, **options: object) -> BuildResult:
-    made = {"progress": False, "sample_function": fake_sample} | options
-    return build(config or small_config(), root, workers, **made)  # type: ignore[arg-type]
+def again(root: Path, config: DatasetConfig | None = None, **options: Any) -> BuildResult:
+    return build_fakes(config or small_config(), root, **options)
 
 
 def flip(path: Path, place: int, bit: int = 0) -> None:

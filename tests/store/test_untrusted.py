@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fake_samples import fake_sample, reseal, small_config
+from fake_samples import build_fakes, reseal, small_config
 
-from datagen.building.build import build
 from datagen.cli import run
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
@@ -26,7 +25,7 @@ from datagen.store.info import info
 @pytest.fixture(scope="module")
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("untrusted") / "set"
-    build(small_config(scenes=5), root, progress=False, sample_function=fake_sample)
+    build_fakes(small_config(scenes=5), root)
     return root
 
 
@@ -187,7 +186,7 @@ def test_millions_of_missing_shards_are_one_line(dataset: Path) -> None:
     with pytest.raises(InputError, match=r"24999999 of 25000000 shards are not committed, the first is 1"):
         TransientDataset(dataset)
     with pytest.raises(InputError, match="must be ≥ 1 and ≤ 100000000"):
-        build(small_config(), dataset.parent / "new", scenes=10**12, progress=False, sample_function=fake_sample)
+        build_fakes(small_config(), dataset.parent / "new", scenes=10**12)
 
 
 def test_a_chunk_that_claims_more_than_it_holds_is_refused(dataset: Path) -> None:
@@ -233,7 +232,7 @@ def test_a_build_follows_no_link_out_of_its_folder(dataset: Path, tmp_path: Path
         (dataset / "data.zarr/depth/c/0/0/0").write_bytes(b"mine")
     before = snapshot(outside.parent if inside != "data.zarr/depth/c/0" else outside)
     with pytest.raises(InputError, match="is a symbolic link"):
-        build(small_config(scenes=5), dataset, progress=False, sample_function=fake_sample)
+        build_fakes(small_config(scenes=5), dataset)
     # Found before anything is touched, but for what only the writer of a shard looks at.
     assert snapshot(outside.parent if inside != "data.zarr/depth/c/0" else outside) == before
 
@@ -243,17 +242,17 @@ def test_a_build_writes_through_no_link_that_stands_in_for_a_file_of_its_own(dat
     outside.write_text("years of work")
     (dataset / f"README.md.{os.getpid()}.partial").symlink_to(outside)
     (dataset / "README.md").unlink()
-    build(small_config(scenes=5), dataset, progress=False, sample_function=fake_sample)
+    build_fakes(small_config(scenes=5), dataset)
     (dataset / "build/shard-000000.running").symlink_to(outside)
     (dataset / "build/shard-000000.json").unlink()
     with pytest.raises(CheckError, match=r"shard-000000\.running"):
-        build(small_config(scenes=5), dataset, progress=False, sample_function=fake_sample)
+        build_fakes(small_config(scenes=5), dataset)
     assert outside.read_text() == "years of work"
 
 
 def test_a_dataset_may_be_a_link_itself(dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(dataset)
-    build(small_config(scenes=5), tmp_path / "link", progress=False, sample_function=fake_sample)
+    build_fakes(small_config(scenes=5), tmp_path / "link")
     assert verify(tmp_path / "link").problems == ()
 
 
@@ -266,12 +265,7 @@ def test_no_escape_sequence_reaches_a_terminal_or_the_card(
     for command in ("verify", "info"):
         run([command, str(dataset)])
     run(["info", str(tmp_path / evil)])
-    build(
-        small_config(scenes=1, name=evil, description=evil),
-        tmp_path / "new",
-        progress=False,
-        sample_function=fake_sample,
-    )
+    build_fakes(small_config(scenes=1, name=evil, description=evil), tmp_path / "new")
     shown = "".join(capsys.readouterr()) + (tmp_path / "new/README.md").read_text(encoding="utf-8")
     assert "owned" in shown and not [c for c in shown if c != "\n" and not c.isprintable()]
 
