@@ -1,4 +1,4 @@
-"""Baselines, with which the scores on a suite can be compared: `datagen baseline`."""
+"""Baselines: methods whose scores on a suite others can be compared with: `datagen baseline`."""
 
 from datagen.baselines.predict import BASELINES, write_baseline
 

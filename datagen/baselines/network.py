@@ -1,4 +1,4 @@
-"""A small network: a hidden layer of 64 between all bins and all pixels."""
+"""A small network: one hidden layer between all bins and all pixels."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ HIDDEN = 64
 EPOCHS = 40
 BATCH = 32
 RATE = 3e-3
+"""Units of the hidden layer, epochs, scenes a batch, and learning rate. Any other value, such as half, gives another
+baseline, whose scores are not comparable."""
 THRESHOLDS = np.linspace(0.05, 0.95, 19)
-"""Probabilities above which a pixel (or voxel) may count as an object; the one is taken with which silhouettes (or
-volumes) overlap best in the split val."""
+"""Candidates for the probability above which a pixel (or voxel) counts as an object. The candidate is chosen whose
+silhouettes (or volumes) overlap best in the split val; half as many would miss the best overlap by more."""
 
 
 def small_network(outputs: int) -> torch.nn.Sequential:
@@ -34,7 +36,8 @@ def small_network(outputs: int) -> torch.nn.Sequential:
 
 
 class Normalized(torch.nn.Module):
-    """A network for log(1 + counts) less their mean over training scenes, over their standard deviation."""
+    """A network whose input is log(1 + counts) minus its mean over the training scenes, divided by its standard
+    deviation."""
 
     def __init__(self, train: torch.Tensor, outputs: int, seed: int) -> None:
         super().__init__()
@@ -50,18 +53,19 @@ class Normalized(torch.nn.Module):
 
 
 def predicted(train: SuiteScenes, val: SuiteScenes, wanted: SuiteScenes, seed: int) -> dict[str, NDArray[Any]]:
-    """`depth`, `mask` and `occupancy` of the scenes `wanted`, by three networks that are trained alike.
+    """`depth`, `mask` and `occupancy` of the scenes `wanted`, from three networks that are trained in the same way.
 
-    Depth is learnt where an object is seen, less its mean over the training scenes; silhouettes and voxels are learnt
-    as the probability of an object. For each network the epoch with the least loss in the split val is taken.
+    The first learns depth minus its mean over the training scenes, at pixels of objects only; the others learn the
+    probability that a pixel or a voxel shows an object. Of each network the epoch with the least loss in the split
+    val is taken.
     """
     mean = float(train.depth[train.mask].mean())
-    depth = _trained(train, val, lambda of: (of.depth - mean, of.mask), seed)
+    depth = _trained(train, val, lambda scenes: (scenes.depth - mean, scenes.mask), seed)
     found: dict[str, NDArray[Any]] = {
         "depth": np.maximum(mean + _applied(depth, wanted.histogram), 0.0).reshape(wanted.depth.shape)
     }
     for name in ("mask", "occupancy"):
-        model = _trained(train, val, lambda of, name=name: (getattr(of, name), None), seed)  # type: ignore[misc]
+        model = _trained(train, val, lambda scenes, name=name: (getattr(scenes, name), None), seed)  # type: ignore[misc]
         least = best_threshold(_applied(model, val.histogram), getattr(val, name).reshape(len(val.scene), -1))
         found[name] = (_applied(model, wanted.histogram) > least).reshape(getattr(wanted, name).shape)
     return found
@@ -70,10 +74,13 @@ def predicted(train: SuiteScenes, val: SuiteScenes, wanted: SuiteScenes, seed: i
 def _trained(
     train: SuiteScenes, val: SuiteScenes, due: Callable[[SuiteScenes], tuple[NDArray[Any], Bools | None]], seed: int
 ) -> Normalized:
-    """A network trained for the targets (scene, …) of `due`, in the mean square over the places that `due` names;
-    where it names none, the outputs are log odds of the targets."""
+    """A trained network.
+
+    due : returns, for scenes, the targets (scene, …) and the places at which the squared error counts. If the places
+        are None, the targets are 0 or 1 at all places, and the network learns their log odds.
+    """
     counts, unseen = torch.from_numpy(train.histogram), torch.from_numpy(val.histogram)
-    (target, weight), (val_target, val_weight) = (_flat(*due(of)) for of in (train, val))
+    (target, weight), (val_target, val_weight) = (_flat(*due(scenes)) for scenes in (train, val))
     model = Normalized(counts, target.shape[1], seed)
     optimizer = torch.optim.Adam(model.parameters(), lr=RATE)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, EPOCHS)
@@ -110,7 +117,7 @@ def _applied(model: Normalized, histogram: NDArray[np.float32]) -> Floats:
 
 
 def best_threshold(odds: Floats, there: Bools) -> float:
-    """The log odds, of `THRESHOLDS`, above which the places in `odds` (scene, place) overlap best with `there`."""
+    """The log odds, out of those of `THRESHOLDS`, above which `odds` (scene, place) overlaps best with `there`."""
     levels = np.log(THRESHOLDS / (1 - THRESHOLDS))
     overlaps = []
     for level in levels:

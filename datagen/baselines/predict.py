@@ -1,4 +1,4 @@
-"""The baselines: their predictions for a suite's test scenes, written in the form that `datagen score` reads."""
+"""The baselines, and their predictions for a split of a suite as a file that `datagen score` reads."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ from datagen.store.scenes import Scenes
 Predicted = dict[str, NDArray[Any]]
 
 LAYERS = 32
-"""Layers of the grid in which backprojection finds depth; half as many make depth twice as coarse."""
+"""Layers of the grid from which backprojection takes depth; half as many make depth twice as coarse."""
 BRIGHT = 0.5
-"""Fraction of the brightest voxel above which a voxel counts as an object; half of it makes objects larger."""
+"""Fraction of the brightest voxel's value above which a voxel counts as an object; half as much makes objects
+larger."""
 SMALLEST = 4
-"""The fewest pixels of an object; half as many keep patches of two pixels."""
+"""Least number of pixels of an object; half as many would keep patches of two pixels."""
 
 
 def mean_of_training(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predicted:
@@ -50,13 +51,14 @@ def _objects(train: SuiteScenes) -> int:
 
 
 def _most_often(sets: Bools) -> Bools:
+    """The places that most of `sets` (scene, …) contain, as many as a set has on average."""
     share = sets.mean(axis=0)
     most = np.sort(share, axis=None)[::-1][: max(1, round(float(share.sum())))]
     return np.asarray(share >= most[-1])
 
 
 def backprojection(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predicted:
-    """Filtered backprojection of each scene by itself: depth is that of the brightest voxel behind a pixel."""
+    """Predictions by filtered backprojection, scene by scene: depth is that of the brightest voxel behind a pixel."""
     root, rows = Scenes(wanted.root), []
     for number in wanted.scene:
         content = root.read(int(number))
@@ -70,13 +72,13 @@ def backprojection(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predic
         rows.append((
             behind.depths[seen.argmax(axis=0)], brightest > BRIGHT * brightest.max(), volume > BRIGHT * volume.max()
         ))  # fmt: skip
-    depth, mask, occupancy = (np.stack(of) for of in zip(*rows, strict=True))
+    depth, mask, occupancy = (np.stack(parts) for parts in zip(*rows, strict=True))
     centers = centers_of(depth, mask, wanted.view, _objects(train))
     return {"depth": depth, "mask": mask, "occupancy": occupancy, "centers": centers}
 
 
 def network(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predicted:
-    """A small network, trained on the suite's own training scenes."""
+    """Predictions by a small network that is trained on the suite's own training scenes."""
     from datagen.baselines.network import predicted
 
     found = predicted(train, suite_scenes(train.root, "val"), wanted, seed)
@@ -90,11 +92,11 @@ BASELINES: dict[str, Callable[[SuiteScenes, SuiteScenes, int], Predicted]] = {
 
 
 def write_baseline(method: str, suite: str | Path, out: str | Path, split: str = "test", seed: int = 0) -> Path:
-    """Predict the scenes of a suite's split, and write an `.npz` file that `datagen score` reads; returns its path.
+    """Predict the scenes of a split, and write an `.npz` file that `datagen score` reads; returns its path.
 
     method : `mean`, `backprojection` or `network`.
 
-    Raises `InputError` for an unknown method, no dataset, or one without the fields that are needed.
+    Raises `InputError` for an unknown method, and a folder that is no dataset or lacks fields that are needed.
     """
     if method not in BASELINES:
         raise InputError(f"METHOD = {method!r}: must be one of {', '.join(BASELINES)}")
@@ -102,26 +104,27 @@ def write_baseline(method: str, suite: str | Path, out: str | Path, split: str =
     if path.suffix != ".npz":
         raise InputError(f"OUT = {str(out)!r}: predictions are a NumPy archive; name a file that ends in .npz")
     train, wanted = suite_scenes(suite, "train"), suite_scenes(suite, split)
-    found = BASELINES[method](train, wanted, seed)
-    kept: dict[str, Any] = {name: of.astype("f4") if of.dtype.kind == "f" else of for name, of in found.items()}
+    arrays: dict[str, Any] = {"scene": wanted.scene}
+    for name, values in BASELINES[method](train, wanted, seed).items():
+        arrays[name] = values.astype("f4") if values.dtype.kind == "f" else values
     content = io.BytesIO()
-    np.savez_compressed(content, scene=wanted.scene, **kept)
+    np.savez_compressed(content, **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content.getvalue())
     return path
 
 
 def centers_of(depth: Floats, mask: Bools, view: Floats, least: int = 1) -> Floats:
-    """(N, K, 3) middle of each connected patch of a mask at its mean depth, label frame. Where a scene has fewer
+    """(N, K, 3) mean of the points of each connected patch of a mask, in the label frame. If a scene has fewer
     patches than `least`, patches are repeated; other missing rows are NaN.
 
     depth, mask : (N, row, column). view : (N, 2) half extents of the images, metres.
     """
     found = [_centers(*scene) for scene in zip(depth, mask, view, strict=True)]
     centers = np.full((len(found), max(least, *map(len, found)), 3), np.nan)
-    for row, of in zip(centers, found, strict=True):
-        if len(of):
-            row[: max(least, len(of))] = of[np.arange(max(least, len(of))) % len(of)]
+    for row, middles in zip(centers, found, strict=True):
+        if len(middles):
+            row[: max(least, len(middles))] = middles[np.arange(max(least, len(middles))) % len(middles)]
     return centers
 
 

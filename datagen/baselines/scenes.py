@@ -1,4 +1,4 @@
-"""The scenes of a suite as a baseline sees them."""
+"""The scenes of a suite in memory, for baselines."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ FIELDS = ("depth", "part_id", "object_part", "object_box_center", "occupancy", "
 
 @dataclass(frozen=True)
 class SuiteScenes:
-    """Scenes of one split.
+    """The scenes of one split.
 
     Attributes
     ----------
     root : the dataset.
-    scene : (N,) numbers.
+    scene : (N,) indices of the scenes.
     histogram : (N, laser, pixel, bin) counts.
-    depth, mask : (N, row, column) metres; whether an object is seen there.
-    occupancy : (N, depth, row, column) whether an object is there.
-    centers : (N, K, 3) of the objects, label frame, NaN in rows without one.
+    depth : (N, row, column) depth of the surface seen, metres.
+    mask : (N, row, column) whether a pixel shows an object.
+    occupancy : (N, depth, row, column) whether a voxel is inside an object.
+    centers : (N, K, 3) middles of the objects' boxes in the label frame; NaN in rows without an object.
     view : (N, 2) half width and half height of the images, metres.
     """
 
@@ -42,9 +43,9 @@ class SuiteScenes:
 
 
 def suite_scenes(root: str | Path, split: str) -> SuiteScenes:
-    """All scenes of a split, in memory.
+    """All scenes of a split.
 
-    Raises `InputError` for no dataset, no such split, or without the labels needed.
+    Raises `InputError` if `root` is no dataset, has no such split, or lacks labels that are needed.
     """
     data = TransientDataset(root, ("histogram",), split=split)
     missing = [name for name in FIELDS if name not in data.fields]
@@ -53,7 +54,7 @@ def suite_scenes(root: str | Path, split: str) -> SuiteScenes:
             f"{root}: has no {', '.join(missing)}; store.fields must have depth, part_id, occupancy, objects"
         )
     data = TransientDataset(root, ("histogram", *FIELDS), split=split)
-    batch = {name: of.numpy() for name, of in collate(data.__getitems__(range(len(data)))).items()}
+    batch = {name: values.numpy() for name, values in collate(data.__getitems__(range(len(data)))).items()}
     mask = objects_seen(batch["part_id"], batch["object_part"]) >= 0
     centers = np.where((batch["object_part"] >= 0)[..., None], batch["object_box_center"].astype(np.float64), np.nan)
     view = np.linalg.norm(batch["hidden_view"][:, 1:].astype(np.float64), axis=-1)

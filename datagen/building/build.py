@@ -1,8 +1,9 @@
 """Building a dataset: workers make shards and commit each with a record. Building again resumes.
 
-One job is one shard, or one scene of the last shards, which workers share. A shard has one writer; this process alone
-writes metadata. A sample depends on (dataset seed, scene index) only, and the division into shards on the
-configuration only: the bytes are the same for any number of workers, any engine, and any number of interruptions.
+A job makes one shard, or one scene of a shard: several workers share each of the last shards, so that none is idle.
+A shard has one writer; only this process writes metadata. A sample depends on (dataset seed, scene index) alone, and
+the division into shards on the configuration alone. So the bytes are the same for any number of workers, any engine,
+and any number of interruptions.
 """
 
 from __future__ import annotations
@@ -39,26 +40,26 @@ from datagen.records import Sample
 from datagen.records.checks import check_kind, numbers_of
 from datagen.store import upload
 from datagen.store.environment import made_with, mixed
-from datagen.store.location import Bucket, location_of
+from datagen.store.location import Bucket
 from datagen.store.manifest import MANIFEST, DamagedManifest
 from datagen.store.summaries import placed_anew_lines
 
 SampleFunction = Callable[[DatasetConfig, int], Sample]
 Task = tuple[int, int | None]
-"""A shard, and the one scene of it that is to be made; None: the whole shard."""
+"""A shard, and the scene of it that a job makes; None if the job makes the whole shard."""
 
 DEATHS_ALLOWED = 2
-"""A scene over which this many worker processes died is given up. With one, a worker that the machine killed for
-another's memory would cost its scene."""
+"""Worker processes that may die while they make the same scene; then the build gives that scene up. With one, a scene
+would be lost when the machine runs out of memory for another reason."""
 TICK_S = 0.5
-"""Seconds between two looks at how far workers are. With half as many the clock of the bar runs more smoothly."""
+"""Seconds between two updates of the progress bar. Half as many would only make its clock run more smoothly."""
 NOISY = 0.2
-"""Median relative error of a dataset's transients from which on a build says that they are noise: of data that are a
-fifth noise of the simulation, photon noise of an ordinary exposure is no longer the larger part. Half as much would
-speak up about what many a quick trial is made with."""
+"""Median relative error of a dataset's transients above which a build warns. At this error the noise of the
+simulation is no longer small beside the photon noise of an ordinary exposure. Half as much would warn about most
+quick trials."""
 HOPELESS = 8
-"""A build whose first so many scenes all failed stops: the rest would fail likewise. Half as many could be chance
-where rooms are hard to furnish."""
+"""A build stops if all of its first `HOPELESS` scenes fail, because the others would fail likewise. Half as many
+failures could be chance where rooms are hard to furnish."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +68,13 @@ class BuildResult:
 
     Attributes
     ----------
-    path : of the dataset: its folder, or its address in an object store.
-    scenes : in the dataset.
-    built, kept : shards made now, and found committed.
+    path : the dataset's folder, or its address in an object store.
+    scenes : number of scenes in the dataset.
+    built, kept : number of shards that this build made, and that an earlier build had committed.
     complete : whether every shard is there.
+    seconds : wall-clock time of this build.
     told : a sentence on scenes whose objects were placed anew for `evidence_at_least`; "" without that key.
-    noisy : a sentence that the simulated light is more than a fifth noise, with a remedy; "" where it is not.
+    noisy : a warning that more than a fifth of the simulated light is noise, with a remedy; "" if it is not.
     """
 
     path: Path | str
@@ -100,31 +102,33 @@ def build(
     sample_function: SampleFunction | None = None, input_check: Callable[[DatasetConfig], None] | None = None,
     accept_mixed: bool = False, scene_seconds: float | None = None,
 ) -> BuildResult:  # fmt: skip
-    """The outcome of building a dataset, or of going on with one. `TransientDataset` reads the dataset.
+    """Build a dataset, or resume building it; returns what was made. `TransientDataset` reads the dataset.
 
     Parameters
     ----------
-    config, path : what to make, and the folder to make or to go on with, or `s3://bucket/name`: then shards are made
-        in a local folder (below DATAGEN_STAGING, or ~/.cache) and put there one by one.
-    workers : processes, one core each. The bytes do not depend on it.
-    scenes : instead of `config.scenes`. An existing dataset may grow: its scenes stay as they are.
-    shards : only these, such as `"0-99"` or `"3,7-9"`, for job arrays; several such builds may run side by side.
+    config : what to make.
+    path : the folder of the dataset, new or to be resumed; or `s3://bucket/name`: then shards are made in a local
+        folder (below DATAGEN_STAGING, or ~/.cache) and uploaded one by one.
+    workers : number of processes, one core each. The bytes do not depend on it.
+    scenes : number of scenes, instead of `config.scenes`. An existing dataset may grow: its scenes stay as they are.
+    shards : make these shards only, such as `"0-99"` or `"3,7-9"`, for job arrays. Several such builds may run side
+        by side.
     engine : `local` processes, or `dask` with the address of a `scheduler` (none: a cluster on this machine).
     progress : report to standard error.
-    sample_function, input_check : what makes a sample, and what examines the configuration before anything is
-        created; left out, the whole simulation (`datagen.pipeline`). Must be importable by the workers.
-    accept_mixed : go on with a dataset that was made with other versions of libraries, or on another architecture:
-        the same seed may then give other bytes, which the card states.
+    sample_function : makes a sample of (configuration, scene index); workers must be able to import it. Left out: the
+        whole simulation (`datagen.pipeline`).
+    input_check : examines the configuration before anything is created. Left out: the check of the simulation.
+    accept_mixed : resume a dataset that was made with other versions of libraries, or on another architecture. The
+        same seed may then give other bytes, which the card states.
     scene_seconds : a scene that takes longer is given up (local workers only); compiling counts.
 
     Raises
     ------
-    InputError : the configuration cannot be simulated; the output is a file, unwritable, holds other files, another
-        dataset, shards made with other versions, or fewer scenes are asked for than it holds. Nothing has been
-        created or changed then.
+    InputError : the configuration cannot be simulated; the output is a file, unwritable, or holds other files,
+        another dataset, more scenes, or shards made with other versions. Nothing has been created or changed then.
     CheckError : scenes failed (all others are there), workers keep dying, or the disk refused.
 
-    A script that calls it with local workers needs `if __name__ == "__main__":`, as with all of Python's pools.
+    A script that calls `build` with local workers needs `if __name__ == "__main__":`, as with all of Python's pools.
 
     Examples
     --------
@@ -144,15 +148,13 @@ def build(
     check_engine(engine, workers, scheduler)
     if scenes is not None:
         config = config.with_scenes(scenes)
-    target = location_of(path)
-    bucket = target if isinstance(target, Bucket) else None
-    root = target if isinstance(target, Path) else upload.staging_of(target)
+    output = upload.Output.at(path)
+    root, is_simulated = output.folder, sample_function is None
     if engine == "local":
         start_imports(__name__, "datagen.pipeline" if sample_function is None else sample_function.__module__)
     with closing(Progress(progress)) as shown:
         shown.doing("checking the configuration")
-        if bucket is not None:
-            upload.fetch(root, bucket)
+        output.fetch()
         config = _with_exposure(root, config)
         plan = store.planned(root, config)
         store.check_writable(root)
@@ -160,7 +162,6 @@ def build(
         there = store.committed(root, plan, hashes=True)
         if not accept_mixed:
             _check_unmixed(root, there)
-        is_simulated = sample_function is None
         if sample_function is None:
             from datagen import pipeline
 
@@ -169,25 +170,16 @@ def build(
             input_check(config)
         try:
             with started(engine, workers, scheduler) as running:
-                compiles = is_simulated and first_use()
-                if compiles and workers == 1:
-                    shown.say("the first scene compiles, once after an installation")
-                elif compiles:
-                    # One worker fills the cache of compiled kernels, or each would compile all of them. An error of
-                    # this scene shows when the scene is built.
-                    compiling = running.submit(sample_function, config, 0)
-                    while not wait([compiling], TICK_S).done:
-                        shown.doing("compiling, once after an installation")
+                if is_simulated and first_use():
+                    _compile(running, workers, sample_function, config, shown)
                 manifest = store.prepare(root, config)
-                if bucket is not None:
-                    upload.begin(root, bucket, manifest)
-                state = _Build(config, root, manifest, running, sample_function, accept_mixed, scene_seconds, bucket)
-                kept = state.run(wanted, there, shown)
+                output.begin(manifest)
+                jobs = _Jobs(config, output, manifest, running, sample_function, accept_mixed, scene_seconds, shown)
+                kept = jobs.run(wanted, there)
             records = store.committed(root, manifest)
             complete = len(records) == manifest.schema.shards
             (store.finish if complete else store.write_card)(root, manifest, records)
-            if bucket is not None:
-                upload.finish_upload(root, bucket, records, complete)
+            output.finish(records, complete)
         except OSError as error:
             reason = error.strerror or error
             raise CheckError(f"{error.filename or root}: {reason}; mend that and build again to resume") from None
@@ -196,10 +188,21 @@ def build(
     if noisy:
         shown.say(noisy)
     return BuildResult(
-        path=root if bucket is None else str(bucket), scenes=manifest.schema.scenes, built=len(wanted) - kept,
+        path=output.shown, scenes=manifest.schema.scenes, built=len(wanted) - kept,
         kept=kept, complete=complete, seconds=time.monotonic() - began, noisy=noisy,
         told=" ".join(placed_anew_lines(scene.parameters for record in records for scene in record.scenes)),
     )  # fmt: skip
+
+
+def _compile(engine: Engine, workers: int, sample: SampleFunction, config: DatasetConfig, shown: Progress) -> None:
+    """Let one worker fill the cache of compiled kernels, or each of several would compile all of them."""
+    if workers == 1:
+        shown.say("the first scene compiles, once after an installation")
+        return
+    # An error of this scene shows when the scene is built.
+    compiling = engine.submit(sample, config, 0)
+    while not wait([compiling], TICK_S).done:
+        shown.doing("compiling, once after an installation")
 
 
 def _check_no_failures(records: Iterable[store.ShardRecord], scenes: int) -> None:
@@ -213,9 +216,8 @@ def _check_no_failures(records: Iterable[store.ShardRecord], scenes: int) -> Non
 
 
 def _noise_line(config: DatasetConfig, records: Iterable[store.ShardRecord]) -> str:
-    """A warning where the transients of the scenes are `NOISY` in the median; "" where they are not, or where their
-    error is unknown."""
-    stated = [scene.parameters.get("transient.relative_error") for of in records for scene in of.scenes]
+    """A warning if the median error of the transients exceeds `NOISY`; "" if it does not, or is unknown."""
+    stated = [scene.parameters.get("transient.relative_error") for record in records for scene in record.scenes]
     errors = [float(error) for error in stated if isinstance(error, int | float) and math.isfinite(error)]
     if not errors or (median := statistics.median(errors)) <= NOISY:
         return ""
@@ -232,8 +234,8 @@ def _noise_line(config: DatasetConfig, records: Iterable[store.ShardRecord]) -> 
 
 
 def _with_exposure(root: Path, config: DatasetConfig) -> DatasetConfig:
-    """The configuration with the exposure that reaches `detector.exposure_for`. An existing dataset keeps the one
-    that it was begun with: another search could find another one."""
+    """The configuration with the exposure that reaches `detector.exposure_for`. An existing dataset keeps the
+    exposure that it was begun with, because another search could find another one."""
     goal = config.detector.exposure_for
     if goal is None or not (root / MANIFEST).is_file():
         return with_exposure_found(config)
@@ -266,7 +268,7 @@ def _check_arguments(config: object, path: object, scene_seconds: float | None, 
 
 
 def _check_unmixed(root: Path, records: Iterable[store.ShardRecord]) -> None:
-    """Refuse to go on with shards that were made with what may give other bytes."""
+    """Refuse to resume if shards were made with versions, or on an architecture, that may give other bytes."""
     for record in records:
         for difference in mixed([record.environment, made_with()]):
             raise InputError(
@@ -277,106 +279,130 @@ def _check_unmixed(root: Path, records: Iterable[store.ShardRecord]) -> None:
 
 
 @dataclass
-class _Build:
-    """The loop over shards, and its memory of workers that died."""
+class _Jobs:
+    """The loop that hands out jobs and takes in their results.
+
+    Attributes
+    ----------
+    waiting : jobs to hand out, the next one first.
+    running : future → its job, and the scene that the job makes (None: the whole shard).
+    begun : shards that were handed out and are not committed. An interruption (Ctrl-C) may come after a job was
+        submitted and before its future is in `running`; the shard is in this set by then.
+    undivided : shards whose scenes come from one worker.
+    scenes_made : shard whose scenes come from several workers → the results of those scenes that are made.
+    finished, made, failed : scenes of committed shards in all, made by this build, and failed in this build.
+    deaths : scene → workers that died while they made it; −1 → workers in a row that died before any scene.
+    given_up : scene → why it is not tried again.
+    """
 
     config: DatasetConfig
-    root: Path
+    output: upload.Output
     manifest: store.Manifest
     engine: Engine
     sample_function: SampleFunction
     accept_mixed: bool
     scene_seconds: float | None
-    bucket: Bucket | None = None
+    progress: Progress
+    waiting: deque[Task] = field(default_factory=deque)
+    running: dict[Future[Any], tuple[ShardJob, int | None]] = field(default_factory=dict)
+    begun: set[int] = field(default_factory=set)
+    undivided: set[int] = field(default_factory=set)
+    scenes_made: dict[int, dict[int, bytes | str]] = field(default_factory=dict)
+    finished: int = 0
+    made: int = 0
+    failed: int = 0
     deaths: Counter[int] = field(default_factory=Counter)
-    """Scene → workers that died over it; −1 → workers in a row that died before any scene."""
     given_up: dict[int, str] = field(default_factory=dict)
-    shared: dict[int, dict[int, bytes | str]] = field(default_factory=dict)
-    """Shard whose scenes come from several workers → those of its scenes that are there."""
+
+    @property
+    def root(self) -> Path:
+        return self.output.folder
 
     @property
     def schema(self) -> store.Schema:
         return self.manifest.schema
 
-    def run(self, wanted: Sequence[int], there: Sequence[store.ShardRecord], progress: Progress) -> int:
-        """The number of wanted shards that were there with all scenes; the other wanted ones are made."""
-        kept = {record.shard for record in there if not record.failures}
-        for shard in kept:
+    def run(self, wanted: Sequence[int], there: Sequence[store.ShardRecord]) -> int:
+        """Make the wanted shards; returns how many of them were there before with all scenes."""
+        whole = {record.shard for record in there if not record.failures}
+        for shard in whole:
             store.running_path(self.root, shard).unlink(missing_ok=True)
-        waiting = deque[Task]((shard, None) for shard in wanted if shard not in kept)
-        if not waiting:
-            return len(wanted)
+        self.waiting.extend((shard, None) for shard in wanted if shard not in whole)
+        kept = len(wanted) - len(self.waiting)
+        if not self.waiting:
+            return kept
         store.forget_complete(self.root)
         store.write_card(self.root, self.manifest, there)
-        sizes = {shard: len(self.schema.scenes_of(shard)) for shard in wanted}
-        finished = sum(sizes[shard] for shard in wanted if shard in kept)
-        progress.begin(sum(sizes.values()), finished)
-        if len(waiting) < len(wanted):
-            progress.say(f"{len(wanted) - len(waiting)} of {len(wanted)} shards are there already")
-        # In a shard that is there only scenes that failed are made.
-        undivided = {record.shard for record in there} if self.engine.shares_shards else set(wanted)
-        running: dict[Future[Any], tuple[ShardJob, int | None]] = {}
-        # Ctrl-C may come after a shard was handed out and before its future is in `running`: this set has it then.
-        begun: set[int] = set()
-        made = failed = 0
+        self.finished = sum(len(self.schema.scenes_of(shard)) for shard in wanted if shard in whole)
+        self.progress.begin(sum(len(self.schema.scenes_of(shard)) for shard in wanted), self.finished)
+        if kept:
+            self.progress.say(f"{kept} of {len(wanted)} shards are there already")
+        # In a committed shard only the failed scenes are made, so there is little to divide.
+        self.undivided = {record.shard for record in there} if self.engine.shares_shards else set(wanted)
         try:
-            while waiting or running:
-                while waiting and len(running) < self.engine.capacity:
-                    shard, scene = waiting.popleft()
-                    if shard not in undivided and len(waiting) < self.engine.capacity > 1:
-                        # The last ones: workers would have nothing to do. A shard is written when all its scenes are
-                        # there.
-                        undivided.add(shard)
-                        self.shared[shard] = {}
-                        first, *others = self.schema.scenes_of(shard)
-                        waiting.extendleft((shard, scene) for scene in reversed(others))
-                        scene = first
-                    begun.add(shard)
-                    job = self._job(shard)
-                    does = (run_shard, job) if scene is None else (make_scene, job, scene)
-                    running[self.engine.submit(*does)] = job, scene
-                done, _ = wait(running, timeout=TICK_S, return_when=FIRST_COMPLETED)
-                ahead, in_work = self._under_way(running.values())
-                progress.update(finished + ahead, in_work, failed)
+            while self.waiting or self.running:
+                while self.waiting and len(self.running) < self.engine.capacity:
+                    self._hand_out(*self.waiting.popleft())
+                done, _ = wait(self.running, timeout=TICK_S, return_when=FIRST_COMPLETED)
+                ahead, in_work = self._under_way()
+                self.progress.update(self.finished + ahead, in_work, self.failed)
                 for future in done:
-                    job, scene = running.pop(future)
-                    shard = job.shard
-                    if future.cancelled():
-                        self.engine.restore(progress.say)
-                        self._clear(shard)
-                        waiting.appendleft((shard, scene))
-                        continue
-                    result = self._outcome(future, job, scene)
-                    if result is None:
-                        waiting.appendleft((shard, scene))
-                        continue
-                    # Workers do get to their first scene, so the others that died did so by chance.
-                    self.deaths[-1] = 0
-                    if scene is not None:
-                        self.shared[shard][scene] = result
-                        if len(self.shared[shard]) == sizes[shard]:
-                            waiting.appendleft((shard, None))
-                        continue
-                    if self.bucket is not None:
-                        for record in store.committed(self.root, self.manifest, [shard]):
-                            upload.put_shard(self.root, self.bucket, record)
-                    self.shared.pop(shard, None)
-                    begun.discard(shard)
-                    finished, made, failed = finished + sizes[shard], made + sizes[shard], failed + len(result)
-                    if failed == made >= min(HOPELESS, self.schema.scenes):
-                        scene, reason = min(result.items())
-                        stops = f"all of the first {made} scenes failed, so the build stops"
-                        raise CheckError(f"{stops}; scene {scene}: {reason}")
-            progress.update(finished, (), failed)
+                    self._take_in(future)
+            self.progress.update(self.finished, (), self.failed)
         except BaseException:
             # The writers must be gone before their files are removed.
             self.engine.close(kill=True)
-            for shard in begun:
+            for shard in self.begun:
                 self._clear(shard)
             raise
-        return sum(shard in kept for shard in wanted)
+        return kept
+
+    def _hand_out(self, shard: int, scene: int | None) -> None:
+        """Submit a job. One of the last shards is divided into its scenes, since workers would be idle otherwise."""
+        if shard not in self.undivided and len(self.waiting) < self.engine.capacity > 1:
+            self.undivided.add(shard)
+            self.scenes_made[shard] = {}
+            scene, *others = self.schema.scenes_of(shard)
+            self.waiting.extendleft((shard, other) for other in reversed(others))
+        self.begun.add(shard)
+        job = self._job(shard)
+        call = (run_shard, job) if scene is None else (make_scene, job, scene)
+        self.running[self.engine.submit(*call)] = job, scene
+
+    def _take_in(self, future: Future[Any]) -> None:
+        """Take the result of a job in; a job that was cancelled or whose worker died is put back."""
+        job, scene = self.running.pop(future)
+        shard = job.shard
+        if future.cancelled():
+            self.engine.restore(self.progress.say)
+            self._clear(shard)
+            self.waiting.appendleft((shard, scene))
+            return
+        result = self._outcome(future, job, scene)
+        if result is None:
+            self.waiting.appendleft((shard, scene))
+            return
+        # A worker got as far as a scene: earlier deaths before the first scene were chance.
+        self.deaths[-1] = 0
+        size = len(self.schema.scenes_of(shard))
+        if scene is not None:
+            self.scenes_made[shard][scene] = result
+            if len(self.scenes_made[shard]) == size:
+                # All scenes of a divided shard are there: the next job writes the shard.
+                self.waiting.appendleft((shard, None))
+            return
+        for record in store.committed(self.root, self.manifest, [shard]) if self.output.bucket else ():
+            self.output.put_shard(record)
+        self.scenes_made.pop(shard, None)
+        self.begun.discard(shard)
+        self.finished, self.made, self.failed = self.finished + size, self.made + size, self.failed + len(result)
+        if self.failed == self.made >= min(HOPELESS, self.schema.scenes):
+            scene, reason = min(result.items())
+            stops = f"all of the first {self.made} scenes failed, so the build stops"
+            raise CheckError(f"{stops}; scene {scene}: {reason}")
 
     def _job(self, shard: int) -> ShardJob:
+        """The job of a shard. If all scenes of a divided shard are made, it contains them."""
         scenes = self.schema.scenes_of(shard)
         skip = {scene: self.given_up[scene] for scene in scenes if scene in self.given_up}
         root, fingerprint = self.root.resolve(), self.manifest.fingerprint
@@ -385,15 +411,15 @@ class _Build:
             root, self.config, self.schema, fingerprint, shard, self.sample_function, skip, time.time(), made,
             self.scene_seconds,
         )  # fmt: skip
-        given = self.shared.get(shard, {})
+        given = self.scenes_made.get(shard, {})
         if len(given) < len(scenes):
             return job
         return replace(job, given=given, begun=min(scenes_begun(job.root, self.schema, shard).values(), default=None))
 
-    def _under_way(self, running: Iterable[tuple[ShardJob, int | None]]) -> tuple[int, list[int]]:
-        """How many scenes of unfinished shards are made, and the scenes that workers are at."""
-        made, in_work = sum(map(len, self.shared.values())), list[int]()
-        for job, scene in running:
+    def _under_way(self) -> tuple[int, list[int]]:
+        """Number of scenes made in shards that are not committed, and the scenes that workers are making."""
+        made, in_work = sum(map(len, self.scenes_made.values())), list[int]()
+        for job, scene in self.running.values():
             if scene is not None:
                 in_work.append(scene)
             elif job.given is None and (scenes := list(scenes_begun(self.root, self.schema, job.shard))):
@@ -402,7 +428,7 @@ class _Build:
         return made, in_work
 
     def _outcome(self, future: Future[Any], job: ShardJob, scene: int | None) -> Any:
-        """The result of a finished job; None when its worker died and it must be done again."""
+        """The result of a finished job; None if its worker died, so that the job must be done again."""
         error = future.exception()
         if error is None:
             return future.result()

@@ -27,31 +27,31 @@ def build_from(
     fields: tuple[str, ...] | None = None, seed: int = 0, settings: Mapping[str, Any] | None = None, workers: int = 1,
     progress: bool = True,
 ) -> BuildResult:  # fmt: skip
-    """Build a dataset of your own scenes: light, counts and labels as for a configured one, and no YAML.
+    """Build a dataset of your own scenes: light, counts and labels as for a configured dataset, without YAML.
 
     Parameters
     ----------
-    scenes : each a `Scene`; or (`Scene`, `Capture`), with a capture of its own; or (`Scene`, `Capture`, transient):
-        what another simulator made of it, (L, P, T) expected photons at the aperture per emitted photon, of which
-        counts and labels are made (its laser points are then taken to be the laser's targets).
-    path : the folder to make, or to go on with: the same scenes again resume a build.
-    capture : of scenes without one of their own, the same for all, or a function of the scene. All captures of a
-        dataset have one shape, one time axis and one pairing.
-    fields : what to store; left out: histogram, transient, and depth where every scene has a `hidden_view`.
+    scenes : each is a `Scene`; or (`Scene`, `Capture`), with a capture of its own; or (`Scene`, `Capture`, transient)
+        with a transient (L, P, T) of another simulator, in expected photons at the aperture per emitted photon.
+        Counts and labels are then made for this transient, and the laser's targets are taken as its laser points.
+    path : the folder of the dataset; the same call again resumes a build.
+    capture : the capture of all scenes without one of their own, or a function of the scene that returns it. All
+        captures of a dataset have one shape, one time axis and one pairing.
+    fields : what to store; left out: histogram, transient, and depth if every scene has a `hidden_view`.
     seed : of the light's samples and of the counts; a sample is a function of (seed, its number, its scene).
     settings : further sections of a configuration as plain values, such as `{"transport": {"target": 0.05},
         "detector": {"cycles": 10**6}, "labels": {"rows": 32}, "name": "mine"}`.
-    workers, progress : as of `build`.
+    workers, progress : as for `build`.
 
     Raises
     ------
-    InputError : no scenes, captures that differ in shape or times, settings that are none, another dataset at `path`.
+    InputError : no scenes, captures that differ in shape or times, invalid settings, another dataset at `path`.
     CheckError : scenes failed (all others are there), or the disk refused.
 
-    The dataset is read, verified and exported like any other; `show` and `preview` draw what is stored. What would
-    draw its rooms again, such as `export --format glb`, says that it cannot.
+    The dataset is read, verified and exported like any other; `show` and `preview` draw what is stored. Commands that
+    would draw its rooms again, such as `export --format glb`, say that they cannot.
 
-    A script that calls it needs `if __name__ == "__main__":`, as with all of Python's pools.
+    A script that calls `build_from` needs `if __name__ == "__main__":`, as with all of Python's pools.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def build_from(
         raise InputError("scenes: none given; a dataset needs at least one")
     config = _config(given, fields, seed, dict(settings or {}))
     with tempfile.TemporaryDirectory(prefix="datagen-") as folder:
-        # Each worker reads the scenes that it makes, and no others.
+        # One file a scene: a worker reads only the scenes that it makes.
         for number, item in enumerate(given):
             (Path(folder) / str(number)).write_bytes(pickle.dumps(item))
         return build(config, path, workers, progress=progress, sample_function=GivenSamples(folder))
@@ -83,7 +83,7 @@ def build_from(
 
 @dataclass(frozen=True)
 class Given:
-    """The input of one sample: a scene, its capture, and its transient where another simulator made that."""
+    """The input of one sample: a scene, its capture, and its transient if another simulator made it (else None)."""
 
     scene: Scene
     capture: Capture
@@ -95,7 +95,8 @@ class Given:
         s, c = self.scene, self.capture
         values = (s.part_names, s.materials, s.roles, dict(s.parameters), s.attenuation_per_m, c.time, c.pairing)
         poses = [(name, pose.label, pose.axes.tolist()) for name, pose in sorted(s.poses.items())]
-        views = [of and [v.tolist() for v in (of.center, of.right, of.up)] for of in (s.relay_wall, s.hidden_view)]
+        faces = s.relay_wall, s.hidden_view
+        views = [face and [v.tolist() for v in (face.center, face.right, face.up)] for face in faces]
         sight = c.illumination, c.sensor.aperture_radius_m, c.sensor.finite_aperture
         hashed = hashlib.sha256(repr((values, poses, views, sight)).encode())
         arrays: list[NDArray[Any] | None] = [s.vertices, s.triangles, s.face_part, s.hidden_bounds, self.transient]
@@ -106,7 +107,7 @@ class Given:
 
 @dataclass(frozen=True)
 class GivenSamples:
-    """The sample function of given scenes, one pickled file each in `folder`, which lasts as long as the build."""
+    """The sample function of given scenes. `folder` has a pickled file for each scene, as long as the build lasts."""
 
     folder: str
 
@@ -117,7 +118,9 @@ class GivenSamples:
 
 
 def _given(number: int, item: object, capture: Capture | Callable[[Scene], Capture] | None) -> Given:
-    scene, own, transient = item if isinstance(item, tuple) and len(item) == 3 else (*_pair(item), None)
+    """The input of sample `number`, from an item of `scenes`, after checks."""
+    parts: Any = item if isinstance(item, tuple) else (item,)
+    scene, own, transient = (*parts, None, None)[:3] if 1 <= len(parts) <= 3 else (item, None, None)
     if not isinstance(scene, Scene):
         raise InputError(f"scenes[{number}]: a {type(scene).__name__}, not a Scene or (Scene, Capture, …)")
     found = own if own is not None else capture(scene) if callable(capture) else capture
@@ -135,18 +138,14 @@ def _given(number: int, item: object, capture: Capture | Callable[[Scene], Captu
 
 
 def _with_digest(item: Given) -> Scene:
-    """The scene with its digest as a parameter. Splits recognise a room by its parameters, and would take two scenes
-    without any for one room."""
+    """The scene with its digest as a parameter. Splits recognise a room by its parameters; without the digest, all
+    scenes without parameters would count as one room."""
     digest = replace(item, transient=None).digest[:16]
     return replace(item.scene, parameters={**item.scene.parameters, "given.scene": digest})
 
 
-def _pair(item: Any) -> tuple[Any, Any]:
-    return item if isinstance(item, tuple) and len(item) == 2 else (item, None)
-
-
 def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, settings: dict[str, Any]) -> DatasetConfig:
-    """The configuration that the dataset states: the digest of the scenes, and the capture of the first."""
+    """The configuration that the dataset states: the digest of the scenes, and the capture of the first scene."""
     first = given[0].capture
     for number, item in enumerate(given):
         other = item.capture
@@ -160,15 +159,16 @@ def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, setti
     for name in ("scene", "capture", "seed", "scenes"):
         if name in settings:
             raise InputError(f"settings: {name!r} follows from the scenes and captures given; leave it out")
-    fields = fields or ("histogram", "transient", *(("depth",) if all(of.scene.hidden_view for of in given) else ()))
-    if any(name in BACKGROUND_FIELDS for name in fields) and any(of.transient is not None for of in given):
+    labels = ("depth",) if all(item.scene.hidden_view for item in given) else ()
+    fields = fields or ("histogram", "transient", *labels)
+    if any(name in BACKGROUND_FIELDS for name in fields) and any(item.transient is not None for item in given):
         raise InputError("fields: a background is simulated, and a transient given tells nothing of it; leave it out")
-    classes = {name for of in given for name in classes_in(of.scene)}
+    classes = {name for item in given for name in classes_in(item.scene)}
     layout = {
         "kind": "given",
-        "digest": hashlib.sha256("".join(of.digest for of in given).encode()).hexdigest(),
+        "digest": hashlib.sha256("".join(item.digest for item in given).encode()).hexdigest(),
         "classes": sorted(classes),
-        "most_objects": max(1, *(len(of.scene.objects) for of in given)),
+        "most_objects": max(1, *(len(item.scene.objects) for item in given)),
     }
     time, pixels = first.time, first.shape[1]
     capture: dict[str, Any] = {

@@ -9,6 +9,7 @@ import logging
 import multiprocessing
 import os
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,33 +22,51 @@ from datagen.exit_status import Ended
 
 MOST_WORKERS = 4096
 PATIENCE_S = 3.0
-"""Seconds that a worker has to end after SIGTERM before it is killed. Half as many would kill one that is syncing
-to a slow disk; nothing would be lost then either."""
+"""Seconds that a worker has to end after SIGTERM before it is killed. Half as many would kill a worker that is
+syncing to a slow disk; its shard would be made again."""
 RETURN_S = 300.0
-"""Seconds for which a lost Dask scheduler is waited for. Half as many are too few for a restart in a SLURM queue."""
+"""Seconds that a build waits for a lost Dask scheduler. Half as many are too few for a restart in a SLURM queue."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-"""Variables for worker processes: one core each, and a sum that is split over threads could round differently."""
+"""Environment variables of worker processes: each uses one core, because a sum that is split over threads could round
+differently."""
 
 _START_METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-"""Workers fork from a server process that has imported the modules they need. The server has no thread but that of
+"""Workers fork from a server process that has imported the modules they need. The server's only thread is that of
 Arrow's allocator, which is safe to fork."""
 
 
 def start_imports(*modules: str) -> None:
-    """Start to import these modules in the server process from which local workers fork; this process goes on."""
-    if _START_METHOD == "forkserver":
-        from multiprocessing import forkserver, resource_tracker
+    """Start the server process from which local workers fork, and its imports of these modules, without waiting.
 
-        # Before the block: Python up to 3.12 unblocks Ctrl-C when it has started its tracker of semaphores.
-        resource_tracker.ensure_running()
+    Raises `InputError` if the path of the temporary folder is too long for a socket.
+    """
+    if _START_METHOD == "forkserver":
         multiprocessing.get_context(_START_METHOD).set_forkserver_preload(list(modules))
-        atexit.register(_end_server)
+        _ensure_server()
+
+
+def _ensure_server() -> None:
+    """Start the server process if it is not running, with the environment of a worker."""
+    from multiprocessing import forkserver, resource_tracker
+
+    # Before the block: Python up to 3.12 unblocks Ctrl-C when it has started its tracker of semaphores.
+    resource_tracker.ensure_running()
+    try:
         with _environment(ONE_THREAD), _interrupt_blocked():
             forkserver.ensure_running()
+    except OSError as error:
+        # Only an address that is too long for a socket has no number.
+        if error.errno is not None:
+            raise
+        raise InputError(
+            f"TMPDIR: workers cannot be started, since their socket lies in {tempfile.gettempdir()} ({error}); set "
+            "TMPDIR to a shorter path, such as /tmp"
+        ) from None
 
 
+@atexit.register
 def _end_server() -> None:
-    """End the server process. By itself it would finish its imports before it finds that this process is gone."""
+    """End the server process. By itself it would finish its imports before it notices that this process is gone."""
     from multiprocessing import forkserver
 
     server: Any = forkserver
@@ -56,11 +75,11 @@ def _end_server() -> None:
 
 
 class Engine(Protocol):
-    """Runs jobs elsewhere.
+    """Runs jobs in other processes.
 
-    capacity : how many jobs to have under way at once.
-    deaths : the exceptions that say that a worker died, as opposed to a job that failed.
-    shares_shards : whether scenes of one shard may come from several workers: what a job returns comes back cheaply.
+    capacity : number of jobs that should be under way at once.
+    deaths : the exceptions of a future whose worker died. Other exceptions come from the job itself.
+    shares_shards : whether several workers may make the scenes of one shard, because results return cheaply.
     """
 
     capacity: int
@@ -68,26 +87,26 @@ class Engine(Protocol):
     deaths: tuple[type[BaseException], ...]
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """The future of a job. It is cancelled where the engine loses its scheduler."""
+        """The future of a job. It is cancelled if the engine loses its scheduler."""
         ...
 
     def restore(self, say: Callable[[str], None]) -> None:
-        """Make the engine ready again after jobs were cancelled. `say` gets a line where that takes a while.
+        """Make the engine ready again after jobs were cancelled. `say` prints a line if that takes a while.
 
-        Raises `CheckError` where it takes too long.
+        Raises `CheckError` if it takes too long.
         """
         ...
 
     def close(self, kill: bool) -> None:
-        """Free the workers; with `kill` those that are busy die at once."""
+        """End the workers; with `kill` busy ones die at once, without it they finish their jobs."""
         ...
 
 
 class LocalProcesses:
-    """`workers` processes, each in its own pool: when one dies, its job alone is lost, and is known to be to
-    blame."""
+    """`workers` processes, each in its own pool: if a process dies, only its job is lost, and this job is known to
+    be the cause."""
 
-    # `Ended` of a worker that got a signal of its own.
+    # A worker that got a signal of its own raises `Ended`.
     deaths: tuple[type[BaseException], ...] = (BrokenExecutor, Ended)
     shares_shards = True
 
@@ -95,7 +114,7 @@ class LocalProcesses:
         self.capacity = workers
         self._idle: list[_Process] = [_Process() for _ in range(workers)]
         self._busy: dict[Future[Any], _Process] = {}
-        # Ctrl-C may find a process between the two lists above; it must end with the others.
+        # Ctrl-C may come while a process is in neither list above; `close` must end that process, too.
         self._all = list(self._idle)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
@@ -117,7 +136,7 @@ class LocalProcesses:
         """Nothing cancels a job here."""
 
     def close(self, kill: bool) -> None:
-        """Free the workers; with `kill` those that are busy die at once."""
+        """End the workers, as `Engine.close` says."""
         for process in self._all:
             process.stop(kill)
 
@@ -129,6 +148,8 @@ class _Process:
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context(_START_METHOD), _start_worker)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        if _START_METHOD == "forkserver":
+            _ensure_server()
         with _environment(ONE_THREAD), _interrupt_blocked():
             return self._pool.submit(function, *arguments)
 
@@ -144,9 +165,8 @@ class _Process:
 
 
 def _start_worker() -> None:
-    """Leave Ctrl-C to the parent, end in order on SIGTERM, and die with the parent: an orphan must not go on
-    writing into a dataset.
-    """
+    """Leave Ctrl-C to the parent, end in order on SIGTERM, and die with the parent: a worker without a parent must
+    not continue to write into a dataset."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _terminate)
     parent = multiprocessing.parent_process()
@@ -155,12 +175,13 @@ def _start_worker() -> None:
 
 
 def _terminate(*_: object) -> NoReturn:
-    # A result that the worker is handing over finds no reader, and must not be complained about.
+    # Nobody reads the result that this worker may be sending; Python would print a traceback about that.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     raise Ended(1)
 
 
 def _die_with(sentinel: int) -> None:
+    """Wait until the parent process is gone, then end this process."""
     from multiprocessing.connection import wait
 
     wait([sentinel])
@@ -188,7 +209,8 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 
 @contextmanager
 def _interrupt_blocked() -> Iterator[None]:
-    """Hold Ctrl-C back during the block. A terminal sends it to all processes; those started inside never get it."""
+    """Delay Ctrl-C until the end of the block. A terminal sends Ctrl-C to all processes; those that are started
+    inside the block inherit the mask and never get it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -202,17 +224,18 @@ def _interrupt_blocked() -> Iterator[None]:
 class DaskCluster:
     """The workers of a Dask cluster that share a file system; without `scheduler` a cluster is started here."""
 
-    # Samples would pass through the scheduler.
+    # The samples of a shared shard would all pass through the scheduler.
     shares_shards = False
 
     def __init__(self, workers: int, scheduler: str | None) -> None:
-        # It has no annotations, and may not be installed.
+        # The package has no annotations, and may not be installed.
         dask: Any = importlib.import_module("distributed")
         self.deaths: tuple[type[BaseException], ...] = (dask.KilledWorker, BrokenExecutor)
         self._cluster = None
         if scheduler is None:
             with _environment(ONE_THREAD):
-                # Without a dashboard its server is started all the same: on a free port, two clusters get along.
+                # Dask starts the dashboard's server even without a dashboard. On a free port it disturbs no other
+                # cluster of this machine.
                 self._cluster = dask.LocalCluster(
                     n_workers=workers, threads_per_worker=1, dashboard_address=None,
                     scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
@@ -221,7 +244,7 @@ class DaskCluster:
         try:
             self._connect()
         except (OSError, ValueError, TypeError, TimeoutError) as error:
-            # A TypeError: an address with tls, and no certificates.
+            # Dask raises a TypeError for an address with tls if there are no certificates.
             raise InputError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from None
         # One job in reserve for each worker, so that none waits for this process.
         self.capacity = 2 * max(workers, len(self._client.nthreads()))
@@ -231,14 +254,14 @@ class DaskCluster:
         self._executor = self._client.get_executor(pure=False, retries=0)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """The future of a job, which is cancelled when the scheduler is lost."""
+        """The future of a job. It is cancelled if the scheduler is lost."""
         future: Future[Any] = self._executor.submit(function, *arguments)
         return future
 
     def restore(self, say: Callable[[str], None]) -> None:
-        """Wait until a lost scheduler is there again with a worker.
+        """Wait until a lost scheduler is back and has a worker.
 
-        Workers of a lost scheduler end by themselves, so that none goes on with a shard that others then make.
+        The workers of a lost scheduler end by themselves, so none continues a shard that others then make.
         """
         if self._client.status == "running":
             return
@@ -260,7 +283,7 @@ class DaskCluster:
                     ) from None
 
     def close(self, kill: bool) -> None:
-        """Leave the cluster, and end one that was started here."""
+        """Disconnect from the cluster, and end it if it was started here."""
         self._executor.shutdown(wait=not kill)
         self._client.close()
         if self._cluster is not None:
@@ -268,14 +291,14 @@ class DaskCluster:
 
 
 def check_workers(workers: int) -> None:
-    """Raise `InputError` for a number of workers that is none, or too many."""
+    """Raise `InputError` unless `workers` is a whole number in 1 … `MOST_WORKERS`."""
     if not isinstance(workers, int) or isinstance(workers, bool) or not 1 <= workers <= MOST_WORKERS:
         raise InputError(f"--workers {workers}: must be ≥ 1 and ≤ {MOST_WORKERS}, one a core")
 
 
 def check_engine(engine: str, workers: int, scheduler: str | None) -> None:
-    """Raise `InputError` for an engine that is none, no workers or too many, Dask not installed, a scheduler without
-    Dask."""
+    """Raise `InputError` for an unknown engine, a wrong number of workers, a scheduler without Dask, and if Dask is
+    needed and not installed."""
     check_workers(workers)
     if engine not in ("local", "dask"):
         raise InputError(f"--engine {engine}: must be local or dask")
@@ -287,7 +310,7 @@ def check_engine(engine: str, workers: int, scheduler: str | None) -> None:
 
 @contextmanager
 def started(engine: str, workers: int, scheduler: str | None) -> Iterator[Engine]:
-    """The engine, for as long as the block lasts; an exception in it ends busy workers at once."""
+    """The engine, which is closed at the end of the block; an exception in the block kills busy workers."""
     running: Engine = LocalProcesses(workers) if engine == "local" else DaskCluster(workers, scheduler)
     try:
         yield running

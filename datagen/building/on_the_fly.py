@@ -1,4 +1,4 @@
-"""Samples without files: each is simulated by the loader's worker that reads it."""
+"""Samples without files: the loader's worker that reads a sample simulates it."""
 
 from __future__ import annotations
 
@@ -21,15 +21,14 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
     """The samples of a configuration, simulated while they are read: the same as in a dataset built with it.
 
     Each of n loader workers makes every n-th scene; with no worker or one, scenes come in order. An epoch ends after
-    the configuration's number of `scenes`, and the next epoch makes the same ones again: build a dataset to read
-    scenes twice, and ask for more `scenes` to see none twice.
+    the configuration's number of `scenes`, and the next epoch simulates the same scenes again. If you want to read
+    scenes twice, build a dataset; if you want to see no scene twice, raise `scenes`.
 
     Parameters
     ----------
-    config : what to make; `config.store.fields` bounds what can be asked for. An exposure that it asks for is found
-        at once.
-    fields : of an item, as of `TransientDataset`; histograms are handed over as float32.
-    first : number of the first scene, ≥ 0: a run that ended after so many goes on there.
+    config : what to make. The search for `detector.exposure_for`, if that is given, runs at once.
+    fields : fields of an item, out of `config.store.fields`. Histograms become float32.
+    first : number of the first scene, ≥ 0; for example the number of scenes that an earlier run has read.
 
     Raises
     ------
@@ -68,5 +67,5 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
             sample = simulate_sample(self._config, scene)
             values = {name: encoded(field, sample.arrays[name]) for name, field in self._fields.items()}
             values |= {name: values[name].astype(np.float32) for name in COUNTS if name in values}
-            item = {name: torch.from_numpy(np.ascontiguousarray(of)) for name, of in values.items()}
+            item = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in values.items()}
             yield item | {"scene": torch.tensor(scene)}

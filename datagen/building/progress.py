@@ -1,4 +1,4 @@
-"""Progress of a build: a bar on a terminal, a line now and then elsewhere."""
+"""Progress of a build: a bar on a terminal, elsewhere a line from time to time."""
 
 from __future__ import annotations
 
@@ -9,37 +9,38 @@ from collections.abc import Sequence
 from typing import Any
 
 LINE_S = 10.0
-"""Seconds from one line to the next, at first; later a twentieth of the time since the build began. With half as many
-a log has twice the lines."""
+"""Seconds between the first lines; later lines come after a twentieth of the time since the build began. With half as
+many seconds a log has twice the lines."""
 
 
 class Progress:
-    """Counts scenes on standard error, and says what is done before the first one; nothing if not `shown`."""
+    """Reports on standard error how many scenes are made, and what the build does before the first scene; reports
+    nothing if not `shown`."""
 
     def __init__(self, shown: bool) -> None:
         self._shown, self._began = shown, time.monotonic()
         self._total = self._done = self._at_start = 0
-        # Bad input is refused in a line of its own, and in less time.
+        # No line before `LINE_S`: bad input is refused sooner than that, and its error shall be the only line.
         self._line_due = self._began + LINE_S
         self._bar: Any = None
         # A dumb terminal would print the characters that move the bar.
         if shown and sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
             from tqdm import tqdm
 
-            # A terminal may say that it has no size (containers do); tqdm would then show nothing.
+            # Terminals in containers may report a size of 0; tqdm would then show nothing.
             sized = min(os.get_terminal_size(sys.stderr.fileno())) > 1
             size = {"dynamic_ncols": True} if sized else {"ncols": 80, "nrows": 24}
             self._bar = tqdm(unit="scene", leave=False, **size)
 
     def doing(self, what: str) -> None:
-        """Show what is done before the first scene. Called again while that lasts, it lets the bar's clock go on."""
+        """Show what the build does before its first scene. Repeated calls keep the clock of the bar running."""
         if self._bar is not None:
             self._bar.set_description_str(what)
         elif time.monotonic() >= self._line_due:
             self._line(what)
 
     def begin(self, total: int, done: int) -> None:
-        """Begin to count: so many scenes in all, so many of them found finished."""
+        """Begin to count scenes: `total` in all, `done` of which an earlier build finished."""
         self._total, self._done, self._at_start, self._began = total, done, done, time.monotonic()
         self._line_due = self._began
         if self._bar is not None:
@@ -48,8 +49,8 @@ class Progress:
             self._bar.n, self._bar.initial, self._bar.leave = done, done, True
 
     def update(self, done: int, in_work: Sequence[int], failures: int) -> None:
-        """Show how many scenes are finished, which ones workers are at, and how many failed."""
-        # Never backwards: a shard begins anew when its worker dies.
+        """Show how many scenes are finished, which scenes workers are making, and how many failed."""
+        # The count never goes back, although a shard begins again when its worker dies.
         before, self._done = self._done, max(self._done, min(self._total, done))
         others = f" and {len(in_work) - 1} more" if len(in_work) > 1 else ""
         at = f"scene {min(in_work)}{others}" if in_work else ""
@@ -64,7 +65,7 @@ class Progress:
             self._line(f"{self._done} of {self._total} scenes{failed}{speed}{at}")
 
     def _line(self, line: str) -> None:
-        """Print a line, and say when the next one is due."""
+        """Print a line, and set the time at which the next one is due."""
         self.say(line)
         now = time.monotonic()
         self._line_due = now + max(LINE_S, (now - self._began) / 20)

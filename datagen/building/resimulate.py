@@ -16,16 +16,16 @@ from datagen.store.shard import digest, encoded
 
 
 def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]:
-    """Simulate `scenes` scenes again, drawn at random at each call; all where there are fewer.
+    """Simulate `scenes` scenes of a dataset again (all if it has fewer). Each call draws other scenes at random.
 
     Returns
     -------
-    The indices of the scenes, and a line for each scene of which fields differ.
+    The indices of the scenes, and a line for each scene that has fields with other values than the stored ones.
 
     Raises
     ------
-    InputError : no dataset, one of another schema version, fewer than one scene asked for, a mesh file is gone.
-    CheckError : no scene is there.
+    InputError : no dataset, another schema version, `scenes` < 1, or a mesh file is gone.
+    CheckError : no scene of the dataset is there.
     """
     root = location_of(path)
     if scenes < 1:
@@ -47,7 +47,7 @@ def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]
         raise CheckError(f"{root}: no scene is there to be simulated again; build it first")
     chosen = sorted(random.SystemRandom().sample(sorted(made), min(scenes, len(made))))
     problems = []
-    # In a worker as a build's: the threads of this process could add numbers up in another order.
+    # In a worker with one thread, as in a build: several threads could add numbers up in another order.
     with started("local", 1, None) as running:
         for index in chosen:
             scene, record = made[index]

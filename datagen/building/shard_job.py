@@ -1,5 +1,5 @@
-"""The jobs of a worker: make the scenes of one shard one after the other, write the shard and commit it; or make one
-scene of a shard that several workers share."""
+"""The jobs of a worker: make all scenes of a shard, write the shard and commit it; or make one scene of a shard that
+several workers share."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from datagen.store import (
 from datagen.store.environment import made_with, mixed, together
 
 GRACE_S = 10.0
-"""Seconds (at most the limit itself) after which a process ends that the exception could not reach. Half as many
-would end one that is in a long library call, and cost its start."""
+"""Seconds beyond the time limit of a scene (at most the limit itself) after which its process ends, because the
+exception did not reach it. Half as many would end processes that are in a long library call; a new one must start."""
 SLOT = 20
-"""Bytes for each scene in the file that says when it was begun; half as many have no room for the time."""
+"""Bytes for each scene in the file of begin times; half as many have no room for a Unix time."""
 LONGEST_SCENE_S = 30 * 86400.0
 LOCK_PATIENCE_S = 10.0
-"""Seconds to wait for another writer of the same shard, such as an orphan of a killed build, which ends within 3 s.
+"""Seconds to wait for another writer of the same shard, such as a worker of a killed build, which ends within 3 s.
 Half as many would be close to that on a busy machine."""
 
 
@@ -49,12 +49,14 @@ class ShardJob:
 
     Attributes
     ----------
-    skip : scene that is not to be tried → reason.
+    root : the dataset's folder.
+    skip : scene that must not be tried → reason.
     handed_out : Unix time at which the job was submitted.
-    made_with : the environment of the other shards; None where any mixture is accepted.
-    scene_seconds : after which a scene is given up; None: never.
-    given : scene → what `make_scene` returned, where several workers made the scenes; the shard is only written then.
-    begun : Unix time at which the first of these was handed out.
+    made_with : the environment of the other shards; None if any mixture is accepted.
+    scene_seconds : time limit of a scene; None: no limit.
+    given : scene → what `make_scene` returned, if several workers made the scenes; the job then only writes the
+        shard.
+    begun : Unix time at which the first of these scenes was begun.
     """
 
     root: Path
@@ -85,10 +87,10 @@ def make_scene(job: ShardJob, index: int) -> bytes | str:
 
 
 def run_shard(job: ShardJob) -> dict[int, str]:
-    """Make one shard and commit it; returns scene → reason of its failures.
+    """Make one shard and commit it; returns scene → reason, of the scenes that failed.
 
-    In a shard that is there only the scenes that failed are tried anew. Raises `CheckError` where the environment of
-    this worker may give other bytes than that of the other shards.
+    In a shard that is committed already only the failed scenes are tried again. Raises `CheckError` if the
+    environment of this worker may give other bytes than that of the other shards.
     """
     path = running_path(job.root, job.shard)
     with _sole_writer(path, LOCK_PATIENCE_S) as running:
@@ -96,9 +98,10 @@ def run_shard(job: ShardJob) -> dict[int, str]:
         if differing:
             raise CheckError(f"a worker differs in {differing[0]}; use the same there, or build with --accept-mixed")
         record = _committed(job)
-        # Committed in the meantime: by another build, or by this job before its result got lost.
+        # A record that is newer than the job was committed by another build, or by this job before its result got
+        # lost.
         if record is None or (record.failures and record.finished <= job.handed_out):
-            samples = _samples(job, running) if record is None else _tried_anew(job, record, running)
+            samples = _samples(job, running) if record is None else _with_failed_retried(job, record, running)
             made_by = made_with() if record is None else together(record.environment, made_with())
             if samples is not None:
                 where = (job.root, job.schema, job.shard, job.fingerprint)
@@ -109,7 +112,7 @@ def run_shard(job: ShardJob) -> dict[int, str]:
 
 
 def _committed(job: ShardJob) -> ShardRecord | None:
-    """The record of the shard, if it is sound and of this environment, or any mixture is accepted; else None."""
+    """The record of the shard if it is sound and its environment is accepted; else None."""
     for record in committed(job.root, read_manifest(job.root), [job.shard], hashes=True):
         alike = job.made_with is None or not mixed([record.environment, made_with()])
         if record.fingerprint == job.fingerprint and alike:
@@ -117,8 +120,9 @@ def _committed(job: ShardJob) -> ShardRecord | None:
     return None
 
 
-def _tried_anew(job: ShardJob, record: ShardRecord, running: int) -> list[tuple[int, Sample | str]] | None:
-    """All scenes of a shard, the failed ones made anew and the others as stored; None when all failed again."""
+def _with_failed_retried(job: ShardJob, record: ShardRecord, running: int) -> list[tuple[int, Sample | str]] | None:
+    """(index, sample) of all scenes of a shard: the failed ones made again, the others as stored. None if all of the
+    failed scenes failed again."""
     anew = dict(_samples(job, running, record.failures))
     if not any(isinstance(sample, Sample) for sample in anew.values()):
         return None
@@ -133,7 +137,7 @@ def _tried_anew(job: ShardJob, record: ShardRecord, running: int) -> list[tuple[
 
 
 def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
-    """Remove the files that a dead writer left of a shard; a shard that another writer has locked stays."""
+    """Remove the files of a shard whose writer died, unless another writer has locked the shard."""
     path = running_path(root, shard)
     with suppress(CheckError), _sole_writer(path, patience_s=0.0):
         discard_shard(root, schema, shard)
@@ -141,7 +145,8 @@ def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
 
 
 def scenes_begun(root: Path, schema: Schema, shard: int) -> dict[int, float]:
-    """Scene → Unix time at which its worker began it, in the order of the scenes; of an unfinished shard."""
+    """Scene → Unix time at which a worker began it, of the scenes of a shard that is not committed, in their
+    order."""
     try:
         content = running_path(root, shard).read_bytes()
     except OSError:
@@ -151,12 +156,13 @@ def scenes_begun(root: Path, schema: Schema, shard: int) -> dict[int, float]:
 
 
 def _begin(job: ShardJob, running: int, index: int) -> None:
-    """Note the time at which a scene is begun."""
+    """Write the present time into the slot of a scene in the file of begin times."""
     at = SLOT * (index - job.schema.scenes_of(job.shard).start)
     os.pwrite(running, f"{time.time():<{SLOT}.6f}".encode(), at)
 
 
 def _samples(job: ShardJob, running: int, scenes: Iterable[int] | None = None) -> Iterator[tuple[int, Sample | str]]:
+    """(index, sample or reason) of some scenes of a shard (None: of all), one after the other."""
     for index in job.schema.scenes_of(job.shard) if scenes is None else scenes:
         _begin(job, running, index)
         if index in job.skip:
@@ -169,9 +175,8 @@ def _samples(job: ShardJob, running: int, scenes: Iterable[int] | None = None) -
 
 
 def _attempt(job: ShardJob, index: int) -> Sample | str:
-    """The sample, or one line on why there is none. Any error gets a second try, but for bad input and a scene that
-    takes too long.
-    """
+    """The sample, or one line on why there is none. After an error the scene is tried once more, except for bad input
+    and a scene that took too long."""
     reason = ""
     for _ in range(2):
         try:
@@ -189,7 +194,7 @@ def _attempt(job: ShardJob, index: int) -> Sample | str:
 
 
 def _last_line_of(error: BaseException) -> str:
-    """File and line of an error, as text for the record."""
+    """The file and line that raised an error, as text for the record."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
@@ -198,7 +203,7 @@ def _last_line_of(error: BaseException) -> str:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[int]:
-    """The handle of a file, which is made where it is missing."""
+    """The handle of a file, which is created if it is missing."""
     handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
     try:
         yield handle
@@ -208,12 +213,12 @@ def _opened(path: Path) -> Iterator[int]:
 
 @contextmanager
 def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
-    """The handle of a locked file; the system unlocks it when this process ends. Two writers in one shard would lose
-    data silently."""
+    """The handle of a file that this process has locked: two writers of one shard would lose data silently. The
+    system unlocks the file when the process ends."""
     deadline = time.monotonic() + patience_s
     while True:
         with _opened(path) as handle:
-            # Where the file system has no locks, nothing keeps a user from starting two builds of one shard.
+            # If the file system has no locks, nothing prevents a user from starting two builds of one shard.
             if locked(handle, otherwise=True) and os.fstat(handle).st_nlink > 0:
                 os.ftruncate(handle, 0)
                 yield handle
@@ -224,7 +229,7 @@ def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
 
 
 class Overtime(BaseException):
-    """Raised when a scene takes too long. It is no `Exception`, so that the sample function does not catch it."""
+    """Raised if a scene takes too long. It is no `Exception`, so that the sample function does not catch it."""
 
 
 def overtime(seconds: float) -> str:
@@ -234,9 +239,9 @@ def overtime(seconds: float) -> str:
 
 @contextmanager
 def limited(seconds: float | None) -> Iterator[None]:
-    """Raise `Overtime` when the block takes longer than `seconds`; None: no limit. A block that no exception can
-    reach, such as compiled code that never returns, ends this process. Works in a process's main thread alone.
-    """
+    """Raise `Overtime` if the block takes longer than `seconds` (None: no limit). If no exception can reach the
+    block, such as in compiled code that never returns, this process ends. In other threads than the main one there is
+    no limit."""
     if (
         seconds is None
         or not hasattr(signal, "setitimer")
@@ -250,7 +255,7 @@ def limited(seconds: float | None) -> Iterator[None]:
 
     with open(os.devnull, "w") as nowhere:
         before = signal.signal(signal.SIGALRM, ring)
-        # A thread outside of Python: it needs no lock that the block may hold.
+        # This timer runs in a thread outside of Python, so it needs no lock that the block may hold.
         faulthandler.dump_traceback_later(seconds + min(GRACE_S, seconds), exit=True, file=nowhere)
         signal.setitimer(signal.ITIMER_REAL, seconds)
         try:

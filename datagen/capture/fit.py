@@ -1,4 +1,4 @@
-"""The configured capture, fitted to a scene: laser points, pixels and time axis on this room's relay wall."""
+"""The configured capture for a scene: laser points and pixels on its relay wall, and the time axis."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from datagen.seeding import Purpose, generator
 from scene_library.rounding import length
 
 CONFOCAL_PIXEL_M = 0.05
-"""Side of a confocal pixel on the wall when no size is configured."""
+"""Side of a confocal pixel on the wall if no size is configured. Halved, it collects a quarter of the light."""
 SAME_PLACE_M = 1e-9
+"""Distance below which a device stands at the scene's own place. Halved, it is still far above rounding."""
 
 
 def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, index: int = 0) -> Capture:
-    """Laser, sensor and time axis of `config.capture` for this scene.
+    """The capture that `config.capture` gives for a scene: laser, sensor and time axis.
 
-    Laser points of a grid are numbered row by row from the top left as seen from the device (right × up of the relay
-    wall points into the room); so are the pixels.
+    Laser points of a grid, and pixels, are numbered row by row from the top left as seen from the device (right × up
+    of the relay wall points into the room).
 
     Parameters
     ----------
-    seed, index : of the dataset (left out: `config.seed`) and of the scene in it. Scans drawn anew for every scene
-        depend on them, the others do not.
+    seed, index : seed of the dataset (left out, `config.seed`) and number of the scene. Only scans that are drawn for
+        every scene depend on them.
 
     Raises
     ------
     InputError : the scene names no relay wall or device; the scan or the field of view is larger than the wall that
-        the device sees; from a configured position a laser point or pixel is hidden, or an object in plain sight.
+        the device sees; from a configured position a laser point or pixel is hidden, or an object is in plain sight.
 
     >>> import datagen as dg
     >>> config = dg.load_config("configs/quickstart.yaml")
@@ -62,6 +63,7 @@ def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, in
 
 
 def _targets(settings: CaptureConfig, wall: Rectangle, rng: np.random.Generator) -> Floats:
+    """(L, 3) laser targets on the wall, metres."""
     scan, view = settings.scan, settings.field_of_view
     if settings.illumination != "flood" or not isinstance(scan, GridScan):
         return scan_targets(scan, wall, rng)
@@ -78,6 +80,7 @@ def _position(
     offset: tuple[float, float, float] | None,
     scene: Scene,
 ) -> Floats:
+    """(3,) position of a device: as configured, or the scene's own place, moved by `offset`."""
     if configured is not None:
         return np.asarray(configured, np.float64)
     if scene.device_position is None:
@@ -86,6 +89,7 @@ def _position(
 
 
 def _sensor(settings: CaptureConfig, position: Floats, wall: Rectangle, targets: Floats) -> Sensor:
+    """The sensor: a grid of pixels on the wall, or a pixel about each laser target if confocal."""
     view: FieldOfView = settings.field_of_view
     radius = view.aperture_radius_mm * 1e-3
     if settings.pairing == "exhaustive":
@@ -100,9 +104,10 @@ def _sensor(settings: CaptureConfig, position: Floats, wall: Rectangle, targets:
 
 
 def _check_sight(settings: CaptureConfig, scene: Scene, capture: Capture) -> None:
-    """What the scene already guarantees for its own device is checked again for one that stands elsewhere.
+    """Raise `InputError` if a device that stands elsewhere than the scene's own does not see its points, or sees
+    objects.
 
-    Confocal pixels may stick out beyond the wall's edge, so only their middles have to be in sight.
+    Confocal pixels may extend beyond the wall's edge, so only their middles have to be in sight.
     """
     if scene.device_position is None:
         return
@@ -126,5 +131,6 @@ def _check_sight(settings: CaptureConfig, scene: Scene, capture: Capture) -> Non
 
 
 def _key(settings: CaptureConfig, device: str) -> str:
+    """The configuration's key that puts a device elsewhere."""
     configured = getattr(settings, f"{device}_position_m") is not None
     return f"{device}_{'position' if configured else 'offset'}_m"

@@ -1,4 +1,4 @@
-"""Whether devices that stand elsewhere than the scene put them still look around the corner, checked by rays."""
+"""Checks, by rays, that devices which a configuration places in a scene see their points but no hidden object."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from datagen.records.arrays import Floats
 from scene_library.sightlines import first_faces, lattice_points
 
 INWARD = 0.02
-"""Corners of a pixel are checked this share of the way towards its middle: an edge may lie exactly on a wall's."""
+"""Share of the way from a pixel's corner to its middle at which the corner is checked, because a pixel's edge may lie
+exactly on the wall's. Halved, rounding is still far below it."""
 ON_A_WALL = 1e-5
-"""Share of the way to an object within which single precision cannot say which of it and a wall comes first."""
+"""Share of the distance to an object within which single precision cannot tell whether it or a wall comes first.
+Halved, an object that touches a wall may count as seen."""
 
 
 def check_in_sight(key: str, what: str, scene: Scene, eye: Floats, points: Floats) -> None:
-    """Raise `InputError` naming `capture.<key>` when something other than the relay wall hides one of `points` (n, 3)
-    from `eye`.
-    """
+    """Raise `InputError` for `capture.<key>` if a part but the relay wall hides one of `points` (n, 3) from `eye`."""
     wall = scene.relay_wall
     if wall is not None and (eye - wall.center) @ np.cross(wall.right, wall.up) <= 0:
         raise InputError(
@@ -37,7 +37,7 @@ def check_in_sight(key: str, what: str, scene: Scene, eye: Floats, points: Float
 
 
 def check_met(key: str, scene: Scene, eye: Floats, points: Floats) -> None:
-    """Raise `InputError` naming `capture.<key>` when a ray from `eye` past one of `points` (n, 3) meets nothing."""
+    """Raise `InputError` for `capture.<key>` if a ray from `eye` through one of `points` (n, 3) meets no surface."""
     missing = first_faces(scene.corners, eye, points, slack=-np.inf) < 0
     if missing.any():
         raise InputError(
@@ -47,9 +47,9 @@ def check_met(key: str, scene: Scene, eye: Floats, points: Floats) -> None:
 
 
 def check_hidden(key: str, scene: Scene, eye: Floats) -> None:
-    """Raise `InputError` naming `capture.<key>` when `eye` sees an object, which has to lie around the corner.
+    """Raise `InputError` for `capture.<key>` if `eye` sees an object, which has to be hidden around the corner.
 
-    Objects do not count as hidden by each other: one of them would be seen.
+    Only the room hides objects: one that hides another would be seen itself.
     """
     roles = np.array(scene.roles)[scene.face_part]
     room = scene.corners[roles != "object"]
@@ -63,7 +63,7 @@ def check_hidden(key: str, scene: Scene, eye: Floats) -> None:
 
 
 def pixel_points(pixels: Floats) -> Floats:
-    """(5 P, 3) middle and corners, a little inward, of pixels (P, 4, 3)."""
+    """(5 P, 3) middles and corners of pixels (P, 4, 3), the corners moved a little inward."""
     middle = pixels.mean(axis=1, keepdims=True)
     inner = pixels + INWARD * (middle - pixels)
     return np.concatenate([middle, inner], axis=1).reshape(-1, 3)

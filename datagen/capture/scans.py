@@ -1,4 +1,4 @@
-"""Scan patterns on a relay wall: from the settings of `capture.scan` to laser targets."""
+"""Scan patterns: the laser targets on a relay wall for the settings of `capture.scan`."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from datagen.records.arrays import Floats
 from scene_library.rounding import cos, length, product, sin
 
 DEFAULT_FILL = 0.8
-"""Share of the visible wall that a scan or a field of view covers when no size is configured."""
+"""Share of the visible wall that a scan or a field of view covers if no size is configured. Halved, it is half as
+wide and high."""
 ON_THE_WALL_M = 0.01
-"""A place given as (x, y, z) may be so far off the wall's plane."""
+"""Largest distance of a place given as (x, y, z) from the wall's plane. Halved, less accurate places are refused."""
 
 
 def scan_targets(scan: AnyScan, wall: Rectangle, rng: np.random.Generator) -> Floats:
     """(L, 3) laser targets, metres, in the scan's order.
 
-    Grids go row by row from the top left as the device sees them. `rng` serves the kinds drawn anew for every scene;
-    the others leave it untouched. Raises `InputError` when the pattern is larger than the visible wall.
+    Grids go row by row from the top left as the device sees them. Only patterns that are drawn for every scene use
+    `rng`. Raises `InputError` if the pattern is larger than the visible wall.
     """
     match scan:
         case PointsScan():
@@ -45,9 +46,8 @@ def scan_targets(scan: AnyScan, wall: Rectangle, rng: np.random.Generator) -> Fl
 
 
 def flood_targets(scan: GridScan, center: Floats, right: Floats, up: Floats) -> Floats:
-    """(L, 3) midpoints of rows × columns equal cells of a rectangle, row by row from the top left: a quadrature with
-    equal weights.
-    """
+    """(L, 3) midpoints of rows × columns equal cells of a rectangle, row by row from the top left: the nodes of a
+    quadrature with equal weights."""
     shrink_right, shrink_up = 1 - 1 / scan.columns, 1 - 1 / scan.rows
     return _grid(scan, center, shrink_right * right, shrink_up * up)
 
@@ -55,37 +55,39 @@ def flood_targets(scan: GridScan, center: Floats, right: Floats, up: Floats) -> 
 def rectangle_on(
     key: str, wall: Rectangle, center_m: Sequence[float] | None, width_m: float | None, height_m: float | None
 ) -> tuple[Floats, Floats, Floats]:
-    """Centre and half-extent vectors right and up of a rectangle on the wall.
+    """Centre, and half-extent vectors right and up, of a rectangle on the wall.
 
-    A size left out takes `DEFAULT_FILL` of what the wall leaves around the centre. Raises `InputError`, with keys
-    below `capture.<key>`, when the rectangle leaves the visible wall.
+    A size that is None becomes `DEFAULT_FILL` of the largest that fits around the centre. Raises `InputError`, with
+    keys below `capture.<key>`, if the rectangle extends beyond the visible wall.
     """
     middle = _in_plane(f"{key}.center_m", center_m, wall)
     halves = []
-    for name, asked, axis, offset in zip(
+    for name, size_m, axis, offset in zip(
         ("width_m", "height_m"), (width_m, height_m), (wall.right, wall.up), middle, strict=True
     ):
         visible = 2 * float(length(axis))
         most = visible - 2 * abs(float(offset))
         if most <= 0:
             raise _off_the_wall(f"{key}.center_m", center_m, wall)
-        if asked is not None and asked > most + 1e-9 * visible:
+        if size_m is not None and size_m > most + 1e-9 * visible:
             around = "" if center_m is None else f" and {most:.3g} m around the centre asked for"
             raise InputError(
-                f"capture.{key}.{name} = {asked:g}: the device sees only {visible:.3g} m of this scene's relay wall"
+                f"capture.{key}.{name} = {size_m:g}: the device sees only {visible:.3g} m of this scene's relay wall"
                 f"{around}; make it smaller or leave it out"
             )
-        halves.append(axis * ((DEFAULT_FILL * most if asked is None else asked) / visible))
+        halves.append(axis * ((DEFAULT_FILL * most if size_m is None else size_m) / visible))
     return _at(wall, *middle), halves[0], halves[1]
 
 
 def _grid(scan: GridScan | SubsetScan, center: Floats, right: Floats, up: Floats) -> Floats:
+    """(rows · columns, 3) points of a grid that fills a rectangle, row by row from the top left."""
     across = np.linspace(-1, 1, scan.columns) if scan.columns > 1 else np.zeros(1)
     upward = np.linspace(1, -1, scan.rows) if scan.rows > 1 else np.zeros(1)
     return np.asarray(center + across[None, :, None] * right + upward[:, None, None] * up).reshape(-1, 3)
 
 
 def _circle(scan: CircleScan, wall: Rectangle) -> Floats:
+    """(count, 3) points evenly on a circle, counter-clockwise as the device sees them."""
     middle = _in_plane("scan.center_m", scan.center_m, wall)
     room = np.linalg.norm([wall.right, wall.up], axis=1) - np.abs(middle)
     largest = float(room.min())
@@ -102,7 +104,7 @@ def _circle(scan: CircleScan, wall: Rectangle) -> Floats:
 
 
 def _listed(key: str, place: Sequence[float], wall: Rectangle) -> Floats:
-    """A point in the room as it is, or one on the visible wall."""
+    """(3,) a listed place: a point (x, y, z) of the room as it is, or (right, up) on the visible wall."""
     if len(place) == 3:
         return np.asarray(place, np.float64)
     right, up = place
@@ -113,7 +115,7 @@ def _listed(key: str, place: Sequence[float], wall: Rectangle) -> Floats:
 
 
 def _in_plane(key: str, place: Sequence[float] | None, wall: Rectangle) -> Floats:
-    """(2,) metres right and up of the wall's centre."""
+    """(2,) metres right and up of the wall's centre, of a place given as (right, up) or as (x, y, z)."""
     if place is None:
         return np.zeros(2)
     if len(place) == 2:
@@ -130,11 +132,13 @@ def _in_plane(key: str, place: Sequence[float] | None, wall: Rectangle) -> Float
 
 
 def _at(wall: Rectangle, right_m: float, up_m: float) -> Floats:
+    """(3,) the point of the wall at (right, up) from its centre."""
     right, up = (axis / length(axis) for axis in (wall.right, wall.up))
     return np.asarray(wall.center + right_m * right + up_m * up)
 
 
 def _off_the_wall(key: str, place: Sequence[float] | None, wall: Rectangle) -> InputError:
+    """The error for a place outside the visible wall."""
     width, height = 2 * np.linalg.norm([wall.right, wall.up], axis=1)
     return InputError(
         f"capture.{key} = {None if place is None else list(place)}: lies outside the {width:.3g} × {height:.3g} m of "

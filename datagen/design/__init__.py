@@ -1,1 +1,1 @@
-"""A measurement designed so that its objects are seen: the exposure, and where objects may stand."""
+"""The design of measurements that can detect their objects: the exposure, and where objects may stand."""

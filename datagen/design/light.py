@@ -1,8 +1,9 @@
-"""The light of a scene of a dataset: what of it is followed, how accurately, and with which random numbers.
+"""The arguments of the transport for a scene of a dataset: effects, accuracy and random seed.
 
-An exposure to be found, scenes whose objects must have evidence, and the plan of a build rest on the same light at a
-coarser target: what evidence a measurement will hold then differs from what is stored by the coarser light alone, for
-the detector's law is the same (docs/physics.md has how far)."""
+The search for an exposure, scenes whose objects must have evidence, and the plan of a build use the same light at a
+coarser target. Their evidence differs from the stored one only by the error of that light, since the detector is the
+same (docs/physics.md says by how much).
+"""
 
 from __future__ import annotations
 
@@ -20,13 +21,13 @@ from datagen.transport.visibility.raycast import Raycaster
 
 @dataclass(frozen=True)
 class Light:
-    """What is handed to the transport.
+    """The arguments of the transport.
 
     Attributes
     ----------
-    scene, accuracy : as the decisions about effects leave them.
-    seed : of the scene's own stream.
-    caster : of the scene's triangles, where one was made already.
+    scene, accuracy : scene and accuracy without the effects that are left out.
+    seed : seed of the scene's own random stream.
+    caster : of the scene's triangles, if there is one already.
     """
 
     scene: Scene
@@ -36,11 +37,12 @@ class Light:
     caster: Raycaster | None = None
 
     def transient(self) -> Transient:
-        """The light of the scene."""
+        """The transient of the scene."""
         return transient_of(self.scene, self.capture, self.accuracy, seed=self.seed, caster=self.caster)
 
     def background(self) -> Transient:
-        """The light of the scene without its objects, from the same samples: what no object touches is the same."""
+        """The transient of the scene without its objects, from the same random numbers: paths that no object touches
+        are the same."""
         empty = self.scene.without(*self.scene.objects)
         return transient_of(empty, self.capture, self.accuracy, seed=self.seed)
 
@@ -48,7 +50,7 @@ class Light:
 def transport_effects(
     config: DatasetConfig, scene: Scene, capture: Capture, index: int, caster: Raycaster | None = None
 ) -> EffectDecisions:
-    """What of scene `index` the transport is to simulate, and why."""
+    """The decisions on the transport's effects in scene `index`."""
     seed = derived_seed(config.seed, index, Purpose.EFFECTS)
     return decide_transport_effects(scene, capture, config.transport.accuracy(), config.effects, seed, caster)
 
@@ -57,7 +59,7 @@ def light_of(
     config: DatasetConfig, index: int, scene: Scene, capture: Capture, effects: EffectDecisions, spad: Spad,
     exposure: Exposure, caster: Raycaster | None = None,
 ) -> Light:  # fmt: skip
-    """The light of scene `index`, after `transport_effects` were decided, for a detector."""
+    """The arguments of the transport for scene `index`, given its `transport_effects` and its detector."""
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
     accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
     return Light(lit, capture, accuracy, derived_seed(config.seed, index, Purpose.TRANSPORT), caster)
@@ -66,20 +68,20 @@ def light_of(
 def _one_detection(spad: Spad, exposure: Exposure) -> float:
     """Photons at the aperture, per emitted photon and over a whole scan, that give one detection on average.
 
-    An object with less light than that is not held to an error of its own.
+    The error of an object with less light than this does not matter.
     """
     counted = exposure.photons_per_pulse * exposure.cycles * spad.pde
     return 1.0 / counted if counted > 0 else 0.0
 
 
 COARSE_TARGET = 0.1
-"""Error of the light that an estimate rests on, where the configuration gives a finer target."""
+"""Relative error of the light for estimates, if the configured target is finer. Halved, estimates take longer."""
 
 
 def coarse_transient(
     config: DatasetConfig, index: int, scene: Scene, capture: Capture, spad: Spad, exposure: Exposure
 ) -> Transient:
-    """The light of scene `index`, at `COARSE_TARGET`; where numbers of samples are configured, with these."""
+    """The transient of scene `index` with the error `COARSE_TARGET`, or with the configured numbers of samples."""
     if config.transport.target is not None:
         coarse = {"target": max(COARSE_TARGET, config.transport.target), "part_target": None}
         config = config.model_copy(update={"transport": config.transport.model_copy(update=coarse)})
@@ -90,7 +92,7 @@ def coarse_transient(
 def estimated_evidence(
     config: DatasetConfig, index: int, scene: Scene, capture: Capture, spad: Spad, exposure: Exposure
 ) -> dict[str, Evidence]:
-    """The evidence of each object of scene `index`, from coarse light."""
+    """Object → evidence in scene `index`, estimated from coarse light."""
     if not scene.objects:
         return {}
     transient = coarse_transient(config, index, scene, capture, spad, exposure)

@@ -1,4 +1,4 @@
-"""The scenes of a configuration whose objects are asked to have evidence: placed anew until they do."""
+"""The scenes of a configuration that asks its objects for evidence: objects are placed anew until they have it."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ from datagen.records import Scene
 from datagen.scene import generate_scene
 
 MARGIN = 1.1
-"""So many times what is asked for is asked of the estimate, whose light is coarse."""
+"""Factor by which the estimate, whose light is coarse, must exceed the requested evidence. Halved, which is below 1,
+stored objects would often have less than requested."""
 
 
 def scene_for(config: DatasetConfig, index: int) -> Scene:
-    """Scene `index` of the dataset that a configuration gives.
+    """Scene `index` of the dataset of a configuration.
 
-    That of `generate_scene(config.scene, config.seed, index)`, but where `contents` ask for `evidence_at_least`: then
-    the objects are placed anew until a quick estimate gives each of them as much, with the capture and the detector
-    of the scene. How often they were is its parameter `evidence.placed_anew`.
+    This is `generate_scene(config.scene, config.seed, index)` unless `contents` ask for `evidence_at_least`. Then the
+    objects are placed anew until a quick estimate, with the scene's capture and detector, gives each of them as much.
+    The scene's parameter `evidence.placed_anew` says how often they were.
 
     Raises
     ------
-    InputError : as `generate_scene` and `capture_for`; no placing gives enough; the exposure is yet to be found.
+    InputError : as `generate_scene` and `capture_for`; no placing gives enough evidence; the configuration names no
+        exposure but `exposure_for`.
 
     >>> import datagen as dg
     >>> config = dg.load_config("configs/quickstart.yaml")
@@ -34,16 +36,16 @@ def scene_for(config: DatasetConfig, index: int) -> Scene:
     if not config.scene.asks_for_evidence:
         return generate_scene(config.scene, config.seed, index)
 
-    def short_of(scene: Scene, asked: Mapping[str, float]) -> str | None:
+    def object_without_evidence(scene: Scene, least: Mapping[str, float]) -> str | None:
         capture = capture_for(config, scene, config.seed, index)
         spad, exposure = detector_for(config.detector, config.seed, index, capture.time)
-        found = estimated_evidence(config, index, scene, capture, spad, exposure)
-        return next((name for name, least in asked.items() if found[name].significance < MARGIN * least), None)
+        evidence = estimated_evidence(config, index, scene, capture, spad, exposure)
+        return next((name for name in least if evidence[name].significance < MARGIN * least[name]), None)
 
-    return generate_scene(config.scene, config.seed, index, short_of)
+    return generate_scene(config.scene, config.seed, index, object_without_evidence)
 
 
 def without_floors(config: DatasetConfig) -> DatasetConfig:
-    """The configuration with objects wherever they may stand, whatever evidence they have there."""
+    """The configuration without `evidence_at_least`, so that objects stand wherever there is room."""
     contents = tuple(item.model_copy(update={"evidence_at_least": None}) for item in config.scene.contents)
     return config.model_copy(update={"scene": config.scene.model_copy(update={"contents": contents})})

@@ -1,13 +1,13 @@
-"""The detector: flux per laser cycle → what a SPAD and its TDC make of it → counts, and their mean.
+"""The detector: from the flux per laser cycle to the counts of a SPAD and its TDC, and to their expected values.
 
-The mean is exact for every mode, except where afterpulsing, crosstalk or saturating counters meet a dead time; there
-`expected_histogram` asks for `approximate=True` and is good to second order in their probabilities.
+The expected value is exact for every mode, except where afterpulsing, crosstalk or saturating counters meet a dead
+time: there `expected_histogram` needs `approximate=True`, and its error is of second order in their probabilities.
 
 Not modelled:
 
 - recovery of the PDE after the dead time: the diode is back at full sensitivity at once;
-- twilight pulses: an avalanche that begins while the diode is being armed comes out like any other;
-- gate memory: what arrives before the gate opens leaves no trace in it;
+- twilight pulses: an avalanche that begins while the diode is being armed is recorded like any other;
+- gate memory: photons that arrive before the gate opens have no effect on it;
 - nonlinearity of the TDC: all bins have the same width;
 - photons outside the time axis: a direct return before its start, or light after its end, causes no dead time.
 """

@@ -1,8 +1,8 @@
-"""Counting all cycles of an exposure at once, in the order of phase (cases b and d, and their use for free running).
+"""Samplers of synchronous detectors, which count all cycles of an exposure at once, in the order of phase.
 
-Cycles are exchangeable, so only the number of them in each state matters. Few detections are drawn one by one
-(`draw_in_order`); many bin after bin, where in bin i each of the armed cycles fires with q_i = −expm1(−λ_i), at a
-cost that does not depend on their number.
+The cycles of a synchronous detector are exchangeable, so a sampler only has to know how many of them are armed. Few
+detections are drawn one by one (`draw_in_order`). Many are drawn bin after bin: in bin i each armed cycle fires with
+probability q_i = −expm1(−λ_i), at a cost that does not depend on the number of cycles.
 """
 
 from __future__ import annotations
@@ -11,48 +11,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.detector.dead_time import Equilibrium, Pieces, early_share
+from datagen.detector.dead_time import Equilibrium, Pieces, fires_early
 from datagen.detector.random_numbers import Stream, binomial, exponential
 
 Flux = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
-_TOGETHER = 64
-"""Cycles of a run of the ensemble: with half as many the variance of a total, 10 % too large at worst, is off by
-twice as much, and the time is halved."""
+_RUN_CYCLES = 64
+"""Cycles of one run of the ensemble. The variance of a total is 10 % too large at worst; with half as many cycles its
+error doubles, and the time is halved."""
 
 
 @compiled()
 def draw_in_order(flux: Flux, edges: Flux, dead_time: float, cycles: int, streams: Stream) -> Counts:
     """(h, n) detections of synchronous detectors with flux (h, n), detection by detection.
 
-    While R cycles are armed they fire together at the rate R λ(t): the next detection is where ∫ R dΛ has grown by
-    Exp(1), which leaves R − 1 until a dead time later. Exact for a dead time of any length, at the cost of a passage
-    through the bins and an exponential number for each detection.
+    R armed cycles fire together at the rate R λ(t): the next detection is where ∫ R dΛ has grown by Exp(1). It leaves
+    R − 1 armed cycles until a dead time later. The draw is exact for a dead time of any length; its cost is a passage
+    through the bins, and an exponential number for each detection.
 
-    edges : (n + 1,) of the bins, in the unit of `dead_time`; streams : (h, 4).
+    edges : (n + 1,) bin edges, in the unit of `dead_time`; streams : (h, 4), one for each row.
     """
     rows, n = flux.shape
     counts = np.zeros((rows, n), np.int64)
-    # Moments at which dead cycles are armed again: first in, first out.
+    # Phases at which dead cycles are armed again. They come in the order of detection: first in, first out.
     due = np.empty(256)
     for r in range(rows):
         stream = streams[r]
         armed, head, tail = float(cycles), 0, 0
         ahead = exponential(stream)
         for i in range(n):
-            # Beyond the cap every armed cycle fires at once, as with it.
+            # The cap keeps products finite; at this flux every armed cycle fires at once in any case.
             events, start, stop = min(flux[r, i], 1e200), edges[i], edges[i + 1]
+            # Most bins end before the next detection and before the next cycle is armed again.
             if armed * events < ahead and (head == tail or due[head] >= stop):
                 ahead -= armed * events
                 continue
             if events == 0.0:
-                # Whoever returns here is armed from the next bin on: the same.
+                # Without events the moment of return within the bin does not matter.
                 while head < tail and due[head] < stop:
                     armed += 1.0
                     head += 1
                 continue
             rate, t = events / (stop - start), start
+            # The rate changes at each return, so the bin is passed in steps from one return to the next.
             while True:
                 returns = head < tail and due[head] < stop
                 until = due[head] if returns else stop
@@ -69,9 +71,10 @@ def draw_in_order(flux: Flux, edges: Flux, dead_time: float, cycles: int, stream
                 counts[r, i] += 1
                 armed -= 1.0
                 ahead = exponential(stream)
+                # A cycle that would return after the end of the period starts the next one armed anyway.
                 if t + dead_time < edges[n]:
                     if tail == len(due):
-                        # What has returned makes room, or else there is to be more of it.
+                        # A full queue drops the entries that have returned, or doubles if they are few.
                         longer = due if 2 * head > tail else np.empty(2 * len(due))
                         for k in range(tail - head):
                             longer[k] = due[head + k]
@@ -83,10 +86,10 @@ def draw_in_order(flux: Flux, edges: Flux, dead_time: float, cycles: int, stream
 
 @compiled()
 def draw_hazard_chain(flux: Flux, cycles: int, stream: Stream) -> Counts:
-    """At most one detection in a cycle: n_i ~ Binomial(R, q_i), R ← R − n_i, from R = `cycles`.
+    """(n,) counts with at most one detection in a cycle: n_i ~ Binomial(R, q_i), R ← R − n_i, from R = `cycles`.
 
-    The law is the multinomial with p_i = q_i exp(−Λ_{i−1}), without its sum that rounding may push beyond 1; right
-    for λ from 1e-300 to infinity.
+    The law is the multinomial with p_i = q_i exp(−Λ_{i−1}), but no rounding can push a sum of probabilities beyond 1.
+    It holds for λ from 1e-300 to infinity.
     """
     counts = np.zeros(len(flux), np.int64)
     left = cycles
@@ -98,18 +101,18 @@ def draw_hazard_chain(flux: Flux, cycles: int, stream: Stream) -> Counts:
 
 @compiled()
 def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) -> Counts:
-    """Several detections in a cycle: those that fired come back after the dead time and can fire again.
+    """(bins,) counts with several detections in a cycle: a cycle that fired is armed again after the dead time.
 
-    A detection is uniform within its piece (`renewal.PIECE_FLUX` keeps it so), hence its return in the piece shifted
-    by the dead time. Where in the few pieces that it touches they come back need not be drawn: how many fire
-    there decides one rare binomial, and all others are armed from the next piece on. Pieces must be shorter than
-    the dead time.
+    A detection is uniform within its piece (`dead_time.PIECE_FLUX` keeps this error small), so its return is uniform
+    in the piece shifted by the dead time, which overlaps a few pieces. The moments of return are not drawn. One rare
+    binomial decides how many of the returning cycles fire within these pieces; all others count as armed from the
+    next piece on. Pieces must be shorter than the dead time.
     """
     flux, bin_of, edges, dead_time = pieces
-    fires, soon, first, after = _windows(flux, edges, dead_time)
+    fires, soon, first, after = _return_windows(flux, edges, dead_time)
     n = len(flux)
     counts = np.zeros(bins, np.int64)
-    # Decided ahead for each piece: how many just returned fire in it, how many are armed from its start on.
+    # For each piece, decided when cycles fire: how many returning ones fire in it, how many are armed at its start.
     firing, arming = np.zeros(n, np.int64), np.zeros(n + 1, np.int64)
     hazards = np.empty(n + 3)
     armed = cycles
@@ -117,17 +120,19 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) ->
         armed += arming[i]
         fired = binomial(armed, fires[i], stream)
         armed -= fired
-        # Those that were found to fire right upon their return, when they fired before.
+        # Returning cycles of which an earlier piece decided that they fire here.
         fired += firing[i]
         if fired == 0:
             continue
         counts[bin_of[i]] += fired
+        # The return lies after the end of the period, where every cycle is armed afresh.
         if first[i] == n:
             continue
         left = binomial(fired, soon[i], stream)
         arming[after[i]] += fired - left
         if left == 0:
             continue
+        # The cycles that fire soon are shared out over the pieces of their return: a multinomial by binomials.
         rest = soon[i]
         count = _hazards(edges[i] + dead_time, edges[i + 1] + dead_time, first[i], flux, fires, edges, hazards)
         for k in range(count):
@@ -141,11 +146,11 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) ->
 
 
 @compiled()
-def _windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Flux, Counts, Counts]:
-    """For each piece: the chance q to fire in it if armed, and then that to fire again right upon the return.
+def _return_windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Flux, Counts, Counts]:
+    """(n,) probability q that an armed cycle fires in a piece; (n,) probability that a cycle which fired in it fires
+    again while it returns, in pieces `first … after − 1`; (n,) `first` and (n,) `after`.
 
-    The latter is meant for pieces `first … after − 1`, in which one returns; `first` is the number of pieces where
-    that is after the end of the cycle.
+    `first` is n where the return lies after the end of the period.
     """
     n = len(flux)
     fires = np.empty(n)
@@ -169,12 +174,13 @@ def _windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Flux, Cou
 
 @compiled()
 def _hazards(start: float, stop: float, first: int, flux: Flux, fires: Flux, edges: Flux, out: Flux) -> int:
-    """Chance to fire in pieces `first`, `first + 1`, … of who returns at a uniform moment of `start … stop`.
+    """Number of pieces, from `first` on, that overlap `start … stop`; `out` gets for each of them the probability
+    that a cycle which returns at a uniform moment of `start … stop` fires there first.
 
-    They are put into `out`, and the number of these pieces is returned. What returns after the end of the cycle is
-    of no use to it.
+    A return after the end of the period counts for nothing, for every cycle is armed afresh then.
     """
     n = len(flux)
+    # Without slack, rounding of an edge would add an empty piece.
     slack = 1e-9 * (stop - start)
     per_length = 1.0 / (stop - start)
     back, k = 0.0, 0
@@ -182,7 +188,8 @@ def _hazards(start: float, stop: float, first: int, flux: Flux, fires: Flux, edg
         low, high, x = edges[first + k], edges[first + k + 1], flux[first + k]
         begin, end = max(start, low), min(stop, high)
         share = max(end - begin, 0.0) * per_length
-        early = early_share(x, (high - end) / (high - low), (high - begin) / (high - low)) if x > 0.0 else 0.0
+        early = fires_early(x, (high - end) / (high - low), (high - begin) / (high - low)) if x > 0.0 else 0.0
+        # It returned before this piece and has not fired yet, or it returns within it.
         out[k] = back * fires[first + k] + share * early
         back += share - out[k]
         k += 1
@@ -193,15 +200,15 @@ def _hazards(start: float, stop: float, first: int, flux: Flux, fires: Flux, edg
 def draw_cycle_ensemble(state: Equilibrium, cycles: int, stream: Stream) -> Counts:
     """(n,) free-running counts at a cost that does not depend on the exposure; exact in the mean only.
 
-    The exposure is taken as independent runs of `_TOGETHER` cycles (more if the dead time spans cycles), each begun
-    in equilibrium; lost is the correlation between runs, so that the total fluctuates a little too much. All runs go
-    through the chain together, as one long cycle: before it lies a dead time in which the last detection of each run
-    falls as it does in equilibrium. The state's pieces must be shorter than the dead time.
+    The exposure is split into independent runs of `_RUN_CYCLES` cycles (more if the dead time spans cycles), each of
+    which begins in equilibrium. The correlation between runs is lost, so the total fluctuates a little too much. All
+    runs pass through the chain together, as one long cycle. A dead time is put before that cycle, in which the last
+    detection before each run is drawn as in equilibrium. The state's pieces must be shorter than the dead time.
     """
     pieces, bins = state.pieces, len(state.flux)
     period = float(pieces.edges[-1])
-    before, before_edges = _last_detection(state)
-    together = min(_TOGETHER * (int(pieces.dead_time // period) + 1), cycles)
+    before, before_edges = _flux_before(state)
+    together = min(_RUN_CYCLES * (int(pieces.dead_time // period) + 1), cycles)
     runs, rest = divmod(cycles, together)
     counts = np.zeros(bins, np.int64)
     for many, length in ((runs, together), (1, rest)):
@@ -210,7 +217,7 @@ def draw_cycle_ensemble(state: Equilibrium, cycles: int, stream: Stream) -> Coun
         later = pieces.dead_time + period * np.arange(length)[:, None] + pieces.edges[1:]
         long = Pieces(
             np.concatenate([before, np.tile(pieces.flux, length)]),
-            # What is detected before the run goes into a bin of its own, which is left out.
+            # Detections before the run go into a bin of their own, which is left out.
             np.concatenate([np.full(len(before), bins), np.tile(pieces.bin_of, length)]),
             np.concatenate([before_edges, later.reshape(-1)]),
             pieces.dead_time,
@@ -219,9 +226,12 @@ def draw_cycle_ensemble(state: Equilibrium, cycles: int, stream: Stream) -> Coun
     return counts
 
 
-def _last_detection(state: Equilibrium) -> tuple[Flux, Flux]:
-    """Flux and edges of a dead time in which a diode armed at its start fires as one in equilibrium does: at most
-    once, with the density of its detections. It ends at phase 0; edges count from its start."""
+def _flux_before(state: Equilibrium) -> tuple[Flux, Flux]:
+    """(m,) flux and (m,) ends of the pieces of a dead time that ends at phase 0, counted from its start.
+
+    A diode armed at its start fires at most once in it, and this flux makes it fire with the density of detections
+    that a diode in equilibrium has.
+    """
     edges, dead_time = state.pieces.edges, state.pieces.dead_time
     period = float(edges[-1])
     laps = int(np.ceil(dead_time / period))

@@ -1,7 +1,7 @@
-"""The detector of one scene: drawn from the configuration, and where that names one, from a class of real detectors.
+"""The detector of one scene, drawn from its configuration and, where that names one, from a class of real detectors.
 
-A class is drawn first, then its parameters, so that they stay correlated. Every range has its source; `estimate`
-marks those without one.
+The class is drawn before its parameters, which therefore stay correlated. Every range states its source, or
+`estimate` where there is none.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from datagen.seeding import Purpose, generator
 
 @dataclass(frozen=True)
 class Range:
-    """Values of one parameter, uniform in low … high (in the logarithm if `log`), and where they are from."""
+    """The range low … high of one parameter, uniform (in the logarithm if `log`), and the source of its ends."""
 
     low: float
     high: float
@@ -31,7 +31,7 @@ class Range:
     log: bool = False
 
     def at(self, u: float) -> float:
-        """The value below which a share `u` of this range lies."""
+        """The quantile of `u`, a number in 0 … 1."""
         return self.low * (self.high / self.low) ** u if self.log else self.low + (self.high - self.low) * u
 
 
@@ -96,28 +96,24 @@ DETECTOR_CLASSES: Mapping[str, Mapping[str, Range]] = MappingProxyType(
 )
 """Class name → parameter name (those of `Spad` and `Exposure`, SI units) → range with its source."""
 
-_WITH_PDE = frozenset({"dark_count_rate_hz", "afterpulse_probability", "crosstalk_probability"})
-"""A higher overvoltage raises the PDE and these alike: within a class they are drawn together."""
-
-_LONG_DEAD_TIME_QUIETS = "afterpulse_probability"
-"""A longer hold-off empties the traps: it is what the dead time of a real detector is chosen for."""
+_RISES_WITH_OVERVOLTAGE = frozenset({"pde", "dark_count_rate_hz", "afterpulse_probability", "crosstalk_probability"})
+"""A higher overvoltage raises all of these, so that within a class they are correlated."""
 
 
 def draw_class_parameters(name: str, rng: np.random.Generator) -> dict[str, float]:
-    """One detector of the class: parameter name → value in SI units.
+    """Parameter name → value in SI units, of one detector drawn from a class.
 
-    A common number, the overvoltage, moves PDE, dark counts, afterpulses and crosstalk up together (half of each
-    number's place in its range; the other half is its own); afterpulses also fall with the dead time's place.
-    Every value stays in its range.
+    A common random number, the overvoltage, makes half of the place of PDE, dark counts, afterpulses and crosstalk in
+    their ranges; the other half is each parameter's own. Afterpulses also fall with the dead time, whose longer
+    hold-off lets the traps empty. Every value stays in its range.
     """
     ranges = DETECTOR_CLASSES[name]
     overvoltage = rng.random()
     place = {key: rng.random() for key in ranges}
     for key in ranges:
-        if key == "pde" or key in _WITH_PDE:
+        if key in _RISES_WITH_OVERVOLTAGE:
             place[key] = 0.5 * (place[key] + overvoltage)
-    if _LONG_DEAD_TIME_QUIETS in ranges:
-        place[_LONG_DEAD_TIME_QUIETS] = 0.5 * (place[_LONG_DEAD_TIME_QUIETS] + 1.0 - place["dead_time_s"])
+    place["afterpulse_probability"] = 0.5 * (place["afterpulse_probability"] + 1.0 - place["dead_time_s"])
     return {key: r.at(place[key]) for key, r in ranges.items()}
 
 
@@ -131,26 +127,26 @@ _PARAMETERS: dict[str, tuple[str, float, float]] = {
     "hot_pixel_fraction": ("hot_pixel_fraction", 1.0, 0.0), "hot_pixel_factor": ("hot_pixel_factor", 1.0, 100.0),
     "repetition_rate_hz": ("repetition_rate_mhz", 1e6, 10e6),
 }  # fmt: skip
-"""Parameter in SI units → key of the configuration, its unit, and what holds where neither the configuration nor a
-class says otherwise: a silicon SPAD in a laboratory."""
+"""Parameter in SI units → key of the configuration, unit of the key, and default value where neither configuration
+nor class gives one: that of a silicon SPAD in a laboratory."""
 
 
 def detector_for(
     config: DetectorConfig, seed: int, index: int, time: TimeAxis | None = None
 ) -> tuple[Spad, Exposure]:
-    """Spad and exposure of scene `index`, from its stream for detector parameters.
+    """Spad and exposure of scene `index`, drawn from the scene's own random stream.
 
-    With `time`, a repetition rate drawn from a class's range is lowered where the time axis would not fit into the
-    laser period, as an experimenter would; a rate that the configuration gives is kept.
+    With `time`, a repetition rate drawn from a class is lowered where the time axis would not fit into the laser
+    period, as an experimenter would do; a rate that the configuration gives is kept.
 
-    Raises `InputError` for a configuration whose exposure is yet to be found.
+    Raises `InputError` for a configuration that names no exposure but what it shall reach (`exposure_for`).
     """
     if config.exposure_for is not None:
         raise InputError(
             "detector.exposure_for: its exposure is not found yet; use dg.with_exposure_found(config), or set cycles"
         )
     rng = generator(seed, index, Purpose.DETECTOR_PARAMETERS)
-    values: dict[str, Any] = {parameter: usual for parameter, (_, _, usual) in _PARAMETERS.items()}
+    values: dict[str, Any] = {parameter: default for parameter, (_, _, default) in _PARAMETERS.items()}
     name = config.detector_class
     if name == "any":
         name = sorted(DETECTOR_CLASSES)[int(rng.integers(len(DETECTOR_CLASSES)))]  # type: ignore[assignment]

@@ -1,13 +1,14 @@
-"""The mean under a non-paralyzable dead time: the share of cycles in which the diode is armed, piece by piece.
+"""The expected detections under a non-paralyzable dead time, from the share of cycles whose diode is armed.
 
 Bins are cut into pieces of at most `PIECE_FLUX` events. With A_i the share of cycles that are armed for piece i,
 
-    D_i = q_i A_i,   A_{i+1} = A_i − D_i + Σ_k w_{k → i+1} D_k,   q_i = −expm1(−λ_i)
+    D_i = q_i A_i,   A_{i+1} = A_i − D_i + Σ_k w_{k → i+1} D_k,   q_i = −expm1(−λ_i).
 
-where w shares out the returns of what was detected in piece k, uniform in that piece, to the pieces a dead time
-later. For equal pieces and small λ the weights are (1−f)²/2, ½+f−f², f²/2 at d, d+1, d+2 pieces, τ = d + f.
-A synchronous detector starts every cycle armed; a free-running one hands its state on to the next cycle, until that
-no longer changes (`equilibrium`).
+A diode that fired in piece k is armed again a dead time later. Its detection is uniform in piece k, so its return is
+uniform in the shifted piece, and w_{k → i} is the share of it that counts as armed from piece i on. For equal pieces
+and small λ the weights are (1−f)²/2, ½+f−f², f²/2 at d, d+1, d+2 pieces, τ = d + f.
+A synchronous detector starts every cycle armed. A free-running one hands its state on to the next cycle; its mean is
+the state that no longer changes (`equilibrium`).
 """
 
 from __future__ import annotations
@@ -24,24 +25,28 @@ from datagen.errors import InputError
 Array = NDArray[np.float64]
 
 PIECE_FLUX = 0.0125
-"""Most events in a piece. What is neglected, the slope of the detections within it, is of second order in this."""
+"""Most events in a piece. The slope of the detections within a piece is neglected; halved, this error falls
+fourfold, and bright bins take twice the time."""
 _FLUX_PIECES = 16_384
-"""At a flux of hundreds and more per cycle pieces carry 1/16384 of it instead, for which they are short enough."""
+"""At a flux of hundreds and more per cycle a piece may carry 1/16384 of the whole instead. Halved, pieces are twice
+as long there, and their error is four times as large."""
 _LONG_PIECE_FLUX = 0.002
-"""The same for long background bins, in which detections may start or end abruptly."""
+"""Most events in a piece of a long background bin, in which detections may start or end abruptly. Halved, these bins
+have half the error and take twice the time."""
 _MOST_PIECES = 4_000_000
-"""Pieces of a period at most: 0.2 GB of arrays."""
+"""Most pieces of a period: 0.2 GB of arrays. Halved, light half as bright is refused."""
 _SWEEPS = 24
-"""Cycles after which a fixed point that has not settled is solved for. Half as many save time only where a flux of
-several events a cycle keeps detections in step; a moderate one settles in three or four."""
-_SETTLED = 1e-13
-"""Change of a sweep, in detections per cycle, at which a mean is settled: the rounding of a cycle's sums."""
-FOR_A_START = 1e-8
-"""Change of a sweep at which the state is settled enough to begin an exposure in: 10⁻⁸ detections, once."""
+"""Cycles after which an equilibrium that still changes is solved for as linear equations. A moderate flux settles in
+three or four; half as many would save time only where several events a cycle keep detections in step."""
+_MEAN_TOLERANCE = 1e-13
+"""Change from one cycle to the next, in detections, at which a mean has settled: the rounding of a cycle's sums.
+Halved, it may never be reached."""
+START_TOLERANCE = 1e-8
+"""The same for the state in which an exposure begins, an error of 10⁻⁸ detections. Halved, some take a sweep more."""
 
 
 class Pieces(NamedTuple):
-    """Bins of the period cut up: (m,) flux and bin number, (m + 1,) edges in seconds, and the dead time."""
+    """The bins of a period cut into m pieces: (m,) flux and bin number, (m + 1,) edges and the dead time, seconds."""
 
     flux: Array
     bin_of: NDArray[np.int64]
@@ -49,7 +54,7 @@ class Pieces(NamedTuple):
     dead_time: float
 
     def per_bin(self, values: Array, bins: int) -> Array:
-        """(m,) values of the pieces summed over each of the `bins`: (bins,)."""
+        """(bins,) sums of the pieces' values (m,) over each bin."""
         return np.bincount(self.bin_of, values, bins).astype(np.float64)
 
 
@@ -57,11 +62,11 @@ def pieces_of(
     flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
     piece_flux: float = PIECE_FLUX,
 ) -> Pieces:  # fmt: skip
-    """Cut the bins of the period; bins longer than `width_s` are background and cut more finely.
+    """The pieces of a period's bins. Bins longer than `width_s` are background, and are cut more finely.
 
     flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges. Raises `InputError` for too many pieces.
     """
-    count = _parts(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time, piece_flux)
+    count = _pieces_per_bin(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time, piece_flux)
     total = float(count.sum())
     if not total <= _MOST_PIECES:
         raise InputError(
@@ -69,23 +74,26 @@ def pieces_of(
             f"needs {total:g} pieces, at most {_MOST_PIECES} are handled; lower photons_per_pulse or widen the bins"
         )
     if total == len(flux):
-        # A copy of the edges, which are read-only: kernels are compiled anew for that.
+        # Kernels would be compiled once more for edges that are read-only, as those of a `Cycle` are.
         return Pieces(np.ascontiguousarray(flux), np.arange(len(flux)), edges_s.copy(), dead_time_s)
-    return Pieces(*_cut(flux, edges_s, count.astype(np.int64)), dead_time_s)
+    return Pieces(*_cut_bins(flux, edges_s, count.astype(np.int64)), dead_time_s)
 
 
 @compiled()
-def _parts(flux: Array, edges: Array, width: float, dead_time: float, shorter: bool, piece_flux: float) -> Array:
-    """(n,) number of pieces of each bin, as floats: they may be too many to count."""
+def _pieces_per_bin(
+    flux: Array, edges: Array, width: float, dead_time: float, shorter: bool, piece_flux: float
+) -> Array:
+    """(n,) number of pieces of each bin, as floats, which hold numbers too large to count as well."""
     most = max(piece_flux, flux.sum() / _FLUX_PIECES)
     parts = np.ones(len(flux))
     for i in range(len(flux)):
         length = edges[i + 1] - edges[i]
-        # A bin that is as fine as everything asks stays whole: most bins are.
+        # Most bins are fine enough and stay whole.
         is_short = not shorter or length * (1.0 + 1e-12) <= dead_time
         if is_short and flux[i] <= most and length <= 1.5 * width:
             continue
         if length > 1.5 * width:
+            # Returns from the bright window fall into it, so a piece must also be short beside the dead time.
             part = np.ceil(flux[i] / min(_LONG_PIECE_FLUX, most))
             if dead_time > 0.0:
                 part = max(part, min(np.ceil(4.0 * length / dead_time), 4096.0))
@@ -98,8 +106,8 @@ def _parts(flux: Array, edges: Array, width: float, dead_time: float, shorter: b
 
 
 @compiled()
-def _cut(flux: Array, edges: Array, count: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], Array]:
-    """Flux, bin number and edges of the pieces."""
+def _cut_bins(flux: Array, edges: Array, count: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], Array]:
+    """Flux, bin number and edges of the pieces, `count` (n,) of them in each bin."""
     total = count.sum()
     pieces, bin_of, cut = np.empty(total), np.empty(total, np.int64), np.empty(total + 1)
     k = 0
@@ -136,10 +144,10 @@ def synchronous_mean(
 
 
 @compiled()
-def early_share(x: float, low: float, high: float) -> float:
-    """Chance to fire in the piece of flux x of one's return, of which a uniform share ρ of `low … high` is left.
+def fires_early(x: float, low: float, high: float) -> float:
+    """Probability that a diode fires in the piece of flux x within which it is armed again.
 
-    The mean over ρ of 1 − e^{−xρ}.
+    The share ρ of the piece that then lies ahead is uniform in `low … high`: this is the mean of 1 − e^{−xρ}.
     """
     middle, half = 0.5 * (high + low), 0.5 * (high - low)
     if x < 1e-3:
@@ -153,11 +161,12 @@ def early_share(x: float, low: float, high: float) -> float:
 
 @compiled()
 def _return_weights(start: float, stop: float, first: int, edges: Array, flux: Array, weights: Array) -> int:
-    """Where returns, uniform in `start … stop`, count as armed: how many pieces from `first` on, and their weights.
+    """Number of pieces, from `first` on, at whose start a return that is uniform in `start … stop` counts as armed;
+    their weights are put into `weights`.
 
-    A return that fires in its piece with probability e is as good as one armed from the piece's start with
-    probability e / (1 − e^{−x}), and else from the next piece's start. Piece numbers run on past the end of the
-    period into the next one.
+    A diode that returns within a piece and fires there with probability e is like one that is armed at the piece's
+    start with probability e / (1 − e^{−x}), and otherwise at the next piece's start. Piece numbers run on past the
+    end of the period into the next one.
     """
     m = len(flux)
     period = edges[m]
@@ -171,7 +180,7 @@ def _return_weights(start: float, stop: float, first: int, edges: Array, flux: A
         share = max((min(stop, high) - max(start, low)) / (stop - start), 0.0)
         ahead = 0.0
         if x > 0.0 and share > 0.0:
-            early = early_share(x, (high - min(stop, high)) / (high - low), (high - max(start, low)) / (high - low))
+            early = fires_early(x, (high - min(stop, high)) / (high - low), (high - max(start, low)) / (high - low))
             ahead = early / -np.expm1(-x) if early > 0.0 else 0.0
         weights[k] += share * ahead
         weights[k + 1] = share * (1.0 - ahead)
@@ -185,15 +194,15 @@ Table = tuple[Array, NDArray[np.int64], NDArray[np.int64], Array]
 
 @compiled()
 def return_table(flux: Array, edges: Array, dead_time: float) -> Table:
-    """What one cycle after the other needs of every piece: q, first piece of its returns, and their weights.
+    """The table by which `run_cycle` takes detections to their returns: (q, first, offset, weights).
 
-    Piece i returns to pieces `first[i]`, `first[i] + 1`, … with `weights[offset[i]:offset[i + 1]]`; none for pieces
-    in which nothing happens.
+    q : (m,) probability that an armed diode fires in a piece. A diode that fired in piece i returns to pieces
+    `first[i]`, `first[i] + 1`, … with the weights `weights[offset[i]:offset[i + 1]]`; none where the flux is 0.
     """
     m = len(flux)
     period = edges[m]
     q, first, offset = np.zeros(m), np.zeros(m, np.int64), np.zeros(m + 1, np.int64)
-    # Shifted pieces cross m edges between them, and each may end within a piece and wait for the next one.
+    # The shifted pieces cross m edges in all; each may end within a piece, which adds two weights and a margin.
     weights = np.empty(5 * m + 64)
     here = np.empty(m + 3)
     target = 0
@@ -201,7 +210,7 @@ def return_table(flux: Array, edges: Array, dead_time: float) -> Table:
         offset[i + 1] = offset[i]
         if flux[i] <= 0.0:
             continue
-        # Pieces and their returns come in the same order, so that the target only ever moves on.
+        # Pieces and their returns come in the same order, so that the target never moves back.
         while target < 2 * m and _edge_at(edges, target + 1, m, period) <= edges[i] + dead_time:
             target += 1
         count = _return_weights(edges[i] + dead_time, edges[i + 1] + dead_time, target, edges, flux, here)
@@ -214,7 +223,11 @@ def return_table(flux: Array, edges: Array, dead_time: float) -> Table:
 
 @compiled()
 def run_cycle(table: Table, armed: float, returning: Array, following: Array) -> tuple[Array, float]:
-    """One cycle: detections per piece and the share still armed; returns due later are added to `following`."""
+    """(m,) detections per piece in one cycle, and the share of diodes armed at its end.
+
+    armed : the share at its start. returning : (m + 1,) shares that are armed again at the start of each piece, to
+    which this cycle's own returns are added. following : (m + 1,) the same of the next cycle, likewise.
+    """
     q, first, offset, weights = table
     m = len(q)
     detections = np.zeros(m)
@@ -226,13 +239,13 @@ def run_cycle(table: Table, armed: float, returning: Array, following: Array) ->
         fired = armed * q[i]
         start = offset[i]
         if first[i] == i:
-            # Part returns within the same piece and may fire again: a geometric series.
+            # A dead time shorter than the piece: some return within it and may fire again, a geometric series.
             fired /= 1.0 - weights[start] * q[i]
             armed += weights[start] * fired
         detections[i] = fired
         armed -= fired
         for k in range(1 if first[i] == i else 0, offset[i + 1] - start):
-            # What returns after the end of this cycle is handed to the next one.
+            # Returns after the end of this cycle are handed to the next one.
             where = first[i] + k
             if where < m:
                 returning[where] += weights[start + k] * fired
@@ -244,19 +257,19 @@ def run_cycle(table: Table, armed: float, returning: Array, following: Array) ->
 
 @compiled()
 def _edge_at(edges: Array, index: int, m: int, period: float) -> float:
-    """Edge number `index`, counted on past the end of the period."""
+    """Seconds of edge number `index`, which may run past the end of the period."""
     return float(edges[index] if index <= m else edges[index - m] + period)
 
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """A free-running detector long after it was switched on.
+    """The state of a free-running detector long after it was switched on.
 
     Attributes
     ----------
-    flux : (n,) events per cycle and bin. pieces : the bins cut up, and the dead time.
+    flux : (n,) events per cycle and bin. pieces : the bins cut into pieces, and the dead time.
     detections : (m,) expected detections per cycle and piece.
-    armed : probability to be armed at phase 0.
+    armed : probability that the diode is armed at phase 0.
     """
 
     flux: Array
@@ -272,20 +285,20 @@ class Equilibrium:
 
 def equilibrium(
     flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
-    settled: float = _SETTLED,
+    tolerance: float = _MEAN_TOLERANCE,
 ) -> Equilibrium:  # fmt: skip
-    """Expected detections per cycle of a free-running detector, dead time of any length.
+    """The equilibrium of a free-running detector with a dead time of any length.
 
     Whole periods in τ = m T_r + τ′ only rescale: D = X / (1 + m ΣX) with X the answer for τ′. X is the fixed point of
-    one cycle's recursion: found by sweeps from near equilibrium, which a moderate flux settles at once, or else by a
-    sparse solution of its linear equations (where a high flux keeps detections in step for very many cycles).
+    one cycle's recursion. A moderate flux reaches it in a few cycles from a guess near equilibrium. A high flux keeps
+    detections in step for very many cycles, so its fixed point is found from sparse linear equations.
 
     Parameters
     ----------
     flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges from 0 to the period.
     width_s : bins longer than this are background, cut more finely.
     shorter_than_dead_time : whether pieces must be shorter than the dead time, as `draw_cycle_ensemble` needs them.
-    settled : change of a sweep, in detections per cycle, at which the fixed point is taken as found.
+    tolerance : change from one cycle to the next, in detections, at which the fixed point is reached.
     """
     period = float(edges_s[-1])
     whole = int(np.floor(dead_time_s / period * (1 + 1e-15)))
@@ -295,9 +308,10 @@ def equilibrium(
     cut = shorter_than_dead_time and whole == 0
     pieces = pieces_of(flux, edges_s, width_s, rest, shorter_than_dead_time=cut)
     most = float(most_in_window(flux, edges_s, rest))
-    detections = _fixed_point(pieces, most, settled) if rest > 0.0 else pieces.flux
+    detections = _fixed_point(pieces, most, tolerance) if rest > 0.0 else pieces.flux
     scale = 1.0 / (1.0 + whole * float(detections.sum()))
     detections = detections * scale
+    # A diode is dead at phase 0 if it fired within the last dead time.
     dead = whole * float(detections.sum()) + _tail_sum(pieces.edges, detections, rest)
     long = Pieces(pieces.flux, pieces.bin_of, pieces.edges, dead_time_s)
     return Equilibrium(flux, long, detections, max(1.0 - dead, 0.0))
@@ -311,11 +325,14 @@ def _tail_sum(edges: Array, values: Array, length: float) -> float:
     return float(cumulative[-1] - np.interp(edges[-1] - length, edges, cumulative))
 
 
-def _fixed_point(pieces: Pieces, most: float, settled: float) -> Array:
-    """(m,) detections per cycle that one cycle hands on to the next unchanged, dead time below a period."""
+def _fixed_point(pieces: Pieces, most: float, tolerance: float) -> Array:
+    """(m,) detections per cycle and piece in equilibrium, for a dead time shorter than the period.
+
+    most : the most flux in any interval of the dead time.
+    """
     table = return_table(pieces.flux, pieces.edges, pieces.dead_time)
     m = len(pieces.flux)
-    # Near equilibrium: every piece scaled alike, by what keeps the detector's dead share below 1.
+    # The first guess scales every piece alike, so that the share of dead diodes stays below 1.
     start = pieces.flux / (1.0 + most)
     piece, due_in = _returns(table)
     late = due_in >= m
@@ -329,28 +346,28 @@ def _fixed_point(pieces: Pieces, most: float, settled: float) -> Array:
         detections, armed_after = run_cycle(table, armed, returning.copy(), following)
         change = abs(armed_after - armed) + np.abs(following - returning).sum()
         armed, returning = armed_after, following
-        if change < settled:
+        if change < tolerance:
             return detections
     return _solve(table)
 
 
 def _solve(table: Table) -> Array:
-    """The fixed point from A_{i+1} − A_i + D_i − Σ_k w_{k→i+1} D_k = 0 with D_k = g_k A_k.
+    """(m,) detections of the fixed point, from A_{i+1} − A_i + D_i − Σ_k w_{k→i+1} D_k = 0 with D_k = g_k A_k.
 
-    These add up to 0 = 0, so one of them makes room for the sum of all shares, armed or due to return, being 1. The
-    equations couple neighbours and pieces a dead time apart, a narrow helix, so that elimination stays cheap.
+    These equations add up to 0 = 0, so one of them is replaced: all shares, armed or due to return, add up to 1. The
+    equations couple neighbours, and pieces a dead time apart, so that sparse elimination stays cheap.
     """
     q, _, _, weights = table
     m = len(q)
     piece, due_in = _returns(table)
     number, following = np.arange(m), (np.arange(m) + 1) % m
-    # Part of what is detected in a piece returns within it, and may fire again: a geometric series.
+    # A diode that fired in a piece may return within it and fire again: a geometric series.
     at_once = due_in == piece
     itself = np.bincount(piece[at_once], weights[at_once], m)
     gain = q / (1.0 - itself * q)
     due = (weights * gain[piece])[~at_once]
     piece, due_in = piece[~at_once], due_in[~at_once]
-    # Row j holds the equation for A_{j+1}; row m − 1, which would be that for A_0, the sum of all shares.
+    # Row j holds the equation for A_{j+1}; row m − 1, which would be that for A_0, holds the sum of all shares.
     rows = np.concatenate([number, number, number, (due_in - 1) % m])
     columns = np.concatenate([number, following, number, piece])
     values = np.concatenate([-np.ones(m), np.ones(m), gain * (1.0 - itself), -due])
@@ -360,7 +377,7 @@ def _solve(table: Table) -> Array:
     counted = np.flatnonzero(shares)
     rows, columns = np.append(rows[keep], np.full(len(counted), m - 1)), np.append(columns[keep], counted)
     values = np.append(values[keep], shares[counted])
-    # Here, because few ever need them, and they take long to import.
+    # Imported here, because few calls need them and the import takes long.
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 
@@ -372,8 +389,7 @@ def _solve(table: Table) -> Array:
 
 
 def _returns(table: Table) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Of every weight of the table the piece that is detected in, and the piece, counted on past the end of the
-    period, that it returns to."""
+    """For every weight of the table its pieces of detection and of return, whose numbers run past the period."""
     _, first, offset, weights = table
     piece = np.repeat(np.arange(len(first)), np.diff(offset))
     return piece, first[piece] + np.arange(len(weights)) - offset[piece]
@@ -393,7 +409,7 @@ def most_in_window(flux: Array, edges: Array, length: float) -> Array:
         share = np.clip((phase - edges[j]) / np.diff(edges)[j], 0.0, 1.0)
         return np.asarray(cumulative[..., j] + share * flux[..., j] + late * total - before)
 
-    # The integral over a sliding interval is piecewise linear: it peaks where one of its ends meets an edge. What
-    # intervals that end at an edge leave of the period starts there.
+    # The integral over a sliding interval is piecewise linear: it peaks where one of its ends meets an edge. An
+    # interval that ends at an edge is the period without the interval that starts there.
     starting, ending = until(edges[:-1] + length), total[..., 0] - until(edges[:-1] + (period - length)).min(axis=-1)
     return np.asarray(np.maximum(np.maximum(starting.max(axis=-1), 0.0), ending), np.float64)

@@ -1,15 +1,14 @@
-"""Transient → counts, their exact mean, and the samplers by which they are drawn."""
+"""Counts of a transient under a detector, their exact expected values, and the choice of the sampler."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from datagen.detector.chain import draw_cycle_ensemble, draw_hazard_chain, draw_in_order, draw_return_chain
-from datagen.detector.dead_time import FOR_A_START, equilibrium, pieces_of
+from datagen.detector.dead_time import START_TOLERANCE, equilibrium, pieces_of
 from datagen.detector.events import draw_avalanches, draw_free_running
 from datagen.detector.expected import (
     counts_are_binomial,
@@ -37,17 +36,18 @@ def detect(
 ) -> Counts:  # fmt: skip
     """Counts after an exposure, the shape of `transient`.
 
-    Photons are displaced by pulse and carrier diffusion, thinned by gate and PDE, joined by background; what the dead
-    time leaves of them is displaced by the TDC's jitter and counted. Every histogram is drawn by the cheapest sampler
-    that is exact, or biased by no more than `tolerance` and a tenth of a standard deviation (see `choose_sampler`).
+    Laser pulse and carrier diffusion displace photons, gate and PDE thin them, and background joins them. The dead
+    time removes events; the TDC's jitter displaces the records of those that are left. Every histogram is drawn by
+    the cheapest sampler that is exact, or whose bias is at most `tolerance` and a tenth of a standard deviation (see
+    `choose_sampler`).
 
     Parameters
     ----------
-    transient : (laser, pixel, bin) or (bin,); expected photons at the aperture per emitted photon and bin. A detector
-        knows only of light within the time axis: a direct return before its start causes no dead time.
-    seed : together with the laser point's and pixel's number it fixes every count.
-    tolerance : relative bias allowed to a cheaper sampler; 0: always the exact one.
-    approximate : allow a sampler that is exact in the mean only where the exact one would take too long.
+    transient : (laser, pixel, bin) or (bin,); expected photons at the aperture per emitted photon and bin. Light
+        outside the time axis is not modelled: a direct return before its start causes no dead time.
+    seed : fixes every count, together with the numbers of laser point and pixel.
+    tolerance : relative bias that a cheaper sampler may have; with 0 every sampler is exact.
+    approximate : whether a sampler whose mean alone is exact may be taken where the exact one would take too long.
     first_laser, first_pixel : numbers of the first laser point and pixel when `transient` is a block of a larger one;
         the counts are then those of that block. Crosstalk needs all pixels of the array at once.
     dtype : integer type of the counts; one too small for them raises.
@@ -79,7 +79,7 @@ def detect_and_choice(
     tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_laser: int = 0, first_pixel: int = 0,
     dtype: DTypeLike = np.int64,
 ) -> tuple[Counts, SamplerChoice]:  # fmt: skip
-    """`detect` and `choose_sampler` in one pass, for which the flux is worked out once."""
+    """The results of `detect` and of `choose_sampler`, for which the flux is computed once."""
     check_number("detect", "tolerance", tolerance, 0.0, 1.0, "a relative bias, such as 1e-3")
     try:
         kind = np.dtype(dtype)
@@ -97,8 +97,8 @@ def detect_and_choice(
     choices: list[Choices] = []
     for first, flux in measured.fluxes():
         rows = slice(first * pixels, (first + len(flux)) * pixels)
-        chosen = _choices(measured, first, flux, tolerance, approximate)
-        drawn = _drawn(measured, first, flux, chosen, streams.reshape(-1, 4)[rows])
+        chosen = _choose_block(measured, first, flux, tolerance, approximate)
+        drawn = _draw_block(measured, first, flux, chosen, streams.reshape(-1, 4)[rows])
         if kind != np.int64 and drawn.max() > limit:
             row, bin_ = (int(i) for i in np.unravel_index(int(drawn.argmax()), drawn.shape))
             raise InputError(
@@ -116,15 +116,16 @@ def expected_histogram(
 ) -> Array:  # fmt: skip
     """Expected counts per bin after an exposure: the exact mean of `detect` over all seeds.
 
-    Dead time in the mean is a renewal equation, solved bin after bin (`renewal`, `equilibrium`); no number is drawn.
+    The mean under a dead time is the solution of a renewal equation, bin after bin (`datagen.detector.dead_time`); no
+    number is drawn.
 
     Parameters
     ----------
     transient, time, spad, exposure, first_pixel : as of `detect`.
-    approximate : allow a self-consistent mean, whose error is of second order in the probabilities, where there is
-        no exact one in closed form: afterpulsing or crosstalk together with a dead time, and counters that saturate
-        where detections depend on one another (but for the binomial counts of a synchronous detector whose bin
-        counts a cycle at most once).
+    approximate : whether a self-consistent mean may be given where no exact one is known in closed form. Its error is
+        of second order in the probabilities. This concerns afterpulsing or crosstalk together with a dead time, and
+        saturating counters where detections depend on one another (except the binomial counts of a synchronous
+        detector whose bin counts a cycle at most once).
 
     Returns
     -------
@@ -137,7 +138,7 @@ def expected_histogram(
 
     Examples
     --------
-    10⁶ cycles of 10⁹ photons, of which half are detected; after a detection the diode is blind for its dead time.
+    10⁶ cycles of 10⁹ photons, half of which are detected; after a detection the diode is blind for its dead time.
 
     >>> import datagen as dg
     >>> exposure, time = dg.Exposure(cycles=10**6, photons_per_pulse=1e9), dg.TimeAxis(bins=4, width_s=1e-9)
@@ -170,13 +171,15 @@ def choose_sampler(
     Raises `InputError` where `detect` would refuse.
     """
     measured = Measurement.of(transient, time, spad, exposure, 0, first_pixel)
-    blocks = [_choices(measured, *block, tolerance, approximate) for block in measured.fluxes()]
+    blocks = [_choose_block(measured, *block, tolerance, approximate) for block in measured.fluxes()]
     return summarise(blocks, spad, tolerance)
 
 
-def _choices(measured: Measurement, first_laser: int, flux: Array, tolerance: float, approximate: bool) -> Choices:
-    """How each histogram of a block is drawn, of flux (laser, pixel, n); the same for all pixels of a laser point
-    where crosstalk couples them."""
+def _choose_block(
+    measured: Measurement, first_laser: int, flux: Array, tolerance: float, approximate: bool
+) -> Choices:
+    """How each histogram of a block of flux (laser, pixel, n) is drawn; where crosstalk couples the pixels of a laser
+    point, all of them are drawn alike."""
     _, pixels, n = flux.shape
     spad, others = measured.spad, (measured.exposure, tolerance, approximate)
     if measured.coupled:
@@ -189,27 +192,27 @@ def _choices(measured: Measurement, first_laser: int, flux: Array, tolerance: fl
     return choose(flux.reshape(-1, n), measured.cycle, alone, *others, lambda row: measured.where(first + row))
 
 
-def _drawn(
+def _draw_block(
     measured: Measurement, first_laser: int, flux: Array, choices: Choices, streams: Stream
 ) -> NDArray[np.int64]:
-    """(h, bin) counts of the histograms of a block of flux (laser, pixel, n), from as many streams."""
+    """(h, bin) counts of the h histograms of a block of flux (laser, pixel, n), from streams (h, 4)."""
     cycle, spad, tdc, cycles = measured.cycle, measured.spad, measured.tdc, measured.exposure.cycles
     _, pixels, n = flux.shape
     values = flux.reshape(-1, n)
     out = np.empty((len(values), cycle.bins), np.int64)
     poisson = choices.sampler == Sampler.POISSON
-    for rows in _rows(poisson):
-        # Poisson events displaced independently are Poisson: the mean is displaced instead of every event.
-        numbers = first_laser * pixels + np.arange(len(values))[rows]
-        mean = tdc.mean(cycles * values[rows])
-        out[rows] = draw_poisson(mean, streams[rows], lambda row: measured.where(numbers[row]))  # noqa: B023
-    for rows in _rows(~poisson & choices.few):
+    if len(rows := np.flatnonzero(poisson)):
+        # Poisson events that are displaced independently stay Poisson, so the mean is displaced, not every event.
+        mean, numbers = tdc.mean(cycles * values[rows]), first_laser * pixels + rows
+        out[rows] = draw_poisson(mean, streams[rows], lambda row: measured.where(numbers[row]))
+    if len(rows := np.flatnonzero(~poisson & choices.in_order)):
         own = streams[rows]
         out[rows] = tdc.draw(draw_in_order(values[rows], cycle.edges_s, spad.dead_time_s, cycles, own), own)
-    for rows in _rows(~poisson & ~choices.few):
+    if len(rows := np.flatnonzero(~poisson & ~choices.in_order)):
         own = streams[rows]
         if measured.coupled:
-            # A laser point's joint draw uses its first pixel's stream, whose jitter goes on from there.
+            # The joint draw of a laser point takes its numbers from its first pixel's stream, which then goes on to
+            # draw that pixel's jitter.
             each = [slice(k, k + pixels) for k in range(0, len(own), pixels)]
             joint = [draw_avalanches(values[rows][k], cycle, spad, cycles, own[k.start]) for k in each]
             detections = np.concatenate(joint)
@@ -220,16 +223,8 @@ def _drawn(
     return out if spad.counter_max is None else np.minimum(out, spad.counter_max)
 
 
-def _rows(wanted: NDArray[np.bool_]) -> Iterator[NDArray[np.int64] | slice]:
-    """An index of the rows that are wanted, a slice where all are (no copy); nothing where none is."""
-    if wanted.all():
-        yield slice(None)
-    elif wanted.any():
-        yield np.flatnonzero(wanted)
-
-
 def _draw_one(measured: Measurement, flux: Array, sampler: Sampler, stream: Stream) -> NDArray[np.int64]:
-    """(n,) detections of one pixel by a sampler other than Poisson's."""
+    """(n,) detections of one pixel of flux (n,), by a sampler other than Poisson's."""
     cycle, spad, cycles = measured.cycle, measured.spad, measured.exposure.cycles
     bins = cycle.edges_s, cycle.width_s, spad.dead_time_s
     match sampler:
@@ -241,14 +236,18 @@ def _draw_one(measured: Measurement, flux: Array, sampler: Sampler, stream: Stre
             return np.asarray(draw_avalanches(flux[None, :], cycle, spad, cycles, stream)[0])
         case Sampler.CYCLE_ENSEMBLE:
             return draw_cycle_ensemble(equilibrium(flux, *bins, shorter_than_dead_time=True), cycles, stream)
-    return draw_free_running(flux, cycle, spad, cycles, equilibrium(flux, *bins, settled=FOR_A_START), stream)
+    return draw_free_running(flux, cycle, spad, cycles, equilibrium(flux, *bins, tolerance=START_TOLERANCE), stream)
 
 
 def _saturate_mean(mean: Array, flux: Array, measured: Measurement, approximate: bool) -> Array:
-    """(laser, pixel, bin) mean counts, of flux (laser, pixel, n), once counters have stayed at their maximum."""
+    """(laser, pixel, bin) mean counts of counters that stay at their maximum, from the mean counts without one.
+
+    flux : (laser, pixel, n). Raises `InputError` where the law of the counts is unknown, unless `approximate`.
+    """
     spad, exposure = measured.spad, measured.exposure
     if spad.counter_max is None:
         return mean
+    # Eight standard deviations below the maximum a counter never fills.
     reach = mean + 8 * np.sqrt(mean) + 8 > spad.counter_max
     if not reach.any():
         return mean

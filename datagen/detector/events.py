@@ -1,10 +1,11 @@
-"""Detection by detection, at a cost that depends on their number (cases c and e; paralyzable dead time; crosstalk).
+"""Samplers that draw one detection after the other, at a cost in proportion to their number: free running,
+afterpulsing, a paralyzable dead time, crosstalk.
 
-From the moment s at which a pixel is armed the next photon detected is where Λ(t) = Λ(s) + Exp(1), the integral of
-the flux being inverted with a guide table; time is kept as (cycle, phase), so that it stays exact over any exposure.
-Traps compete: one expected to release A more carriers releases its next at −t_t ln(1 − E/A) if E < A, with
-E ~ Exp(1). An avalanche leaves A ← A exp(−Δt/t_t) + μ for the moment the pixel is armed again; what is released
-before is lost, and what is released while the gate is shut too.
+A pixel that is armed at the moment s detects its next photon where Λ(t) = Λ(s) + Exp(1). The integral Λ of the flux
+is inverted with a guide table. Time is kept as (cycle, phase), so that it stays exact over any exposure.
+A trap competes with the photons: if A more releases are expected of it, it releases its next carrier after
+−t_t ln(1 − E/A) if E < A, with E ~ Exp(1), and otherwise none. An avalanche leaves A ← A exp(−Δt/t_t) + μ for the
+moment at which the pixel is armed again. Carriers released before that moment, or while the gate is shut, are lost.
 """
 
 from __future__ import annotations
@@ -25,22 +26,22 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _BURN_IN_CYCLES = 24
-"""Cycles simulated before an exposure, at least, in which pixels forget that they all started armed. Fewer leave too
-many detections in the first cycles where several events a cycle keep a diode in step with its start."""
+"""Least number of cycles simulated before an exposure, in which pixels forget that they started armed. With half as
+many the first cycles have too many detections where several events a cycle keep a diode in step with its start."""
 _BURN_IN_TIMES = 8.0
-"""So many release times (or dead times) are simulated before an exposure: a trap is then within e⁻⁸ of its level; of
-half as many its first cycles would lack 2 % of their afterpulses."""
+"""Release times (or dead times) simulated before an exposure: a trap is then within e⁻⁸ of its level. With half as
+many the first cycles lack 2 % of their afterpulses."""
 _MANY_LAPS = 2.0**20
-"""Periods without an event after which the phase of the next event is drawn afresh: rounding of a sum over so many
-periods is 10⁻¹⁰ of one, and half of that over half as many."""
+"""Periods without an event after which the phase of the next event is drawn afresh. The rounding of Λ over so many
+periods is 10⁻¹⁰ of one period; with half as many it is half of that."""
 
 
 class _Period(NamedTuple):
-    """The bins of a laser period as kernels take them; see `Cycle`."""
+    """The bins of a laser period, in the form that kernels take; see `Cycle`."""
 
     edges: Array
     width: float
-    # The first bins, which lie on the lattice of the bin width: the number of such a bin needs no search.
+    # Number of the first bins, which lie on multiples of the bin width: their numbers need no search.
     lattice: int
     gate: Array
 
@@ -51,7 +52,7 @@ class _Diode(NamedTuple):
     dead_time: float
     synchronous: bool
     paralyzable: bool
-    # Expected releases that an avalanche leaves in each trap, and the release times of the traps.
+    # Expected releases that an avalanche adds to each trap, and the release times of the traps.
     loads: Array
     times: Array
     crosstalk: float
@@ -59,7 +60,7 @@ class _Diode(NamedTuple):
 
 
 def burn_in_cycles(spad: Spad, period_s: float) -> int:
-    """Cycles simulated before the exposure, in which dead time and traps forget that they started empty."""
+    """Number of cycles simulated before the exposure, in which dead time and traps forget how they started."""
     longest = max(spad.dead_time_s, *(spad.afterpulse_times_s if spad.afterpulse_probability > 0 else (0.0,)))
     return _BURN_IN_CYCLES + int(np.ceil(_BURN_IN_TIMES * longest / period_s))
 
@@ -70,9 +71,9 @@ def draw_avalanches(flux: Array, cycle: Cycle, spad: Spad, cycles: int, stream: 
 
 
 def draw_free_running(flux: Array, cycle: Cycle, spad: Spad, cycles: int, state: Equilibrium, stream: Stream) -> Ints:
-    """(n,) detections in `cycles` laser periods of a detector that has been running for ever, of flux (n,).
+    """(n,) detections in `cycles` laser periods of a detector with flux (n,) that has been running for ever.
 
-    The moment from which it is armed first is drawn from the equilibrium, hence the mean is exact for any number of
+    The moment at which it is armed first is drawn from the equilibrium, so the mean is exact for any number of
     cycles.
     """
     first_cycle, first_phase = _first_armed(state, stream)
@@ -96,14 +97,16 @@ def _draw(
 
 
 def _first_armed(state: Equilibrium, stream: Stream) -> tuple[int, float]:
-    """(cycle, phase) ≥ (0, 0) from which on a detector in equilibrium is armed."""
+    """(cycle, phase) at which a detector in equilibrium is armed for the first time from (0, 0) on."""
     edges = state.pieces.edges
     period, dead_time = float(edges[-1]), state.pieces.dead_time
+    # The probability not to be armed is the sum of the detections within the last dead time: the one at which this
+    # uniform number is used up keeps the detector dead.
     behind = uniform(stream) - state.armed
     per_cycle = float(state.detections.sum())
     if behind <= 0.0 or per_cycle <= 0.0:
         return 0, 0.0
-    # The last detection was so long ago that `behind` detections are expected since then.
+    # Since that detection `behind` detections are expected.
     laps, rest = divmod(behind, per_cycle)
     cumulative = np.append(0.0, np.cumsum(state.detections))
     ago = (laps + 1.0) * period - float(np.interp(per_cycle - rest, cumulative, edges))
@@ -122,13 +125,13 @@ def _run(
     cumulative, guide = np.zeros((pixels, n + 1)), np.zeros((pixels, n), np.int64)
     for p in range(pixels):
         _fill_inverse(flux[p], cumulative[p], guide[p])
-    # The moment from which each pixel is armed, and its next avalanche.
+    # The moment at which each pixel is armed again, and the moment and bin of its next avalanche.
     armed_cycle, armed_phase = np.full(pixels, first_cycle), np.full(pixels, first_phase)
     next_cycle, next_phase = np.full(pixels, first_cycle), np.full(pixels, first_phase)
     next_bin = np.zeros(pixels, np.int64)
-    # Releases still expected of each trap from the moment its pixel is armed.
+    # Releases expected of each trap from the moment at which its pixel is armed.
     level = np.zeros((pixels, len(diode.loads)))
-    # Pixels whose next avalanche is to be drawn: at first all of them, later those that avalanche at one moment.
+    # Pixels whose next avalanche has to be drawn: at first all of them, later those that fire at one moment.
     stack = np.empty(4 * pixels + 8, np.int64)
     for p in range(pixels):
         stack[p] = pixels - 1 - p
@@ -140,6 +143,7 @@ def _run(
             from_cycle, from_phase, is_armed = first_cycle, first_phase, False
             if j >= 0:
                 is_armed = bool(armed_cycle[p] < now or (armed_cycle[p] == now and armed_phase[p] <= phase))
+                # A dead diode is not set off by its neighbour; only a paralyzable one becomes dead anew.
                 if not is_armed and not diode.paralyzable:
                     continue
                 if is_armed and now >= 0:
@@ -147,16 +151,17 @@ def _run(
                 new_cycle, new_phase = _armed_again(
                     now, phase + diode.dead_time, float(period.edges[n]), diode.synchronous
                 )
-                # Carriers go on leaving traps while the diode is dead, and are lost.
+                # Traps go on releasing carriers while the diode is dead; these are lost.
                 since = (new_cycle - armed_cycle[p]) * float(period.edges[n]) + (new_phase - armed_phase[p])
                 for t in range(len(diode.loads)):
                     level[p, t] = level[p, t] * np.exp(-since / diode.times[t]) + diode.loads[t]
                 armed_cycle[p], armed_phase[p] = new_cycle, new_phase
-                # Under a paralyzable dead time the next photon matters even if it comes too early.
+                # A paralyzable dead time is restarted even by a photon that comes too early.
                 from_cycle, from_phase = (now, phase) if diode.paralyzable else (new_cycle, new_phase)
             later, at, k = cycles, 0.0, 0
             if cumulative[p, n] > 0.0:
                 later, at, k = _next_photon(cumulative[p], period, guide[p], from_cycle, from_phase, cycles, stream)
+            # Each trap competes with the photon: the earliest of all is the next avalanche.
             for t in range(len(diode.times)):
                 e = exponential(stream)
                 if e < level[p, t]:
@@ -166,6 +171,7 @@ def _run(
             next_cycle[p], next_phase[p], next_bin[p] = later, at, k
             if is_armed and diode.crosstalk > 0.0:
                 waiting = _set_off_neighbours(p, pixels, diode, stack, waiting, stream)
+        # The pixel with the earliest avalanche is next. Arrays are small, so a search in order is fastest.
         p = 0
         for other in range(1, pixels):
             if next_cycle[other] < next_cycle[p] or (
@@ -181,11 +187,12 @@ def _run(
 
 @compiled()
 def _set_off_neighbours(p: int, pixels: int, diode: _Diode, stack: Ints, waiting: int, stream: Stream) -> int:
-    """Put the neighbours that an avalanche of pixel `p` sets off onto `stack`; returns how many wait there then."""
+    """Number of pixels on `stack`, of which `waiting` are there already, once the neighbours that an avalanche of
+    pixel `p` sets off are added."""
     row, column = p // diode.columns, p % diode.columns
-    for way in range(4):
-        r = row + (1 if way == 0 else -1 if way == 1 else 0)
-        c = column + (1 if way == 2 else -1 if way == 3 else 0)
+    for side in range(4):
+        r = row + (1 if side == 0 else -1 if side == 1 else 0)
+        c = column + (1 if side == 2 else -1 if side == 3 else 0)
         q = r * diode.columns + c
         if r < 0 or c < 0 or c >= diode.columns or q >= pixels or uniform(stream) >= diode.crosstalk:
             continue
@@ -197,8 +204,8 @@ def _set_off_neighbours(p: int, pixels: int, diode: _Diode, stack: Ints, waiting
 
 @compiled()
 def _fill_inverse(flux: Array, cumulative: Array, guide: Ints) -> None:
-    """Fill in sums Λ of the flux (n,) before each bin, (n + 1,) from 0 on, and (n,) the bins into which the shares
-    0, 1/n, … of the whole fall."""
+    """Fill in `cumulative` (n + 1,), the flux Λ before each bin, and `guide` (n,), the bins in which Λ reaches the
+    shares 0, 1/n, 2/n, … of the whole: there the search for a value of Λ starts."""
     n = len(flux)
     for i in range(n):
         cumulative[i + 1] = cumulative[i] + flux[i]
@@ -211,7 +218,7 @@ def _fill_inverse(flux: Array, cumulative: Array, guide: Ints) -> None:
 
 @compiled()
 def _bin_of(edges: Array, phase: float) -> int:
-    """The bin in which a phase lies, by bisection."""
+    """Number of the bin in which a phase lies, by bisection."""
     low, high = 0, len(edges) - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -226,9 +233,9 @@ def _bin_of(edges: Array, phase: float) -> int:
 def _next_photon(
     cumulative: Array, period: _Period, guide: Ints, cycle: int, phase: float, cycles: int, stream: Stream
 ) -> tuple[int, float, int]:
-    """(cycle, phase, bin) of the first photon detected after (cycle, phase), where Λ has grown by Exp(1).
+    """(cycle, phase, bin) of the first photon detected after (`cycle`, `phase`), where Λ has grown by Exp(1).
 
-    A cycle of `cycles` or later means that there is none.
+    A cycle of `cycles` or later means that no photon is detected in the exposure.
     """
     edges = period.edges
     n = len(edges) - 1
@@ -237,7 +244,7 @@ def _next_photon(
     if j >= period.lattice:
         j = _bin_of(edges, phase)
     elif edges[j + 1] <= phase and j + 1 < n:
-        # Rounding put the phase into the bin before.
+        # Rounding gave the number of the bin before.
         j += 1
     share = min(max((phase - edges[j]) / (edges[j + 1] - edges[j]), 0.0), 1.0)
     target = cumulative[j] + share * (cumulative[j + 1] - cumulative[j]) + exponential(stream)
@@ -245,8 +252,8 @@ def _next_photon(
         laps = np.floor(target / total)
         if laps >= cycles - cycle:
             return cycles, 0.0, 0
-        # Subtracting many laps leaves only rounding, which may be far larger than Λ, or negative; what an exponential
-        # number leaves of its last lap is independent of the laps before.
+        # After very many laps the rest of the target is mere rounding. An exponential number has no memory, so the
+        # rest is independent of the number of laps and can be drawn afresh.
         target = max(target - laps * total, 0.0)
         if laps > _MANY_LAPS:
             target = -math.log1p(uniform(stream) * math.expm1(-total))
@@ -264,7 +271,8 @@ def _next_photon(
 
 @compiled()
 def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> tuple[int, float]:
-    """(cycle, phase) at which a dead time that would end at `phase` of `cycle`, or later, is over."""
+    """(cycle, phase) at which a diode is armed again whose dead time ends at `phase`, perhaps beyond the period, of
+    `cycle`: a synchronous one at the start of the next cycle at the latest."""
     if phase >= period:
         if synchronous:
             return cycle + 1, 0.0
@@ -275,10 +283,11 @@ def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> 
 
 @compiled()
 def _release(
-    now: int, at: float, j: int, cycle: int, phase: float, e: float, left: float, time: float, period: _Period,
-    stream: Stream,
+    next_cycle: int, next_phase: float, j: int, cycle: int, phase: float, e: float, left: float, time: float,
+    period: _Period, stream: Stream,
 ) -> tuple[int, float, int]:  # fmt: skip
-    """(cycle, phase, bin) of the next avalanche: `now, at, j`, or an earlier release of a trap that holds `left`.
+    """(cycle, phase, bin) of the next avalanche: the photon's (`next_cycle`, `next_phase`, `j`), or an earlier
+    release of a trap of which `left` releases are expected.
 
     The pixel is armed from (`cycle`, `phase`) on; `e` < `left` is the exponential number of the trap's first release.
     """
@@ -289,14 +298,14 @@ def _release(
         left -= e
         absolute = phase + delay
         laps = np.floor(absolute / length)
-        if laps > now - cycle:
+        if laps > next_cycle - cycle:
             break
         at_cycle, at_phase = cycle + int(laps), max(absolute - laps * length, 0.0)
-        if at_cycle > now or (at_cycle == now and at_phase >= at):
+        if at_cycle > next_cycle or (at_cycle == next_cycle and at_phase >= next_phase):
             break
         k = _bin_of(period.edges, at_phase)
-        # A shut gate loses the carrier, and the trap may release another one.
+        # A carrier is lost while the gate is shut, and the trap may release another one.
         if period.gate[k] >= 1.0 or uniform(stream) < period.gate[k]:
             return at_cycle, at_phase, k
         e = exponential(stream)
-    return now, at, j
+    return next_cycle, next_phase, j

@@ -1,4 +1,4 @@
-"""The exact mean of every sampler: expected detections per laser cycle and bin, in O(n)."""
+"""The exact mean of every sampler: expected detections per laser cycle and bin, in a time linear in the bins."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from datagen.detector.spad import Spad
 Array = NDArray[np.float64]
 
 _ROUNDS = 200
-"""Rounds after which a self-consistent mean is taken as it is; it settles in 5 to 30. Half would do."""
+"""Most rounds of a self-consistent mean, which settles in 5 to 30. Half as many would do, too."""
 _SETTLED = 1e-11
-"""Share of the detections that a round may still change in a settled mean: halved, it takes a round more at most."""
+"""Share of the detections that a round may change in a settled mean. Halved, it takes one round more at most."""
 _PIECES, _MOST_PIECES = 32, 4096
-"""Long background bins are cut into pieces of a 32nd of the shortest of trap times and dead time, 4096 a bin at most:
-avalanches caused in a piece are taken as uniform there. Half as many double the error of where afterpulses fall."""
+"""Long background bins are cut into pieces of a 32nd of the shortest of trap times and dead time, at most 4096 a bin:
+avalanches caused in a piece are taken as uniform there. With half as many the moments of afterpulses have twice the
+error."""
 
 
 def one_per_cycle_mean(flux: Array) -> Array:
-    """p_i = −expm1(−λ_i) exp(−Λ_{i−1}): the first event of the cycle falls into bin i. Any leading axes."""
+    """(…, n) probability p_i = −expm1(−λ_i) exp(−Λ_{i−1}) that the first event of a cycle falls into bin i."""
     before = np.cumsum(flux, axis=-1) - flux
     return -np.expm1(-flux) * np.exp(-np.maximum(before, 0.0))
 
@@ -33,34 +34,34 @@ def one_per_cycle_mean(flux: Array) -> Array:
 def mean_detections(flux: Array, cycle: Cycle, spad: Spad) -> Array:
     """(pixel, n) expected detections per cycle of the pixels of one laser point with flux (pixel, n).
 
-    Exact, except for afterpulsing and crosstalk together with a dead time: see `has_exact_mean`. There the events
-    that avalanches cause are put in as flux, afterpulses as the survivors of what the last avalanche trapped, until
-    the answer agrees with itself; neglected is the correlation between pixels and between avalanches, an error of
-    second order in the probabilities.
+    Exact, except for afterpulsing and crosstalk together with a dead time (`has_exact_mean`). There the events that
+    avalanches cause are added to the flux, and the mean is repeated until it agrees with itself. The correlations
+    between pixels and between avalanches are neglected, an error of second order in the probabilities.
     """
     return detections_and_events(flux, cycle, spad)[0]
 
 
 def detections_and_events(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array, Array]:
     """(pixel, n) `mean_detections`, and (pixel, n) all events per cycle: those of `flux` and those that avalanches
-    cause. The ratio of the two is the chance that an event finds the diode armed."""
+    cause. Their ratio is the probability that an event finds the diode armed."""
     has_traps, has_crosstalk = spad.afterpulse_probability > 0, spad.crosstalk_probability > 0 and len(flux) > 1
     if spad.mode == "ideal":
         return flux, flux
     if not (has_traps or has_crosstalk):
         return _mean_of_photons(flux, cycle, spad), flux
     scales = (spad.dead_time_s, *(spad.afterpulse_times_s if has_traps else ()))
-    finer, parts = _cut(cycle, min((scale for scale in scales if scale > 0), default=np.inf) / _PIECES)
+    finer, parts = _with_short_bins(cycle, min((scale for scale in scales if scale > 0), default=np.inf) / _PIECES)
     flux = np.repeat(flux / parts, parts, axis=1)
-    found = _self_consistent(flux, finer, spad, has_traps, has_crosstalk)
-    detections, events = (np.add.reduceat(values, np.cumsum(parts) - parts, axis=1) for values in found)
+    both = _self_consistent(flux, finer, spad, has_traps, has_crosstalk)
+    detections, events = (np.add.reduceat(values, np.cumsum(parts) - parts, axis=1) for values in both)
     return detections, events
 
 
-def _cut(cycle: Cycle, longest_s: float) -> tuple[Cycle, NDArray[np.int64]]:
-    """The cycle with its long bins in equal parts of about `longest_s`, and (n,) how many parts each has.
+def _with_short_bins(cycle: Cycle, longest_s: float) -> tuple[Cycle, NDArray[np.int64]]:
+    """The cycle with its long bins cut into equal parts of about `longest_s`, and (n,) the number of parts of each
+    bin.
 
-    All of it counts as recorded: what is detected later than the record fills traps that empty in the next cycle.
+    The whole period counts as recorded, since detections after the record fill traps that release in the next cycle.
     """
     parts = np.ceil(cycle.widths_s / max(longest_s, cycle.width_s) * (1.0 - 1e-6))
     parts = np.clip(parts, 1, _MOST_PIECES).astype(np.int64)
@@ -73,6 +74,7 @@ def _cut(cycle: Cycle, longest_s: float) -> tuple[Cycle, NDArray[np.int64]]:
 def _self_consistent(
     flux: Array, cycle: Cycle, spad: Spad, has_traps: bool, has_crosstalk: bool
 ) -> tuple[Array, Array]:
+    """(pixel, n) detections and (pixel, n) all events per cycle, repeated until they agree with each other."""
     shared, released = np.zeros_like(flux), np.zeros_like(flux)
     detections, total = np.zeros_like(flux), flux
     for _ in range(_ROUNDS):
@@ -81,9 +83,10 @@ def _self_consistent(
         if np.abs(detections - previous).sum() <= _SETTLED * detections.sum():
             break
         if has_traps:
+            # Afterpulses come from diodes that are armed again; as flux they meet armed and dead ones alike.
             armed = np.divide(detections, total, out=np.ones_like(total), where=total > 0)
             pairs = zip(detections, flux + shared, strict=True)
-            released = np.stack([_releases(d, f, cycle, spad) for d, f in pairs]) / np.maximum(armed, 1e-12)
+            released = np.stack([_afterpulses(d, f, cycle, spad) for d, f in pairs]) / np.maximum(armed, 1e-12)
         if has_crosstalk:
             shared = spad.crosstalk_probability * neighbour_sum(detections, spad.array_columns or len(flux))
     return detections, total
@@ -100,9 +103,9 @@ def counts_are_poisson(spad: Spad, pixels: int) -> bool:
 
 
 def counts_are_binomial(flux: Array, cycle: Cycle, spad: Spad, pixels: int) -> bool:
-    """Whether a bin counts each cycle at most once, and cycles are independent; of flux (…, n).
+    """Whether each bin counts a cycle at most once and cycles are independent, for flux (…, n).
 
-    So it is where the dead time leaves one detection a cycle, or one a bin and nothing moves its record.
+    This holds where the dead time leaves one detection a cycle, or one a bin and no jitter moves its record.
     """
     if spad.mode != "synchronous" or _is_coupled(spad, pixels):
         return False
@@ -117,7 +120,7 @@ def _is_coupled(spad: Spad, pixels: int) -> bool:
 
 
 def neighbour_sum(values: Array, columns: int) -> Array:
-    """(pixel, n) sum over each pixel's nearest neighbours in an array of `columns` pixels a row."""
+    """(pixel, n) sum of `values` (pixel, n) over each pixel's nearest neighbours, in rows of `columns` pixels."""
     pixels, n = values.shape
     rows = -(-pixels // columns)
     grid = np.zeros((rows * columns, n))
@@ -132,7 +135,7 @@ def neighbour_sum(values: Array, columns: int) -> Array:
 
 
 def _mean_of_photons(flux: Array, cycle: Cycle, spad: Spad) -> Array:
-    """(k, n) expected detections per cycle when events come independently, of flux (k, n)."""
+    """(k, n) expected detections per cycle of independent events with flux (k, n)."""
     dead_time, synchronous = spad.dead_time_s, spad.mode == "synchronous"
     if dead_time == 0:
         return flux.copy()
@@ -154,8 +157,7 @@ def _mean_of_photons(flux: Array, cycle: Cycle, spad: Spad) -> Array:
 
 
 def active_span(flux: Array, cycle: Cycle) -> Array:
-    """(…,) seconds from the first moment of the cycle at which something can happen to the last that can be recorded,
-    of flux (…, n)."""
+    """(…,) seconds from the first event that is possible with flux (…, n) to the last one that can be recorded."""
     active = flux[..., : cycle.front] > 0
     first = active.argmax(axis=-1)
     last = cycle.front - 1 - active[..., ::-1].argmax(axis=-1)
@@ -163,13 +165,13 @@ def active_span(flux: Array, cycle: Cycle) -> Array:
 
 
 def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: bool) -> Array:
-    """∫ λ(t) exp(−[Λ(t) − Λ(t − τ)]) dt over each bin: the exponent is linear between edges and delayed edges."""
+    """(n,) ∫ λ(t) exp(−[Λ(t) − Λ(t − τ)]) dt over each bin, the exponent being linear between edges and edges + τ."""
     period = edges[-1]
     cumulative = np.append(0.0, np.cumsum(flux))
     total = cumulative[-1]
 
     def flux_before(t: Array) -> Array:
-        """Λ(t), periodically continued."""
+        """Λ(t), continued over the periods before; 0 before the start of a synchronous cycle."""
         laps = np.floor(t / period)
         value: Array = np.interp(t - laps * period, edges, cumulative) + laps * total
         return np.maximum(value, 0.0) if synchronous else value
@@ -178,7 +180,8 @@ def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: 
     exponent = np.interp(knots, edges, cumulative) - flux_before(knots - dead_time)
     bin_of = np.clip(np.searchsorted(edges, 0.5 * (knots[1:] + knots[:-1]), side="right") - 1, 0, len(flux) - 1)
     events = flux[bin_of] * np.diff(knots) / np.diff(edges)[bin_of]
-    # Mean of exp(−y) over a piece on which y is linear, from its lower end; by its series where y hardly changes.
+    # The mean of exp(−y) over a piece on which y is linear, counted from its lower end; by a series where y hardly
+    # changes, for the closed form would divide 0 by 0 there.
     rise, low = np.abs(np.diff(exponent)), np.minimum(exponent[1:], exponent[:-1])
     tiny = rise < 1e-6
     safe = np.where(tiny, 1.0, rise)
@@ -186,22 +189,21 @@ def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: 
     return np.bincount(bin_of, events * mean, len(flux)).astype(np.float64)
 
 
-def _releases(detections: Array, flux: Array, cycle: Cycle, spad: Spad) -> Array:
-    """(n,) expected afterpulses per cycle and bin of avalanches `detections`."""
+def _afterpulses(detections: Array, flux: Array, cycle: Cycle, spad: Spad) -> Array:
+    """(n,) expected afterpulses per cycle and bin that avalanches `detections` (n,) cause beside other flux (n,)."""
     edges, synchronous = cycle.edges_s, spad.mode == "synchronous"
     cumulative = np.append(0.0, np.cumsum(detections))
-    # Avalanches after which the diode is armed again, until each edge.
+    # Number of avalanches, until each edge, after which the diode is armed again.
     laps, phase = np.divmod(edges - spad.dead_time_s, edges[-1])
     rearmed = np.interp(phase, edges, cumulative) + laps * cumulative[-1]
     if synchronous:
         rearmed = np.where(edges > spad.dead_time_s, rearmed, 0.0)
     out = np.zeros_like(detections)
     for load, time in zip(spad.trap_loads, spad.afterpulse_times_s, strict=True):
-        # What an older trap still holds survives a further dead time in the share `kept`: only the rest is lost when
-        # a photon comes first.
+        # A photon that comes first makes the diode dead once more: the share `kept` of the carriers outlasts that.
         kept = float(np.exp(-spad.dead_time_s / time))
         effective = -np.expm1(-load) + (load + np.expm1(-load)) * kept
-        # Synchronous: those still dead at the end of the cycle are armed again at the start of the next one.
+        # A synchronous diode that is dead at the end of the cycle is armed again at the start of the next one.
         first = effective * float(cumulative[-1] - rearmed[-1]) if synchronous else 0.0
         rates = np.diff(edges) / time + (1.0 - kept) * flux
         out += _release_one_trap(effective * np.diff(rearmed), rates, np.diff(edges) / time, first)
@@ -210,16 +212,18 @@ def _releases(detections: Array, flux: Array, cycle: Cycle, spad: Spad) -> Array
 
 @compiled()
 def _release_one_trap(arriving: Array, rates: Array, releasing: Array, first: float) -> Array:
-    """(n,) releases per cycle of a trap to which each bin adds `arriving`, the first one `first` more, and which it
-    leaves by e^{−rate}, a share `releasing / rate` of that by release."""
+    """(n,) releases per cycle of a trap. Each bin adds `arriving` carriers, the first bin also `first`; carriers
+    decay over a bin by e^{−rate}, and the share `releasing / rate` of these are released."""
     out = np.zeros(len(rates))
     level, decay = 0.0, 1.0
     for lap in range(2):
-        # The first lap finds what a cycle leaves behind, hence the periodic level; the second uses it.
+        # The first lap starts empty and gives the level at the end of a cycle, from which the periodic level follows.
+        # The second lap starts with that.
         level = level + first
         for i in range(len(rates)):
             rate = rates[i]
             part = -np.expm1(-rate) / rate
+            # Carriers that arrive during the bin have less of it left; the series avoids cancellation.
             rest = 0.5 - rate / 6.0 if rate < 1e-5 else (1.0 - part) / rate
             out[i] = releasing[i] * (level * part + arriving[i] * rest)
             level = level * np.exp(-rate) + arriving[i] * part

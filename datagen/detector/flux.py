@@ -1,9 +1,9 @@
-"""From transient to flux: expected avalanche-capable events per laser cycle, over the whole laser period.
+"""The flux of a transient: expected avalanche-capable events per laser cycle, over the whole laser period,
 
-    λ_i = gate_i · [PDE · (signal_i + ambient · w_i) + dark · w_i]
+    λ_i = gate_i · [PDE · (signal_i + ambient · w_i) + dark · w_i],    w_i the width of bin i.
 
-Bins outside the recorded window count too: what happens there keeps the detector dead inside. Where nothing but
-background happens, far from the window, they are merged into long ones.
+Bins outside the recorded window count too, because an event there keeps the detector dead inside. Far from the
+window, where there is only background, they are merged into long bins.
 """
 
 from __future__ import annotations
@@ -24,21 +24,24 @@ Array = NDArray[np.float64]
 N = TypeVar("N", bound=np.generic)
 
 _MAX_PERIOD_BINS = 8_000_000
+"""Most bins of a laser period: 64 MB for each array. Halved, long periods in short bins are refused from half on."""
 _RAMP_PIECES = 16
+"""Pieces of a ramp of the gate beyond the window. Halved, background events there have twice the error."""
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """One laser period cut into bins; phase 0 is the start of the time axis.
+    """One laser period cut into n bins; phase 0 is the start of the time axis.
 
     Attributes
     ----------
     period_s, width_s : the laser period; the width of a recorded bin.
-    edges_s : (n + 1,) bin edges from 0 to the period. The first `front` bins are the recorded window and a margin on
-        the TDC's lattice; then long background bins, if any; the last `back` bins are on the lattice before phase 0.
+    edges_s : (n + 1,) bin edges from 0 to the period. The first `front` bins are the recorded window and a margin, on
+        the lattice of the TDC (multiples of the bin width). Then come long background bins, if any. The last `back`
+        bins are on the lattice before phase 0.
     gate : (n,) mean sensitivity of each bin, 0 … 1.
-    window : recorded bins; a time axis longer than the period leaves the bins beyond it empty.
-    bins : bins of the time axis.
+    window : number of recorded bins; a time axis longer than the period leaves the bins beyond it empty.
+    bins : number of bins of the time axis.
     before_avalanche, after_avalanche : displacement of photons (pulse, carrier diffusion) and of records (TDC).
     """
 
@@ -60,7 +63,7 @@ class Cycle:
 
     @cached_property
     def light_fold(self) -> Fold:
-        """Where light lies in the period, once pulse and diffusion have displaced it."""
+        """The bins of the period into which light falls once pulse and diffusion have displaced it."""
         response = self.before_avalanche
         count = self.bins + len(response.weights) - 1
         return fold_of(-response.before, count, self.width_s, self.edges_s)
@@ -68,17 +71,18 @@ class Cycle:
 
 @lru_cache(maxsize=1)
 def cycle_of(time: TimeAxis, spad: Spad, exposure: Exposure) -> Cycle:
-    """Lay out the laser period for a time axis; the last one is kept, since scenes often share a detector.
+    """The laser period cut into bins for a time axis. The last result is cached, as scenes often share a detector.
 
-    A time axis longer than the period is folded: light that comes later than a period is recorded, like any real TDC
-    would, in the bins after the next pulse, and the bins beyond the period stay empty. In mode `ideal` such pulses
-    are taken as isolated instead (nothing is folded).
+    A time axis longer than the period is folded: light that comes later than a period is recorded in the bins after
+    the next pulse, as by any real TDC, and the bins beyond the period stay empty. In mode `ideal` pulses count as
+    isolated instead, and nothing is folded.
 
     Raises `InputError` for a gate that is not within the period and for bins longer than it.
     """
     width, bins, period = time.width_s, time.bins, exposure.period_s
     pulse = response_kernel(width, exposure.pulse_fwhm_s, spad.jitter_tail_s, spad.jitter_tail_fraction)
     jitter = response_kernel(width, spad.jitter_fwhm_s)
+    # Light and records are displaced by so many bins: the window needs that margin on either side.
     after, before = pulse.after + jitter.before, pulse.before + jitter.after
     if spad.mode == "ideal" and bins * width > period * (1 + 1e-9):
         period = (bins + after + before) * width
@@ -112,7 +116,7 @@ def cycle_of(time: TimeAxis, spad: Spad, exposure: Exposure) -> Cycle:
 
 
 def _gate_span(time: TimeAxis, spad: Spad, period_s: float) -> tuple[float, float] | None:
-    """Phases at which the gate opens and is shut again; None without a gate."""
+    """Phases at which the gate opens and closes, seconds; None without a gate."""
     if spad.gate_start_s is None or spad.gate_width_s is None:
         return None
     start = spad.gate_start_s - time.start_s
@@ -128,7 +132,7 @@ def _gate_span(time: TimeAxis, spad: Spad, period_s: float) -> tuple[float, floa
 
 
 def _gate_knots(time: TimeAxis, spad: Spad, period_s: float) -> Array:
-    """Phases at which the gate's slope changes, ramps cut into short pieces; ascending."""
+    """Phases, ascending, between which the gate's sensitivity is nearly constant: its ramps are cut into pieces."""
     span = _gate_span(time, spad, period_s)
     if span is None:
         return np.empty(0)
@@ -138,7 +142,7 @@ def _gate_knots(time: TimeAxis, spad: Spad, period_s: float) -> Array:
 
 
 def _gate(edges_s: Array, time: TimeAxis, spad: Spad, period_s: float) -> Array:
-    """(n,) mean over each bin of the trapezoid 0 → 1 → 0."""
+    """(n,) mean sensitivity of each bin: the mean of a trapezoid 0 → 1 → 0."""
     span = _gate_span(time, spad, period_s)
     if span is None:
         return np.ones(len(edges_s) - 1)
@@ -146,25 +150,26 @@ def _gate(edges_s: Array, time: TimeAxis, spad: Spad, period_s: float) -> Array:
     rise = spad.gate_rise_s
 
     def ramp_integral(t: Array) -> Array:
-        """∫ of a ramp from 0 at 0 to 1 at `rise` and 1 ever after."""
+        """∫ from 0 to t of a ramp that is 0 at 0, 1 at `rise`, and 1 ever after."""
         return np.where(t < rise, 0.5 * t**2 / rise if rise > 0 else 0.0, t - 0.5 * rise) * (t > 0)
 
     opened = ramp_integral(edges_s - start) - ramp_integral(edges_s - (stop - rise))
     gate = np.diff(opened) / np.diff(edges_s)
+    # Rounding of the difference must not leave a trace of light behind a shut gate.
     gate = np.where(np.abs(gate - 1) < 1e-6, 1.0, np.where(np.abs(gate) < 1e-9, 0.0, gate))
     return np.clip(gate, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Fold:
-    """Where bins of the lattice lie in the period: most coincide with one of its bins, a few are shared out.
+    """The bins of the period in which bins of the lattice lie: most coincide with one, a few are split over several.
 
     Attributes
     ----------
     first : number of the first bin of the lattice.
-    bins : bins of the period.
+    bins : number of bins of the period.
     aligned : numbers of the lattice bins that are copied whole, bin k of the lattice to bin k of the period.
-    rows, columns, shares : (e,) for the others: position on the lattice, bin of the period, share; ordered by row.
+    rows, columns, shares : (e,) of the other ones: position on the lattice, bin of the period, share; ordered by row.
     """
 
     first: int
@@ -175,7 +180,7 @@ class Fold:
     shares: Array
 
     def __call__(self, values: Array) -> Array:
-        """(…, lattice) → (…, bins)."""
+        """(…, bins) values in the bins of the period, from values (…, lattice)."""
         out = np.zeros((*values.shape[:-1], self.bins))
         low, high = self.aligned.start, self.aligned.stop
         out[..., low:high] = values[..., low - self.first : high - self.first]
@@ -185,7 +190,7 @@ class Fold:
 
 
 def on_lattice(values: NDArray[N], back: int, front: int) -> NDArray[N]:
-    """(…, n) → (…, back + front): the last `back` bins of the period, then its first `front`."""
+    """(…, back + front) values of the last `back` bins of the period, then of its first `front`, from (…, n)."""
     n = values.shape[-1]
     if back == 0:
         return values[..., :front]
@@ -193,15 +198,16 @@ def on_lattice(values: NDArray[N], back: int, front: int) -> NDArray[N]:
 
 
 def fold_of(first: int, count: int, width_s: float, edges_s: Array) -> Fold:
-    """How lattice bins `first … first + count − 1` fall into the bins of the period, modulo its length."""
+    """The `Fold` of lattice bins `first … first + count − 1` into the bins of the period, modulo its length."""
     period, bins = float(edges_s[-1]), len(edges_s) - 1
-    # The lattice's own part of the period: its edges lie on multiples of the width.
+    # Bins of the period whose edges lie on multiples of the width are bins of the lattice themselves.
     on_lattice = np.abs(edges_s - width_s * np.arange(bins + 1)) < 1e-6 * width_s
     last = bins if on_lattice.all() else int(np.argmin(on_lattice)) - 1
     aligned = range(max(first, 0), max(min(first + count, last), 0))
     rows, columns, shares = [], [], []
     for number in (*range(first, aligned.start), *range(aligned.stop, first + count)):
         start = number * width_s % period
+        # A bin that the end of the period cuts goes on at its start.
         pieces = [(start, min(start + width_s, period))]
         if start + width_s > period:
             pieces.append((0.0, start + width_s - period))
@@ -216,13 +222,16 @@ def fold_of(first: int, count: int, width_s: float, edges_s: Array) -> Fold:
                     shares.append(share)
     row = np.array(rows, np.int64)
     share_of = np.array(shares, np.float64)
-    # What the slivers left out held goes to the others, so that nothing is lost.
+    # The slivers left out above are given to the other shares of their bin, so that nothing is lost.
     share_of /= np.bincount(row, share_of, count)[row] if len(row) else 1.0
     return Fold(first, bins, aligned, row, np.array(columns, np.int64), share_of)
 
 
 def flux_per_cycle(transient: Array, cycle: Cycle, spad: Spad, exposure: Exposure, first_pixel: int = 0) -> Array:
-    """(laser, pixel, n) λ: expected avalanche-capable events per cycle in each bin of the period."""
+    """(laser, pixel, n) λ, the expected avalanche-capable events per cycle in each bin of the period.
+
+    transient : (laser, pixel, bin). first_pixel : number of its first pixel, on which hot pixels depend.
+    """
     flux = arrivals(transient, cycle)
     flux *= spad.pde * exposure.photons_per_pulse
     background = spad.pde * exposure.ambient_rate_hz + dark_count_rates(spad, transient.shape[1], first_pixel)
@@ -232,13 +241,13 @@ def flux_per_cycle(transient: Array, cycle: Cycle, spad: Spad, exposure: Exposur
 
 
 def arrivals(light: Array, cycle: Cycle) -> Array:
-    """(laser, pixel, n) photons of some light in each bin of the period, displaced by the laser pulse and by all that
-    the diode's response adds before the avalanche; a new array."""
+    """(laser, pixel, n) photons of `light` (laser, pixel, bin) in each bin of the period, displaced by the laser
+    pulse and by carrier diffusion; a new array."""
     return cycle.light_fold(spread(light, cycle.before_avalanche))
 
 
 def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:
-    """(pixels,) dark counts per second of pixels `first_pixel`, …; some of them hot."""
+    """(pixels,) dark counts per second of the pixels from number `first_pixel` on, some of which are hot."""
     rates = np.full(pixels, float(spad.dark_count_rate_hz))
     if spad.hot_pixel_fraction > 0:
         rates[hot_pixels(spad, pixels, first_pixel)] *= spad.hot_pixel_factor
@@ -246,8 +255,8 @@ def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:
 
 
 def hot_pixels(spad: Spad, pixels: int, first_pixel: int = 0) -> NDArray[np.bool_]:
-    """(pixels,) which pixels are hot: a property of the array, the same for every laser point and block."""
-    # One random word a pixel from a counter-based generator, so that a block needs no words of other pixels.
+    """(pixels,) whether a pixel is hot: a property of the array, the same for every laser point and block."""
+    # A counter-based generator gives each pixel its own word, so that a block needs no words of other pixels.
     key = np.random.SeedSequence(spad.hot_pixel_seed).generate_state(2, np.uint64)
     bits = np.random.Philox(key=key, counter=first_pixel // 4)
     words = bits.random_raw(pixels + first_pixel % 4)[first_pixel % 4 :]

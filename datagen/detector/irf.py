@@ -1,4 +1,4 @@
-"""Timing responses as bin-integrated kernels, and convolution with them."""
+"""Timing responses: bin-integrated kernels, and convolution with them."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ Array = NDArray[np.float64]
 FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
 """Full width at half maximum of a Gaussian of unit standard deviation."""
 LONGEST_KERNEL = 4_000_000
-"""Taps beyond which a response is surely a mistake of units."""
+"""Most taps of a response, 32 MB: a longer one is a mistake of units. Halved, the longest are refused."""
 LONGEST_DIRECT = 4096
-"""Taps up to which the sum is done directly: exact to the last digit for every bin, however faint."""
+"""Taps up to which a convolution is summed directly, exact to the last digit in every bin, however faint. Halved,
+more kernels go through the FFT, and faint bins beside a bright one lose digits."""
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """Probability that light of one bin lands `offset` bins later: `weights[offset + before]`; sums to 1."""
+    """Probabilities `weights[offset + before]`, which sum to 1, that light of one bin arrives `offset` bins later."""
 
     weights: Array
     before: int
 
     @property
     def after(self) -> int:
-        """Bins by which light lands later at most."""
+        """Largest offset."""
         return len(self.weights) - 1 - self.before
 
     @property
@@ -45,14 +46,14 @@ IDENTITY = Kernel(np.ones(1), 0)
 
 
 def response_cdf(t_s: Array, sigma_s: float, tail_s: float = 0.0, tail_fraction: float = 1.0) -> Array:
-    """Probability that a photon is displaced by less than `t_s`: a Gaussian, part of it with an exponential delay.
+    """Probability that a photon is displaced by less than `t_s`: a Gaussian, of which a part is delayed further.
 
     With z = t/σ and Φ the normal distribution function,
 
         F(t) = Φ(z) − w · exp(σ²/2τ² − t/τ) Φ(z − σ/τ)
 
-    (exponentially modified Gaussian for the share w, plain for the rest). The product is formed in logarithms, for
-    its first factor overflows where the second vanishes.
+    (an exponentially modified Gaussian for the share w, a plain one for the rest). The product is computed from
+    logarithms, because its first factor overflows where the second vanishes.
     """
     t = np.asarray(t_s, np.float64)
     if tail_s <= 0 or tail_fraction <= 0:
@@ -68,10 +69,10 @@ def response_cdf(t_s: Array, sigma_s: float, tail_s: float = 0.0, tail_fraction:
 
 @lru_cache(maxsize=4)
 def response_kernel(width_s: float, fwhm_s: float, tail_s: float = 0.0, tail_fraction: float = 1.0) -> Kernel:
-    """Bin-integrated response for light at a bin's centre: w_j = F((j + ½)Δ) − F((j − ½)Δ), renormalised to 1.
+    """The bin-integrated response to light at a bin's centre: w_j = F((j + ½)Δ) − F((j − ½)Δ), renormalised to 1.
 
     Differences of the distribution function conserve photons at any width; samples of the density at bin centres are
-    wrong by up to a factor of four at σ = 0.1 bin. The kernel is cut where less than 10⁻¹⁵ is left.
+    wrong by up to a factor of four at σ = 0.1 bin. The kernel ends where less than 10⁻¹⁵ is left.
     """
     sigma = fwhm_s / FWHM_PER_SIGMA
     tail = tail_s if tail_fraction > 0 else 0.0
@@ -87,16 +88,17 @@ def response_kernel(width_s: float, fwhm_s: float, tail_s: float = 0.0, tail_fra
     edges = (np.arange(-before, after + 2, dtype=np.float64) - 0.5) * width_s
     weights = np.maximum(np.diff(response_cdf(edges, sigma, tail, tail_fraction)), 0.0)
     weights /= weights.sum()
-    # Kept for later calls.
+    # The result is cached and shared by later calls.
     weights.flags.writeable = False
     return Kernel(weights, before)
 
 
 def spread(values: Array, kernel: Kernel) -> Array:
-    """Convolve the last axis; the result is longer by `before` bins at the front and `after` bins at the end.
+    """(…, n + taps − 1) convolution of values (…, n) with a kernel: `before` bins more at the front, `after` at the
+    end.
 
-    Kernels beyond a few thousand taps go through a float64 FFT, whose rounding is 10⁻¹⁶ of the brightest bin: its
-    negatives are clipped and the sum restored.
+    Kernels beyond a few thousand taps go through a float64 FFT. Its rounding is 10⁻¹⁶ of the brightest bin, so its
+    negative values are set to 0, and the sum is restored.
     """
     if kernel.is_identity:
         return values
@@ -113,7 +115,7 @@ def spread(values: Array, kernel: Kernel) -> Array:
 
 @compiled()
 def _convolved(values: Array, weights: Array) -> Array:
-    """(h, n) and (k,) → (h, n + k − 1)."""
+    """(h, n + k − 1) convolution of each row of values (h, n) with weights (k,)."""
     out = np.zeros((len(values), values.shape[1] + len(weights) - 1))
     beside = padded(weights)
     for r in range(len(values)):
@@ -123,9 +125,9 @@ def _convolved(values: Array, weights: Array) -> Array:
 
 @compiled()
 def padded(weights: Array) -> Array:
-    """Three empty taps on either side."""
-    # Here and elsewhere arrays are copied in loops: what numba would say where shapes do not fit takes two seconds to
-    # compile.
+    """(k + 6,) the weights (k,) with three zeros on either side, as `add_response` needs them."""
+    # Here and elsewhere arrays are copied in loops: for an assignment of a slice numba compiles a check of the
+    # shapes, which takes two seconds.
     w = np.zeros(len(weights) + 6)
     for k in range(len(weights)):
         w[k + 3] = weights[k]
@@ -134,8 +136,10 @@ def padded(weights: Array) -> Array:
 
 @compiled()
 def add_response(row: Array, beside: Array, out: Array) -> None:
-    """Add the responses to a row's n bins, of k taps (`padded`), to n + k − 1 bins; four at a time, unless all are
-    empty."""
+    """Add the responses to a row of n bins to `out` of n + k − 1 bins; `beside` holds the k taps (`padded`).
+
+    Four bins are added in one pass, which reads and writes `out` a quarter as often; four empty ones are skipped.
+    """
     n, taps = len(row), len(beside) - 6
     for i in range(0, n, 4):
         a = row[i]

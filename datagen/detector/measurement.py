@@ -1,4 +1,4 @@
-"""A transient under a detector and an exposure: checked once, its flux worked out block by block."""
+"""A transient under a detector and an exposure: its check, and its flux, one block of laser points after another."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from datagen.records.checks import as_reals, check_integer, check_kind
 Array = NDArray[np.float64]
 
 _BLOCK_VALUES = 1 << 16
-"""Flux values of a block of laser points: 0.5 MB, which caches hold. With half as many calls of numpy take a larger
-share of the time."""
+"""Most flux values of a block of laser points: 0.5 MB, which caches hold. Halved, the overhead of numpy's calls takes
+a larger share of the time."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What all histograms of a call share.
+    """The arguments of a call, checked, and what all its histograms share.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Measurement:
         cls, transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, first_laser: int = 0,
         first_pixel: int = 0,
     ) -> Measurement:  # fmt: skip
-        """The measurement that the arguments of a call describe; raises `InputError` where they are wrong."""
+        """The measurement described by the arguments of a call; raises `InputError` where they are wrong."""
         check_kind("time", time, TimeAxis)
         check_kind("spad", spad, Spad)
         check_kind("exposure", exposure, Exposure)
@@ -68,12 +68,12 @@ class Measurement:
         return _has_crosstalk(self.spad) and self.transient.shape[1] > 1
 
     def where(self, histogram: int) -> str:
-        """Words for a histogram, by its number in the order of laser points and their pixels."""
+        """The name of a histogram for messages, by its number in the order of laser points and their pixels."""
         laser, pixel = divmod(int(histogram), self.transient.shape[1])
         return f"laser {self.first_laser + laser}, pixel {self.first_pixel + pixel}"
 
     def fluxes(self) -> Iterator[tuple[int, Array]]:
-        """Block after block of laser points: the number of its first, and the flux per cycle (laser, pixel, n)."""
+        """For each block of laser points, the number of its first one and its flux per cycle (laser, pixel, n)."""
         lasers, pixels, _ = self.transient.shape
         step = max(_BLOCK_VALUES // (pixels * len(self.cycle.gate)), 1)
         for start in range(0, lasers, step):
@@ -87,7 +87,7 @@ def _has_crosstalk(spad: Spad) -> bool:
 
 
 def _checked_transient(transient: ArrayLike, time: TimeAxis, photons_per_pulse: float) -> Array:
-    """(laser, pixel, bin) float64 view of a transient, refused with its first offending entry named."""
+    """(laser, pixel, bin) float64 view of a transient; raises `InputError` that names the first wrong entry."""
     values = as_reals("transient", transient)
     if values.ndim not in (1, 3):
         raise InputError(f"transient: shape {values.shape} given; (laser, pixel, bin) or (bin,) is needed")
@@ -97,7 +97,7 @@ def _checked_transient(transient: ArrayLike, time: TimeAxis, photons_per_pulse: 
             "and no axis may be empty"
         )
     values = values.reshape((1, 1, -1)) if values.ndim == 1 else values
-    # One pass for the usual case: a NaN fails both comparisons.
+    # Two passes suffice if all entries are right; a NaN fails both comparisons.
     if not (values.min() >= 0 and values.max() * max(photons_per_pulse, 1.0) < 1e300):
         bad = ~((values >= 0) & (values * max(photons_per_pulse, 1.0) < 1e300))
         laser, pixel, bin_ = (int(i) for i in np.argwhere(bad)[0])

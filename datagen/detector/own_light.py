@@ -1,12 +1,12 @@
-"""Expected detections of a transient, and how many of them come from some part of the light.
+"""Expected detections of a transient, and those of them that come from a part of its light.
 
-With λ the flux of everything and λᵒ that of the light in question (`flux`), D/λ the chance that an event finds the
-diode armed (`expected`), of N cycles
+With λ the flux of all light and λᵒ that of the part (`flux`), D/λ the probability that an event finds the diode armed
+(`expected`) and N the number of cycles,
 
     b_i = N D_i,    s_i = N (D_i / λ_i) λᵒ_i,
 
-both displaced by the jitter of what is written down: an avalanche is that of one photon, and whose it is does not
-depend on what went before. So the detections of several lights add up.
+both displaced by the jitter of the records. Each avalanche is set off by one photon, and whether this photon belongs
+to the part does not depend on what went before; so the detections of several parts add up.
 """
 
 from __future__ import annotations
@@ -27,20 +27,21 @@ from datagen.records import TimeAxis
 
 Array = NDArray[np.float64]
 
-FREE = 1e-3
-"""Share of detections that a dead time may take, or avalanches cause, up to which it is left out. Halved, the exact
-mean is solved for at half the flux."""
+NEGLIGIBLE = 1e-3
+"""Share of the detections that dead time may remove, or avalanches add, without being taken into account. Halved, the
+exact mean is solved for from half the flux on."""
 
 
 @dataclass(frozen=True)
 class OwnLight:
-    """Expected detections of a block of laser points, the first of which has the number `first`.
+    """Expected detections of a block of laser points.
 
     Attributes
     ----------
-    everything : (laser, pixel, bin) expected detections over the exposure, background with them.
-    own : of each light, the expected detections of its own photons, likewise.
-    armed : (laser, pixel, n) the chance that an event finds the diode armed, in each bin of the laser period.
+    first : number of the block's first laser point.
+    everything : (laser, pixel, bin) expected detections over the exposure, background included.
+    own : (laser, pixel, bin) expected detections of each light's own photons.
+    armed : (laser, pixel, n) probability that an event finds the diode armed, in each bin of the laser period.
     """
 
     first: int
@@ -52,9 +53,10 @@ class OwnLight:
 def own_light(
     transient: Array, lights: Sequence[Array], time: TimeAxis, spad: Spad, exposure: Exposure
 ) -> Iterator[OwnLight]:
-    """Expected detections of a transient and of lights that are part of it, a block of laser points at a time.
+    """Expected detections of a transient and of `lights`, which are parts of it, for one block of laser points after
+    another.
 
-    A bin whose counter is full on average tells nothing of any light: s_i = 0 there.
+    A bin whose counter is full on average carries no information on any light: s_i = 0 there.
 
     Raises `InputError` for a transient or a gate that `detect` refuses, and lights of another shape.
     """
@@ -71,19 +73,22 @@ def own_light(
         counted = exposure.cycles * spad.pde * exposure.photons_per_pulse * (cycle.gate * armed)
         own = [tdc.mean(counted * arrivals(light[first : first + len(flux)], cycle)) for light in lights]
         if spad.counter_max is not None:
-            own = [(everything < spad.counter_max) * of for of in own]
+            own = [(everything < spad.counter_max) * one for one in own]
             everything = np.minimum(everything, spad.counter_max)
         yield OwnLight(first, everything, tuple(own), np.broadcast_to(armed, flux.shape))
 
 
 def squared_over(own: Array, everything: Array) -> Array:
-    """s²/b of each bin: the sum of it is the square of a light's significance. 0 where nothing is expected."""
+    """s²/b of each bin, whose sum is the square of a light's significance; 0 where no detection is expected."""
     return own * np.divide(own, everything, out=np.zeros_like(own), where=everything > 0)
 
 
 def detections_per_photon(armed: Array, time: TimeAxis, spad: Spad, exposure: Exposure) -> Array:
-    """(…, bin) expected detections over the exposure for a photon at the aperture per emitted photon that arrives in
-    a bin: N photons_per_pulse PDE gate D/λ. armed : (…, n) as of `OwnLight`."""
+    """(…, bin) expected detections over the exposure for each photon at the aperture per emitted photon in a bin:
+    N photons_per_pulse PDE gate D/λ.
+
+    armed : (…, n) as of `OwnLight`.
+    """
     cycle = cycle_of(time, spad, exposure)
     out = np.zeros((*armed.shape[:-1], time.bins))
     out[..., : cycle.window] = (armed * cycle.gate)[..., : cycle.window]
@@ -92,10 +97,10 @@ def detections_per_photon(armed: Array, time: TimeAxis, spad: Spad, exposure: Ex
 
 
 def _detections(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array, Array]:
-    """Expected detections per cycle of flux (laser, pixel, n), and the chance that an event finds the diode armed;
-    (1,) where that is 1 everywhere."""
+    """(laser, pixel, n) expected detections per cycle of flux (laser, pixel, n), and the probability that an event
+    finds the diode armed, of the same shape, or (1,) if it is 1 everywhere."""
     coupled = spad.crosstalk_probability > 0 and flux.shape[1] > 1
-    busy = poisson_bias(flux, cycle, spad) > FREE
+    busy = poisson_bias(flux, cycle, spad) > NEGLIGIBLE
     if not busy.any():
         return flux, np.ones(1)
     detections, armed = flux.copy(), np.ones_like(flux)
@@ -103,12 +108,11 @@ def _detections(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array, Array]:
     if coupled:
         together = [*rows[busy.any(axis=1)]]
     else:
-        # What traps release is settled for each by itself.
+        # A self-consistent mean is repeated until it settles, so pixels with traps are solved for one at a time.
         spad = replace(spad, crosstalk_probability=0.0)
         together = [*rows[busy][:, None]] if spad.afterpulse_probability > 0 else [rows[busy]]
-    each, found, ready = (values.reshape(-1, flux.shape[-1]) for values in (flux, detections, armed))
-    for of in together:
-        counted, events = detections_and_events(each[of], cycle, spad)
-        found[of] = counted
-        ready[of] = np.divide(counted, events, out=np.ones_like(counted), where=events > 0)
+    each, counted, ready = (values.reshape(-1, flux.shape[-1]) for values in (flux, detections, armed))
+    for pixels in together:
+        counted[pixels], events = detections_and_events(each[pixels], cycle, spad)
+        ready[pixels] = np.divide(counted[pixels], events, out=np.ones_like(events), where=events > 0)
     return detections, armed

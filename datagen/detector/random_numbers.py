@@ -1,7 +1,8 @@
-"""Random numbers in compiled loops: one stream for each (seed, laser point, pixel), whatever the batching.
+"""Random numbers in compiled loops, from one stream for each (seed, laser point, pixel), whatever the batching.
 
-Uniform, exponential, binomial and Poisson numbers. The binomial ones are right for any p > 0, where library forms
-lose a p below 1e-16 or take time for each call; the Poisson ones for any mean that 64 bits can count.
+The numbers are uniform, exponential, binomial or Poisson. Binomial ones are right for any p > 0, whereas library
+functions lose a p below 1e-16 or have an overhead for each call. Poisson ones are right for any mean that 64 bits can
+count.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
 def streams_of(seed: int, lasers: NDArray[np.int64], pixels: NDArray[np.int64]) -> Stream:
-    """(…, 4) a stream for each of the laser points and pixels, numbers ≥ 0 that broadcast.
+    """(…, 4) a stream for each of the laser points and pixels, whose numbers ≥ 0 are broadcast.
 
-    Under one seed no two of them start alike: the first two words are a bijection of (laser, pixel). Raises
+    Under one seed no two streams start alike, because the first two words are a bijection of (laser, pixel). Raises
     `InputError` for a negative seed.
     """
     if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or seed < 0:
@@ -39,13 +40,8 @@ def streams_of(seed: int, lasers: NDArray[np.int64], pixels: NDArray[np.int64]) 
     return np.stack([first, second, _mixed(first + second), _mixed(first - second)], axis=-1)
 
 
-def stream_of(seed: int) -> Stream:
-    """(4,) one stream for draws that belong to no histogram."""
-    return np.asarray(streams_of(seed, np.zeros(1, np.int64), np.zeros(1, np.int64))[0])
-
-
 def _mixed(words: Stream) -> Stream:
-    """The finaliser of SplitMix64, a bijection (Steele, Lea & Flood, OOPSLA 2014)."""
+    """Words mixed by the finaliser of SplitMix64, a bijection (Steele, Lea & Flood, OOPSLA 2014)."""
     words = words + _GOLDEN
     words = (words ^ (words >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     words = (words ^ (words >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -69,14 +65,14 @@ def uniform(stream: Stream) -> float:
 
 @compiled()
 def exponential(stream: Stream) -> float:
-    """Exponential of mean 1."""
+    """An exponential number of mean 1."""
     return -math.log(1.0 - uniform(stream))
 
 
 REJECTION_FROM = 10.0
-"""Mean from which on numbers are drawn by the transformed rejections of W. Hörmann, which hold for no smaller one."""
+"""Mean from which on numbers are drawn by W. Hörmann's transformed rejection, which is wrong for half of it."""
 
-# log k! − Stirling's (k + ½) log(k + 1) − (k + 1) + ½ log 2π for k = 0 … 9 (Hörmann 1993, after Loader).
+# The remainder of Stirling's formula, see `_stirling_rest`, for k = 0 … 9 (Hörmann 1993, after Loader).
 _STIRLING = np.array(
     [
         math.lgamma(k + 1.0) - ((k + 0.5) * math.log(k + 1.0) - (k + 1.0) + 0.5 * math.log(2 * math.pi))
@@ -87,17 +83,17 @@ _STIRLING = np.array(
 
 @compiled()
 def binomial(n: int, p: float, stream: Stream) -> int:
-    """Binomial(n, p) for n up to 2⁵³; a p that rounding put above 1 is taken as 1."""
+    """A Binomial(n, p) number for n up to 2⁵³; a p that rounding put above 1 is taken as 1."""
     if n == 0 or p <= 0.0:
         return 0
     if p >= 1.0:
         return n
-    # 1 − p is exact where it is the smaller one, and its digits are all that matters.
+    # The smaller of p and 1 − p has the digits that matter; 1 − p is exact where it is the smaller one.
     rare = p if p <= 0.5 else 1.0 - p
     mean = n * rare
     if mean < REJECTION_FROM:
         u = uniform(stream)
-        # For (1 − p)^n ≥ 1 − n p.
+        # Most numbers are 0: the bound (1 − p)^n ≥ 1 − n p saves their logarithm and exponential.
         drawn = 0 if u <= 1.0 - mean else _by_inversion(n, rare, u)
     else:
         drawn = _binomial_rejection(n, rare, stream)
@@ -106,8 +102,8 @@ def binomial(n: int, p: float, stream: Stream) -> int:
 
 @compiled()
 def _by_inversion(n: int, p: float, u: float) -> int:
-    """Walk up the distribution until a uniform number is used up: P(0) = (1 − p)^n, by log1p."""
-    # By log1p: (1 − p)^n would lose every p below 1e-16.
+    """The quantile of a uniform number u: P(0), P(1), … are subtracted from u until it is used up."""
+    # P(0) = (1 − p)^n goes through log1p, which keeps a p below 1e-16.
     term = math.exp(n * math.log1p(-p))
     odds = p / (1.0 - p)
     left = (n + 1.0) * odds
@@ -117,7 +113,7 @@ def _by_inversion(n: int, p: float, u: float) -> int:
         k += 1
         left -= odds
         term *= left / k
-        # Beyond the mode terms fall, and what is left of u is rounding.
+        # Beyond the mode the terms fall, and the rest of u is rounding.
         if term < 1e-18 and k > n * p:
             break
     return k
@@ -125,10 +121,11 @@ def _by_inversion(n: int, p: float, u: float) -> int:
 
 @compiled()
 def _binomial_rejection(n: int, p: float, stream: Stream) -> int:
-    """Transformed rejection with squeeze, for n p ≥ 10 (W. Hörmann, J. Stat. Comput. Simul. 46, 101, 1993: BTRS).
+    """A binomial number by transformed rejection with squeeze, for n p ≥ 10 (BTRS of W. Hörmann, J. Stat. Comput.
+    Simul. 46, 101, 1993).
 
-    Its test against the density is rearranged: differences to the mode go through log1p, so that no number of trials
-    cancels their digits.
+    The comparison with the density is rearranged: differences to the mode go through log1p, so that their digits do
+    not cancel for any number of trials.
     """
     odds = p / (1.0 - p)
     spread = math.sqrt(n * p * (1.0 - p))
@@ -141,6 +138,7 @@ def _binomial_rejection(n: int, p: float, stream: Stream) -> int:
         if edge <= 0.0:
             continue
         k = math.floor((2.0 * a / edge + b) * u + n * p + 0.5)
+        # The squeeze accepts most numbers without a logarithm.
         if edge >= 0.07 and v <= 0.92 - 4.2 / b:
             return int(k)
         if k < 0 or k > n or v <= 0.0:
@@ -162,7 +160,7 @@ def _binomial_rejection(n: int, p: float, stream: Stream) -> int:
 
 @compiled()
 def _stirling_rest(k: float) -> float:
-    """log k! less Stirling's formula for it, (k + ½) log(k + 1) − (k + 1) + ½ log 2π."""
+    """log k! − [(k + ½) log(k + 1) − (k + 1) + ½ log 2π], the remainder of Stirling's formula."""
     # Stirling's series is too coarse for small k.
     if k < 10:
         return float(_STIRLING[int(k)])
@@ -171,11 +169,11 @@ def _stirling_rest(k: float) -> float:
 
 
 LARGEST_MEAN = 9.2e18
-"""Counts of larger means would not fit 64 bits."""
+"""Largest mean of a Poisson number: counts of larger ones do not fit 64 bits. Halved, some that fit are refused."""
 
 
 def draw_poisson(mean: Array, streams: Stream, where: Callable[[int], str]) -> NDArray[np.int64]:
-    """(h, bin) Poisson counts with these means, a stream (h, 4) for each row.
+    """(h, bin) Poisson counts of means (h, bin), from streams (h, 4), one for each row.
 
     Raises `InputError`, naming the row by `where`, for counts beyond 64 bits.
     """
@@ -184,8 +182,7 @@ def draw_poisson(mean: Array, streams: Stream, where: Callable[[int], str]) -> N
 
 
 def check_countable(mean: Array, where: Callable[[int], str]) -> None:
-    """Raise `InputError`, naming the row of (h, bin) by `where` and the bin, where a mean is more than can be
-    counted."""
+    """Raise `InputError`, naming the row by `where` and the bin, if one of the means (h, bin) cannot be counted."""
     if not mean.max(initial=0.0) < LARGEST_MEAN:
         row, bin_ = (int(i) for i in np.argwhere(~(mean < LARGEST_MEAN))[0])
         raise InputError(
@@ -196,16 +193,20 @@ def check_countable(mean: Array, where: Callable[[int], str]) -> None:
 
 @compiled()
 def _poisson_counts(mean: Array, streams: Stream) -> NDArray[np.int64]:
-    """Events of rate 1 along the sum of the means: an exponential number an event, none for bins without; bins of
-    large means, which that would take long, are drawn at once."""
+    """(h, bin) counts of means (h, bin): the events of a Poisson process of rate 1 along the running sum of the
+    means.
+
+    It takes an exponential number for each event and none for an empty bin. Bins of large means are drawn at once.
+    """
     rows, bins = mean.shape
     counts = np.zeros((rows, bins), np.int64)
     for r in range(rows):
         stream = streams[r]
-        # Until the next event; bins drawn at once do not count, for what is left has no memory.
+        # The mean that is left until the next event. Bins drawn at once are left out of the sum: an exponential
+        # number has no memory.
         ahead = exponential(stream)
         for i in range(bins):
-            # Such a bin takes one draw in place of an exponential number for each of its events.
+            # One rejection costs less than an exponential number for each of ten events and more.
             if mean[r, i] >= REJECTION_FROM:
                 counts[r, i] = _poisson_rejection(mean[r, i], stream)
                 continue
@@ -218,9 +219,10 @@ def _poisson_counts(mean: Array, streams: Stream) -> NDArray[np.int64]:
 
 @compiled()
 def _poisson_rejection(mean: float, stream: Stream) -> int:
-    """Transformed rejection with squeeze, for means ≥ 10 (W. Hörmann, Insur. Math. Econ. 12, 39, 1993: PTRS).
+    """A Poisson number by transformed rejection with squeeze, for means ≥ 10 (PTRS of W. Hörmann, Insur. Math. Econ.
+    12, 39, 1993).
 
-    As for `binomial`, the density goes through log1p, so that no mean is too large for its digits.
+    As in `_binomial_rejection` the density goes through log1p, which keeps its digits for any mean.
     """
     root = math.sqrt(mean)
     b = 0.931 + 2.53 * root

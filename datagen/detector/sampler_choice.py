@@ -1,4 +1,4 @@
-"""Which sampler draws a histogram: the cheapest one that is exact, or biased by less than the tolerance."""
+"""The choice of sampler for each histogram: the cheapest one that is exact, or biased by less than the tolerance."""
 
 from __future__ import annotations
 
@@ -19,45 +19,45 @@ from datagen.errors import InputError
 
 Array = NDArray[np.float64]
 Where = Callable[[int], str]
-"""Words for a histogram, given its number."""
+"""Name of a histogram for error messages, from its number."""
 
 DEFAULT_TOLERANCE = 1e-3
-"""Largest relative bias that a cheaper sampler may cause. Halved, exact samplers are used from half the flux on."""
+"""Largest relative bias of a cheaper sampler. Halved, exact samplers are used from half the flux on."""
 HIDDEN_DEVIATION = 0.1
-"""Largest bias of a total count in its own standard deviations: one that no test of a single histogram could find.
-Halved, exact samplers are used from smaller exposures on."""
+"""Largest bias of a total count in its own standard deviations, too small for any test of a single histogram. Halved,
+exact samplers are used from a quarter of the exposure on."""
 ENSEMBLE_EVENTS = 2e6
-"""Detections per histogram above which, if allowed, free running is drawn by the approximate ensemble. Up to here
-event by event takes 0.2 s at most; halved, half of that."""
+"""Detections per histogram above which free running is drawn by the approximate ensemble, if that is allowed. So many
+events take 0.2 s one by one; halved, the ensemble is used from 0.1 s on."""
 MOST_EVENTS = 2e7
-"""Events per histogram above which event-driven samplers would take seconds and more, and are refused; halved, from
-half of those seconds on."""
+"""Events per histogram above which samplers that draw them one by one are refused, as they would take seconds and
+more. Halved, exposures are refused from half of that time on."""
 
 _CHAIN_NS, _EVENT_NS = 120.0, 40.0
-"""Time for a piece in chains of binomials, and for a detection drawn in order: their ratio says from how many
-detections on the chain is taken. Either halved, the slower way is taken at most twice too early."""
+"""Nanoseconds for a piece in a chain of binomials, and for a detection drawn in order. Their ratio decides from how
+many detections on the chain is used; with either halved the slower way takes at most twice as long as the other."""
 
 
 class Sampler(IntEnum):
-    """How counts are drawn; DETECTOR cases in brackets."""
+    """The ways in which counts are drawn."""
 
     POISSON = 0
-    """(a) independent Poisson counts."""
+    """Independent Poisson counts."""
     HAZARD_CHAIN = 1
-    """(b) synchronous, one detection in a cycle."""
+    """Synchronous, one detection in a cycle at most."""
     RETURN_CHAIN = 2
-    """(d) synchronous, several detections in a cycle."""
+    """Synchronous, several detections in a cycle."""
     FREE_RUNNING_EVENTS = 3
-    """(c) free running, detection by detection."""
+    """Free running, one detection after another."""
     CYCLE_ENSEMBLE = 4
-    """free running by (d), approximate in the variance."""
+    """Free running as independent runs of cycles; exact in the mean, approximate in the variance."""
     AVALANCHES = 5
-    """(e) afterpulsing, paralyzable dead time or crosstalk, avalanche by avalanche."""
+    """Afterpulsing, paralyzable dead time or crosstalk, one avalanche after another."""
 
 
 @dataclass(frozen=True)
 class SamplerChoice:
-    """By which samplers a transient's histograms are drawn; numbers are of the brightest unless said otherwise.
+    """The samplers of a transient's histograms; numbers are those of the brightest histogram unless stated otherwise.
 
     Attributes
     ----------
@@ -65,8 +65,8 @@ class SamplerChoice:
     reason : why, in words.
     histograms : sampler name → number of histograms that it draws.
     flux_per_cycle : expected avalanche-capable events per laser cycle, Λ.
-    poisson_bias : bound on the relative bias of any bin, were counts drawn as Poisson.
-    poisson_deviation : bound on the bias of the total count then, in standard deviations.
+    poisson_bias : bound on the relative bias of any bin if counts were drawn as Poisson numbers.
+    poisson_deviation : bound on the bias of the total count in that case, in standard deviations.
     detections : expected detections in the exposure, roughly.
     tolerance : the bias allowed.
     approximate : whether any histogram is drawn by a sampler that is exact in the mean only.
@@ -83,24 +83,24 @@ class SamplerChoice:
     approximate: bool = False
 
     def parameters(self) -> dict[str, float | str | bool]:
-        """The decision as scalars, to be stored with a sample."""
+        """The choice as scalars, which are stored with a sample."""
         kept = ("reason", "flux_per_cycle", "poisson_bias", "poisson_deviation", "detections", "approximate")
         return {"name": self.sampler, **{key: getattr(self, key) for key in kept}}
 
 
 @dataclass(frozen=True)
 class Choices:
-    """How each of h histograms is drawn, or all pixels of each of h laser points where crosstalk couples them.
+    """How each of h histograms is drawn, or all pixels of each of h laser points if crosstalk couples them.
 
     Attributes
     ----------
-    sampler : (h,) of `Sampler`.
-    few : (h,) whether a synchronous detector's detections are few enough to be drawn one by one, in order.
+    sampler : (h,) values of `Sampler`.
+    in_order : (h,) whether the detections of a synchronous detector are so few that they are drawn one by one.
     flux, bias, deviation, detections : (h,) as of `SamplerChoice`.
     """
 
     sampler: NDArray[np.int64]
-    few: NDArray[np.bool_]
+    in_order: NDArray[np.bool_]
     flux: Array
     bias: Array
     deviation: Array
@@ -110,10 +110,10 @@ class Choices:
 def choose(
     flux: Array, cycle: Cycle, spad: Spad, exposure: Exposure, tolerance: float, approximate: bool, where: Where
 ) -> Choices:
-    """Decide for each histogram's flux (h, n); for pixels coupled by crosstalk give the sums of theirs.
+    """The choice for each of h histograms, from their flux (h, n); for pixels coupled by crosstalk, from its sum.
 
-    Raises `InputError`, naming the histogram by `where`, for what can only be done approximately, unless
-    `approximate`, and for what would take too long.
+    Raises `InputError`, naming the histogram by `where`, if it can only be drawn approximately and not `approximate`,
+    or if it would take too long.
     """
     totals = flux.sum(axis=1)
     events = totals * exposure.cycles
@@ -121,37 +121,38 @@ def choose(
     deviation = bias * np.sqrt(events)
     detections = events
     if spad.dead_time_s > 0 and not spad.paralyzable and spad.mode != "ideal":
+        # A cycle has room for so many dead times; a free-running detector loses the share λτ/(1 + λτ) on average.
         share = spad.dead_time_s / cycle.period_s
         most = 1.0 / share + (1.0 if spad.mode == "synchronous" else 0.0)
         detections = np.minimum(events, exposure.cycles * most)
         if spad.mode == "free_running":
             detections = events / (1.0 + totals * share)
     sampler = np.full(len(flux), int(Sampler.POISSON))
-    few = np.zeros(len(flux), bool)
+    in_order = np.zeros(len(flux), bool)
     beyond = np.flatnonzero((bias > 0) & ~((bias <= tolerance) & (deviation <= HIDDEN_DEVIATION)))
     if len(beyond):
-        own = flux if len(beyond) == len(flux) else flux[beyond]
         burn_in = detections[beyond] * burn_in_cycles(spad, cycle.period_s) / exposure.cycles
         sampler[beyond] = _beyond_poisson(
-            own, cycle, spad, approximate, events[beyond], detections[beyond], burn_in,
+            flux[beyond], cycle, spad, approximate, events[beyond], detections[beyond], burn_in,
             lambda row: where(int(beyond[row])),
         )  # fmt: skip
         chained = beyond[(sampler[beyond] == Sampler.HAZARD_CHAIN) | (sampler[beyond] == Sampler.RETURN_CHAIN)]
         if len(chained):
-            few[chained] = _are_few(totals[chained], detections[chained], cycle, spad)
+            in_order[chained] = _in_order(totals[chained], detections[chained], cycle, spad)
     uncountable = np.flatnonzero((sampler == Sampler.POISSON) & ~(events < LARGEST_MEAN))
     if len(uncountable):
         check_countable(flux[uncountable] * exposure.cycles, lambda row: where(int(uncountable[row])))
-    return Choices(sampler, few, totals, bias, deviation, detections)
+    return Choices(sampler, in_order, totals, bias, deviation, detections)
 
 
 def _beyond_poisson(
     flux: Array, cycle: Cycle, spad: Spad, approximate: bool, events: Array, detections: Array, burn_in: Array,
     where: Where,
 ) -> NDArray[np.int64] | Sampler:  # fmt: skip
-    """Samplers of histograms whose counts dead time, afterpulses or crosstalk keep from being Poisson numbers.
+    """(h,) samplers of histograms for which Poisson numbers would be too biased; parameters as of `choose`.
 
-    burn_in : (h,) detections before the exposure, until a diode has forgotten how it started.
+    events, detections : (h,) expected in the exposure. burn_in : (h,) detections simulated before the exposure, in
+    which a diode forgets how it started.
     """
     fewer = "lower cycles or photons_per_pulse, close the gate on the direct return"
     no_faster = f" and no faster sampler exists; {fewer}"
@@ -182,25 +183,26 @@ def _beyond_poisson(
 
 
 def _check_few(events: Array, where: Where, what: str, remedy: str) -> None:
-    """Raise `InputError`, naming the first histogram with more events (h,) than can be drawn one by one."""
+    """Raise `InputError` for the first histogram whose events (h,) are too many to be drawn one by one."""
     for row in np.flatnonzero(events > MOST_EVENTS):
         raise InputError(
             f"{where(int(row))}: {events[row]:.2g} {what}, at most {MOST_EVENTS:.0e} are drawn one by one{remedy}"
         )
 
 
-def _are_few(totals: Array, detections: Array, cycle: Cycle, spad: Spad) -> NDArray[np.bool_]:
-    """Whether it takes less time to draw a synchronous detector's detections one by one than bin by bin."""
-    # A dead time far below a bin needs pieces as short.
+def _in_order(totals: Array, detections: Array, cycle: Cycle, spad: Spad) -> NDArray[np.bool_]:
+    """(h,) whether a synchronous detector's detections take less time one by one than bin by bin."""
+    # A chain cuts bins by their flux, and into pieces shorter than the dead time.
     pieces = len(cycle.gate) + totals / PIECE_FLUX + cycle.period_s / spad.dead_time_s
     return np.asarray((detections * _EVENT_NS < pieces * _CHAIN_NS) & (detections <= MOST_EVENTS))
 
 
 def poisson_bias(flux: Array, cycle: Cycle, spad: Spad) -> Array:
-    """(…,) bound on the relative bias of any bin's mean, were counts of flux (…, n) drawn as Poisson; 0: they are.
+    """(…,) bound on the relative bias of any bin's mean if counts of flux (…, n) were drawn as Poisson numbers; 0 if
+    they are Poisson numbers.
 
     Dead time takes from a bin at most the share M, the most flux in any interval of the dead time: M = ⌊τ/T_r⌋ Λ +
-    the most in any τ mod T_r. An avalanche adds at most μ/(1 − μ) afterpulses and 4p/(1 − 4p) by crosstalk.
+    the most in any τ mod T_r. An avalanche adds at most μ/(1 − μ) afterpulses, and 4p/(1 − 4p) by crosstalk.
     """
     bias = np.zeros(flux.shape[:-1])
     if spad.mode == "ideal":
@@ -213,18 +215,18 @@ def poisson_bias(flux: Array, cycle: Cycle, spad: Spad) -> Array:
             bias = total
         else:
             bias = whole * total + most_in_window(flux, cycle.edges_s, rest)
-    return bias + sum(caused(spad))
+    return bias + sum(avalanches_caused(spad))
 
 
-def caused(spad: Spad) -> tuple[float, float]:
-    """Avalanches that one causes at most by afterpulsing and by crosstalk, those caused by these included."""
+def avalanches_caused(spad: Spad) -> tuple[float, float]:
+    """The most avalanches that one causes, directly and in turn, by afterpulsing and by crosstalk."""
     load = sum(spad.trap_loads) if spad.afterpulse_probability > 0 else 0.0
     shared = min(4 * spad.crosstalk_probability, 0.99)
     return load / (1.0 - load), shared / (1.0 - shared)
 
 
 def summarise(choices: list[Choices], spad: Spad, tolerance: float) -> SamplerChoice:
-    """One record for all histograms; the numbers are those of the brightest."""
+    """The record of all histograms' choices; its numbers are those of the brightest histogram."""
     sampler = np.concatenate([c.sampler for c in choices])
     figures = np.concatenate([[c.flux, c.bias, c.deviation, c.detections] for c in choices], axis=1)
     brightest = int(figures[0].argmax())
@@ -240,6 +242,7 @@ def summarise(choices: list[Choices], spad: Spad, tolerance: float) -> SamplerCh
 
 
 def _reason(sampler: Sampler, spad: Spad, bias: float, deviation: float, detections: float, tolerance: float) -> str:
+    """Why a sampler was chosen, one sentence for people."""
     if sampler is Sampler.POISSON:
         if spad.mode == "ideal":
             return "mode 'ideal' counts every event"

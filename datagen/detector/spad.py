@@ -1,4 +1,4 @@
-"""What a measurement is made with: the detector (`Spad`) and the conditions it works under (`Exposure`)."""
+"""The detector of a measurement (`Spad`) and the conditions under which it works (`Exposure`)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Mode = Literal["ideal", "synchronous", "free_running"]
 `free_running`: armed whenever the dead time is over, whatever the laser does."""
 
 MAX_CYCLES = 2**53
-"""Above this a cycle number is no longer an exact float64."""
+"""Most laser cycles of an exposure: float64 holds no larger numbers exactly. Halved, long exposures are refused."""
 
 
 @dataclass(frozen=True)
@@ -27,25 +27,26 @@ class Spad:
     Attributes
     ----------
     pde : photon detection efficiency × fill factor, 0 … 1.
-    dark_count_rate_hz : thermally generated avalanches per second, of a pixel that is not hot.
-    hot_pixel_fraction : share of hot pixels, 0 … 1; which they are depends on `hot_pixel_seed` only.
+    dark_count_rate_hz : thermally generated avalanches per second of a pixel that is not hot.
+    hot_pixel_fraction : share of hot pixels, 0 … 1; which pixels are hot depends on `hot_pixel_seed` only.
     hot_pixel_factor : dark-count rate of a hot pixel, in units of `dark_count_rate_hz`; ≥ 1.
-    hot_pixel_seed : which pixels of the array are the hot ones; ≥ 0.
+    hot_pixel_seed : seed that decides which pixels of the array are hot; ≥ 0.
     dead_time_s : time after an avalanche during which no other can start; ≥ 0, may exceed the laser period.
     paralyzable : a photon that falls into the dead time restarts it (a passively quenched diode).
-    gate_start_s, gate_width_s : the diode is on in `[start, start + width]` of every laser period; both None: always.
-    gate_rise_s : the sensitivity climbs from 0 to 1 within this time from the gate's start, and falls likewise before
+    gate_start_s, gate_width_s : the diode is on in `[start, start + width]` of every laser period; if both are None,
+        always.
+    gate_rise_s : time within which the sensitivity rises from 0 to 1 after the gate's start, and falls to 0 before
         its end; 0 … width / 2.
     jitter_fwhm_s : Gaussian timing jitter of avalanche build-up and TDC. It displaces *recorded events*.
     jitter_tail_s : mean delay of carriers that diffuse to the junction. It displaces photons *before* the avalanche.
-    jitter_tail_fraction : share of the photons that is so delayed, 0 … 1.
+    jitter_tail_fraction : share of the photons with that delay, 0 … 1.
     afterpulse_probability : probability that an avalanche is followed by an afterpulse once the diode is armed again.
     afterpulse_times_s : release times of the traps; one number or several.
-    afterpulse_weights : each trap's share; empty: equal shares.
+    afterpulse_weights : each trap's share of the afterpulses; if empty, the shares are equal.
     crosstalk_probability : probability that an avalanche sets off one in a given nearest neighbour (up to four).
-    array_columns : pixels in a row of the array (the pixel axis is row-major); None: one row, as in a line sensor.
-    counter_max : counts at which a bin's counter stays; None: counters never saturate.
-    mode : see `Mode`; `ideal` counts every event, so dead time, afterpulsing and crosstalk play no part in it.
+    array_columns : pixels in a row of the array (the pixel axis is row-major); None for one row, as in a line sensor.
+    counter_max : count at which a bin's counter stays; None for counters that never saturate.
+    mode : see `Mode`; `ideal` counts every event, without dead time, afterpulsing or crosstalk.
 
     Examples
     --------
@@ -81,12 +82,10 @@ class Spad:
     counter_max: int | None = None
 
     def __post_init__(self) -> None:
-        times = self.afterpulse_times_s
-        times = tuple(times) if isinstance(times, (tuple, list, np.ndarray)) else (times,)
-        object.__setattr__(self, "afterpulse_times_s", times)
-        weights = self.afterpulse_weights
-        weights = tuple(weights) if isinstance(weights, (tuple, list, np.ndarray)) else (weights,)
-        object.__setattr__(self, "afterpulse_weights", weights)
+        for name in ("afterpulse_times_s", "afterpulse_weights"):
+            given = getattr(self, name)
+            values = tuple(given) if isinstance(given, (tuple, list, np.ndarray)) else (given,)
+            object.__setattr__(self, name, values)
         for name, low, high, remedy in (
             ("pde", 0.0, 1.0, "it is a probability; give 0.3 for 30 %"),
             ("dark_count_rate_hz", 0.0, 1e12, "counts per second"),
@@ -154,7 +153,7 @@ class Spad:
 
 @dataclass(frozen=True)
 class Exposure:
-    """How long, how bright, how often.
+    """The conditions of a measurement: its duration, the light, and the laser's pulses.
 
     Attributes
     ----------

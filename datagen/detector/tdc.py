@@ -1,4 +1,4 @@
-"""The time-to-digital converter: jitter of recorded events, the recorded window, counters that saturate."""
+"""The time-to-digital converter (TDC): the jitter of recorded events, and the window in which they are recorded."""
 
 from __future__ import annotations
 
@@ -15,43 +15,44 @@ Counts = NDArray[np.int64]
 
 
 class Tdc:
-    """Moves detections from the bins of the laser period to those of the recorded histogram.
+    """The converter from detections in the bins of the laser period to records in the bins of the histogram.
 
-    A detection in bin i is written down in bin i + k with the probability that the bin-integrated jitter gives to k.
-    Displacements across the ends of the period come out at its other end; records outside the window are lost.
+    A detection in bin i is recorded in bin i + k with the probability that the bin-integrated jitter gives to k. A
+    record that is displaced beyond an end of the period appears at its other end; records outside the window are
+    lost.
     """
 
     def __init__(self, cycle: Cycle) -> None:
         self._cycle = cycle
         jitter = cycle.after_avalanche
-        self._merged = cycle.front < len(cycle.gate)
+        merged = cycle.front < len(cycle.gate)
         lattice = cycle.back + cycle.front
-        # A period that is no whole number of bins ends in a shorter one. Of its own records a displacement makes what
-        # it makes of a moment in its middle; a full bin of the lattice displaced there is shared out by the fold.
-        short = not self._merged and float(cycle.widths_s[-1]) < cycle.width_s * (1 - 1e-6)
+        # A period that is no whole number of bins ends in a shorter one. Its own records are displaced like a moment
+        # in its middle. Records of full bins that are displaced into it are split by the fold.
+        short = not merged and float(cycle.widths_s[-1]) < cycle.width_s * (1 - 1e-6)
         self._from_short: Counts | None = None
         if short and not jitter.is_identity:
             steps = np.arange(-jitter.before, jitter.after + 1) * cycle.width_s
             moments = (cycle.edges_s[-2:].mean() + steps) % cycle.period_s
             last = np.searchsorted(cycle.edges_s, moments, side="right") - 1
             self._from_short = np.minimum(last, len(cycle.gate) - 1).astype(np.int64)
-        self._first = -cycle.back - jitter.before
-        self._length = lattice + len(jitter.weights) - 1
+        first = -cycle.back - jitter.before
         if jitter.is_identity:
             return
-        # Displacements are handed out from the likeliest on, so that few are left to draw for the long wings.
+        # Displacements are drawn from the likeliest on, so that few records are left for the long wings.
         self._offsets = np.argsort(-jitter.weights, kind="stable")
         self._likeliest = jitter.weights[self._offsets]
-        if self._merged:
+        if merged:
+            # The background between the ends of the lattice is so long that records never wrap around the period.
             nothing = np.empty(0, np.int64)
-            self._fold = Fold(self._first, cycle.bins, range(cycle.bins), nothing, nothing, np.empty(0))
-            return
-        self._fold = fold_of(self._first, self._length, cycle.width_s, cycle.edges_s)
+            self._fold = Fold(first, cycle.bins, range(cycle.bins), nothing, nothing, np.empty(0))
+        else:
+            self._fold = fold_of(first, lattice + len(jitter.weights) - 1, cycle.width_s, cycle.edges_s)
         self._fold_rows, starts = np.unique(self._fold.rows, return_index=True)
         self._fold_starts = np.append(starts, len(self._fold.rows)).astype(np.int64)
 
     def mean(self, detections: Array) -> Array:
-        """(…, n) expected detections per bin of the period → (…, bins) expected records."""
+        """(…, bins) expected records of expected detections (…, n) in the bins of the period."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
         if jitter.is_identity:
             folded = detections
@@ -68,7 +69,7 @@ class Tdc:
         return out
 
     def draw(self, detections: Counts, streams: Stream) -> Counts:
-        """(…, n) detections → (…, bins) records: a multinomial for each bin, from streams (…, 4)."""
+        """(…, bins) records of detections (…, n): a multinomial number for each bin, from streams (…, 4)."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
         out = np.zeros((*detections.shape[:-1], cycle.bins), np.int64)
         if jitter.is_identity:
@@ -78,9 +79,6 @@ class Tdc:
         rows = np.ascontiguousarray(ordered.reshape(-1, cycle.back + cycle.front))
         row_streams = streams.reshape(-1, 4)
         scattered = _scatter(rows, self._likeliest, self._offsets, row_streams)
-        if self._merged:
-            out[...] = scattered[:, -self._first : -self._first + cycle.bins].reshape(out.shape)
-            return out
         fold = self._fold
         folded = np.zeros((len(rows), fold.bins), np.int64)
         low, high = fold.aligned.start, fold.aligned.stop
@@ -95,7 +93,7 @@ class Tdc:
         return out
 
     def _without_short(self, detections: NDArray[N]) -> NDArray[N]:
-        """The detections less those in the short bin at the end of the period, if there is one."""
+        """The detections without those in the short bin at the end of the period, if there is one."""
         if self._from_short is None:
             return detections
         full = detections.copy()
@@ -105,9 +103,8 @@ class Tdc:
 
 @compiled()
 def _scatter(counts: Counts, weights: Array, offsets: Counts, streams: Stream) -> Counts:
-    """(h, n) counts, each of which goes `offsets[k]` bins on with probability `weights[k]`, → (h, n + k − 1).
-
-    Weights descend and sum to 1.
+    """(h, n + taps − 1) counts after each of `counts` (h, n) has moved by `offsets[k]` bins with probability
+    `weights[k]`. The weights descend and sum to 1.
     """
     rows, n = counts.shape
     taps = len(weights)
@@ -119,7 +116,7 @@ def _scatter(counts: Counts, weights: Array, offsets: Counts, streams: Stream) -
             left = counts[r, i]
             if left == 0:
                 continue
-            # Few counts are moved one by one, by a search from the likeliest displacement on.
+            # A few counts are moved one by one, by a search from the likeliest displacement on.
             if left <= 2 * taps:
                 for _ in range(left):
                     u, k = uniform(stream) * cumulative[-1], 0
@@ -127,7 +124,7 @@ def _scatter(counts: Counts, weights: Array, offsets: Counts, streams: Stream) -
                         k += 1
                     out[r, i + offsets[k]] += 1
                 continue
-            # Many are dealt out as a multinomial: a binomial for each displacement, of what the ones before left.
+            # Many counts are a multinomial: a binomial for each displacement, out of those that are still left.
             rest = 1.0
             for k in range(taps):
                 if left == 0:
@@ -144,11 +141,11 @@ def _scatter(counts: Counts, weights: Array, offsets: Counts, streams: Stream) -
 def _share_out(
     counts: Counts, places: Counts, starts: Counts, columns: Counts, shares: Array, out: Counts, streams: Stream
 ) -> None:
-    """Add `counts[:, places[r]]` to `out`, split at random over columns `columns[starts[r]:starts[r + 1]]`."""
+    """Add `counts[:, places[r]]` to `out`, split at random over the bins `columns[starts[r]:starts[r + 1]]`."""
     for h in range(len(counts)):
         stream = streams[h]
         for r in range(len(places)):
-            # The same multinomial: a bin of the lattice that straddles bins of the period is split at random.
+            # A bin of the lattice that straddles bins of the period is a multinomial over these, as in `_scatter`.
             left, rest = counts[h, places[r]], 1.0
             for e in range(starts[r], starts[r + 1]):
                 if left == 0:

@@ -1,4 +1,4 @@
-"""The switchboard: only the effects a scene calls for are simulated (docs/physics.md)."""
+"""The switchboard, which leaves out the effects that hardly change a scene's answer (docs/physics.md)."""
 
 from datagen.effects.decide import (
     EFFECTS,

@@ -1,9 +1,9 @@
-"""The detector's rows of the table: what becomes of photons.
+"""The detector's rows of the table of effects.
 
-Only the timing response takes time that leaving it out would save, a third to two thirds of a detection. Background,
-gate and counters are one addend, factor or comparison a bin. Dead time, afterpulsing and crosstalk are weighed
-histogram by histogram by the choice of samplers (`detector/sampler_choice.py`): where they do not matter, counts are
-drawn as Poisson, which costs no more than to draw them for a detector without these effects.
+Only leaving out the timing response saves time, a third to two thirds of a detection. Background, gate and counters
+are one addend, factor or comparison a bin. For dead time, afterpulsing and crosstalk the choice of the sampler
+(`detector/sampler_choice.py`) decides histogram by histogram: where they do not matter, counts are drawn as Poisson
+numbers, at the cost of a detector without these effects.
 """
 
 from __future__ import annotations
@@ -17,25 +17,27 @@ from numpy.typing import NDArray
 from datagen.detector import Exposure, Spad
 from datagen.detector.flux import cycle_of, dark_count_rates
 from datagen.detector.irf import response_kernel
-from datagen.detector.sampler_choice import caused
+from datagen.detector.sampler_choice import avalanches_caused
 from datagen.effects.rule import Change, Effect
 from datagen.records import TimeAxis
 
 _ONE_OPERATION = "one operation a bin: leaving it out saves nothing"
 _SAMPLER = "the sampler of each histogram is chosen by how much it matters there: leaving it out saves nothing more"
 _LARGEST_EXPONENT = 350.0
+"""Cap of an exponent, so that the square of its exponential is finite. Halved, bounds far beyond 1 are smaller."""
 _MOST_MOVED = 0.1
-"""Beyond it no tolerance that makes sense would leave the response out, and nothing else is worked out."""
+"""Twice the share of photons moved into other bins, beyond which no sensible tolerance would leave the response out,
+so that its bound is not computed. Halved, a tolerance of 0.1 leaves it out less often."""
 
 
 @dataclass(frozen=True)
 class Detection:
-    """A transient and the detector that is to count it.
+    """A transient, and the detector whose counts of it are simulated.
 
     Attributes
     ----------
     transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
-    tolerance : `detector.tolerance`, the relative bias that a cheaper sampler may cause.
+    tolerance : `detector.tolerance`, the relative bias that a cheaper sampler may have.
     """
 
     transient: NDArray[np.float64]
@@ -45,48 +47,49 @@ class Detection:
     tolerance: float
 
     def with_spad(self, **changes: object) -> Detection:
-        """The same with other values of some fields of `Spad`."""
+        """The detection with other values of some fields of `Spad`."""
         return replace(self, spad=replace(self.spad, **changes))  # type: ignore[arg-type]
 
     def with_exposure(self, **changes: object) -> Detection:
-        """The same with other values of some fields of `Exposure`."""
+        """The detection with other values of some fields of `Exposure`."""
         return replace(self, exposure=replace(self.exposure, **changes))  # type: ignore[arg-type]
 
     @property
     def counts_all(self) -> bool:
-        """Whether nothing depends on what was detected before."""
+        """Whether every event is counted, whatever was detected before."""
         return self.spad.mode == "ideal"
 
     @property
     def has_dead_time(self) -> bool:
-        """Whether events are lost to earlier ones."""
+        """Whether a dead time removes events."""
         return self.spad.dead_time_s > 0 and not self.counts_all
 
     @property
     def whole_periods(self) -> int:
-        """Whole laser periods in the dead time."""
+        """Number of whole laser periods in the dead time."""
         return int(np.floor(self.spad.dead_time_s * self.exposure.repetition_rate_hz * (1 + 1e-15)))
 
     @property
     def thins_evenly(self) -> bool:
-        """Whether a dead time of whole periods, which thins all bins alike, remains when pile-up is left out."""
+        """Whether pile-up is left out by a dead time of whole periods, which thins all bins alike."""
         return self.spad.mode == "free_running" and not self.spad.paralyzable and self.whole_periods > 0
 
     @property
     def caused(self) -> float:
-        """Avalanches that one causes at most by afterpulsing and crosstalk, those caused by these included."""
-        by_traps, by_neighbours = caused(self.spad)
+        """The most avalanches that one avalanche causes by afterpulsing and crosstalk, in turn included."""
+        by_traps, by_neighbours = avalanches_caused(self.spad)
         return 0.0 if self.counts_all else by_traps + (by_neighbours if self.transient.shape[1] > 1 else 0.0)
 
 
 def _timing(given: Detection) -> Change:
-    """Bound on the change without the response.
+    """Bound on the change of the expected histogram without the timing response.
 
-    By Young's inequality a response that leaves the share w in its bin changes λ by 2 (1 − w) ‖λ‖ at most.
+    By Young's inequality a response that leaves the share w in its bin changes λ by at most 2 (1 − w) ‖λ‖.
 
-    The expected histogram is at least exp(−M) of what the response leaves in its bins, M the most events within a
-    dead time. Events moved also move the dead time they cause; what that shifts shifts the next until nothing comes
-    for a dead time, for exp(M) dead times at most on average, and relative to the armed share exp(M) times more.
+    The expected histogram is at least exp(−M) of the light that the response leaves in its bins, with M the most
+    events within a dead time. A displaced event also displaces its dead time, and with it later events, until no
+    event comes for a dead time: on average for at most exp(M) dead times. Relative to the armed share this is exp(M)
+    times more.
     """
     time, spad, exposure, transient = given.time, given.spad, given.exposure, given.transient
     pulse = response_kernel(time.width_s, exposure.pulse_fwhm_s, spad.jitter_tail_s, spad.jitter_tail_fraction)
@@ -105,7 +108,7 @@ def _timing(given: Detection) -> Change:
     gated = spad.gate_start_s is not None
     opened = cycle_of(time, spad, exposure).gate[: time.bins] if gated else np.ones(time.bins)
     if given.has_dead_time:
-        # Light that the gate shuts out may be moved into it.
+        # The response may move light that the gate shuts out into the open gate.
         brightest = admitted = float(transient.sum(axis=2).max())
         if gated:
             admitted = float(np.einsum("lpt,t->lp", transient, opened).max()) + moved * brightest
@@ -121,7 +124,7 @@ def _timing(given: Detection) -> Change:
         flux = light * transient + steady
         kept = flux * opened * math.exp(-most)
         if spad.counter_max is not None:
-            # Of counters: E[min(n, c)] ≥ (1 − 1/e) min(E[n], c).
+            # A counter that may saturate keeps at least E[min(n, c)] ≥ (1 − 1/e) min(E[n], c).
             counts = kept * exposure.cycles
             reached = counts + 8 * np.sqrt(counts) + 8 > spad.counter_max
             kept = np.where(reached, (1 - 1 / math.e) * np.minimum(kept, spad.counter_max / exposure.cycles), kept)
@@ -133,13 +136,14 @@ def _timing(given: Detection) -> Change:
 
 
 def _without_pile_up(given: Detection) -> Detection:
+    """The detection without distortion by dead time."""
     if given.thins_evenly:
         return given.with_spad(dead_time_s=given.whole_periods * given.exposure.period_s)
     return given.with_spad(dead_time_s=0.0, paralyzable=False)
 
 
 def _exactly(given: Detection, setting: str | int) -> Detection:
-    """The same detection, by exact samplers alone."""
+    """The detection with exact samplers only."""
     return replace(given, tolerance=0.0)
 
 

@@ -1,4 +1,4 @@
-"""One rule for all effects: what may be left out together without changing the answer by more than the tolerance."""
+"""The rule by which effects are left out: together they may change the result by no more than the tolerance."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Given = TypeVar("Given")
 
 @dataclass(frozen=True)
 class Change:
-    """How much leaving an effect out can change the answer.
+    """The change of the result if an effect is left out.
 
     Attributes
     ----------
-    value : relative change (L2) of the stage's answer; None where nothing bounds it.
-    kind : `bound`: proven; `trial`: measured with few samples, their error included.
+    value : an upper estimate of the relative L2 change of the stage's result; None if there is no such estimate.
+    kind : `bound` if the value is proven; `trial` if it was measured with few samples, and includes their error.
     reason : one short sentence.
     """
 
@@ -29,19 +29,19 @@ class Change:
 
 @dataclass(frozen=True)
 class Effect(Generic[Given]):
-    """One row of the table. `Given` is what its stage works with: scene or detector, and the settings of both.
+    """One row of the table of effects. `Given` is the input of its stage: `SceneFigures` or `Detection`.
 
     Attributes
     ----------
-    name : its key in the configuration's section `effects`.
-    title : its name for people.
-    needs : what must be there for it to act, in words; `present` asks whether it is.
-    reference : where its physics is from, and how its change is known.
-    saves : about the largest share of its stage's time that leaving it out can save; 0 where it saves none.
+    name : key of the effect in the configuration's section `effects`.
+    title : name of the effect for people.
+    needs : what makes the effect present, in words.
+    reference : source of its physics, and of the estimate of its change.
+    saves : about the largest share of its stage's time that leaving it out can save; 0 if it saves none.
     present : whether there is anything to simulate.
-    change : how much leaving it out can change the answer; or a sentence that says why it is never worth asking.
-    without : what is given, with the effect not simulated.
-    always : with the effect simulated even where that can change nothing; also given the setting.
+    change : the change if it is left out; or a sentence that says why it is always simulated under `auto`.
+    without : the input of the stage without the effect.
+    always : the input of the stage with the effect switched on by the setting, the second argument.
     """
 
     name: str
@@ -58,14 +58,16 @@ class Effect(Generic[Given]):
 
 @dataclass(frozen=True)
 class Decision:
-    """What was decided for one effect, and why.
+    """The decision on one effect, and its reason.
 
     Attributes
     ----------
-    setting : what the configuration says: auto, on, off (or a number of strongest paths).
-    estimate : `Change.value`; None where nobody asked, too.
-    kind : of `Change`; or `always`: leaving it out saves nothing; `forced` by the setting; `absent`: there is none.
-    allowance : what was left of the tolerance when it was this effect's turn.
+    setting : setting of the configuration: auto, on, off (or a number of strongest paths).
+    simulated : whether the effect is simulated.
+    estimate : `Change.value`; None also if the change was not estimated.
+    kind : that of `Change`; or `always` if leaving it out saves nothing, `forced` if the setting decides, `absent` if
+        there is nothing to simulate.
+    allowance : the part of the tolerance that earlier decisions had left for this one.
     """
 
     effect: str
@@ -79,31 +81,33 @@ class Decision:
 
     @property
     def left_out(self) -> bool:
-        """Whether something that is there is not simulated."""
+        """Whether the effect is present but not simulated."""
         return not self.simulated and self.kind != "absent"
 
 
 def decide(
     rows: Iterable[Effect[Given]], given: Given, setting_of: Callable[[str], str | int], tolerance: float
 ) -> tuple[Decision, ...]:
-    """Decide for the effects of one stage, in the order of the table.
+    """The decisions on the effects of one stage, in the order of the table.
 
-    Those that save most are asked first; each is left out while what is left out changes the answer, together, by no
-    more than `tolerance`: (1 + e₁)(1 + e₂) … − 1 ≤ tolerance, as one effect may act upon what another has changed.
+    Effects that save most time are decided first. An effect is left out if all effects left out so far change the
+    result together by no more than `tolerance`: (1 + e₁)(1 + e₂) … − 1 ≤ tolerance, as one effect may act on what
+    another has changed.
     """
     rows = list(rows)
-    made: dict[str, Decision] = {}
+    decisions: dict[str, Decision] = {}
     spent = 0.0
     for row in sorted(rows, key=lambda r: -r.saves):
         allowance = max((1.0 + tolerance) / (1.0 + spent) - 1.0, 0.0)
         decision = _decided(row, given, setting_of(row.name), allowance)
         if decision.left_out and decision.estimate is not None:
             spent = (1.0 + spent) * (1.0 + decision.estimate) - 1.0
-        made[row.name] = decision
-    return tuple(made[row.name] for row in rows)
+        decisions[row.name] = decision
+    return tuple(decisions[row.name] for row in rows)
 
 
 def _decided(row: Effect[Given], given: Given, setting: str | int, allowance: float) -> Decision:
+    """The decision on one effect, which may change the result by `allowance`."""
     simulated = True
     value: float | None = None
     kind: Kind = "forced"
@@ -116,7 +120,7 @@ def _decided(row: Effect[Given], given: Given, setting: str | int, allowance: fl
     elif isinstance(row.change, str):
         kind, reason = "always", row.change
     else:
-        found = row.change(given)
-        simulated = not (found.value is not None and found.value <= allowance)
-        value, kind, reason = found.value, found.kind, found.reason
+        change = row.change(given)
+        simulated = not (change.value is not None and change.value <= allowance)
+        value, kind, reason = change.value, change.kind, change.reason
     return Decision(row.name, row.stage, setting, simulated, value, kind, allowance, reason)

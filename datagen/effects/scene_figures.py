@@ -1,4 +1,4 @@
-"""What the transport's effects are judged by: scene, capture, accuracy, and what a few rays show of them."""
+"""The input of the decisions on the transport's effects: scene, capture, accuracy, and figures found by few rays."""
 
 from __future__ import annotations
 
@@ -20,18 +20,20 @@ from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import path_from_time
 
 PAIRS_CHECKED = 1 << 22
-"""Pairs of laser points and pixels up to which each is asked."""
+"""Most pairs of laser points and pixels that are checked one by one; of more pairs one is taken to see a laser
+point. Halved, the direct return of large arrays is simulated without need."""
 ON_THE_EDGE = -1e-12
-"""A laser point on a pixel's edge counts as seen, on whatever side rounding puts it."""
+"""Least sine of the angle to a pixel's side at which a laser point counts as inside, so that rounding does not decide
+for points on the edge. Halved, it is still far above rounding."""
 FLAT = 1e-9
-"""Rounding, relative to the distance, of where lines of sight meet a plane."""
+"""Rounding of points in which lines of sight meet a plane, relative to the distance. Halved, it is still enough."""
 
 
 @dataclass(frozen=True)
 class SceneFigures:
-    """A transport to be simulated, and numbers by which its effects are judged (`seed`: of the trial run).
+    """A transport to be simulated, and figures on which the decisions on its effects rest.
 
-    caster : of the scene's triangles, where one was made already.
+    seed : seed of the trial run. caster : of the scene's triangles, if there is one already.
     """
 
     scene: Scene
@@ -41,34 +43,34 @@ class SceneFigures:
     caster: Raycaster | None = None
 
     def with_accuracy(self, **changes: object) -> SceneFigures:
-        """The same with other values of some fields of `Accuracy`."""
+        """The transport with other values of some fields of `Accuracy`."""
         return replace(self, accuracy=replace(self.accuracy, **changes))  # type: ignore[arg-type]
 
     def with_scene(self, **changes: object) -> SceneFigures:
-        """The same with other values of some fields of `Scene`."""
+        """The transport with other values of some fields of `Scene`."""
         return replace(self, scene=replace(self.scene, **changes))  # type: ignore[arg-type]
 
     @property
     def highest_order(self) -> float:
-        """Bounces of the longest paths followed; infinite where there is no limit."""
+        """Bounces of the longest paths; infinite if there is no limit."""
         return np.inf if self.accuracy.max_bounces is None else self.accuracy.max_bounces
 
     @cached_property
     def trial(self) -> Trial | None:
-        """The trial run; None where the transport is so small that it would not pay."""
+        """The trial run; None if the transport is so small that a trial run would not pay."""
         if not affordable(self.capture, self.accuracy):
             return None
         return run_trial(self.scene, self.capture, self.accuracy, self.seed, self._caster)
 
     @property
     def all_lambertian(self) -> SceneFigures:
-        """The same with Lambertian surfaces of the same mean albedo in place of all others."""
+        """The transport with Lambertian surfaces of the same mean albedo in place of all others."""
         alike = tuple(m if is_lambertian(m) else lambertian_of(m) for m in self.scene.materials)
         return self.with_scene(materials=alike)
 
     @property
     def without_structure(self) -> SceneFigures:
-        """The same with walls, floor and ceiling black."""
+        """The transport with black walls, floor and ceiling, where they are out of view."""
         dark = set(self.hidden_structure)
         kept = tuple(Lambertian(0.0) if k in dark else m for k, m in enumerate(self.scene.materials))
         return self.with_scene(materials=kept)
@@ -90,10 +92,11 @@ class SceneFigures:
 
     @cached_property
     def view_is_flush(self) -> bool:
-        """Whether it is proven that no light goes from a laser point to what any pixel sees: all laser points lie in
-        one plane, and nothing reaches out of it between the sensor and the field of view, however small it is.
+        """Whether it is proven that no light goes from a laser point to a surface that a pixel sees.
 
-        What pixels see beyond the plane, where there is a hole, laser points that face this way do not light.
+        The proof needs all laser points in one plane, and no triangle, however small, between the sensor and the
+        field of view in that plane. Surfaces that pixels see beyond the plane, through a hole, are not lit by laser
+        points, which face the sensor's side.
         """
         exists = self.laser_points.part >= 0
         if not exists.any():
@@ -118,7 +121,7 @@ class SceneFigures:
 
     @cached_property
     def laser_point_in_view(self) -> bool:
-        """Whether a laser point may lie in a pixel that looks at it, its light coming back within the time window."""
+        """Whether a laser point may lie in a pixel paired with it and its light may return within the time window."""
         sensor, axis, pixels = self.capture.sensor, self.capture.time, self.capture.shape[1]
         span = self.laser_points.position - sensor.position
         reach = np.linalg.norm(span, axis=1)
@@ -136,7 +139,7 @@ class SceneFigures:
 
     @property
     def longest_path_m(self) -> float:
-        """Length of the longest path that the time window can hold, device legs included, metres."""
+        """Metres of the longest path that arrives within the time window, with the legs of laser and sensor."""
         axis = self.capture.time
         longest = float(path_from_time(max(axis.stop_s, 0.0) + axis.width_s))
         if axis.origin == "source":
@@ -153,8 +156,11 @@ class SceneFigures:
 
     @cached_property
     def _view(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Where nine lines of sight of each pixel, its corners among them, first meet the scene: (P, 9, 3), (P, 9)
-        part or −1. A straight edge that cuts a pixel has one of its corners on either side."""
+        """(P, 9, 3) points where nine lines of sight of each pixel first meet the scene, and (P, 9) their parts, −1
+        for none.
+
+        The corners of a pixel are among the nine: a straight edge that cuts a pixel has a corner on either side.
+        """
         lines = lines_of_sight(self._caster, self.capture.sensor, 3)
         part = np.where(lines.met.valid, self.scene.face_part[lines.met.face], -1)
         return lines.position, part.reshape(lines.valid.shape).astype(np.int64)
@@ -165,7 +171,7 @@ _COSINES, _SHARES = (_NODES + 1) / 2, _WEIGHTS / 2
 
 
 def is_lambertian(material: Material) -> bool:
-    """Whether the surface scatters by Lambert's law, whatever its record is called; a black one does."""
+    """Whether the surface scatters by Lambert's law, as do black materials, and those whose lobe has no strength."""
     match material:
         case Lambertian() | Phong(exponent=0) | Phong(specular=0) | Retroreflector(retro=0) | OrenNayar(sigma_rad=0):
             return True
@@ -174,7 +180,7 @@ def is_lambertian(material: Material) -> bool:
 
 @lru_cache(maxsize=1024)
 def mean_albedo(material: Material) -> float:
-    """Share of even light that the surface returns: 2 ∫ ρ(cosθ) cosθ dcosθ, ρ the directional albedo."""
+    """Share of diffuse light that the surface returns: 2 ∫ ρ(cosθ) cosθ dcosθ, ρ the directional albedo."""
     if is_lambertian(material):
         return material.albedo
     match material:
@@ -186,18 +192,17 @@ def mean_albedo(material: Material) -> float:
 
 
 def _phong_share(exponent: float) -> float:
-    """Share of even light that the lobe (n + 2)/(2π) cosⁿα returns.
+    """Share of diffuse light that the lobe (n + 2)/(2π) cosⁿα returns: 2/(3π) (π + W/(n + 2)), W = ∫ cosⁿα dα over
+    0 … π/2.
 
-    It is 2/(3π) (π + W/(n + 2)), W = ∫ cosⁿα dα over 0 … π/2.
-
-    As α is the angle to a mirrored direction, which is as even as the first, it is averaged over all surfaces at a
-    fixed angle between the two directions instead: the mean of max(n·ω, 0) max(n·ω′, 0) over the sphere of normals n
-    is (sin α + (π − α) cos α)/(6π) (Cho & Saul, NIPS 2009, Eq. 6). What is left is an integral over α by parts.
+    α is the angle to the mirrored direction, which is distributed like the incident one. So one may average over all
+    surfaces at a fixed α instead: the mean of max(n·ω, 0) max(n·ω′, 0) over the sphere of normals n is
+    (sin α + (π − α) cos α)/(6π) (Cho & Saul, NIPS 2009, Eq. 6). The integral over α follows by parts.
     """
     ends = math.lgamma((exponent + 1) / 2) - math.lgamma(exponent / 2 + 1)
     return 2 / (3 * math.pi) * (math.pi + math.sqrt(math.pi) / 2 * math.exp(ends) / (exponent + 2))
 
 
 def lambertian_of(material: Material) -> Material:
-    """The Lambertian surface of the same mean albedo; a Lambertian one as it is."""
+    """The Lambertian material of the same mean albedo."""
     return material if isinstance(material, Lambertian) else Lambertian(min(mean_albedo(material), 1.0))

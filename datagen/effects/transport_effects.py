@@ -1,4 +1,4 @@
-"""The transport's rows of the table: which light is followed, and how much it would be missed."""
+"""The transport's rows of the table of effects."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from datagen.effects.scene_figures import SceneFigures, is_lambertian
 
 
 def _measured(given: SceneFigures, component: str, what: str) -> Change:
-    """The change that leaving a component out makes: its share of the light of a trial run."""
+    """The change if a component is left out: its share of the light of a trial run."""
     trial = given.trial
     if trial is None:
         return Change(None, "trial", "not measured: a trial run would cost too much of so small a transport")
@@ -20,8 +20,10 @@ def _measured(given: SceneFigures, component: str, what: str) -> Change:
 
 
 def _direct_return(given: SceneFigures) -> Change:
-    """Left out only where a proof says that there is none: few pairs of laser points and pixels have a direct return,
-    and a trial run with some of both may miss them all."""
+    """The change without the direct return: 0 if it is proven that there is none, and otherwise unknown.
+
+    A trial run would not do: few pairs of laser points and pixels have a direct return, and it may miss them all.
+    """
     if given.laser_point_in_view:
         return Change(None, "bound", "a pixel looks at a laser point: one bounce returns light")
     if not given.view_is_flush:
@@ -30,11 +32,13 @@ def _direct_return(given: SceneFigures) -> Change:
 
 
 def _attenuation(given: SceneFigures) -> Change:
+    """Bound on the change without attenuation, that of the longest path."""
     value = math.expm1(min(given.scene.attenuation_per_m * given.longest_path_m, 700.0))
     return Change(value, "bound", f"the longest path recorded, {given.longest_path_m:.3g} m, loses ≤ {value:.2g}")
 
 
 def _without_secondary(given: SceneFigures) -> SceneFigures:
+    """The transport without light of four bounces."""
     if given.accuracy.max_bounces == 4:
         return given.with_accuracy(max_bounces=3)
     return given.with_accuracy(secondary="none")
@@ -79,7 +83,7 @@ TRANSPORT_EFFECTS: tuple[Effect[SceneFigures], ...] = (
     ),
     Effect(
         "extended_surfaces", "extended surfaces", "transport",
-        "walls, floor or ceiling out of view that return light", "Eq. 6 split by the part that holds the lookin",
+        "walls, floor or ceiling out of view that return light", "Eq. 6 split by the part of the hidden vertex",
         0.0, lambda g: bool(g.hidden_structure), "of 100 random rooms none had walls that could be left out",
         lambda g: g.without_structure,
     ),

@@ -1,21 +1,23 @@
-"""The trial run: the same transport at a fiftieth of its cost, to see how much of the light has how many bounces.
+"""The trial run: the transport at a fiftieth of its cost, which measures how much of the light has how many bounces.
 
-Two independent runs a and b of a few laser points and pixels, by one call where it tells them apart: small runs cost
-little beside their preparation. A component x is compared with T, all light of three bounces and more, by
+It consists of two independent runs a and b for a few channels (pairs of laser point and pixel). One call makes both
+if it can tell them apart, for small runs cost little beside their preparation. A component x is compared with T, all
+light of three bounces and more, by
 
-    ‖(x_a + x_b)/2‖ / √(T_a · T_b),
+    ‖(x_a + x_b)/2‖ / √(T_a · T_b).
 
-where the noise of the runs adds to the numerator and cancels, on average, in the denominator: few samples overrate a
-component, never the whole. The direct return is no part of T, although it is of the transient: it may be 10⁴ times as
-bright as all the rest, which a gate then lets through alone. Nor does a trial run follow it: it comes by few pairs of
-laser points and pixels, and a bound tells (`scene_figures.py`). What the choice of channels leaves uncertain is
-added as three standard errors (jackknife over channels).
+The noise of the runs adds to the numerator and cancels, on average, in the denominator, so few samples may overrate a
+component but never the whole. The uncertainty that comes from the choice of channels is added as three standard
+errors (jackknife over channels).
+The direct return is no part of T, although it is part of the transient: it may be 10⁴ times as bright as all other
+light, which a gate then lets through alone. The trial run does not simulate it either, because few channels have a
+direct return; a bound decides on it (`scene_figures.py`).
 
-Channels in even steps would not do: every 8th of 16 × 16 laser points are two of the 16 columns, and every 8th of
-8 × 8 pixels one other column, which never looks at any of them. So places are chosen by where they are: each as far
-from those before it as can be (farthest-point sampling; Gonzalez, Theoretical Computer Science 38 (1985)), which
-takes the outermost first and leaves no gap; and half of them among the laser points that lie in a pixel, and the
-pixels that a chosen laser point lies in. Where there is no such pair, those that come nearest to one are taken.
+Channels in regular steps would not do: every 8th of 16 × 16 laser points are two of the 16 columns, and every 8th of
+8 × 8 pixels one other column, which never looks at any of them. Therefore places are chosen by farthest-point
+sampling (Gonzalez, Theoretical Computer Science 38 (1985)), each as far as possible from those chosen before. Half of
+them are chosen among the laser points that lie in a pixel, and among the pixels in which a chosen laser point lies;
+if there are none, those that come nearest to it are taken.
 """
 
 from __future__ import annotations
@@ -36,32 +38,38 @@ from datagen.transport.path_tracing.vertices import LaserPoints
 from datagen.transport.visibility.raycast import Raycaster
 
 SHARE = 0.02
-"""Share of the transport's cost that a trial run may take."""
+"""Share of the transport's cost that a trial run may take. Halved, its estimates are noisier and leave out less."""
 LARGEST_SHARE = 0.1
-"""Share above which the smallest trial run is not worth its cost: then nothing is measured."""
+"""Share of the cost above which even the smallest trial run is not made. Halved, more small transports are simulated
+with all effects."""
 OVERHEAD = 60_000.0
-"""What a call costs whatever its size, in shadow rays: the scene is prepared, each order is traced for few walks."""
-FEWEST_WALKS, MOST_WALKS = 512, 4096
-"""Walks of one of the two runs, all channels together."""
+"""Fixed cost of a call, in shadow rays: preparing the scene, and tracing each order for few paths. Halved, two calls
+are made where one would be cheaper."""
+FEWEST_PATHS, MOST_PATHS = 512, 4096
+"""Paths of each of the two runs, all channels together. With half as many the noise is 1.4 times as large."""
 LASERS, PIXELS = 32, 8
-"""Most laser points, and most pixels of each (exhaustive pairing)."""
+"""Most laser points, and most pixels of each (exhaustive pairing). With half as many the error of the choice is 1.4
+times as large."""
 COMPONENTS = 3
 """Primary, secondary and higher light."""
 MOST_ORDERS = 8
-"""Bounces that count for the cost: of longer paths few are left."""
+"""Most bounces that count for the cost, as few paths are longer. Halved, the cost of long paths is underrated."""
 BINS = 512
-"""Bins, at most, for the norm of the whole: fewer and wider ones make it smaller, never larger."""
+"""Most bins for the norm of the whole; longer time axes are rebinned to wider ones, which makes the norm smaller,
+never larger. Halved, components are overrated more."""
 VALUES = 1 << 22
-"""Most histogram values of a run."""
+"""Most histogram values of a run, 32 MB. Halved, long time axes leave room for half the channels."""
 MOST_UNSEEN = 3.0
-"""Paths of a kind that are expected, at most, where none was seen: seeing none of so many has a chance of 5 %."""
+"""Number of paths of a component that may be missing if none was seen: seeing none of 3 expected ones has a
+probability of 5 %. Halved, of 22 %."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Two runs: name of a component → (2, channel, bin) photons per emitted photon.
+    """The light of both runs.
 
-    pixels : channels that share their walks, as all pixels of a laser point do.
+    components : name of a component → (2, channel, bin) photons at the aperture per emitted photon.
+    pixels : number of channels that share their paths, as all pixels of a laser point do.
     """
 
     components: Mapping[str, NDArray[np.float64]]
@@ -73,10 +81,10 @@ class Trial:
         return not any(component.any() for component in self.components.values())
 
     def share(self, name: str) -> float | None:
-        """Upper estimate of ‖x‖ / ‖T‖ for a component x, at most 1; None where T is lost in noise.
+        """Upper estimate of ‖x‖ / ‖T‖ for a component x, at most 1; None if T is lost in noise.
 
-        Of a component that no path was seen of, among n that were, 3/n may still be there: a run that hardly met any
-        light says nothing about the rest.
+        If none of n paths belongs to the component, its share may still be 3/n: a run that met hardly any light says
+        little about a component.
         """
         x = self.components.get(name)
         if x is None:
@@ -92,12 +100,12 @@ class Trial:
         if not x.any():
             return min(MOST_UNSEEN * self.pixels / np.count_nonzero(total), 1.0)
         square = above.sum() / below.sum()
-        # Nothing that is left out makes up more than the whole.
+        # A component is never more than the whole.
         return min(float(np.sqrt(square + 3 * _jackknife(above, below, square))), 1.0)
 
 
 def _jackknife(above: NDArray[np.float64], below: NDArray[np.float64], ratio: float) -> float:
-    """Standard error of Σ above / Σ below over independent channels; of few channels as much as the ratio itself."""
+    """Standard error of Σ above / Σ below over independent channels; the ratio itself if there are under four."""
     n = len(above)
     if n < 4:
         return ratio
@@ -109,78 +117,82 @@ def _jackknife(above: NDArray[np.float64], below: NDArray[np.float64], ratio: fl
 
 
 def affordable(capture: Capture, accuracy: Accuracy) -> bool:
-    """Whether the smallest trial run costs no more than `LARGEST_SHARE` of the transport; with a target, always."""
+    """Whether the smallest trial run costs at most `LARGEST_SHARE` of the transport; always true with a target."""
     if accuracy.target is not None:
         return True
-    return _Size.of(capture, FEWEST_WALKS).cost(capture, accuracy) <= LARGEST_SHARE * _cost(capture, accuracy)
+    return _Size.of(capture, FEWEST_PATHS).cost(capture, accuracy) <= LARGEST_SHARE * _cost(capture, accuracy)
 
 
 @dataclass(frozen=True)
 class _Size:
-    """How large a trial run is: laser points and pixels of each run, histogram entries of each of them, and walks.
+    """The size of a trial run: laser points, pixels and paths of each run, and histogram entries of each channel.
 
-    at_once : whether both runs are made by one call, in which the capture is there twice over.
+    at_once : whether one call makes both runs, with a capture that holds the channels twice.
     """
 
     lasers: int
     pixels: int
     entries: int
-    walks: int
+    paths: int
     at_once: bool
 
     @classmethod
-    def of(cls, capture: Capture, walks: int) -> _Size:
+    def of(cls, capture: Capture, paths: int) -> _Size:
+        """The size of a trial run of so many paths."""
         lasers, (_, pixels, bins) = len(capture.laser.targets), capture.shape
         entries = bins * COMPONENTS
         channels = int(np.clip(VALUES // entries, 1, LASERS * PIXELS))
         seen = min(pixels, PIXELS, channels)
         lit = min(lasers, LASERS, max(channels // seen, 1))
-        # Of L laser points and P pixels twice over, 2 L P pairs are of one copy with the other. Flood illumination
-        # gives the mean over laser points, so that its copies cannot be told apart.
+        # With L laser points and P pixels there twice, 2 L P pairs are between different copies and of no use. Flood
+        # illumination gives the mean over laser points, which cannot be separated into copies.
         idle = 0 if capture.pairing == "confocal" else 2 * lit * seen * entries
-        return cls(lit, seen, entries, walks, capture.illumination == "scan" and BIN * idle <= OVERHEAD)
+        return cls(lit, seen, entries, paths, capture.illumination == "scan" and BIN * idle <= OVERHEAD)
 
     def cost(self, capture: Capture, accuracy: Accuracy) -> float:
-        """In the units of `_cost`, for each order."""
+        """Cost of the trial run in the units of `_cost`."""
         orders = min(accuracy.max_bounces or MOST_ORDERS, MOST_ORDERS) - 2
         copies = 2 if self.at_once and capture.pairing != "confocal" else 1
         calls = OVERHEAD * (1 if self.at_once else 2) + 2 * copies * BIN * self.lasers * self.pixels * self.entries
-        return calls / orders + 2 * self.walks * (RAY + copies * self.pixels)
+        return calls / orders + 2 * self.paths * (RAY + copies * self.pixels)
 
 
 def run_trial(
     scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, caster: Raycaster | None = None
 ) -> Trial:
-    """Simulate a few channels of the capture twice, all bounce orders from the third."""
-    budget = MOST_WALKS
+    """Two independent simulations of a few channels of the capture, with all orders from three bounces on."""
+    budget = MOST_PATHS
     if accuracy.target is None:
         budget = int(SHARE * _cost(capture, accuracy) / (2 * (RAY + min(capture.shape[1], PIXELS))))
-    size = _Size.of(capture, int(np.clip(budget, FEWEST_WALKS, MOST_WALKS)))
-    few = replace(few_samples(accuracy, max(size.walks // size.lasers, 1)), direct=False)
+    size = _Size.of(capture, int(np.clip(budget, FEWEST_PATHS, MOST_PATHS)))
+    few = replace(few_samples(accuracy, max(size.paths // size.lasers, 1)), direct=False)
     caster = Raycaster(scene) if caster is None else caster
     points = LaserPoints.of(caster, scene, capture.laser)
     lasers, pixels = trial_channels(capture, points, size.lasers, size.pixels)
     copies = 2 if size.at_once else 1
     twice = capture.excerpt(np.tile(lasers, copies), np.tile(pixels, copies))
-    made = [transient_of(scene, twice, few, seed=seed, split_parts=False, caster=caster)]
-    # The factorised form shares its points between laser points, whose noise is then no longer their own.
-    if not size.at_once or (made[0].spend is not None and "factorised" in "".join(made[0].spend.way.values())):
+    runs = [transient_of(scene, twice, few, seed=seed, split_parts=False, caster=caster)]
+    # The factorised form shares its points between laser points, so the copies in one call are not independent.
+    if not size.at_once or (runs[0].spend is not None and "factorised" in "".join(runs[0].spend.way.values())):
         once = capture.excerpt(lasers, pixels)
         again = (seed + 1) % 2**64
-        made.append(transient_of(scene, once, few, seed=again, split_parts=False, caster=caster))
+        runs.append(transient_of(scene, once, few, seed=again, split_parts=False, caster=caster))
     shape = capture.excerpt(lasers, pixels).shape[:2]
-    return Trial(_paired([run.components for run in made], shape), shape[1])
+    return Trial(_paired([run.components for run in runs], shape), shape[1])
 
 
-def few_samples(accuracy: Accuracy, lookins: int) -> Accuracy:
-    """The accuracy of a trial run: so many lookins, and one of every other sample."""
+def few_samples(accuracy: Accuracy, samples: int) -> Accuracy:
+    """The accuracy of a trial run: so many hidden vertices, and one of every other kind of sample."""
     secondary: Literal["none", "all"] = "none" if accuracy.secondary == "none" else "all"
     kept = {"max_bounces": accuracy.max_bounces, "direct": accuracy.direct, "occlusion": accuracy.occlusion}
-    return Accuracy(lookins=lookins, fov_samples=1, replicates=1, secondary=secondary, **kept)  # type: ignore[arg-type]
+    return Accuracy(lookins=samples, fov_samples=1, replicates=1, secondary=secondary, **kept)  # type: ignore[arg-type]
 
 
 def _paired(runs: list[Mapping[str, NDArray[np.float64]]], shape: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
-    """Two runs of `shape` laser points and pixels: the first of the first arrays, and the last of the last."""
+    """Component → (2, channel, bin) light of two runs of `shape` laser points and pixels.
+
+    The first run lies in the first rows and columns of the first arrays, the second in the last of the last arrays.
+    """
     lasers, pixels = shape
 
     def pair(name: str) -> NDArray[np.float64]:
@@ -191,25 +203,27 @@ def _paired(runs: list[Mapping[str, NDArray[np.float64]]], shape: tuple[int, int
 
 
 def _cost(capture: Capture, accuracy: Accuracy) -> float:
-    """Cost of the transport in units of a shadow ray, for each order; see `transport/error_control/cost.py`."""
+    """Cost of one order of the transport, in shadow rays; see `transport/error_control/cost.py`."""
     lasers, pixels = len(capture.laser.targets), capture.shape[1]
     return lasers * accuracy.lookins * (RAY + pixels * accuracy.fov_samples) + CALL * accuracy.replicates
 
 
 PAIRS_AT_ONCE = 1 << 20
-"""Pairs of laser points and pixels looked at in one call of numpy: 100 MB of intermediate arrays."""
+"""Pairs of laser points and pixels in one call of numpy: 100 MB of intermediate arrays. Halved, half of that."""
 AS_FAR = 1e-9
-"""Distances that agree to this share of the largest are one and the same: on a regular grid ties are the rule, and
-rounding, which differs between processors, is not to decide them. The lower number goes first."""
+"""Distances that agree to this share of the largest count as equal, and the lower number goes first: on a regular
+grid ties are the rule, and rounding, which differs between processors, must not decide them. Halved, it does not
+either."""
 INSIDE = -1e-9
-"""How deep (sine of the angle to the nearest side) a laser point on a pixel's edge lies inside of it, at least."""
+"""Least sine of the angle to the nearest side of a pixel at which a laser point counts as inside, so that points on
+an edge do. Halved, they still do."""
 
 
 def trial_channels(capture: Capture, points: LaserPoints, lasers: int, pixels: int) -> tuple[Ints, Ints]:
-    """Numbers of at most so many laser points and pixels of a capture; both in rising order.
+    """Numbers, ascending, of at most `lasers` laser points and `pixels` pixels of a capture.
 
-    Laser points that are not there (a ray that meets nothing) are chosen only where there is no other. Confocal
-    pixels go with their laser points, whatever numbers of pixels are returned.
+    Laser points whose ray meets nothing are chosen only if there are no others. In confocal pairing the numbers of
+    the pixels have no meaning, as each laser point has its own pixel.
     """
     there = np.flatnonzero(points.part >= 0)
     if not len(there):
@@ -229,8 +243,8 @@ def trial_channels(capture: Capture, points: LaserPoints, lasers: int, pixels: i
 
 
 def _depth(cones: PixelCones, span: Floats) -> tuple[Floats, Floats]:
-    """How deep each of some directions (L, 3) lies inside the pixel that holds it, or comes nearest to (L,), and how
-    deep the deepest of them lies in each pixel (P,): the sine of the angle to the nearest side, below 0 outside."""
+    """(L,) depth of each direction `span` (L, 3) inside the pixel in which it lies deepest, and (P,) depth of the
+    direction that lies deepest in each pixel: the sine of the angle to the nearest side, below 0 outside."""
     planes = cones.planes / np.linalg.norm(cones.planes, axis=2, keepdims=True)
     span = span / np.linalg.norm(span, axis=1, keepdims=True)
     of_laser, of_pixel = np.empty(len(span)), np.full(len(planes), -np.inf)
@@ -243,7 +257,7 @@ def _depth(cones: PixelCones, span: Floats) -> tuple[Floats, Floats]:
 
 
 def _paired_and_spread(place: Floats, depth: Floats, count: int) -> Ints:
-    """`count` of some places (n, 3), half of them with a counterpart (depth ≥ 0) or next to having one."""
+    """Numbers of `count` of the places (n, 3), half of which have a counterpart (depth ≥ 0) or come nearest to it."""
     count = min(count, len(place))
     half = -(-count // 2)
     paired = np.flatnonzero(depth >= INSIDE)
@@ -255,8 +269,11 @@ def _paired_and_spread(place: Floats, depth: Floats, count: int) -> Ints:
 
 
 def _spread_out(place: Floats, count: int, first: Ints | None = None) -> Ints:
-    """Numbers of `count` of some places (n, 3), or of all, in rising order: `first`, then always that which is
-    farthest from those chosen before it; without `first`, from the middle of all."""
+    """Numbers, ascending, of `count` of the places (n, 3), or of all if they are fewer.
+
+    They are `first`, and then in each step the place farthest from those chosen before; without `first` the place
+    farthest from the middle of all comes first.
+    """
     count = min(count, len(place))
     middle = place.mean(axis=0)
     unit = float(np.linalg.norm(place - middle, axis=1).max()) or 1.0
@@ -273,7 +290,7 @@ def _spread_out(place: Floats, count: int, first: Ints | None = None) -> Ints:
         free = nearest.copy()
         free[chosen] = -1.0
         k = int(free.argmax())
-        # The distance from the middle chooses the first alone.
+        # The distance from the middle decides the first place only.
         nearest = distance(k) if not chosen else np.minimum(nearest, distance(k))
         chosen.append(k)
     return np.sort(np.array(chosen, np.int64))

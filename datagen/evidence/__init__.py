@@ -1,19 +1,18 @@
-"""Evidence, the detectability of objects: how far the light of each stands out of the noise of a measurement.
+"""Evidence: the detectability of objects in the noise of a measurement.
 
-Detectability is the SNR of a matched filter: the number of standard deviations by which the best linear test that
-knows everything else of the scene tells whether the object's light is there. It is called significance here.
+Detectability is the signal-to-noise ratio of a matched filter, called significance here: the number of standard
+deviations by which the best linear test, which knows everything else of the scene, tells whether the object's light
+is there. Let b_i be the expected detections of bin i of a histogram (all light, ambient and dark counts, under gate,
+pile-up and dead time), and s_i those of the object's own light among them (`detector/own_light.py`). The significance
+of the object is
 
-With b_i the expected detections of bin i of a histogram (every light, ambient and dark counts, under gate, pile-up
-and dead time) and s_i those of an object's own light among them (`detector/own_light.py`), its significance is
-
-    σ = √ Σ s_i² / b_i,
+    σ = √ Σ s_i² / b_i
 
 over all bins, pixels and laser points. The mean of Σ (s_i/b_i) n_i over counts n_i differs by σ of its own standard
-deviations from that without the object's light.
-With a dead time Σ s²/b is the Fisher information of a counting process with intensity λ(t) while the diode is armed;
-docs/physics.md has the derivation and what is left out.
+deviations from its mean without the object's light. With a dead time Σ s²/b is the Fisher information of a counting
+process whose intensity is λ(t) while the diode is armed; docs/physics.md has the derivation and its limits.
 
-Under 3 no network can learn the label from the data.
+Below a significance of 3 no network can learn the label from the data.
 """
 
 from datagen.evidence.image import evidence_image

@@ -1,4 +1,4 @@
-"""The evidence of each object: its own light against all that is detected."""
+"""The evidence of each object: the detections of its own light against all detections."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from datagen.records import Scalar, Transient
 from datagen.records.arrays import Floats
 
 OBJECT_EVIDENCE = ("object_detections", "object_brightest_bin", "object_significance")
-"""Stored tables of evidence, a row for each object."""
+"""Names of the stored tables of evidence, which have a row for each object."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """How far an object's own light stands out in a measurement.
+    """The evidence of an object: s_i are the expected detections of its own light in bin i, b_i those of all light.
 
     Attributes
     ----------
-    detections : Σ s_i, expected over the exposure and all histograms.
+    detections : Σ s_i over the exposure and all histograms.
     brightest_bin : the largest s_i.
     significance : √Σ s_i²/b_i, in standard deviations of an ideal matched filter.
     """
@@ -37,41 +37,41 @@ class Evidence:
 
 
 UNKNOWN = Evidence(np.nan, np.nan, np.nan)
-"""Evidence of an object whose own light is not known apart."""
+"""Evidence of an object whose own light the transient does not separate."""
 
 
 def own_evidence(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None, *,
     in_sight: Mapping[str, Floats] | None = None,
 ) -> dict[str, Evidence]:  # fmt: skip
-    """The evidence that a detector gives of each part's own light, that of three bounces by way of it.
+    """Part name → evidence of the part's own light, that of three bounces by way of it, in a detector.
 
-    Significance is √Σ s²/b over all bins, with s the expected detections of the part's photons and b those of
-    everything, after gate, dead time and jitter; detections of several parts add up.
+    Significance is √Σ s²/b over all bins, with s the expected detections of the part's photons and b those of all
+    light, after gate, dead time and jitter. Detections of several parts add up.
 
     Parameters
     ----------
-    transient : of `simulate`, with its `parts`. Where the primary was sampled, its noise adds to the significance.
+    transient : result of `simulate`, with its `parts`. If its primary was sampled, noise adds to the significance.
     spad, exposure : as of `detect`.
-    parts : names of parts; left out, all of them.
-    in_sight : of `datagen.evidence.light_in_sight`: light of one to three bounces that parts in plain sight have
-        besides. Left out, none: right where everything is hidden around the corner.
+    parts : names of parts; left out, all parts.
+    in_sight : further light of parts in plain sight, of one to three bounces (`datagen.evidence.light_in_sight`).
+        Left out, none, which is right if everything is hidden around the corner.
 
     Raises
     ------
-    InputError : a part that the transient is not split by; what `detect` refuses.
+    InputError : a part that the transient does not separate; arguments that `detect` refuses.
 
     Examples
     --------
-    A lone wall of which a tenth of the light comes, 10⁴ detections in all in a detector without noise: 1 000 ± 100.
+    A box brings a tenth of 10⁴ detections in a detector without noise, 1 000 ± 100:
 
     >>> import datagen as dg, numpy as np
     >>> time, light = dg.TimeAxis(bins=1, width_s=1e-9), np.full((1, 1, 1), 1e-9)
     >>> t = dg.Transient(time, {"primary": light}, {"wall": light, "box": 0.1 * light}, 0 * light, 0 * light[0],
     ...                  np.zeros((1, 3)))
     >>> exposure = dg.Exposure(cycles=10**4, photons_per_pulse=1e9)
-    >>> found = dg.own_evidence(t, dg.Spad(pde=1, mode="ideal"), exposure, ["box"])["box"]
-    >>> round(found.detections), round(found.significance, 2)
+    >>> evidence = dg.own_evidence(t, dg.Spad(pde=1, mode="ideal"), exposure, ["box"])["box"]
+    >>> round(evidence.detections), round(evidence.significance, 2)
     (1000, 10.0)
     """
     return evidence_and_gain(transient, spad, exposure, parts, in_sight=in_sight)[0]
@@ -81,8 +81,8 @@ def evidence_and_gain(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None,
     scan_pairs: ScanPairs | None = None, in_sight: Mapping[str, Floats] | None = None,
 ) -> tuple[dict[str, Evidence], Floats]:  # fmt: skip
-    """The result of `own_evidence`, and (S, bin) `detections_per_photon` of the scan pairs' histograms: the law of
-    the detector's dead time is solved once for both."""
+    """The result of `own_evidence`, and (S, bin) `detections_per_photon` of the scan pairs' histograms, from one
+    solution for the detector's dead time."""
     names = tuple(transient.parts) if parts is None else tuple(parts)
     for name in names:
         if name not in transient.parts:
@@ -93,15 +93,15 @@ def evidence_and_gain(
     gain = np.empty((len(laser), transient.time.bins))
     if not names and not len(laser):
         return {}, gain
-    besides = {} if in_sight is None else in_sight
-    lights = [transient.parts[n] + besides[n] if n in besides else transient.parts[n] for n in names]
-    for found in own_light(transient.total, lights, transient.time, spad, exposure):
-        here = (found.first <= laser) & (laser < found.first + len(found.armed))
+    further = {} if in_sight is None else in_sight
+    lights = [transient.parts[n] + further[n] if n in further else transient.parts[n] for n in names]
+    for block in own_light(transient.total, lights, transient.time, spad, exposure):
+        here = (block.first <= laser) & (laser < block.first + len(block.armed))
         if here.any():
-            armed = found.armed[laser[here] - found.first, pixel[here]]
+            armed = block.armed[laser[here] - block.first, pixel[here]]
             gain[here] = detections_per_photon(armed, transient.time, spad, exposure)
-        for k, own in enumerate(found.own):
-            total, square, highest = _summed(own.reshape(-1), found.everything.reshape(-1))
+        for k, own in enumerate(block.own):
+            total, square, highest = _sums(own.reshape(-1), block.everything.reshape(-1))
             sums[k] += total
             squares[k] += square
             most[k] = max(most[k], highest)
@@ -110,10 +110,10 @@ def evidence_and_gain(
 
 
 @compiled()
-def _summed(own: Floats, everything: Floats) -> tuple[float, float, float]:
-    """Σ s, Σ s²/b and the largest s, in one pass: arrays between would take longer than all else."""
+def _sums(own: Floats, everything: Floats) -> tuple[float, float, float]:
+    """Σ s, Σ s²/b and the largest s over all bins, in one pass without intermediate arrays."""
     total = square = highest = 0.0
-    # Most bins hold no light of the object.
+    # The test spares the division in most bins, which hold no light of the object.
     for s, b in zip(own, everything):  # noqa: B905 (not in numba)
         if s > 0.0:
             total += s
@@ -125,29 +125,28 @@ def _summed(own: Floats, everything: Floats) -> tuple[float, float, float]:
 def significance_in_time(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str]
 ) -> dict[str, NDArray[np.float64]]:
-    """Part → (bin,) √Σ s²/b over laser points and pixels: the root of the sum of its squares is the
-    significance."""
+    """Part name → (bin,) √Σ s²/b over laser points and pixels, whose squares add up to that of the significance."""
     names = tuple(parts)
     squares = np.zeros((len(names), transient.time.bins))
-    for found in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):
-        for k, own in enumerate(found.own):
-            squares[k] += squared_over(own, found.everything).sum(axis=(0, 1))
+    for block in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):
+        for k, own in enumerate(block.own):
+            squares[k] += squared_over(own, block.everything).sum(axis=(0, 1))
     return dict(zip(names, np.sqrt(squares), strict=True))
 
 
-def evidence_parameters(found: Mapping[str, Evidence]) -> dict[str, Scalar]:
-    """The evidence as scalars of a sample: `evidence.PART.…`, and the least significance, `evidence.weakest`."""
-    if not found:
+def evidence_parameters(evidence: Mapping[str, Evidence]) -> dict[str, Scalar]:
+    """The evidence as scalars of a sample: `evidence.PART.…`, and the least significance as `evidence.weakest`."""
+    if not evidence:
         return {}
-    flat: dict[str, Scalar] = {"evidence.weakest": min(of.significance for of in found.values())}
-    for name, of in found.items():
-        flat |= {f"evidence.{name}.{quantity}": value for quantity, value in vars(of).items()}
+    flat: dict[str, Scalar] = {"evidence.weakest": min(one.significance for one in evidence.values())}
+    for name, one in evidence.items():
+        flat |= {f"evidence.{name}.{quantity}": value for quantity, value in vars(one).items()}
     return flat
 
 
-def evidence_tables(found: Sequence[Evidence], rows: int) -> dict[str, NDArray[np.float32]]:
-    """Field → (rows,) table of the objects in their order; 0 in rows without one."""
+def evidence_tables(evidence: Sequence[Evidence], rows: int) -> dict[str, NDArray[np.float32]]:
+    """Field name → (rows,) table of the objects in their order; 0 in rows without an object."""
     tables = np.zeros((len(OBJECT_EVIDENCE), rows), np.float32)
-    for row, of in enumerate(found):
-        tables[:, row] = of.detections, of.brightest_bin, of.significance
+    for row, one in enumerate(evidence):
+        tables[:, row] = one.detections, one.brightest_bin, one.significance
     return dict(zip(OBJECT_EVIDENCE, tables, strict=True))

@@ -1,4 +1,4 @@
-"""The evidence that an object is there at all: the measurement with it against the one without it."""
+"""The presence of an object: the evidence by which a measurement with it differs from one without it."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ from datagen.transport import transient_of
 
 @dataclass(frozen=True)
 class Presence:
-    """How far an object changes a measurement: by its own light, its shadow, and light that it takes from others.
+    """The change of a measurement by an object: by its own light, its shadow, and the light it takes from others.
 
     Attributes
     ----------
-    detections : Σ s_i, expected over the exposure and all histograms; below 0 where it takes more than it brings.
+    detections : Σ s_i expected over the exposure and all histograms; negative if the object takes more than it
+        brings.
     significance : √Σ s_i²/m_i, in standard deviations of an ideal matched filter, within `floor` of the truth.
-    floor : the significance that the errors of both simulations have by themselves. What is not above it may be
-        nothing.
+    floor : the significance that the errors of both simulations alone would have. A significance that is not above it
+        may be due to these errors.
     """
 
     detections: float
@@ -42,31 +43,31 @@ def presence_evidence(
     scene: Scene, capture: Capture, accuracy: Accuracy, spad: Spad, exposure: Exposure,
     parts: Iterable[str] | None = None, *, seed: int = 0, transient: Transient | None = None,
 ) -> dict[str, Presence]:  # fmt: skip
-    """How far a measurement with an object stands from one of the same scene without it.
+    """Part name → the evidence that separates a measurement of the scene from one of the scene without the part.
 
-    With b_i the expected detections with the object, s_i what it adds to them (at the diode's state with it), so that
-    b_i − s_i are those without it, the significance is √Σ s_i²/m_i with m_i the larger of the two. The filter
-    Σ (s_i/m_i) n_i tells both scenes apart by at least so many standard deviations of either; by just as many where
-    s ≪ b. Of an object that shadows nothing it is the significance of its own light.
+    Let b_i be the expected detections with the object and s_i its contribution (for the state of the diode with it),
+    so that b_i − s_i are the detections without it. The significance is √Σ s_i²/m_i with m_i the larger of the two.
+    The filter Σ (s_i/m_i) n_i separates both scenes by at least so many standard deviations of either, and by just as
+    many if s ≪ b. For an object without a shadow it is the significance of its own light.
 
-    Both simulations share their samples of light, so that much of their error cancels in s. What remains, e, moves
-    the significance by √Σ e²/m at most (the triangle inequality), which `floor` estimates from the standard errors of
-    both as if nothing cancelled. A smaller target lowers it in proportion.
+    Both simulations use the same random numbers, so that much of their error cancels in s. The remaining error e
+    changes the significance by at most √Σ e²/m (the triangle inequality). `floor` estimates this from the standard
+    errors of both simulations as if nothing cancelled; it falls in proportion to the target.
 
     Parameters
     ----------
-    scene, capture, accuracy, seed : as of `simulate`; a simulation for the scene and one for each part.
+    scene, capture, accuracy, seed : as of `simulate`, which runs once for the scene and once for each part.
     spad, exposure : as of `detect`.
-    parts : names of parts; left out, those of role object.
-    transient : the scene's, as `simulate` gives it with this accuracy and seed; left out, it is simulated here.
+    parts : names of parts; left out, those with the role `object`.
+    transient : result of `simulate` for the scene, with this accuracy and seed; left out, it is simulated here.
 
     Raises
     ------
-    InputError : a part that the scene does not have; what `simulate` and `detect` refuse.
+    InputError : a part that the scene does not have; arguments that `simulate` and `detect` refuse.
 
     Examples
     --------
-    A black plate brings no light, and is seen by its shadow:
+    A black plate brings no light, and is detected by its shadow:
 
     >>> import datagen as dg, trimesh
     >>> def plate(x, half):
@@ -79,8 +80,9 @@ def presence_evidence(
     >>> sensor = dg.Sensor.grid((1.5, -1.5, 0), (0, 0.1, 0), (0, 0.1, 0), (0, 0, 0.1), rows=1, columns=1)
     >>> capture = dg.Capture(laser, sensor, dg.TimeAxis(bins=60, width_s=4e-10, origin="wall"))
     >>> exposure = dg.Exposure(cycles=10**4, photons_per_pulse=1e9)
-    >>> found = dg.presence_evidence(scene, capture, dg.Accuracy(target=0.02), dg.Spad(mode="ideal"), exposure)
-    >>> found["plate"].detections < 0, found["plate"].significance > found["plate"].floor
+    >>> presence = dg.presence_evidence(scene, capture, dg.Accuracy(target=0.02), dg.Spad(mode="ideal"), exposure)
+    >>> plate = presence["plate"]
+    >>> plate.detections < 0, plate.significance > plate.floor
     (True, True)
     """
     given = (("scene", scene, Scene), ("capture", capture, Capture), ("accuracy", accuracy, Accuracy))
@@ -94,41 +96,42 @@ def presence_evidence(
     if not names:
         return {}
     whole = transient_of(scene, capture, accuracy, seed, split_parts=False) if transient is None else transient
-    found = {}
+    presence = {}
     for name in names:
         without = transient_of(scene.without(name), capture, accuracy, seed, split_parts=False)
-        found[name] = _against(whole, without, spad, exposure)
-    return found
+        presence[name] = _compared(whole, without, spad, exposure)
+    return presence
 
 
-def _against(whole: Transient, without: Transient, spad: Spad, exposure: Exposure) -> Presence:
-    # One replicate tells no error.
+def _compared(whole: Transient, without: Transient, spad: Spad, exposure: Exposure) -> Presence:
+    """The presence of an object, from the transients of the scene with and without it."""
+    # With a single replicate the standard error is NaN, and the floor unknown.
     error = np.hypot(whole.stderr, without.stderr)
-    change = square = unsure = 0.0
+    change = square = error_square = 0.0
     lights = [whole.total, without.total, np.nan_to_num(error)]
-    for of in own_light(whole.total, lights, whole.time, spad, exposure):
-        s = of.own[0] - of.own[1]
-        # The brighter of both: where a shadow takes everything there is no noise with the object, but much without.
-        m = np.maximum(of.everything, of.everything - s)
+    for block in own_light(whole.total, lights, whole.time, spad, exposure):
+        s = block.own[0] - block.own[1]
+        # A shadow may leave no detections and thus no noise with the object: the brighter scene has noise.
+        m = np.maximum(block.everything, block.everything - s)
         weight = np.divide(1.0, m, out=np.zeros_like(m), where=m > 0)
         change += float(s.sum())
         square += float((s * s * weight).sum())
-        unsure += float((of.own[2] ** 2 * weight).sum())
-    floor = math.sqrt(unsure) if np.isfinite(error).all() else math.nan
+        error_square += float((block.own[2] ** 2 * weight).sum())
+    floor = math.sqrt(error_square) if np.isfinite(error).all() else math.nan
     return Presence(change, math.sqrt(square), floor)
 
 
-def presence_parameters(found: Mapping[str, Presence]) -> dict[str, Scalar]:
-    """Presence as scalars: `evidence.PART.presence` (its significance), `.presence_detections` and `_floor`."""
+def presence_parameters(presence: Mapping[str, Presence]) -> dict[str, Scalar]:
+    """The presence as scalars: `evidence.PART.presence` (its significance), `.presence_detections` and `_floor`."""
     flat: dict[str, Scalar] = {}
-    for name, of in found.items():
+    for name, one in presence.items():
         prefix = f"evidence.{name}.presence"
-        flat |= {prefix: of.significance, f"{prefix}_detections": of.detections, f"{prefix}_floor": of.floor}
+        flat |= {prefix: one.significance, f"{prefix}_detections": one.detections, f"{prefix}_floor": one.floor}
     return flat
 
 
-def presence_table(found: Sequence[Presence], rows: int) -> NDArray[np.float32]:
-    """(rows,) significance of the objects in their order; 0 in rows without one."""
+def presence_table(presence: Sequence[Presence], rows: int) -> NDArray[np.float32]:
+    """(rows,) significance of the objects in their order; 0 in rows without an object."""
     table = np.zeros(rows, np.float32)
-    table[: len(found)] = [of.significance for of in found]
+    table[: len(presence)] = [one.significance for one in presence]
     return table

@@ -28,24 +28,20 @@ def export(
     dataset: str | Path, out: str | Path, format: str, scenes: str | Sequence[int] | None = None,
     field: str | None = None,
 ) -> list[Path]:  # fmt: skip
-    """Write scenes of a dataset as files of another format, one a scene.
+    """Write scenes of a dataset as files of another format, one file for each scene; returns their paths.
 
     Parameters
     ----------
-    dataset, out : the dataset, and the folder to write `scene-000003.…` into (made where it is missing).
+    dataset, out : the dataset, and the folder for the files `scene-000003.…` (made if it is missing).
     format : `tal`, `mat`, `npz`, `h5`, `glb`, or `hub`: the whole dataset as a folder for the Hugging Face Hub.
-    scenes : numbers, or a text such as `"0,3-5"`; left out: all that could be made.
-    field : of `tal` and `mat`, "histogram", "transient", or either of the background's; left out: the histogram
-        where there is one.
-
-    Returns
-    -------
-    The files written.
+    scenes : indices, or a text such as `"0,3-5"`; left out: all scenes that could be made.
+    field : for `tal` and `mat`: "histogram", "transient", or one of the background; left out: the first of
+        `QUANTITIES` that the dataset has.
 
     Raises
     ------
     InputError : unknown format or scene, no dataset, a scan that the format cannot hold, or h5py missing.
-    CheckError : for what of the dataset is missing or damaged, and where the disk refuses.
+    CheckError : values are missing or damaged, or the disk refused.
     """
     if format not in FORMATS:
         raise InputError(f"--format {format}: must be one of {', '.join(FORMATS)}")
@@ -63,7 +59,7 @@ def export(
         write, ending, written = _WRITERS[format], _ENDINGS.get(format, format), []
         for scene in map(root.read, wanted):
             path = target / f"scene-{scene.index:06d}.{ending}"
-            # The ending stays the last part of the name, because the writers choose the format by it.
+            # The ending stays last in the name, because writers choose the format by it.
             unfinished = path.with_name(f"{path.stem}{PARTIAL}.{ending}")
             try:
                 write(scene, unfinished, *([field] if format in _MEASURED else []))

@@ -1,7 +1,7 @@
 """A scene as one glTF file (.glb) for Blender, MeshLab and Open3D: its parts with materials, device and scan.
 
-Beside the parts by name: `laser` and `sensor`, `laser_points`, and `sensor_pixels`, outlines of what each pixel sees.
-Metres; what is up in the scene is glTF's +Y, which Blender turns to +Z again.
+Beside the parts by name a file has `laser`, `sensor`, `laser_points`, and `sensor_pixels`, the outlines of the fields
+of view. Lengths are metres. The scene's up is glTF's +Y, which Blender turns to +Z again.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from datagen.store.scenes import SceneContent
 from datagen.transport.visibility.raycast import Raycaster
 
 _MARK_M = 0.04
-"""Radius of the balls that stand for laser and sensor, metres."""
+"""Radius of the spheres that mark laser and sensor, metres; half as large ones are hard to see in a room."""
 _TINTS = {"relay_wall": (0.55, 0.75, 1.0), "structure": (1.0, 1.0, 1.0), "object": (1.0, 0.65, 0.3)}
-"""Role → colour, which is multiplied by the albedo."""
+"""Role of a part → colour that is multiplied by its albedo."""
 _UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
 def write_stored_glb(scene: SceneContent, path: Path) -> None:
-    """Write one scene of a dataset, drawn again from the dataset's seed.
+    """Write one scene of a dataset. Its room is drawn again from the dataset's seed.
 
-    Raises `InputError` where a mesh file is gone, or the scenes were made in Python.
+    Raises `InputError` if a mesh file is gone, or the scenes were made in Python.
     """
     config = scene.manifest.parsed_config()
     room = scene_for(config, scene.index)
@@ -41,10 +41,10 @@ def write_stored_glb(scene: SceneContent, path: Path) -> None:
 
 
 def write_glb(scene: Scene, path: str | Path, capture: Capture | None = None) -> None:
-    """Write a scene as a glTF file (.glb), which Blender, MeshLab and Open3D open: its parts by name, with albedo and
-    roughness; of a capture laser, sensor, laser points and outlines of the pixels, too.
+    """Write a scene as a glTF file (.glb), which Blender, MeshLab and Open3D open. The file has the parts by name,
+    with albedo and roughness; with `capture` also laser, sensor, laser points and outlines of the pixels.
 
-    Raises `InputError` for arguments of another type, and a file that cannot be written.
+    Raises `InputError` for arguments of another type, and if the file cannot be written.
 
     >>> import datagen as dg, tempfile, trimesh
     >>> ball = dg.Part("ball", trimesh.creation.icosphere(2, 0.3), dg.Lambertian(0.6))
@@ -71,8 +71,8 @@ def write_glb(scene: Scene, path: str | Path, capture: Capture | None = None) ->
 
 
 def _glb_of(room: Scene, placed: Mapping[str, NDArray[Any]]) -> bytes:
-    """The glTF file of a room; `placed` are the fields of a stored scene that say where device and scan are, or none
-    of them."""
+    """The content of the glTF file of a room. `placed` has the fields `laser_position`, `sensor_position`,
+    `laser_points` and `sensor_pixels`, or is empty."""
     import trimesh
 
     world = trimesh.Scene(base_frame="world")
@@ -108,7 +108,8 @@ def _outlines(pixels: Floats) -> Any:
 
 
 def _look(material: Material, role: str) -> Any:
-    """The glTF material of a surface: albedo in the tint of its role, width of the lobe as roughness."""
+    """The glTF material of a surface: its colour is the albedo times the tint of the role, its roughness the width of
+    the lobe."""
     color = np.clip(material.albedo, 0, 1) * np.array(_TINTS[role])
     look = _plain(f"{type(material).__name__} {material.albedo:.2f}", color, _roughness(material))
     look.metallicFactor, look.doubleSided = 0.0, True

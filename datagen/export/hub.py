@@ -31,17 +31,18 @@ MOST_FILES = 100_000
 MOST_IN_A_FOLDER = 10_000
 """Limits of a repository of the Hub: https://huggingface.co/docs/hub/storage-limits."""
 _ROWS_AT_ONCE = 100
-"""Rows whose pictures are in memory together; half as many make twice as many row groups in the file."""
+"""Number of rows whose pictures are in memory together; half as many make twice as many row groups in the file."""
 _THUMBNAIL = 128
-"""Pixels of a picture along its longer side; half as many would be too coarse to tell scenes apart."""
+"""Pixels of a picture along its longer side; half as many would be too coarse to distinguish scenes."""
 _IMAGE = {"_type": "Image"}
 
 
 def write_hub(scenes: Scenes, out: Path) -> list[Path]:
-    """Write the folder; returns the files that were made. The dataset's files are linked where possible, else copied.
+    """Write the folder; returns the paths of its tables and its card. Files of the dataset are linked if possible,
+    else copied.
 
-    Raises `InputError` for a dataset that is not complete, more files than the Hub takes, and an output with files of
-    anything else in it.
+    Raises `InputError` for a dataset that is not complete, more files than the Hub accepts, and an output folder with
+    other files in it.
     """
     root, schema = scenes.root, scenes.manifest.schema
     if not (root / TABLE).is_file():
@@ -70,6 +71,7 @@ def write_hub(scenes: Scenes, out: Path) -> list[Path]:
 
 
 def _check_limits(root: Path, files: list[Path]) -> None:
+    """Raise `InputError` if a dataset has more files than the Hub accepts."""
     folder, most = max(Counter(path.parent for path in files).items(), key=lambda found: found[1])
     shards = max((len(list(path.iterdir())) for path in root.glob("data.zarr/*/c")), default=0)
     if len(files) > MOST_FILES or max(most, shards) > MOST_IN_A_FOLDER:
@@ -89,7 +91,7 @@ def _link(path: Path, to: Path) -> None:
 
 
 def _write_rows(scenes: Scenes, table: pa.Table, rows: list[int], path: Path) -> None:
-    """Write one Parquet file, some rows at a time, so that a dataset of any size fits into memory."""
+    """Write one Parquet file, a group of rows at a time, because the pictures of all rows may not fit into memory."""
     writer: pq.ParquetWriter | None = None
     for begin in range(0, len(rows), _ROWS_AT_ONCE):
         some = rows[begin : begin + _ROWS_AT_ONCE]
@@ -99,7 +101,7 @@ def _write_rows(scenes: Scenes, table: pa.Table, rows: list[int], path: Path) ->
         pictures = list(shown[0])
         for place, name in enumerate(pictures):
             images = [
-                {"bytes": of[name], "path": f"{name}-{row:06d}.png"} for of, row in zip(shown, some, strict=True)
+                {"bytes": png[name], "path": f"{name}-{row:06d}.png"} for png, row in zip(shown, some, strict=True)
             ]
             part = part.add_column(1 + place, name, pa.array(images, kind))
         part = part.replace_schema_metadata({"huggingface": json.dumps({"info": {"features": _features(part)}})})
@@ -122,8 +124,8 @@ def _features(table: pa.Table) -> dict[str, Any]:
 
 
 def _pictures(scene: SceneContent) -> dict[str, bytes]:
-    """Name → PNG: `thumbnail`, detections by place on the wall (by pair and time where there is no grid), and
-    `depth`."""
+    """Name → PNG: `thumbnail`, the detections of each point on the wall (or of each pair over time, if the points
+    form no grid), and `depth`."""
     pictures = {"thumbnail": _png(_thumbnail(scene), "inferno")}
     if "depth" in scene.arrays:
         depth = scene.arrays["depth"]
@@ -132,10 +134,11 @@ def _pictures(scene: SceneContent) -> dict[str, bytes]:
 
 
 def _thumbnail(scene: SceneContent) -> NDArray[np.float64]:
+    """(row, column) image of the measurement of a scene."""
     try:
         m = measurement(scene)
     except InputError:
-        # There is no grid to draw on, such as for a flood or an unknown wall.
+        # A flood and an unknown wall have no points to draw at.
         name = next((name for name in ("histogram", "transient") if name in scene.arrays), None)
         values = scene.arrays[name] if name is not None else np.zeros((1, 1, 1))
         return _streaks(values)
@@ -154,6 +157,7 @@ def _streaks(values: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _png(image: NDArray[Any], colors: str) -> bytes:
+    """A PNG of an image in the colours of a colormap; NaN becomes transparent."""
     from matplotlib import colormaps
     from matplotlib.image import imsave
 
@@ -168,7 +172,7 @@ def _png(image: NDArray[Any], colors: str) -> bytes:
 
 
 def _with_configs(card: str, splits: list[str]) -> str:
-    """The card of the dataset, with the tables in `viewer` named as its rows."""
+    """The card of the dataset, with a header that names the tables in `viewer` as its rows."""
     configs = [
         {
             "config_name": "scenes",

@@ -2,10 +2,10 @@
 
 - Confocal grid: `meas` (y, x, t), `tofgrid` (y, x) in ps and `wall_size` in m, as the demonstrations of
   Lindell, Wetzstein and O'Toole, *Wave-Based Non-Line-of-Sight Imaging using Fast f-k Migration* (2019), read them:
-  row 0 at the top, column 0 to the left; shifted by −floor(tofgrid / bin), `meas` counts from the wall.
-- Any other: `camera_points`, `laser_points`, `camera_normals`, `laser_normals` (N, 3) and `trans_data`
-  (N, T), a row for each pair of a laser point and a pixel, counted from the wall, as 3D Gaussian Transient Rendering
-  (3D-GTR, 2026) loads them.
+  row 0 is at the top, column 0 at the left; after a shift by −floor(tofgrid / bin) times count from the wall.
+- Any other scan: `camera_points`, `laser_points`, `camera_normals`, `laser_normals` (N, 3) and `trans_data`
+  (N, T), a row for each pair of a laser point and a pixel, with times from the wall, as 3D Gaussian Transient
+  Rendering (3D-GTR, 2026) loads them.
 
 Both have `bin_resolution` (s); points are in the frame of the relay wall (z = 0, hidden z > 0). The files are of
 version 5, which MATLAB, Octave and `scipy.io.loadmat` read; it holds at most 2 GiB in one variable.
@@ -26,11 +26,11 @@ from datagen.store.scenes import SceneContent
 from datagen.units import time_from_path
 
 _LARGEST_BYTES = 2**31 - 1
-"""Of one variable of version 5: MATLAB refuses larger ones."""
+"""Largest variable of version 5 that MATLAB reads."""
 
 
 def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> None:
-    """Write one scene. Raises `InputError` as `measurement` does, and for a scan that is too large for the format."""
+    """Write one scene. Raises `InputError` as `measurement` does, and if the scan is too large for the format."""
     from scipy.io import savemat
 
     m = measurement(scene, quantity).from_time_zero()
@@ -46,6 +46,7 @@ def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> N
 
 
 def _confocal_grid(m: Measurement, place: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    """Variables of a confocal grid; `place` is its `lattice`."""
     # Columns × rows with y ascending → rows from the top × columns.
     order = place.T[::-1]
     points = m.seen_points[order]
@@ -60,7 +61,8 @@ def _confocal_grid(m: Measurement, place: NDArray[np.int64]) -> dict[str, NDArra
 
 
 def _legs_s(m: Measurement, lit: Floats, seen: Floats) -> Floats:
-    """(N,) s from the laser to the wall and from there to the sensor; 0 where times count from the wall."""
+    """(N,) seconds from the laser to its point and from the seen point to the sensor; 0 if times count from the
+    wall."""
     if m.time.origin == "wall":
         return np.zeros(len(lit))
     ways = np.linalg.norm(lit - m.laser_position, axis=1) + np.linalg.norm(seen - m.sensor_position, axis=1)
@@ -68,6 +70,7 @@ def _legs_s(m: Measurement, lit: Floats, seen: Floats) -> Floats:
 
 
 def _pairs(m: Measurement) -> dict[str, NDArray[Any]]:
+    """Variables of a list of pairs, with all times shifted to count from the wall."""
     lasers, pixels, bins = m.values.shape
     lit = m.laser_points if m.paired else np.repeat(m.laser_points, pixels, axis=0)
     seen = m.seen_points if m.paired else np.tile(m.seen_points, (lasers, 1))

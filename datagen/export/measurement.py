@@ -1,4 +1,4 @@
-"""One scene of a dataset in the terms of other programs: values, times, and points in the frame of the relay wall."""
+"""One scene of a dataset as other programs describe it: values, times, and points in the frame of the relay wall."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ QUANTITIES = ("histogram", "transient", "background_histogram", "background_tran
 
 @dataclass(frozen=True)
 class WallFrame:
-    """Coordinates with the relay wall at z = 0 and what is hidden at z > 0: x to the right and y up, as seen from the
+    """Coordinates with the relay wall at z = 0 and the hidden part at z > 0, x to the right and y up as seen from the
     room, metres.
 
     Attributes
     ----------
-    origin : (3,) of the frame, in the scene's frame.
-    axes : (3, 3) rows: unit vectors right, up, into the room.
+    origin : (3,) origin of this frame, in the scene's frame.
+    axes : (3, 3) rows are the unit vectors right, up, and into the room.
     """
 
     origin: Floats
     axes: Floats
 
-    def of(self, points: Floats) -> Floats:
-        """(..., 3) points of the scene → (..., 3) in this frame."""
+    def to_wall(self, points: Floats) -> Floats:
+        """(..., 3) the points (..., 3) of the scene in this frame."""
         return (points - self.origin) @ self.axes.T
 
 
@@ -45,11 +45,11 @@ class Measurement:
     values : (L, P, T) counts or photons; confocal: P = 1.
     quantity : one of `QUANTITIES`.
     time : bin i covers [start + i width, start + (i + 1) width).
-    paired : whether pixel i was looked at with laser point i alone (a confocal scan).
-    laser_points, seen_points : (L, 3) and (P, 3), paired (L, 3): points on the wall, metres.
-    laser_position, sensor_position : (3,) of the devices.
-    frame : from the scene's coordinates to these.
-    hidden : (2, 3) corners of the box that holds what is hidden, or None.
+    paired : whether pixel i was measured with laser point i alone (a confocal scan).
+    laser_points, seen_points : (L, 3) and (P, 3) points on the wall, metres; paired: both (L, 3).
+    laser_position, sensor_position : (3,) positions of the devices.
+    frame : the frame of these coordinates, in the scene's frame.
+    hidden : (2, 3) corners of the box that contains the hidden part, or None.
     """
 
     values: NDArray[Any]
@@ -64,15 +64,14 @@ class Measurement:
     hidden: Floats | None
 
     def from_time_zero(self) -> Measurement:
-        """The measurement with empty bins before the first and after the last, so that time begins at 0 (or less
-        than a bin later) and the number of bins is a power of two, which methods in the frequency domain need.
-        """
+        """The measurement with empty bins added at both ends, so that time begins at 0 (or less than a bin later) and
+        the number of bins is a power of two, as methods in the frequency domain need it."""
         lead = max(0, int(np.floor(self.time.start_s / self.time.width_s + 1e-6)))
         bins = 1 << (lead + self.time.bins - 1).bit_length()
         values = np.zeros((*self.values.shape[:2], bins), self.values.dtype)
         values[..., lead : lead + self.time.bins] = self.values
         start_s = self.time.start_s - lead * self.time.width_s
-        # If the start was a whole number of bins, what is left is rounding.
+        # If the start was a whole number of bins, a tiny remainder is rounding.
         start_s = 0.0 if abs(start_s) < 1e-6 * self.time.width_s else start_s
         return replace(self, values=values, time=replace(self.time, bins=bins, start_s=start_s))
 
@@ -86,8 +85,9 @@ def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement
 
     Raises
     ------
-    InputError : the dataset has no such field, the scene's relay wall is unknown, a laser point lies nowhere, or all
-        laser points were lit at once (a flood), which these formats cannot say.
+    InputError : the dataset has no such field, the scene's relay wall is unknown, a laser point lies on no surface,
+    or
+        all laser points were lit at once (a flood), which other formats cannot express.
     """
     where, arrays, capture = f"{scene.root}, scene {scene.index}", scene.arrays, scene.manifest.config["capture"]
     there = [name for name in QUANTITIES if name in arrays]
@@ -109,22 +109,25 @@ def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement
     paired = capture["pairing"] == "confocal"
     halves = np.linalg.norm(corners[:, 0] - corners[:, 2], axis=1) / 2
     if paired and (np.linalg.norm(seen - lit, axis=1) <= halves + _SAME_PLACE_M).all():
-        # The pixels lie around the laser points, which are exact also on an uneven wall.
+        # Each pixel lies around its laser point. Laser points are exact also on an uneven wall, so they are taken.
         seen = lit
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
     frame = WallFrame(center + axes[:2].T @ (axes[:2] @ (middle - center)), axes)
     hidden = (
-        np.sort(frame.of(arrays["hidden_bounds"]), axis=0) if np.isfinite(arrays["hidden_bounds"]).all() else None
+        np.sort(frame.to_wall(arrays["hidden_bounds"]), axis=0)
+        if np.isfinite(arrays["hidden_bounds"]).all()
+        else None
     )
     name = quantity or there[0]
     return Measurement(
-        arrays[name], name, scene.time, paired, frame.of(lit), frame.of(seen), frame.of(arrays["laser_position"]),
-        frame.of(arrays["sensor_position"]), frame, hidden,
+        arrays[name], name, scene.time, paired, frame.to_wall(lit), frame.to_wall(seen),
+        frame.to_wall(arrays["laser_position"]), frame.to_wall(arrays["sensor_position"]), frame, hidden,
     )  # fmt: skip
 
 
 def _on_plane(eye: Floats, towards: Floats, point: Floats, normal: Floats) -> Floats:
-    """(N, 3) points where rays from `eye` through (N, 3) points meet a plane; the point itself where they do not."""
+    """(N, 3) intersections of the rays from `eye` through (N, 3) points with a plane; the point itself if its ray
+    does not meet the plane."""
     along = towards - eye
     slope = along @ normal
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -134,8 +137,7 @@ def _on_plane(eye: Floats, towards: Floats, point: Floats, normal: Floats) -> Fl
 
 def lattice(points: Floats) -> NDArray[np.int64] | None:
     """(columns, rows) index of the point at each place of the grid that (N, 3) points form, x and y ascending; None
-    where they form no grid.
-    """
+    if they form no grid."""
     extent = float(np.ptp(points[:, :2], axis=0).max())
     for tolerance in (1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 3e-2):
         columns, rows = (_clusters(points[:, axis], tolerance * extent) for axis in (0, 1))
@@ -147,7 +149,7 @@ def lattice(points: Floats) -> NDArray[np.int64] | None:
 
 
 def _clusters(values: Floats, gap: float) -> NDArray[np.int64]:
-    """(N,): the number of the group that each value belongs to; groups lie more than `gap` apart."""
+    """(N,) the index of each value's group; groups lie more than `gap` apart."""
     order = np.argsort(values, kind="stable")
     groups = np.empty(len(values), np.int64)
     groups[order] = np.append(0, np.cumsum(np.diff(values[order]) > gap))

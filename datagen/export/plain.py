@@ -1,4 +1,4 @@
-"""A scene as plain arrays: `.npz` for NumPy, `.h5` for all that reads HDF5. Every field is as it is stored."""
+"""A scene as plain arrays: `.npz` for NumPy, `.h5` for programs that read HDF5. Every field has its stored values."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from datagen.store.scenes import SceneContent
 
 
 def h5py() -> Any:
-    """The package h5py, which is installed only where somebody exports to HDF5; raises `InputError` without it."""
+    """The package h5py, which belongs to the extra `export`; raises `InputError` if it is not installed."""
     if importlib.util.find_spec("h5py") is None:
         raise InputError("this format is HDF5, and h5py is not installed; pip install nlos-datagen[export]")
     return importlib.import_module("h5py")
 
 
 def write_npz(scene: SceneContent, path: Path) -> None:
-    """Write all fields by name, `bin_edges_s`, and `info`, a JSON text with the attributes of the `.h5` file."""
+    """Write all fields by name, `bin_edges_s`, and `info`, a JSON text with what are attributes in the `.h5` file."""
     arrays: dict[str, Any] = {**scene.arrays, "bin_edges_s": scene.time.edges_s}
     np.savez_compressed(path, info=np.array(json.dumps(_info(scene))), **arrays)
 
 
 def write_h5(scene: SceneContent, path: Path) -> None:
-    """Write all fields by name, with attributes `units` and `long_name` and labelled axes, and `parameters`."""
+    """Write all fields by name, with labelled axes and the attributes `units` and `long_name`, and `parameters`."""
     with h5py().File(path, "w") as file:
         for field in scene.manifest.schema.fields:
             value = scene.arrays[field.name]

@@ -1,13 +1,12 @@
 """The HDF5 file of y-tal (https://github.com/diegoroyo/tal, `tal.io.read_capture`).
 
-A flat root with exactly its names. The relay wall is z = 0 and what is hidden lies at z > 0; x comes before y, both
-ascending; times are metres of path. Time is padded to begin at 0 and to a power of two of bins, which its fk and lct
-take for granted.
+All arrays lie at the root, with the names of y-tal. The relay wall is z = 0 and the hidden part lies at z > 0; x
+comes before y, both ascending; times are metres of path. Time is padded to begin at 0 and to a number of bins that is
+a power of two, which y-tal's fk and lct assume.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from datagen.units import path_from_time
 
 
 class HFormat(Enum):
-    """The axes of H: time, then laser points (L) and pixels (S), each in a grid (x, y) or in a list (i)."""
+    """The axes of H: time, then laser points (L) and pixels (S), each as a grid (x, y) or a list (i)."""
 
     UNKNOWN = 0
     T_Sx_Sy = 1
@@ -34,7 +33,7 @@ class HFormat(Enum):
 
 
 class GridFormat(Enum):
-    """The axes of points: a list, or a grid."""
+    """The axes of points: list or grid."""
 
     UNKNOWN = 0
     N_3 = 1
@@ -50,43 +49,29 @@ class VolumeFormat(Enum):
     X_Y_3 = 3
 
 
-@dataclass(frozen=True)
-class _Shaped:
-    """Values and points with the axes of y-tal."""
-
-    h: NDArray[np.float32]
-    h_format: HFormat
-    lasers: Floats
-    sensors: Floats
-
-    @property
-    def grid(self) -> GridFormat:
-        return GridFormat.X_Y_3 if self.sensors.ndim == 3 else GridFormat.N_3
-
-
 def write_tal(scene: SceneContent, path: Path, quantity: str | None = None) -> None:
     """Write one scene. A scan without a grid becomes a list of points (T_Si, T_Li_Si).
 
     Raises `InputError` as `measurement` does, and where h5py is missing.
     """
     m = measurement(scene, quantity).from_time_zero()
-    shaped, bins = _shaped(m), m.time
-    from_source = bins.origin == "source"
+    h, h_format, lasers, sensors = _with_axes(m)
+    grid_format = GridFormat.X_Y_3 if sensors.ndim == 3 else GridFormat.N_3
     content: dict[str, Any] = {
-        "H": shaped.h,
-        "H_format": shaped.h_format,
+        "H": h.astype(np.float32),
+        "H_format": h_format,
         "sensor_xyz": m.sensor_position.astype(np.float32),
-        "sensor_grid_xyz": shaped.sensors.astype(np.float32),
-        "sensor_grid_normals": _normals(shaped.sensors),
-        "sensor_grid_format": shaped.grid,
+        "sensor_grid_xyz": sensors.astype(np.float32),
+        "sensor_grid_normals": _normals(sensors),
+        "sensor_grid_format": grid_format,
         "laser_xyz": m.laser_position.astype(np.float32),
-        "laser_grid_xyz": shaped.lasers.astype(np.float32),
-        "laser_grid_normals": _normals(shaped.lasers),
-        "laser_grid_format": shaped.grid,
+        "laser_grid_xyz": lasers.astype(np.float32),
+        "laser_grid_normals": _normals(lasers),
+        "laser_grid_format": grid_format,
         "volume_format": VolumeFormat.X_Y_Z_3,
-        "delta_t": float(path_from_time(bins.width_s)),
-        "t_start": float(path_from_time(bins.start_s)),
-        "t_accounts_first_and_last_bounces": from_source,
+        "delta_t": float(path_from_time(m.time.width_s)),
+        "t_start": float(path_from_time(m.time.start_s)),
+        "t_accounts_first_and_last_bounces": m.time.origin == "source",
         "scene_info": yaml.safe_dump(_scene_info(scene, m)),
     }
     with h5py().File(path, "w") as file:
@@ -98,22 +83,22 @@ def write_tal(scene: SceneContent, path: Path, quantity: str | None = None) -> N
                 file.create_dataset(name, data=value, compression="gzip" if name == "H" else None)
 
 
-def _shaped(m: Measurement) -> _Shaped:
+def _with_axes(m: Measurement) -> tuple[NDArray[Any], HFormat, Floats, Floats]:
+    """H and its format, laser points and pixels with the axes of y-tal: grids if both are grids, else lists."""
     lasers, sensors = lattice(m.laser_points), lattice(m.seen_points)
-    values = np.moveaxis(m.values, -1, 0)
+    h = np.moveaxis(m.values, -1, 0)
+    is_alone = len(m.laser_points) == 1
+    if sensors is None or (lasers is None and not m.paired):
+        one_each = m.paired or is_alone
+        flat = h[..., 0] if m.paired else h[:, 0] if is_alone else h
+        return flat, HFormat.T_Si if one_each else HFormat.T_Li_Si, m.laser_points, m.seen_points
     if m.paired:
-        if sensors is None:
-            return _Shaped(values[..., 0].astype(np.float32), HFormat.T_Si, m.laser_points, m.seen_points)
-        h = values[:, sensors, 0].astype(np.float32)
-        return _Shaped(h, HFormat.T_Sx_Sy, m.laser_points[sensors], m.seen_points[sensors])
-    if lasers is None or sensors is None:
-        alone = len(m.laser_points) == 1
-        h = (values[:, 0] if alone else values).astype(np.float32)
-        return _Shaped(h, HFormat.T_Si if alone else HFormat.T_Li_Si, m.laser_points, m.seen_points)
-    h = values[:, lasers[:, :, None, None], sensors].astype(np.float32)
-    alone = lasers.size == 1
-    h, form = (h[:, 0, 0], HFormat.T_Sx_Sy) if alone else (h, HFormat.T_Lx_Ly_Sx_Sy)
-    return _Shaped(h, form, m.laser_points[lasers], m.seen_points[sensors])
+        return h[:, sensors, 0], HFormat.T_Sx_Sy, m.laser_points[sensors], m.seen_points[sensors]
+    assert lasers is not None
+    points = m.laser_points[lasers], m.seen_points[sensors]
+    if is_alone:
+        return h[:, 0, sensors], HFormat.T_Sx_Sy, *points
+    return h[:, lasers[:, :, None, None], sensors], HFormat.T_Lx_Ly_Sx_Sy, *points
 
 
 def _normals(points: Floats) -> NDArray[np.float32]:

@@ -1,1 +1,1 @@
-"""What a build would take, before it is begun: pilot scenes, times scenes."""
+"""Forecasts of the time, size and error of a build, from pilot scenes."""

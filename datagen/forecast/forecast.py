@@ -1,5 +1,4 @@
-"""From pilot scenes to a forecast of the whole build. It is arithmetic alone: the same pilots give the same
-forecast."""
+"""The forecast of a whole build from its pilot scenes, by arithmetic only: the same pilots give the same forecast."""
 
 from __future__ import annotations
 
@@ -24,18 +23,18 @@ class Forecast:
 
     Attributes
     ----------
-    pilots, effort : how many pilot scenes, with which share of the configured paths (1, or those of a trial).
-    failed : pilot scene → why it could not be made.
+    pilots, effort : number of pilot scenes, and the share of the configured paths that they had (1, or a trial's).
+    failed : pilot scene → reason why it could not be made.
     seconds : stage → seconds of one scene, mean over the pilots.
     processor_s : processor seconds of one scene, mean; far below the sum of `seconds` on a busy machine.
     scene_s : least, median and greatest total of a pilot scene, seconds.
     error : least, median and greatest estimated relative L2 error of a transient; NaN when nothing estimates it.
     stored : field → bytes on disk of one scene, mean; "records": its commit record and its row of the table.
-    workers, working : processes asked for, and those that have a scene to work on.
-    startup_s : of each worker process.
-    build_s : the whole build, wall clock.
-    build_bytes : the whole dataset on disk. shard_memory_bytes : what a worker holds of the shard it fills.
-    evidence : significance of the objects of the pilot scenes against the noise, by kind.
+    workers, working : number of worker processes, and of those that have a scene to work on.
+    startup_s : seconds until a worker process is warm.
+    build_s : wall-clock seconds of the whole build.
+    build_bytes : bytes of the whole dataset on disk. shard_memory_bytes : memory of the shard that a worker fills.
+    evidence : significance of the objects of the pilot scenes, by kind.
     """
 
     scenes: int
@@ -75,10 +74,10 @@ class Forecast:
 
 
 def forecast(schema: Schema, pilots: Pilots, startup_s: float, workers: int, cores: int) -> Forecast:
-    """The forecast of a build with `workers` processes on a machine with `cores` cores: pilots times scenes.
+    """The forecast of a build with `workers` processes on a machine with `cores` cores, from the means of its pilots.
 
-    The wall clock is that of the busiest worker, which makes every `workers`-th scene; more workers than cores share
-    these.
+    The wall-clock time is that of the busiest worker, which makes every `workers`-th scene; if there are more workers
+    than cores, they share these.
     """
     scenes = [pilot.at_full_effort() for pilot in pilots.scenes]
     seconds = {stage: statistics.fmean(one.seconds[stage] for one in scenes) for stage in scenes[0].seconds}
@@ -108,13 +107,13 @@ def forecast(schema: Schema, pilots: Pilots, startup_s: float, workers: int, cor
 
 
 def _spread(values: Sequence[float]) -> tuple[float, float, float]:
-    """Least, median, greatest; NaN of nothing."""
+    """Least, median and greatest value; NaN if there are none."""
     return (min(values), statistics.median(values), max(values)) if values else (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One number of a build, as predicted and as it was. unit : "s", "bytes" or "" for a fraction."""
+    """One number of a build, predicted and actual. unit : "s", "bytes" or "" for a fraction."""
 
     name: str
     unit: str
@@ -123,7 +122,7 @@ class Outcome:
 
     @property
     def ratio(self) -> float:
-        """Actual over predicted; NaN when either is unknown or nothing."""
+        """Actual over predicted; NaN if either is unknown or 0."""
         return self.actual / self.predicted if self.predicted > 0 and self.actual > 0 else math.nan
 
 
@@ -132,7 +131,7 @@ def records_of(config: DatasetConfig, dataset: str | Path) -> list[ShardRecord]:
 
     Raises
     ------
-    InputError : the folder is no dataset, was made from another configuration, or holds no scene yet.
+    InputError : the folder is no dataset, was built from another configuration, or holds no scene yet.
     """
     root = Path(dataset)
     manifest = read_manifest(root)
@@ -148,8 +147,7 @@ def records_of(config: DatasetConfig, dataset: str | Path) -> list[ShardRecord]:
 
 
 def outcomes(expected: Forecast, records: Sequence[ShardRecord], dataset: str | Path) -> list[Outcome]:
-    """A forecast compared with the dataset that was built: medians over scenes of seconds and error, bytes of
-    files."""
+    """The forecast's numbers beside those of the dataset: medians over scenes of seconds and error, and bytes."""
     made = [scene for record in records for scene in record.scenes if scene.failure is None]
     scenes = sum(len(record.scenes) for record in records)
     store_s = sum(record.seconds["store"] for record in records) / scenes

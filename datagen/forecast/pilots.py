@@ -1,10 +1,10 @@
-"""Pilot scenes: a few of a dataset's scenes, simulated and written as a build would, to forecast the whole of it.
+"""Pilot scenes: a few of a dataset's scenes, simulated and written as by a build, from which the build is forecast.
 
-Pilots have the configured accuracy, so their seconds and bytes need no model. Where the budget has room for one such
-scene only, a few scenes are compared by trials with 1/16 of the paths, and the one of median cost is simulated in
-full: it says how many times as long as its trial a scene takes. Only where one scene could take far more than the
-budget, two trials with 1/16 and 1/256 of the paths are run, and the scene is extrapolated on the line through both.
-Effects are decided with the configured accuracy, so that trials simulate the same effects.
+Pilots have the configured accuracy, so their seconds and bytes need no model. If the budget has room for only one
+such scene, a few scenes are compared by trials with 1/16 of the paths, and the one of median cost is simulated in
+full: it says how many times as long as its trial a scene takes. If a single scene could take far more than the
+budget, it is not simulated in full: its cost is extrapolated on the line through two trials with 1/16 and 1/256 of
+the paths. Effects are decided with the configured accuracy, so that trials simulate the same effects.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from datagen.store.summaries import KindEvidence, evidence_by_kind
 from datagen.store.table import table_bytes, table_of
 
 MOST = 8
-"""The most pilot scenes; half as many show less of the spread from scene to scene."""
+"""Most pilot scenes. With half as many, less of the spread from scene to scene is seen."""
 REDUCTION = 16
-"""The first trial has so many times fewer paths than configured, the second so many fewer than the first. With half,
+"""Factor by which the first trial has fewer paths than configured, and the second fewer than the first. Halved,
 trials of large scenes take twice as long."""
 LOOSEST_TARGET = 0.5
-"""The loosest target of a trial; half of it makes the trials of loose targets slower."""
+"""Loosest target of a trial. Halved, trials of loose targets take longer."""
 FAR = 80.0
-"""A scene that could take more than so many times the budget, in proportion to the paths of its trial, is
-extrapolated. Half would do so with scenes of 20 s: light to a target takes an eighth to once its proportion, and the
-line through trials was up to 9 times too low."""
+"""Number of budgets beyond which a scene is extrapolated, if it took its trial's time in proportion to the paths.
+Halved, scenes of 20 s would be extrapolated, too: light to a target takes between an eighth and the whole of that
+proportion, and the line through two trials was up to 9 times too low."""
 LOADING = 0.1
-"""A pilot of which more than this share went into compiling or loading kernels is run again: a build does so once.
-Half as many would run long pilots twice for little."""
+"""Share of a pilot's time for compiling or loading kernels, beyond which the pilot is run again, since a build loads
+them once. Halved, long pilots are run twice for little."""
 COMPARED = 4
-"""Scenes compared by trials; half as many may both be unlike the others."""
+"""Number of scenes that are compared by trials. With half as many, both may be unlike the others."""
 
 LIGHT_STAGES = ("transport", "background", "presence")
 """Stages whose time grows with the number of paths."""
@@ -56,10 +56,10 @@ class Pilot:
 
     Attributes
     ----------
-    effort : fraction of the configured paths (or of those that the configured target takes) that were followed.
+    effort : fraction of the configured paths (or of those that the configured target needs) that were simulated.
     seconds : stage → wall-clock seconds. processor_s : of all stages together.
     error : estimated relative L2 error of its transient; NaN when nothing estimates it.
-    target : the configured error, if there is one. smaller : the second trial, with still fewer paths.
+    target : the configured error, if there is one. smaller : the second trial, which has fewer paths than this one.
     """
 
     index: int
@@ -76,9 +76,11 @@ class Pilot:
         return sum(self.seconds.values())
 
     def at_full_effort(self) -> Pilot:
-        """The pilot extrapolated to the configured effort: stages of light on the line through both trials (in
-        proportion to effort without a second one), noise² / signal² in proportion to 1 / effort, or the configured
-        target."""
+        """The pilot at the configured effort, extrapolated if it is a trial.
+
+        The stages of light are extrapolated on the line through both trials, or in proportion to effort without a
+        second trial. The error follows from noise² / signal² ∝ 1 / effort, or is the configured target.
+        """
         if self.effort >= 1.0:
             return self
         light = {stage: self._light_s(stage) for stage in LIGHT_STAGES if stage in self.seconds}
@@ -89,15 +91,15 @@ class Pilot:
         return replace(self, effort=1.0, seconds=seconds, processor_s=self.processor_s * slower, error=error)
 
     def scaled(self, trial: Pilot, full: Pilot) -> Pilot:
-        """This trial at full effort, if it takes as many times longer then as another scene's trial did. Its error
-        stays unknown."""
+        """This trial at full effort, if the ratio of full time to trial time is that of another scene; its error is
+        unknown."""
         grown = {of: full.seconds[of] / trial.seconds[of] for of in LIGHT_STAGES if trial.seconds.get(of, 0.0) > 0}
         seconds = {stage: taken * grown.get(stage, 1.0) for stage, taken in self.seconds.items()}
         processor_s = self.processor_s * full.processor_s / trial.processor_s
         return replace(self, effort=1.0, seconds=seconds, processor_s=processor_s, error=math.nan)
 
     def _light_s(self, stage: str) -> float:
-        """Seconds of a stage at full effort: at least those now, and at most in proportion to effort."""
+        """Seconds of a stage at full effort: at least the trial's own, at most these in proportion to effort."""
         now = self.seconds[stage]
         if self.smaller is None or self.smaller.effort >= self.effort:
             return now / self.effort
@@ -111,11 +113,11 @@ class Pilots:
 
     Attributes
     ----------
-    scenes : the pilot scenes, or the trial alone; their seconds hold the stage "store".
-    failed : scene → why it could not be made.
+    scenes : the pilot scenes, or the single trial; their seconds contain the stage "store".
+    failed : scene → reason why it could not be made.
     stored : field → bytes on disk of one scene, mean; "records": its commit record and its row of the table.
-    fixed_bytes : of all that a dataset holds once.
-    evidence : significance of the objects of the pilot scenes against the noise, by kind.
+    fixed_bytes : bytes that a dataset has whatever the number of its scenes.
+    evidence : significance of the objects of the pilot scenes, by kind.
     """
 
     scenes: tuple[Pilot, ...]
@@ -132,11 +134,12 @@ def run_pilots(
     clock: Callable[[], float] = time.process_time,
     compiled: Callable[[int], None] = lambda index: None,
 ) -> Pilots:
-    """Simulate and write pilot scenes, spread over the dataset, until `budget_s` processor seconds are spent or there
-    are `MOST`; one at least.
+    """The measurements of pilot scenes, which are spread over the dataset, simulated and written.
+
+    Scenes are simulated until `budget_s` processor seconds are spent or there are `MOST`, but at least one.
 
     simulate : sample function; left out, the whole simulation. clock : processor seconds. compiled : called with the
-    first scene that could be made, as soon as its kernels are on disk.
+    first scene that can be made, as soon as its kernels are on disk.
 
     Raises
     ------
@@ -149,6 +152,7 @@ def run_pilots(
     failed = dict[int, str]()
 
     def attempt(index: int, reduction: float = 1.0) -> tuple[Pilot, Sample] | None:
+        """A scene with `reduction` times fewer paths; None if it cannot be made."""
         tried, effort = with_less_effort(config, reduction)
         for _ in range(2):
             loading = list[float]()
@@ -194,7 +198,7 @@ def run_pilots(
 def _written(
     config: DatasetConfig, made: Sequence[tuple[Pilot, Sample]], failed: dict[int, str], clock: Callable[[], float]
 ) -> Pilots:
-    """The pilots with the seconds and bytes of writing them, in shards as large as those of the build."""
+    """The pilots with the seconds and bytes that it takes to write them, in shards as large as those of the build."""
     pilots, samples = [pilot for pilot, _ in made], [sample for _, sample in made]
     with tempfile.TemporaryDirectory(prefix="datagen-plan-") as folder:
         root, count = Path(folder), max(len(made), 1)
@@ -204,7 +208,7 @@ def _written(
         shards = [
             [(k, samples[k]) for k in schema.scenes_of(shard)] for shard in range(schema.shards if pilots else 0)
         ]
-        # Twice, because the first time loads what writing needs.
+        # The first of two times loads the modules that writing needs, and is not measured.
         for _ in range(2):
             began, began_processor = time.perf_counter(), clock()
             records = [write_shard(root, schema, k, manifest.fingerprint, of) for k, of in enumerate(shards)]
@@ -234,7 +238,7 @@ def _written(
 
 
 def _with_distances(sample: Sample) -> dict[str, Scalar]:
-    """The parameters of a sample, with `PART.away_m` of each object: its distance in plan from the middle of the
+    """The parameters of a sample, and `PART.away_m` for each object: its distance in plan from the middle of the
     relay wall."""
     named, middle = dict(sample.parameters), sample.arrays["relay_wall"][0]
     for name in [key.removesuffix(".x_m") for key in named if key.endswith(".x_m")]:
@@ -244,14 +248,14 @@ def _with_distances(sample: Sample) -> dict[str, Scalar]:
 
 
 def spread_indices(scenes: int, count: int) -> list[int]:
-    """At most `count` different scene indices, spread evenly over the dataset, ascending from 0."""
+    """At most `count` different scene indices, evenly spread over the dataset, ascending from 0."""
     count = min(count, scenes)
     return sorted({round(k * (scenes - 1) / max(count - 1, 1)) for k in range(count)})
 
 
 def with_less_effort(config: DatasetConfig, reduction: float) -> tuple[DatasetConfig, float]:
-    """The configuration with about `reduction` times fewer paths, and the fraction of paths that is left. A target
-    takes a number of paths ∝ target⁻²."""
+    """The configuration with about `reduction` times fewer paths, and the remaining fraction of paths. The number of
+    paths for a target is ∝ target⁻²."""
     transport = config.transport
     if transport.target is not None:
         target = max(transport.target, min(LOOSEST_TARGET, transport.target * reduction**0.5))
@@ -262,11 +266,11 @@ def with_less_effort(config: DatasetConfig, reduction: float) -> tuple[DatasetCo
     return config.model_copy(update={"transport": fewer}), lookins / transport.lookins
 
 
-def startup_seconds(config: DatasetConfig, index: int, asked: float) -> float:
-    """Seconds from asking for a worker process until imports are done and kernels loaded. It is run by that worker,
-    which simulates scene `index` twice with few paths.
+def startup_seconds(config: DatasetConfig, index: int, requested: float) -> float:
+    """Seconds until a worker process has imported its modules and loaded its kernels.
 
-    asked : Unix time at which the worker was asked for.
+    The worker itself runs this function, and simulates scene `index` twice with few paths. requested : Unix time at
+    which the worker was started.
     """
     from datagen.pipeline import simulate_sample
 
@@ -274,4 +278,4 @@ def startup_seconds(config: DatasetConfig, index: int, asked: float) -> float:
     simulate_sample(reduced, index, config.transport)
     warm_at = time.time()
     again_s = sum(simulate_sample(reduced, index, config.transport).seconds.values())
-    return max(0.0, warm_at - asked - again_s)
+    return max(0.0, warm_at - requested - again_s)

@@ -1,4 +1,4 @@
-"""The plan of a build: decisions, expected time, error and size, before the build is begun."""
+"""The plan of a build as text: decisions on effects, expected time, error and size."""
 
 from __future__ import annotations
 
@@ -23,16 +23,17 @@ from datagen.store.files import finite, json_bytes, write_atomically
 from datagen.store.summaries import evidence_lines
 
 BUDGET_S = 1.5
-"""Processor seconds for pilots: three or four scenes of an ordinary scan. Half would often be one scene."""
+"""Processor seconds for pilots: three or four scenes of an ordinary scan. Halved, there is often one scene only."""
 BUSY = 0.8
-"""Pilots that had less than this fraction of a core were slowed by other processes, which the plan then states."""
+"""Fraction of a core below which the plan states that other processes slowed the pilots down. Halved, it is silent on
+machines that are half busy."""
 
 
 def make_forecast(config: DatasetConfig, workers: int = 1, budget_s: float = BUDGET_S) -> Forecast:
-    """Seconds, error and bytes of a build with `workers` processes on this machine.
+    """The forecast of a build with `workers` processes on this machine: seconds, error and bytes.
 
-    Pilot scenes are simulated until `budget_s` seconds are spent, one at least; loading (at first: compiling) kernels
-    and the start of a worker process come on top.
+    Pilot scenes are simulated until `budget_s` processor seconds are spent, but at least one. The start of a worker
+    process, and loading kernels (or compiling them, the first time), take further time.
 
     Raises
     ------
@@ -53,7 +54,7 @@ def make_forecast(config: DatasetConfig, workers: int = 1, budget_s: float = BUD
             if cores() == 1:
                 wait(starting)
 
-        # Not before the kernels are on disk, which both would compile.
+        # The worker starts once the kernels are on disk, or both processes would compile them.
         pilots = run_pilots(config, budget_s, compiled=start_worker)
         startup_s = starting[0].result()
     return forecast(schema_of(config), pilots, startup_s, workers, cores())
@@ -66,9 +67,9 @@ def plan(
     json_path: str | Path | None = None,
     dataset: str | Path | None = None,
 ) -> str:
-    """The plan as text; it is also written to `json_path` as JSON, and compared with a `dataset` that was built.
+    """The plan as text. It is also written to `json_path` as JSON, and compared with a `dataset` built before.
 
-    Raises `InputError` as `make_forecast` and `records_of` do, before any pilot where that is possible.
+    Raises `InputError` as `make_forecast` and `records_of` do, if possible before any pilot.
     """
     if json_path is not None:
         _check_file(Path(json_path))
@@ -90,9 +91,9 @@ def plan(
 
 
 def plan_text(config: DatasetConfig, expected: Forecast, compared: Sequence[Outcome] = ()) -> str:
-    """The plan as text: what is made, what is decided and why, what one scene and the whole build take.
+    """The plan as text: the scenes, the decisions and their reasons, the cost of one scene and of the whole build.
 
-    compared : the numbers of a build (`forecast.outcomes`), shown beside the forecast.
+    compared : numbers of a build (`forecast.outcomes`), which are shown beside the forecast.
     """
     schema = schema_of(config)
     lines = [
@@ -114,6 +115,7 @@ def plan_text(config: DatasetConfig, expected: Forecast, compared: Sequence[Outc
 
 
 def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
+    """Lines on the scenes, the capture, the transport and the detector."""
     lasers, pixels, bins = config.capture.shape
     accuracy = config.transport.accuracy()
     bounces = "all bounce orders" if accuracy.max_bounces is None else f"up to {accuracy.max_bounces} bounces"
@@ -142,7 +144,7 @@ def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
 
 
 def _decisions(config: DatasetConfig) -> list[str]:
-    """The effects decided for scene 0 and why, and the detector's sampler."""
+    """Lines on the decisions for scene 0: the effects with their reasons, and the detector's sampler."""
     from datagen.capture import capture_for
     from datagen.design.light import coarse_transient, transport_effects
     from datagen.design.scene_for import scene_for
@@ -159,14 +161,14 @@ def _decisions(config: DatasetConfig) -> list[str]:
     used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
     seen = (transient.total, capture.time, used, conditions)
     decided = choose_sampler(*seen, tolerance=tolerance, approximate=config.detector.approximate)
-    there = tuple(decision for decision in effects.decisions if decision.kind != "absent")
+    present = tuple(decision for decision in effects.decisions if decision.kind != "absent")
     titles = {effect.name: effect.title for effect in EFFECTS}
     absent = [titles[decision.effect] for decision in effects.decisions if decision.kind == "absent"]
     brightest = f"{decided.flux_per_cycle:.2g} events a cycle, {decided.detections:.2g} detections"
     return [
         f"decisions for scene 0 (each scene gets its own; all that is left out may change a result by "
         f"{_percent(effects.tolerance)})",
-        *(f"  {line}" for line in decision_lines(EffectDecisions(there, effects.tolerance))),
+        *(f"  {line}" for line in decision_lines(EffectDecisions(present, effects.tolerance))),
         f"  not there: {', '.join(absent)}",
         f"  sampler {decided.sampler}: {decided.reason}",
         f"  PDE {spad.pde:.3g}, {exposure.cycles} cycles at {exposure.repetition_rate_hz / 1e6:.3g} MHz; in the "
@@ -175,6 +177,7 @@ def _decisions(config: DatasetConfig) -> list[str]:
 
 
 def _one_scene(schema: Schema, expected: Forecast) -> Iterator[str]:
+    """Lines on the cost of one scene."""
     yield f"one scene ({_measured(expected)})"
     for scene, reason in expected.failed.items():
         yield f"  scene {scene} cannot be made: {reason}"
@@ -194,6 +197,7 @@ def _one_scene(schema: Schema, expected: Forecast) -> Iterator[str]:
 
 
 def _measured(expected: Forecast) -> str:
+    """The source of the numbers of one scene."""
     if expected.effort == 1.0:
         return f"measured on {_count(expected.pilots, 'pilot scene')}"
     share = _percent(expected.effort)
@@ -201,6 +205,7 @@ def _measured(expected: Forecast) -> str:
 
 
 def _error(expected: Forecast) -> str:
+    """The expected error of a transient."""
     least, median, most = expected.error
     if math.isnan(median):
         return "not known: with 1 replicate nothing estimates it; set transport.replicates to 2 or more"
@@ -209,6 +214,7 @@ def _error(expected: Forecast) -> str:
 
 
 def _whole_build(expected: Forecast) -> Iterator[str]:
+    """Lines on the cost of the whole build."""
     each = f", of which {_digits(expected.startup_s)} s until each worker is warm"
     yield f"  time       {duration(expected.build_s)}{each if expected.build_s < 1200 else ''}"
     if expected.processor_share < BUSY:
@@ -225,6 +231,7 @@ def _whole_build(expected: Forecast) -> Iterator[str]:
 
 
 def _fields(config: DatasetConfig, schema: Schema, expected: Forecast) -> Iterator[str]:
+    """The table of the stored fields and their bytes."""
     yield f"{'field':22}{'one scene':22}{'dtype':9}{'decoded':>10}{'on disk':>10}"
     for field in schema.fields:
         shape = " × ".join(map(str, field.shape))
@@ -237,6 +244,7 @@ def _fields(config: DatasetConfig, schema: Schema, expected: Forecast) -> Iterat
 
 
 def _outcomes(compared: Sequence[Outcome]) -> Iterator[str]:
+    """The table that compares the forecast with a build; empty without a build."""
     if compared:
         yield ""
         yield f"{'against the dataset':22}{'predicted':>12}{'actual':>12}{'ratio':>8}"
@@ -255,7 +263,7 @@ def _check_file(path: Path) -> None:
 
 
 def duration(seconds: float) -> str:
-    """Seconds as text: `8.1 s`, `12 min`, `3.4 h`, `5.2 days`."""
+    """Seconds as text, such as `8.1 s`, `12 min`, `3.4 h` or `5.2 days`."""
     for least, size, unit in ((172800, 86400, "days"), (5400, 3600, "h"), (100, 60, "min")):
         if seconds >= least:
             return f"{_digits(seconds / size)} {unit}"
@@ -263,19 +271,19 @@ def duration(seconds: float) -> str:
 
 
 def _digits(value: float) -> str:
-    """Two significant digits, without an exponent down to a millisecond."""
+    """A number with two significant digits, without an exponent down to a thousandth."""
     if value >= 99.5:
         return f"{value:.0f}"
     return f"{value:.2g}" if value >= 0.01 else f"{value:.3f}"
 
 
 def _two(size: float) -> float:
-    """A size rounded to two digits, which is all that a forecast knows."""
+    """A size rounded to two digits, as a forecast knows no more."""
     return float(f"{size:.2g}")
 
 
 def quantity(value: float, unit: str) -> str:
-    """A number of an `Outcome` as text."""
+    """A number of an `Outcome` as text, with its unit."""
     if math.isnan(value):
         return "unknown"
     if unit == "bytes":
@@ -292,17 +300,17 @@ def _count(number: int, thing: str) -> str:
 
 
 PILOTS_WORTH = 20.0
-"""The time limit is so many times the longest pilot: rooms differ, and machines are busy. Half could end a sound
-scene."""
+"""Time limit of a scene, in units of the longest pilot: rooms differ, and machines are busy. Halved, it could end a
+sound scene."""
 AT_LEAST_S = 60.0
-"""The least time limit of a scene; half could end a scene that waits for a busy disk."""
+"""Least time limit of a scene. Halved, it could end a scene that waits for a busy disk."""
 
 
 def scene_limit(text: str, config: DatasetConfig) -> float:
-    """Seconds of the text of `--scene-seconds`. For `forecast` they are the start of a worker, with compilation, and
-    `PILOTS_WORTH` times the longest pilot scene.
+    """Seconds that the text of `--scene-seconds` means: a number, or `forecast` for the start of a worker, with
+    compilation, and `PILOTS_WORTH` times the longest pilot scene.
 
-    Raises `InputError` for anything else, and what a forecast raises.
+    Raises `InputError` for any other text, and as a forecast does.
     """
     if text == "forecast":
         expected = make_forecast(config)

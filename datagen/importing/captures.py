@@ -40,31 +40,33 @@ def import_captures(
     name: str = "imported", description: str = "", license: str = "", settings: Mapping[str, Any] | None = None,
     workers: int = 1, progress: bool = True,
 ) -> BuildResult:  # fmt: skip
-    """Make a dataset of captures of a laboratory or of another program, a scene for each file.
+    """Make a dataset of captures from a laboratory or another program, one scene for each file.
 
-    It is read, verified and exported like a simulated one, without labels: what is hidden is not known. Points keep
-    the frame of their file; a grid is stored row by row from the top left, as in simulated datasets.
+    The dataset is read, verified and exported like a simulated one, but has no labels, because the hidden part is
+    unknown. Points keep the frame of their file; a grid is stored row by row from the top left, as in simulated
+    datasets.
 
     Parameters
     ----------
-    files : of y-tal (HDF5), or of MATLAB in the formats that docs/exports.md lists; all of one shape, time axis and
-        pairing.
-    path : the folder to make; the same call again resumes.
-    format : "tal" or "mat"; left out: by each file's suffix.
+    files : files of y-tal (HDF5), or of MATLAB in the formats that docs/exports.md lists; all of one shape, time axis
+        and pairing.
+    path : the folder of the dataset; the same call again resumes.
+    format : "tal" or "mat"; left out: from each file's suffix.
     bin_width, wall : width of a time bin (seconds, or a text such as "4ps") and size of the scanned grid from its
-        first to its last point (metres, width and height, or "2m"), where a file does not say them.
-    tof : file with `tofgrid`, for MATLAB's `meas` without; "none": nothing is to be taken off.
-    axes : of a MATLAB grid that is not as its variable is usually, such as "txy".
-    bins : keep so many of the first time bins, such as those of a simulated dataset.
-    field : "histogram" (counts) or "transient" (anything else); left out: histogram where all values are whole.
-    name, description, license : as in a configuration; they stand on the dataset's cards.
-    settings : sections `detector` (with which `redraw_noise` draws from a transient), `effects`, `splits`, `store`.
-    workers, progress : as of `build`.
+        first to its last point (metres, width and height, or "2m"), if a file does not state them.
+    tof : file with `tofgrid`, for a MATLAB `meas` without it; "none": its times count from the wall already.
+    axes : order of the axes of a MATLAB grid, such as "txy", if it is not the usual order of its variable.
+    bins : number of time bins to keep, from the first one on; for example as many as a simulated dataset has.
+    field : "histogram" (counts) or "transient" (anything else); left out: histogram if all values are whole numbers.
+    name, description, license : as in a configuration; the dataset's cards show them.
+    settings : sections `detector` (from which `redraw_noise` takes the detector), `effects`, `splits`, `store`.
+    workers, progress : as for `build`.
 
     Raises
     ------
-    InputError : a file that is damaged, of another kind, or lacks what no option says; values that are negative or
-        not finite; files that differ in shape or times; another dataset at `path`. Nothing has been made then.
+    InputError : a file that is damaged, of another kind, or lacks something that no option states; values that are
+        negative or not finite; files that differ in shape or times; another dataset at `path`. Nothing has been made
+        then.
 
     Examples
     --------
@@ -92,7 +94,10 @@ def import_captures(
 
 @dataclass(frozen=True)
 class ImportedSamples:
-    """The sample function of an import. Workers read each file again, with the options in the configuration."""
+    """The sample function of an import. Workers read each file again, with the options of the configuration.
+
+    files : path of each scene's file. delays : path of the file with `tofgrid`, if any.
+    """
 
     files: tuple[str, ...]
     delays: str | None
@@ -122,9 +127,10 @@ class ImportedSamples:
 
 @dataclass(frozen=True)
 class _Summary:
-    """What a capture contributes to the configuration: its file, the shape (L, P, T) of its values, and their kind.
+    """The properties of a capture from which the configuration follows.
 
-    whole, most : whether all values are whole numbers, and the largest of them.
+    shape : (L, P, T) of its values. paired : whether it is confocal. whole : whether all values are whole numbers.
+    most : the largest value.
     """
 
     file: ImportedFile
@@ -135,7 +141,6 @@ class _Summary:
     most: float
 
     def __str__(self) -> str:
-        """Shape, pairing and time axis, for people."""
         time, pairing = self.time, "confocal" if self.paired else "exhaustive"
         return f"{self.shape} {pairing}, {time.bin_width_ps:g} ps from {time.start_ns:g} ns ({time.origin})"
 
@@ -156,7 +161,7 @@ def _paths(files: str | Path | Sequence[str | Path]) -> list[Path]:
 def _options(
     bin_width: object, wall: object, tof: str | Path | None, axes: str | None, bins: int | None
 ) -> tuple[ImportOptions, Path | None]:
-    """The options as the dataset states them, and the file that holds `tofgrid`, where it is one of its own."""
+    """The options as the dataset states them, and the file with `tofgrid`, if it is a file of its own."""
     width_s = seconds_of(bin_width) if isinstance(bin_width, str) else bin_width
     if width_s is not None:
         check_number("import", "bin_width", width_s, 1e-16, 1e-3, "seconds, or a text such as '4ps'")
@@ -188,7 +193,7 @@ def _options(
 
 
 def _summary(path: Path, format: str | None, options: ImportOptions, delays: Path | None) -> _Summary:
-    """The summary of one file, all of which is read."""
+    """The summary of one file. The whole file is read."""
     form = format or _BY_SUFFIX.get(path.suffix.lower())
     if form is None:
         raise InputError(f"{path}: its suffix says no format; say --format tal or --format mat")
@@ -208,12 +213,12 @@ def _recording(path: Path, format: str, options: ImportOptions, delays: Path | N
 def _config(
     given: list[_Summary], field: str | None, options: ImportOptions, settings: dict[str, Any], named: dict[str, Any]
 ) -> DatasetConfig:
-    """The configuration that the dataset states: the digests of the files, and the scan of the first."""
+    """The configuration that the dataset states: the digests of the files, and the scan of the first file."""
     first = given[0]
     for other in given:
         if (other.shape, other.paired, other.time) != (first.shape, first.paired, first.time):
             shorter = min(other.time.bins, first.time.bins)
-            times = {of.time.model_copy(update={"bins": shorter}) for of in (first, other)}
+            times = {capture.time.model_copy(update={"bins": shorter}) for capture in (first, other)}
             only_bins = (other.shape[:2], other.paired, len(times)) == (first.shape[:2], first.paired, 1)
             remedy = f"take --bins {shorter} of all" if only_bins else "import them into several"
             raise InputError(
@@ -233,7 +238,7 @@ def _config(
     }
     layout = {
         "kind": "imported",
-        "files": [of.file.model_dump(mode="json") for of in given],
+        "files": [capture.file.model_dump(mode="json") for capture in given],
         "options": options.model_dump(mode="json"),
         "detector_is_known": "detector" in settings,
     }
@@ -244,15 +249,15 @@ def _config(
 
 
 def _stored(given: list[_Summary], field: str | None) -> dict[str, Any]:
-    """The section `store`: counts where all values are whole numbers that fit, else light."""
-    fraction = next((of for of in given if not of.whole), None)
-    most = max(given, key=lambda of: of.most)
+    """The section `store`: a histogram if all values are whole numbers that fit into its dtype, else a transient."""
+    fraction = next((capture for capture in given if not capture.whole), None)
+    most = max(given, key=lambda capture: capture.most)
     if field == "histogram" and fraction is not None:
         raise InputError(
             f"{fraction.file.name}: holds fractions, which are no counts; leave --field histogram out, or round them"
         )
-    if field is None and fraction is not None and any(of.whole and of.most > 0 for of in given):
-        counts = next(of for of in given if of.whole and of.most > 0)
+    if field is None and fraction is not None and any(capture.whole and capture.most > 0 for capture in given):
+        counts = next(capture for capture in given if capture.whole and capture.most > 0)
         raise InputError(
             f"{fraction.file.name} holds fractions and {counts.file.name} whole numbers; import them into two "
             "datasets, or all with --field transient"

@@ -1,4 +1,5 @@
-"""Arrays in HDF5 and MATLAB files that may come from anywhere: no code is run, no link followed, no size believed."""
+"""Arrays from HDF5 and MATLAB files that are not trusted: no code is run, no link is followed, all sizes are
+checked."""
 
 from __future__ import annotations
 
@@ -18,19 +19,20 @@ from datagen.export.plain import h5py
 from datagen.importing.matlab5 import read_matlab5
 
 LARGEST_BYTES = 2**33
-"""The most bytes of one variable in memory."""
+"""Largest size of a variable in memory."""
 MOST_COMPRESSED = 1100
-"""The most bytes that deflate packs into one, rounded up; a variable that declares more is not in the file."""
+"""Largest ratio of decoded bytes to stored ones: deflate reaches 1032. A variable that declares more is not in the
+file; with half as much, arrays of zeros would be refused."""
 LONGEST_TEXT = 2**20
 FACING = np.array([0.0, 0.0, 1.0])
-"""Normal of a relay wall that lies in the plane of x and y."""
+"""Normal of a relay wall in the plane of x and y."""
 
 
 @dataclass(frozen=True)
 class Content:
-    """The variables of a file.
+    """Variables of a file.
 
-    arrays, texts : name → numbers, or text, of the variables asked for. names : of all variables.
+    arrays, texts : name → value of the requested variables that are numbers, or text. names : those of all variables.
     """
 
     path: Path
@@ -69,7 +71,7 @@ class Content:
         return points
 
     def wall_normal(self, name: str) -> NDArray[np.float64]:
-        """(3,) the mean of a variable that is normals of the relay wall; along z where the file has none."""
+        """(3,) mean of a variable of normals of the relay wall; along z if the file has no such variable."""
         value = self.arrays.get(name, np.zeros(0))
         if value.ndim and value.shape[-1] == 3 and value.size and np.isfinite(value).all():
             mean = value.reshape(-1, 3).mean(axis=0, dtype=np.float64)
@@ -79,7 +81,7 @@ class Content:
 
 
 def is_hdf5(path: Path) -> bool:
-    """Whether a file is HDF5, or MATLAB's version 7.3, which is HDF5 behind a head of 512 bytes."""
+    """Whether a file is HDF5, or of MATLAB's version 7.3, which is HDF5 after 512 bytes."""
     signature = b"\x89HDF\r\n\x1a\n"
     with path.open("rb") as file:
         head = file.read(1024)
@@ -87,15 +89,17 @@ def is_hdf5(path: Path) -> bool:
 
 
 def hdf5_content(path: Path, wanted: tuple[str, ...], matlab: bool = False) -> Content:
-    """Variables at the root of an HDF5 file; those of a MATLAB file have their axes in MATLAB's order.
+    """The variables `wanted` at the root of an HDF5 file.
 
-    Raises `InputError` for a file that cannot be read, variables that are no numbers or lie in another file, and
-    those that are larger than `LARGEST_BYTES` or than the file can hold.
+    matlab : the file is MATLAB's, which stores axes in reverse order; they are turned back.
+
+    Raises `InputError` for a file that cannot be read, and for variables that are no numbers, lie in another file, or
+    are larger than `LARGEST_BYTES` or than the file can hold.
     """
     kind = "MATLAB 7.3" if matlab else "HDF5"
     arrays, texts = dict[str, NDArray[Any]](), dict[str, str]()
     with _one_line(path, kind), h5py().File(path, "r") as file:
-        # A name that is no UTF-8 comes as bytes.
+        # h5py returns a name that is not UTF-8 as bytes.
         names = tuple(name.decode("utf-8", "replace") if isinstance(name, bytes) else name for name in file)
         for name in wanted:
             if name not in names:
@@ -109,6 +113,7 @@ def hdf5_content(path: Path, wanted: tuple[str, ...], matlab: bool = False) -> C
 
 
 def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
+    """A variable of an open file as numbers or text; None if it is empty. Raises as `hdf5_content` does."""
     lib = h5py()
     if not isinstance(file.get(name, getlink=True), lib.HardLink):
         raise InputError(f"{path}: {name}: is a link to somewhere else; copy what it stands for into the file")
@@ -127,7 +132,8 @@ def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
     if data.dtype.kind not in "fiub":
         raise InputError(f"{path}: {name}: holds {data.dtype}, real numbers are needed")
     size = math.prod(data.shape) * data.dtype.itemsize
-    _check_size(path, name, data.shape, size)
+    if size > LARGEST_BYTES:
+        raise InputError(f"{path}: {name}: shape {data.shape}, {size} bytes; at most {LARGEST_BYTES} are read")
     stored_bytes = data.id.get_storage_size()
     if size > 0 and MOST_COMPRESSED * stored_bytes < size:
         raise InputError(
@@ -139,17 +145,13 @@ def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
 
 
 def matlab_content(path: Path, wanted: tuple[str, ...]) -> Content:
-    """Variables of a MATLAB file of any version, axes in MATLAB's order. Raises as `hdf5_content` does."""
+    """The variables `wanted` of a MATLAB file of any version, axes in MATLAB's order. Raises as `hdf5_content`
+    does."""
     if is_hdf5(path):
         return hdf5_content(path, wanted, matlab=True)
     with _one_line(path, "MATLAB"):
         arrays, names = read_matlab5(path, wanted, LARGEST_BYTES // 8)
     return Content(path, arrays, {}, tuple(names))
-
-
-def _check_size(path: Path, name: str, shape: tuple[int, ...], size: int) -> None:
-    if size > LARGEST_BYTES:
-        raise InputError(f"{path}: {name}: shape {shape}, {size} bytes; at most {LARGEST_BYTES} are read")
 
 
 @contextmanager

@@ -1,13 +1,13 @@
 """MATLAB files of any version: confocal grids as Stanford publishes them, and lists of pairs of points.
 
 - `meas` (y, x, t), the f-k migration data (Lindell, Wetzstein and O'Toole 2019): times count from the laser, and
-  `tofgrid` (ps), in the file or in one of its own, is the light's way to the wall and back; `bin_resolution` (s),
-  `wall_size` (m) and `grid_points` where `datagen export` wrote them. The published files have 32 ps, 2 m × 2 m.
-- `rect_data` (x, y, t), the light-cone transform's (O'Toole, Lindell and Wetzstein 2018): times count from the wall;
-  `width` is half of the wall's (m). The published files have 4 ps.
-- `trans_data` (N, T), `camera_points` and `laser_points` (N, 3): a row for each pair, counted from the wall.
+  `tofgrid` (ps), in the same file or in another one, is the time of flight to the wall and back. `datagen export`
+  also writes `bin_resolution` (s), `wall_size` (m) and `grid_points`. The published files have 32 ps, 2 m × 2 m.
+- `rect_data` (x, y, t), the data of the light-cone transform (O'Toole, Lindell and Wetzstein 2018): times count from
+  the wall; `width` (m) is half of the wall's width. The published files have 4 ps.
+- `trans_data` (N, T), `camera_points` and `laser_points` (N, 3): a row for each pair; times count from the wall.
 
-Row 0 is the top and column 0 the left of a grid, for somebody who faces the wall.
+Row 0 of a grid is at the top and column 0 at the left, for somebody who faces the wall.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _AXES = {"meas": "yxt", "rect_data": "xyt"}
 
 
 def read_mat(path: Path, options: ImportOptions, delays: Path | None = None) -> Recording:
-    """Read one file; `delays` is that of `tofgrid`, where it is another.
+    """The recording in one file. `delays` is the file with `tofgrid`, if that is another file.
 
-    Raises `InputError`, one line, for a file that is damaged or lacks something that no option says.
+    Raises `InputError`, one line, for a file that is damaged or lacks something that no option states.
     """
     content = matlab_content(path, (*_LISTED, *_GRID, "bin_resolution"))
     if "trans_data" in content.names:
@@ -54,7 +54,7 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
         raise InputError(f"{path}: {name}: shape {stored.shape}; one capture has two axes of the grid and time")
     axes = options.axes or _axes_of(name, stored.shape)
     at = [axes.index(axis) for axis in "yx"]
-    # The order in which the two axes of the grid stand is that of the file's other variables, too.
+    # The file's other variables have the two axes of the grid in the same order as this one.
     first, second = sorted(at)
     values = stored.transpose(first, second, axes.index("t"))
     time = time_bins(
@@ -79,7 +79,7 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
 
 
 def _shifted(values: NDArray[Any], shifts: NDArray[np.int64], kept: int) -> NDArray[Any]:
-    """(row, column, kept) bins of each point of the grid, from its shift on."""
+    """(row, column, kept) the first `kept` bins of each point of the grid after its shift."""
     found = np.empty((*shifts.shape, kept), values.dtype)
     for shift in np.unique(shifts):
         alike = shifts == shift
@@ -88,7 +88,8 @@ def _shifted(values: NDArray[Any], shifts: NDArray[np.int64], kept: int) -> NDAr
 
 
 def _axes_of(name: str, shape: tuple[int, ...]) -> str:
-    """The order of the axes: time last, or first where the last two axes are of one size and the first is not."""
+    """The order of the axes: that of `_AXES`, or time first if the last two axes have the same size and the first has
+    not."""
     usual = _AXES[name]
     return f"t{usual[:2]}" if shape[1] == shape[2] != shape[0] else usual
 
@@ -101,7 +102,8 @@ def _shifts(
     options: ImportOptions,
     delays: Path | None,
 ) -> NDArray[np.int64]:
-    """(row, column) whole bins from the laser to the wall and back; 0 where times count from the wall."""
+    """(row, column) whole bins that light takes from the laser to the wall and back; 0 if times count from the
+    wall."""
     if delays is not None:
         if "tofgrid" in content.arrays:
             raise InputError(f"{content.path}: has a tofgrid of its own; leave --tof out")
@@ -124,7 +126,7 @@ def _shifts(
 
 
 def _points(content: Content, name: str, rows: int, columns: int, options: ImportOptions) -> Floats:
-    """(rows, columns, 3) from the top left, metres, in the frame of the wall."""
+    """(rows, columns, 3) points of the grid from the top left, metres, in the frame of the wall."""
     if "grid_points" in content.arrays:
         points = content.points("grid_points")
         if points.shape != (rows, columns, 3):
@@ -138,6 +140,7 @@ def _points(content: Content, name: str, rows: int, columns: int, options: Impor
 
 
 def _wall(content: Content, name: str, options: ImportOptions) -> tuple[float, float]:
+    """Width and height of the scanned grid, metres, from the file or the options."""
     said: tuple[float, float] | None = None
     if name == "rect_data" and "width" in content.arrays:
         said = (2 * content.number("width"),) * 2
@@ -161,7 +164,8 @@ def _wall(content: Content, name: str, options: ImportOptions) -> tuple[float, f
 
 
 def _pairs(content: Content, options: ImportOptions) -> Recording:
-    """The recording of a list of pairs: every pixel for every laser point, or one pixel for each (as if confocal)."""
+    """The recording of a list of pairs: every pixel for every laser point, or, as in a confocal scan, one for
+    each."""
     for flag, value in (("wall", options.wall_m), ("axes", options.axes), ("tof", options.delays)):
         if value is not None:
             raise InputError(f"--{flag}: {content.path} lists its points itself; leave the option out")
@@ -188,8 +192,7 @@ def _pairs(content: Content, options: ImportOptions) -> Recording:
 
 
 def _every_pixel(lit: Floats, seen: Floats) -> tuple[int, int]:
-    """(lasers, pixels) of a list that has every pixel for one laser point after the other; (0, 0) of any other
-    list."""
+    """(lasers, pixels) if the list has all pixels for one laser point after the other; (0, 0) if it has not."""
     changes = np.flatnonzero((lit != lit[0]).any(axis=1))
     pixels = int(changes[0]) if len(changes) else len(lit)
     if len(lit) % pixels or (pixels == 1 and (seen != seen[0]).any()):

@@ -1,4 +1,4 @@
-"""MATLAB files of versions 5 to 7: their arrays of numbers, and nothing else.
+"""A reader of the arrays of numbers in MATLAB files of versions 5 to 7.
 
 The format is MathWorks' *MAT-File Format* (2019), chapter 1. `scipy.io.loadmat` ends the process on some damaged
 files; this reader checks sizes before it uses them.
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 
 _HEAD = 4096
-"""Bytes of a variable in which its name and sizes stand."""
+"""First bytes of a variable, which must contain its name and sizes. Half as many would do for usual names."""
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _NO_NUMBERS = {1: "cell array", 2: "structure", 3: "object", 4: "text", 5: "sparse array"}
@@ -34,7 +34,7 @@ _MOST_AXES = 32
 class Variable:
     """The head of a variable.
 
-    kind : number of MATLAB's class. at : offset of the numbers within the matrix.
+    kind : MATLAB's number of its class. at : offset of the numbers within the element.
     """
 
     name: str
@@ -45,10 +45,11 @@ class Variable:
 
 
 def read_matlab5(path: Path, wanted: tuple[str, ...], largest: int) -> tuple[Mapping[str, NDArray[Any]], list[str]]:
-    """The wanted variables that are there, axes in MATLAB's order, and the names of all variables.
+    """Name → array of the wanted variables, axes in MATLAB's order, and the names of all variables.
 
-    Whole numbers may come in a narrower type than MATLAB has them in, as they are stored. Raises `InputError` for
-    what is damaged, no array of real numbers, or more than `largest` bytes.
+    The dtype is that of the file, which may store whole numbers in a narrower type than MATLAB has. Raises
+    `InputError` or `ValueError` for wanted variables that are damaged, no array of real numbers, or larger than
+    `largest` numbers.
     """
     arrays, names = dict[str, NDArray[Any]](), list[str]()
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
@@ -66,7 +67,8 @@ def read_matlab5(path: Path, wanted: tuple[str, ...], largest: int) -> tuple[Map
                 matrix = content[begin:end]
                 if compressed:
                     matrix = _unpacked(matrix, 8 + _HEAD + 8 * math.prod(found.shape))[8:]
-                arrays[found.name] = _numbers(matrix, found)
+                # Slices of a view are no copies, and a variable may fill half of the memory.
+                arrays[found.name] = _numbers(memoryview(matrix), found)
     return arrays, names
 
 
@@ -89,11 +91,11 @@ def _unpacked(packed: bytes, most: int) -> bytes:
     return found
 
 
-def _element(matrix: bytes, at: int) -> tuple[int, bytes, int]:
-    """(type, content, where the next begins) of an element within a matrix."""
+def _element(matrix: memoryview, at: int) -> tuple[int, memoryview, int]:
+    """(type, content, offset of the next) of the element at an offset of a matrix."""
     kind, size = struct.unpack("<II", matrix[at : at + 8])
     if kind >> 16:
-        # Up to four bytes stand in the tag itself.
+        # The tag itself contains up to four bytes.
         return kind & 0xFFFF, matrix[at + 4 : at + 4 + min(kind >> 16, 4)], at + 8
     if at + 8 + size > len(matrix):
         raise ValueError("an array ends before its numbers do")
@@ -101,21 +103,21 @@ def _element(matrix: bytes, at: int) -> tuple[int, bytes, int]:
 
 
 def _variable(head: bytes) -> Variable:
-    kind, flags, at = _element(head, 0)
-    sized, dims, at = _element(head, at)
-    named, name, at = _element(head, at)
+    kind, flags, at = _element(memoryview(head), 0)
+    sized, dims, at = _element(memoryview(head), at)
+    named, name, at = _element(memoryview(head), at)
     if (kind, sized, named) != (_UINT32, _INT32, _INT8) or len(flags) != 8 or len(dims) % 4:
         raise ValueError("an array has no head")
     shape = struct.unpack(f"<{len(dims) // 4}i", dims)
     if not 2 <= len(shape) <= _MOST_AXES or min(shape) < 0:
         raise ValueError(f"an array of the shape {shape}")
     (flag,) = struct.unpack("<I", flags[:4])
-    return Variable(name.decode("latin-1"), flag & 0xFF, bool(flag & _IS_COMPLEX), shape, at)
+    return Variable(bytes(name).decode("latin-1"), flag & 0xFF, bool(flag & _IS_COMPLEX), shape, at)
 
 
 def _check(path: Path, found: Variable, largest: int, stored_bytes: int) -> None:
-    """Refuse a variable that is no array of real numbers, or has more than `stored_bytes` bytes can hold: deflate
-    packs at most a thousand bytes into one."""
+    """Refuse a variable that is no array of real numbers, or has more numbers than `largest`, or than `stored_bytes`
+    can hold: deflate packs at most a thousand bytes into one."""
     count = math.prod(found.shape)
     if found.kind not in _NUMBERS or found.is_complex:
         kind = "complex array" if found.is_complex else _NO_NUMBERS.get(found.kind, "thing of no known kind")
@@ -124,15 +126,9 @@ def _check(path: Path, found: Variable, largest: int, stored_bytes: int) -> None
         raise InputError(f"{path}: {found.name}: shape {found.shape} declared, more than the file can hold")
 
 
-def _numbers(matrix: bytes, found: Variable) -> NDArray[Any]:
-    kind, size = struct.unpack("<II", matrix[found.at : found.at + 8])
-    if kind >> 16:
-        kind, content, _ = _element(matrix, found.at)
-        size, begin = len(content), found.at + 4
-    else:
-        begin = found.at + 8
+def _numbers(matrix: memoryview, found: Variable) -> NDArray[Any]:
+    kind, content, _ = _element(matrix, found.at)
     dtype = np.dtype("<" + _TYPES[kind]) if kind in _TYPES else None
-    count = math.prod(found.shape)
-    if dtype is None or size != count * dtype.itemsize or begin + size > len(matrix):
+    if dtype is None or len(content) != math.prod(found.shape) * dtype.itemsize:
         raise ValueError(f"{found.name} is not as long as its shape {found.shape} says")
-    return np.frombuffer(matrix, dtype, count, begin).reshape(found.shape, order="F")
+    return np.frombuffer(content, dtype).reshape(found.shape, order="F")

@@ -19,12 +19,12 @@ from datagen.records.arrays import Floats
 
 UNKNOWN = np.full(3, np.nan)
 SMALLEST_WALL_M = 0.01
-"""The least width of the relay wall, for a scan of a single point."""
+"""Width of the relay wall of a scan of a single point. Half as much would change nothing but the stored wall."""
 _AT_ONCE = 2**22
-"""Values that are checked together; half as many change no time, all at once would copy the whole capture."""
+"""Number of values that are checked together. Half as many take the same time; all of them would need a copy."""
 SAME = 1e-6
-"""Relative difference up to which the values of a file and of an option count as equal. With half as much a value
-that was written with six digits may be refused."""
+"""Relative difference up to which a value of a file and an option count as equal. With half as much, a value that was
+written with six digits may be refused."""
 _SECONDS = {"fs": 1e-15, "ps": 1e-12, "ns": 1e-9, "us": 1e-6, "s": 1.0}
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 _NUMBER = r"(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)"
@@ -36,14 +36,14 @@ class Recording:
 
     Attributes
     ----------
-    path : of the file.
-    values : (L, P, T) as the file has them; paired: (L, 1, T).
-    paired : whether pixel i was looked at with laser point i alone.
-    laser_points, seen_points : (L, 3) and (P, 3), paired (L, 3).
-    time : of the bins.
-    laser_position, sensor_position : (3,) of the devices; NaN where the file does not say.
-    normal : (3,) unit normal of the relay wall, towards what is hidden.
-    hidden : (2, 3) corners of the box that holds what is hidden, or None.
+    path : the file.
+    values : (L, P, T) counts or light, as in the file; paired: (L, 1, T).
+    paired : whether pixel i was measured with laser point i alone (a confocal scan).
+    laser_points, seen_points : (L, 3) and (P, 3) points on the wall; paired: both (L, 3).
+    time : the time bins.
+    laser_position, sensor_position : (3,) positions of the devices; NaN if the file does not state them.
+    normal : (3,) unit normal of the relay wall, towards the hidden part.
+    hidden : (2, 3) corners of the box that contains the hidden part, or None.
     """
 
     path: Path
@@ -59,7 +59,8 @@ class Recording:
 
     @property
     def frame(self) -> WallFrame:
-        """Right and up on the relay wall: up is the file's y, or its z on a wall that lies across y."""
+        """The frame of the relay wall, with the origin in the middle of the seen points. Up is the file's y, or its z
+        if y is the wall's normal."""
         up = np.array([0.0, 1.0, 0.0] if abs(self.normal[1]) < 0.9 else [0.0, 0.0, 1.0])
         up = up - (up @ self.normal) * self.normal
         up = up / np.linalg.norm(up)
@@ -68,20 +69,20 @@ class Recording:
         return WallFrame(middle, np.stack([np.cross(up, self.normal), up, self.normal]))
 
     def in_order(self) -> Recording:
-        """The recording with grids row by row from the top left, as seen by somebody who faces the wall; points that
+        """The recording with grids row by row from the top left, as seen by somebody who faces the wall. Points that
         form no grid keep their order."""
         if self.paired:
-            order = _rows(self.frame.of(self.seen_points))
+            order = _rows(self.frame.to_wall(self.seen_points))
             lit = self.laser_points[order]
             return replace(self, values=self.values[order], laser_points=lit, seen_points=self.seen_points[order])
-        lasers, pixels = _rows(self.frame.of(self.laser_points)), _rows(self.frame.of(self.seen_points))
+        lasers, pixels = _rows(self.frame.to_wall(self.laser_points)), _rows(self.frame.to_wall(self.seen_points))
         values = self.values[lasers[:, None], pixels]
         return replace(
             self, values=values, laser_points=self.laser_points[lasers], seen_points=self.seen_points[pixels]
         )
 
     def first_bins(self, bins: int | None) -> Recording:
-        """The recording with its first `bins` bins alone; raises `InputError` where there are fewer."""
+        """The recording with its first `bins` bins only (None: all); raises `InputError` if it has fewer."""
         if bins is None:
             return self
         if bins > self.time.bins:
@@ -89,9 +90,10 @@ class Recording:
         return replace(self, values=self.values[..., :bins], time=self.time.model_copy(update={"bins": bins}))
 
     def geometry(self) -> dict[str, Floats]:
-        """Field → value, of the fields that say where things are. Pixels have no extent, since files state none."""
+        """Field → value of the fields of positions. All corners of a pixel are one point, since files state no
+        extent."""
         frame = self.frame
-        both = frame.of(np.concatenate([self.laser_points, self.seen_points]))[:, :2]
+        both = frame.to_wall(np.concatenate([self.laser_points, self.seen_points]))[:, :2]
         low, high = both.min(axis=0), both.max(axis=0)
         halves = np.maximum((high - low) / 2, SMALLEST_WALL_M / 2)
         center = frame.origin + ((low + high) / 2) @ frame.axes[:2]
@@ -107,15 +109,15 @@ class Recording:
 
 
 def _rows(points: Floats) -> NDArray[np.int64]:
-    """(N,) indices of points row by row from the top left; in their own order where they form no grid."""
+    """(N,) indices of points row by row from the top left; 0, 1, 2 … if they form no grid."""
     place = lattice(points)
     return np.arange(len(points)) if place is None else place.T[::-1].ravel()
 
 
 def numbers_in(path: Path, values: NDArray[Any]) -> tuple[bool, float]:
-    """Whether all values are whole numbers, and the largest.
+    """Whether all values are whole numbers, and the largest value.
 
-    Raises `InputError` for values that are negative or not finite: neither counts nor light.
+    Raises `InputError` for negative and not finite values, which are neither counts nor light.
     """
     whole, most = True, 0.0
     for some in _pieces(values):
@@ -133,7 +135,7 @@ def numbers_in(path: Path, values: NDArray[Any]) -> tuple[bool, float]:
 
 
 def _pieces(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
-    """Pieces of all values, in the order of memory."""
+    """All values piece by piece, in the order of memory."""
     flat = values.ravel(order="K")
     for begin in range(0, flat.size, _AT_ONCE):
         yield flat[begin : begin + _AT_ONCE]
@@ -143,9 +145,9 @@ def time_bins(
     path: Path, bins: int, width_s: float | None, options: ImportOptions, *, start_s: float,
     origin: Literal["source", "wall"], named: str,
 ) -> TimeConfig:  # fmt: skip
-    """The time axis, its width from the file (`width_s`) or the options.
+    """The time axis. The width of a bin comes from the file (`width_s`) or the options.
 
-    Raises `InputError` where neither states the width or both state different ones, and for no valid time axis.
+    Raises `InputError` if neither states the width or they contradict each other, and for an invalid time axis.
     """
     asked = None if options.bin_width_ps is None else options.bin_width_ps * 1e-12
     if width_s is None and asked is None:
@@ -155,7 +157,7 @@ def time_bins(
     width = width_s if width_s is not None else asked
     assert width is not None
     try:
-        # Digits beyond the twelfth come from the conversion of units.
+        # Rounded to twelve digits, because further ones come from the conversion of units.
         return TimeConfig(
             bins=bins, bin_width_ps=float(f"{width * 1e12:.12g}"), start_ns=float(f"{start_s * 1e9:.12g}"),
             origin=origin,

@@ -24,11 +24,11 @@ _WANTED = (
 )  # fmt: skip
 _GRIDS = {HFormat.T_Sx_Sy: (2, False), HFormat.T_Lx_Ly_Sx_Sy: (2, True), HFormat.T_Si: (1, False),
           HFormat.T_Li_Si: (1, True)}  # fmt: skip
-"""Format → number of axes of each set of points, and whether laser points have axes of their own."""
+"""Format → number of axes of a set of points, and whether the laser points have axes of their own."""
 
 
 def read_tal(path: Path, options: ImportOptions) -> Recording:
-    """Read one file. Times and distances are metres of path there, and the frame is kept.
+    """The recording in one file, in the file's frame. Its times are metres of path there, and become seconds.
 
     Raises `InputError`, one line, for a file that is damaged or lacks something.
     """
@@ -66,13 +66,13 @@ def read_tal(path: Path, options: ImportOptions) -> Recording:
 
 
 def _values(content: Content, lit: Floats, seen: Floats) -> tuple[NDArray[Any], bool]:
-    """H as (L, P, T), and whether each pixel has one laser point of its own."""
+    """H as (L, P, T), and whether each pixel has one laser point of its own (then P = 1)."""
     h, number = content.array("H"), content.number("H_format")
     try:
         form = HFormat(int(number))
         axes, exhaustive = _GRIDS[form]
     except (ValueError, KeyError):
-        known = ", ".join(f"{of.value} ({of.name})" for of in _GRIDS)
+        known = ", ".join(f"{one.value} ({one.name})" for one in _GRIDS)
         raise InputError(f"{content.path}: H_format = {number:g}: must be one of {known}") from None
     if h.ndim != 1 + axes * (1 + exhaustive) or h.size == 0:
         raise InputError(f"{content.path}: H: shape {h.shape}, which is no {form.name}")

@@ -1,4 +1,4 @@
-"""Which objects a scene holds, and the oriented box about each, as tables of one length for all scenes."""
+"""The objects of a scene and their oriented boxes, as tables that have the same length in all scenes."""
 
 from __future__ import annotations
 
@@ -15,27 +15,22 @@ from datagen.records import Scene
 from datagen.records.arrays import Floats
 
 OBJECT_TABLES = (
-    "object_count",
-    "object_class",
-    "object_part",
-    "object_box_center",
-    "object_box_size",
-    "object_box_rotation",
-)
-"""The arrays that the label `objects` stands for."""
+    "object_count", "object_class", "object_part", "object_box_center", "object_box_size", "object_box_rotation",
+)  # fmt: skip
+"""Names of the arrays for which the label `objects` stands."""
 NO_OBJECT = -1
-"""Class and part of a row that holds no object; its box is all zeros."""
+"""Class and part in a row without an object; its box is all zeros."""
 
 
 @dataclass(frozen=True)
 class ObjectBoxes:
-    """The objects of one scene in the order of its parts; rows beyond `count` hold none.
+    """The objects of one scene in the order of its parts; rows beyond `count` hold no object.
 
     Attributes
     ----------
-    count : how many objects there are.
+    count : number of objects.
     label : (K,) int16 class, an index into the dataset's list of classes; −1 in rows without an object.
-    part : (K,) int16 index into `Scene.part_names`, as in the label `part_id`; −1 likewise.
+    part : (K,) int16 index into `Scene.part_names`, as in the label `part_id`; −1 in rows without an object.
     center : (K, 3) float32 middle of the box along (right, up, depth) of the label frame, metres.
     size : (K, 3) float32 full extents along the object's own width, depth and height, metres.
     rotation : (K, 3, 3) float32; its columns are those own axes in the label frame, so a box corner is
@@ -51,9 +46,9 @@ class ObjectBoxes:
 
     @classmethod
     def of(cls, scene: Scene, classes: Sequence[str], capacity: int) -> ObjectBoxes:
-        """Boxes that just hold the objects' vertices, along the axes of `Scene.poses`.
+        """The bounding boxes of the objects' vertices along the axes of `Scene.poses`.
 
-        Raises `InputError` for more objects than `capacity`, or a class that is not in `classes`.
+        Raises `InputError` for more objects than `capacity`, or for a class that is not in `classes`.
         """
         frame = ViewFrame.of(scene)
         parts = [k for k, role in enumerate(scene.roles) if role == "object"]
@@ -75,7 +70,7 @@ class ObjectBoxes:
 
     @classmethod
     def from_tables(cls, tables: dict[str, NDArray[Any]]) -> ObjectBoxes:
-        """The inverse of `tables`: field → array of one scene."""
+        """The boxes whose `tables` are these."""
         count, *rest = (np.asarray(tables[name]) for name in OBJECT_TABLES)
         return cls(int(count), *rest)
 
@@ -85,8 +80,8 @@ class ObjectBoxes:
         return {name: np.asarray(value) for name, value in zip(OBJECT_TABLES, values, strict=True)}
 
     def corners(self) -> Floats:
-        """(count, 8, 3) corners along (right, up, depth); corner k lies on the positive side of the box's width,
-        depth or height where bit 0, 1 or 2 of k is set."""
+        """(count, 8, 3) corners of the boxes along (right, up, depth). Corner k lies on the positive side of the
+        box's width, depth or height if bit 0, 1 or 2 of k is set."""
         sides = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) - 0.5
         n = self.count
         offset = sides * self.size[:n, None].astype(np.float64)
@@ -94,14 +89,14 @@ class ObjectBoxes:
 
 
 def classes_in(scene: Scene) -> tuple[str, ...]:
-    """The classes of a scene's objects, sorted."""
+    """Names of the classes of a scene's objects, sorted."""
     return tuple(sorted({scene.pose_of(name).label for name in scene.objects}))
 
 
 def objects_seen(part_id: NDArray[np.integer[Any]], object_part: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
-    """(N, row, column) the row of the table of objects that each pixel shows, −1 for none.
+    """(N, row, column) row of the object tables whose object a pixel shows, −1 for no object.
 
-    part_id : (N, row, column) and object_part : (N, K), −1 in rows without an object, the labels of N scenes.
+    part_id : (N, row, column) and object_part : (N, K), with −1 in rows without an object: labels of N scenes.
     """
     listed = object_part[:, None, None]
     same = (part_id[..., None] == listed) & (listed >= 0)

@@ -1,9 +1,9 @@
 """The frame of all labels: the rectangle `Scene.hidden_view` and the depth behind it.
 
-An image has row 0 at the top (+up) and column 0 at −right, the way `Sensor.grid` numbers its pixels. It is as wide as
-the hidden part, wherever that is: over the scan where objects stand before it, and beside the scan behind a corner
-(`scan_place` says how far). Its values belong to pixel centres. A volume has the axes (depth, row, column): slice
-`[k]` is an image, `k` counts away from the wall.
+An image has row 0 at the top (+up) and column 0 at −right, as `Sensor.grid` numbers its pixels. It shows the hidden
+part, which lies opposite the scan if objects stand before it, and beside the scan if they stand behind a corner
+(`scan_place` gives the offset). Its values belong to pixel centres. A volume has the axes (depth, row, column): slice
+`[k]` is an image, and `k` counts away from the wall.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class ViewFrame:
 
     @classmethod
     def of(cls, scene: Scene) -> ViewFrame:
-        """The frame of `scene.hidden_view`; raises `InputError` when the scene has none, or one without area."""
+        """The frame of `scene.hidden_view`; raises `InputError` if that is missing or has no area."""
         view = scene.hidden_view
         if view is None:
             raise InputError(
@@ -48,7 +48,7 @@ class ViewFrame:
 
     @classmethod
     def about(cls, view: Rectangle) -> ViewFrame:
-        """The frame at the centre of a rectangle; raises `InputError` when it has no area."""
+        """The frame at the centre of a rectangle; raises `InputError` if it has no area."""
         width, height = float(np.linalg.norm(view.right)), float(np.linalg.norm(view.up))
         if not (0 < width < np.inf and 0 < height < np.inf):
             raise InputError(
@@ -60,22 +60,22 @@ class ViewFrame:
         return cls(np.asarray(view.center, np.float64), axes, width, height)
 
     def to_view(self, points: Floats) -> Floats:
-        """(..., 3) world points → (..., 3) metres along right, up and depth, from the centre of the rectangle."""
+        """(..., 3) metres along right, up and depth from the centre of the rectangle, of world points (..., 3)."""
         return (points - self.center) @ self.axes.T
 
     def to_world(self, points: Floats) -> Floats:
-        """The inverse of `to_view`."""
+        """(..., 3) world points of view coordinates (..., 3): the inverse of `to_view`."""
         return points @ self.axes + self.center
 
     def to_pixels(self, in_view: Floats, rows: int, columns: int) -> Floats:
-        """(..., 3) view coordinates → (..., 3): column, row (both in pixels, centres at +½) and depth in metres."""
+        """(..., 3) column and row (in pixels, centres at +½) and depth in metres, of view coordinates (..., 3)."""
         column = (in_view[..., 0] + self.half_width_m) * (columns / (2 * self.half_width_m))
         row = (self.half_height_m - in_view[..., 1]) * (rows / (2 * self.half_height_m))
         return np.stack([column, row, in_view[..., 2]], axis=-1)
 
 
 def image_points(depth: NDArray[Any], mask: Bools, half_width_m: float, half_height_m: float) -> Floats:
-    """(N, 3) points right, up, depth in the label frame of an image's pixels: their centres, at their depth."""
+    """(N, 3) right, up and depth, in metres of the label frame, of the centres of the image pixels in `mask`."""
     rows, columns = depth.shape
     row, column = np.nonzero(mask)
     right = (2 * (column + 0.5) / columns - 1) * half_width_m
@@ -84,14 +84,15 @@ def image_points(depth: NDArray[Any], mask: Bools, half_width_m: float, half_hei
 
 
 def scan_place(view: Rectangle, laser_points: Floats) -> tuple[float, float] | None:
-    """Metres right and up from the middle of the label images (`Scene.hidden_view`) to the middle of the scan.
+    """Metres right and up from the middle of the label images (`Scene.hidden_view`) to the middle of the scan; None
+    if there is no laser point.
 
-    laser_points : (L, 3), NaN for those that there are not; None where there is none at all.
+    laser_points : (L, 3), NaN where a laser ray meets nothing.
     """
-    there = laser_points[np.isfinite(laser_points).all(axis=1)]
-    if not len(there):
+    on_surfaces = laser_points[np.isfinite(laser_points).all(axis=1)]
+    if not len(on_surfaces):
         return None
-    in_view = ViewFrame.about(view).to_view(there)
+    in_view = ViewFrame.about(view).to_view(on_surfaces)
     right, up = (in_view.min(axis=0) + in_view.max(axis=0))[:2] / 2
-    # To the nanometre: what lies beyond is rounding, which differs between processors.
+    # Rounded to a nanometre, for further digits differ between processors.
     return round(float(right), 9) + 0.0, round(float(up), 9) + 0.0

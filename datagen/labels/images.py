@@ -1,4 +1,4 @@
-"""Label images: depth, normal, albedo and part of what stands behind the relay wall, as if that were a window."""
+"""Label images: depth, normal, albedo and part of the surfaces behind the relay wall, as if it were a window."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from datagen.labels.raster import first_hits
 from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
 
-# Walls within this share of the view's size behind the wall's plane count as lying in it.
 _FLAT = 1e-6
-# A surface that touches the relay wall gets this depth, so that 0 keeps its one meaning, "nothing seen".
+"""Distance from the wall's plane, in units of the view's size, within which a wall counts as part of it. Halved, it
+is still far above rounding."""
 _SMALLEST_DEPTH_M = 1e-6
+"""Depth of a surface that touches the relay wall: 0 means that no surface is seen. Halved, it is half as deep."""
 
 
 @dataclass(frozen=True)
 class HiddenSurface:
-    """What every pixel of the hidden view sees first.
+    """The surface that each pixel of the hidden view sees first.
 
     Attributes
     ----------
-    scene, frame : what is looked at, and from where.
+    scene, frame : the scene, and the frame of the view.
     face : (rows, columns) index of the triangle, −1 where the view is empty.
     depth : (rows, columns) float64 metres from the plane of the relay wall along its normal; 0 where empty.
     """
@@ -36,11 +37,11 @@ class HiddenSurface:
 
 
 def hidden_surface(scene: Scene, rows: int, columns: int) -> HiddenSurface:
-    """Look from the relay wall into the room, orthographically along the normal of `scene.hidden_view`.
+    """The surfaces seen from the relay wall, orthographically along the normal of `scene.hidden_view`.
 
-    The relay wall itself is a window: parts with the role `relay_wall` are left out, and so is structure that does
-    not come out of the plane of the view (the rest of the wall that the relay wall is part of). Objects are always
-    seen; one that touches the wall has the smallest positive depth, 1 µm.
+    The relay wall itself is a window: parts with the role `relay_wall` are left out, and so is structure in the plane
+    of the view (the rest of the wall to which the relay wall belongs). Objects are never left out; one that touches
+    the wall has the depth 1 µm.
     """
     frame = ViewFrame.of(scene)
     in_view = frame.to_view(scene.vertices)[scene.triangles]
@@ -55,18 +56,19 @@ def hidden_surface(scene: Scene, rows: int, columns: int) -> HiddenSurface:
 
 
 def depth_image(surface: HiddenSurface) -> NDArray[np.float32]:
-    """(rows, columns) metres from the plane of the relay wall; 0 where nothing is hit.
+    """(rows, columns) metres from the plane of the relay wall; 0 where no surface is seen.
 
-    0 rather than NaN: a NaN under a mask still turns every gradient into NaN (0 · NaN = NaN), while `depth > 0` is a
-    mask at no cost, and the convention of the common depth data sets.
+    It is 0 and not NaN, because a masked NaN still turns every gradient into NaN (0 · NaN = NaN); `depth > 0` is the
+    mask, as in the common depth data sets.
     """
     return surface.depth.astype(np.float32)
 
 
 def normal_image(surface: HiddenSurface) -> NDArray[np.float32]:
-    """(rows, columns, 3) unit normals as components along (right, up, normal) of the view; 0 where nothing is hit.
+    """(rows, columns, 3) unit normals as components along (right, up, normal) of the view; 0 where no surface is
+    seen.
 
-    Surfaces are two-sided; their normal is the one on the side seen, so its third component is ≤ 0 (the view's normal
+    Surfaces are two-sided. The normal is that of the visible side, so its third component is ≤ 0 (the view's normal
     points away from the relay wall): a surface parallel to the wall has (0, 0, −1).
     """
     corners = surface.scene.vertices[surface.scene.triangles[surface.face]]
@@ -78,11 +80,11 @@ def normal_image(surface: HiddenSurface) -> NDArray[np.float32]:
 
 
 def albedo_image(surface: HiddenSurface) -> NDArray[np.float32]:
-    """(rows, columns) albedo of the surface seen; 0 where nothing is hit."""
+    """(rows, columns) albedo of the surface seen; 0 where no surface is seen."""
     albedos = np.array([material.albedo for material in surface.scene.materials])
     return np.append(albedos[surface.scene.face_part], 0.0)[surface.face].astype(np.float32)
 
 
 def part_image(surface: HiddenSurface) -> NDArray[np.int16]:
-    """(rows, columns) index into `scene.part_names` of the surface seen; −1 where nothing is hit."""
+    """(rows, columns) index into `scene.part_names` of the surface seen; −1 where no surface is seen."""
     return np.append(surface.scene.face_part, -1)[surface.face].astype(np.int16)

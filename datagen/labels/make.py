@@ -1,4 +1,4 @@
-"""All labels of a scene that a dataset asks for."""
+"""The labels of a scene that a dataset stores."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ LABEL_FIELDS = IMAGE_FIELDS + VOLUME_FIELDS + TABLE_FIELDS
 
 @dataclass(frozen=True)
 class ObjectSlots:
-    """The form of the object tables: the classes their numbers stand for, and how many rows they have."""
+    """The form of the object tables: the names of the classes, and the number of rows."""
 
     classes: tuple[str, ...]
     capacity: int
@@ -50,7 +50,7 @@ def make_labels(
     config: LabelsConfig, scene: Scene, fields: Sequence[str], slots: ObjectSlots | None = None,
     surface: HiddenSurface | None = None,
 ) -> dict[str, Array]:  # fmt: skip
-    """Ground truth of one scene, aligned with the relay wall.
+    """Field → array of one scene's ground truth, aligned with the relay wall.
 
     ============  =======================  =======  ==================================================================
     field         shape                    dtype    meaning
@@ -65,10 +65,9 @@ def make_labels(
     ============  =======================  =======  ==================================================================
 
     Images show `scene.hidden_view` orthographically along its normal, row 0 at the top, column 0 at −right, with the
-    relay wall taken as a window. Volumes fill the box along the same axes that holds `scene.hidden_bounds`. `objects`
-    gives the tables of `ObjectBoxes`, for the classes and the number of rows of `slots` (left out: this scene's own),
-    whose boxes lie in the frame that images and volumes share. `surface` is what the images show, where it was found
-    already.
+    relay wall as a window. Volumes fill the box along the same axes that holds `scene.hidden_bounds`. `objects` gives
+    the tables of `ObjectBoxes`, in the same frame, for the classes and the number of rows of `slots` (left out: this
+    scene's own). `surface` is the surface that the images show, if it is known already.
 
     Raises
     ------
@@ -83,8 +82,8 @@ def make_labels(
         surface = hidden_surface(scene, config.rows, config.columns) if surface is None else surface
         labels |= {field: make(surface) for field, make in _IMAGES.items() if field in fields}
     if any(field in _VOLUMES for field in fields):
-        grid, found = VoxelGrid.of(scene, config.voxels), object_surfaces(scene)
-        labels |= {field: make(grid, found) for field, make in _VOLUMES.items() if field in fields}
+        grid, surfaces = VoxelGrid.of(scene, config.voxels), object_surfaces(scene)
+        labels |= {field: make(grid, surfaces) for field, make in _VOLUMES.items() if field in fields}
     if "objects" in fields:
         slots = slots or ObjectSlots(classes_in(scene), len(scene.objects))
         labels |= ObjectBoxes.of(scene, slots.classes, slots.capacity).tables()

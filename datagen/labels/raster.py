@@ -1,8 +1,7 @@
-"""Orthographic rasters of triangles: which one a pixel sees first, and how often a column is crossed.
+"""Orthographic rasters of triangles: the first triangle behind each pixel, and the voxels that triangles enclose.
 
-All rays of a label image are parallel, so projecting the triangles onto the pixels does the work of a ray caster
-without a search tree, in float64 and without seams: a pixel centre on the edge of two triangles belongs to exactly
-one of them.
+All rays of a label image are parallel, so triangles can be projected onto the pixels: this needs no BVH, and has
+float64 precision and no seams. A pixel centre on the edge of two triangles belongs to exactly one of them.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from datagen.records.arrays import Bools, Floats, Ints
 
 @compiled()
 def _side(x0: float, y0: float, x1: float, y1: float, px: float, py: float) -> bool:
-    """On which side of the edge (0 → 1) the point lies.
+    """Whether the point lies on the left of the edge (0 → 1).
 
-    The end points are put into lexicographic order first, so both triangles at an edge compute the same number, and a
-    point on the edge is moved by the same infinitesimal step for both.
+    The end points are put into lexicographic order first, so that both triangles at an edge compute the same number
+    and put a point on the edge on the same side.
     """
     if x0 < x1 or (x0 == x1 and y0 < y1):
         return (x1 - x0) * (py - y0) - (y1 - y0) * (px - x0) >= 0.0
@@ -27,7 +26,7 @@ def _side(x0: float, y0: float, x1: float, y1: float, px: float, py: float) -> b
 
 @compiled()
 def _contains(t: Floats, px: float, py: float) -> bool:
-    # Inside means on the same side of all three edges, whichever way the triangle is wound.
+    """Whether the point lies in the projected triangle: on the same side of all edges, whatever its winding."""
     first = _side(t[0, 0], t[0, 1], t[1, 0], t[1, 1], px, py)
     return (
         _side(t[1, 0], t[1, 1], t[2, 0], t[2, 1], px, py) == first
@@ -37,13 +36,13 @@ def _contains(t: Floats, px: float, py: float) -> bool:
 
 @compiled()
 def _covered(low: float, high: float, count: int) -> tuple[int, int]:
-    """First and one past the last pixel whose centre lies in low … high."""
+    """Number of the first pixel whose centre lies in low … high, and of the first one beyond."""
     return max(0, int(np.ceil(max(low, 0.0) - 0.5))), min(count, int(np.floor(min(high, count + 1.0) - 0.5)) + 1)
 
 
 @compiled()
 def _rows_and_columns(t: Floats, rows: int, columns: int) -> tuple[int, int, int, int]:
-    """The block of pixels that the triangle's bounding rectangle covers: top, bottom, left, right (ends excluded)."""
+    """First row, end of the rows, first column and end of the columns in the triangle's bounding rectangle."""
     top, bottom = _covered(min(t[0, 1], t[1, 1], t[2, 1]), max(t[0, 1], t[1, 1], t[2, 1]), rows)
     left, right = _covered(min(t[0, 0], t[1, 0], t[2, 0]), max(t[0, 0], t[1, 0], t[2, 0]), columns)
     return top, bottom, left, right
@@ -51,17 +50,17 @@ def _rows_and_columns(t: Floats, rows: int, columns: int) -> tuple[int, int, int
 
 @compiled()
 def _depth(triangle: Floats, px: float, py: float) -> float:
-    """Depth of the triangle's plane over (px, py), kept within the triangle's own depths."""
+    """Depth of the triangle's plane at (px, py), clipped to the depths of its corners."""
     ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
     vx, vy, vz = triangle[2, 0] - triangle[0, 0], triangle[2, 1] - triangle[0, 1], triangle[2, 2] - triangle[0, 2]
     nz = ux * vy - uy * vx
     nearest: float = min(triangle[0, 2], triangle[1, 2], triangle[2, 2])
     farthest: float = max(triangle[0, 2], triangle[1, 2], triangle[2, 2])
-    # Seen edge on, a triangle covers no pixel but by rounding; any of its depths will do.
+    # A triangle seen edge on contains a pixel centre only by rounding, and any of its depths will do.
     if nz == 0.0:
         return nearest
     nx, ny = uy * vz - uz * vy, uz * vx - ux * vz
-    # Of a steep triangle the plane may leave the corners' depths within a pixel.
+    # By rounding, the plane of a steep triangle may leave the depths of its corners.
     depth: float = triangle[0, 2] - (nx * (px - triangle[0, 0]) + ny * (py - triangle[0, 1])) / nz
     return min(max(depth, nearest), farthest)
 
@@ -91,7 +90,7 @@ def first_hits(triangles: Floats, rows: int, columns: int, near: float) -> tuple
                 if not _contains(t, px, py):
                     continue
                 z = _depth(t, px, py)
-                # Strictly nearer: of triangles that coincide the first one stays, in any order of pixels.
+                # The test is strict, so that the first of coinciding triangles is kept at all pixels.
                 if near <= z < depth[row, column]:
                     depth[row, column] = z
                     face[row, column] = f
@@ -100,7 +99,7 @@ def first_hits(triangles: Floats, rows: int, columns: int, near: float) -> tuple
 
 @compiled()
 def hidden_pixels(triangles: Floats, depth: Floats) -> Ints:
-    """(F,): the number of pixels at which each triangle lies in front of a finite `depth` (rows, columns)."""
+    """(F,) number of pixels at which each triangle (F, 3, 3) lies in front of a finite `depth` (rows, columns)."""
     rows, columns = depth.shape
     counts = np.zeros(len(triangles), np.int64)
     for f in range(len(triangles)):
@@ -119,17 +118,17 @@ def hidden_pixels(triangles: Floats, depth: Floats) -> Ints:
 
 
 def inside_columns(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
-    """(depth, row, column) voxels whose centres a closed surface encloses, by the parity of crossings along depth.
+    """(depth, row, column) whether a closed surface encloses a voxel's centre, by the parity of crossings along
+    depth.
 
-    `triangles` (F, 3, 3) hold column, row and depth in voxels (centres at +½). The result does not depend on how the
-    triangles are wound.
+    triangles : (F, 3, 3) column, row and depth in voxels (centres at +½); their winding does not matter.
     """
     return np.logical_xor.accumulate(_odd_crossings(triangles, shape), axis=0)
 
 
 @compiled()
 def _odd_crossings(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
-    """(depth, row, column): whether an odd number of crossings lies between a voxel's centre and the one before."""
+    """(depth, row, column) whether the number of crossings between a voxel's centre and the one before is odd."""
     layers, rows, columns = shape
     crossed = np.zeros((layers, rows, columns), np.bool_)
     for f in range(len(triangles)):
@@ -140,7 +139,7 @@ def _odd_crossings(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
                 px, py = column + 0.5, row + 0.5
                 if not _contains(t, px, py):
                     continue
-                # A crossing before the first centre counts for all centres behind it, one after the last for none.
+                # A crossing before the first centre counts for all centres, one behind the last for none.
                 z = max(_depth(t, px, py) - 0.5, -0.5)
                 if z <= layers - 1:
                     layer = int(np.ceil(z))
@@ -150,10 +149,8 @@ def _odd_crossings(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
 
 @compiled()
 def cut_voxels(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
-    """(depth, row, column) voxels that a triangle touches: the separating-axis test for a box and a triangle.
-
-    Source: Akenine-Möller, "Fast 3D triangle-box overlap testing", Journal of Graphics Tools 6 (2001), 29–33.
-    """
+    """(depth, row, column) whether a triangle touches a voxel, by the separating-axis test for a box and a triangle
+    (Akenine-Möller, "Fast 3D triangle-box overlap testing", Journal of Graphics Tools 6 (2001), 29–33)."""
     layers, rows, columns = shape
     counts = (columns, rows, layers)
     cut = np.zeros((layers, rows, columns), np.bool_)
@@ -175,11 +172,11 @@ def cut_voxels(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
 
 @compiled()
 def _touches(t: Floats, cx: float, cy: float, cz: float) -> bool:
-    """Whether the triangle meets the unit cube around (cx, cy, cz); its bounding box already does."""
+    """Whether the triangle meets the unit cube around (cx, cy, cz), given that its bounding box does."""
     v = np.empty((3, 3))
     for k in range(3):
         v[k, 0], v[k, 1], v[k, 2] = t[k, 0] - cx, t[k, 1] - cy, t[k, 2] - cz
-    # Along the triangle's normal: the plane against the corner of the cube that reaches farthest.
+    # Separation along the triangle's normal: the cube's farthest corner does not reach the plane.
     distance, reach = 0.0, 0.0
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
@@ -188,7 +185,7 @@ def _touches(t: Floats, cx: float, cy: float, cz: float) -> bool:
         reach += 0.5 * abs(n)
     if abs(distance) > reach:
         return False
-    # Along the cross products of the triangle's edges and the cube's.
+    # Separation along the cross products of the triangle's edges and the cube's.
     for e in range(3):
         a, b = v[e], v[(e + 1) % 3]
         c = v[(e + 2) % 3]

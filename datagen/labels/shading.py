@@ -1,15 +1,15 @@
 """The shaded label: the hidden part as a camera in the relay wall would see it, lit by the visible relay wall.
 
-The lamp is the light that the measurement itself uses: the part of the relay wall that the device sees
-(`Scene.relay_wall`, the nominal rectangle; relief and clutter take no part) is a Lambertian lamp of radiance 1, and
-every direction that does not meet it, or meets something in between, shows the radiance `AMBIENT_RADIANCE`. A surface
-of albedo ρ then has the radiance
+The lamp is the source of light of the measurement itself: the part of the relay wall that the device sees
+(`Scene.relay_wall`, the nominal rectangle without relief and clutter) is a Lambertian lamp of radiance 1. Every
+direction in which a surface does not see the lamp has the radiance `AMBIENT_RADIANCE`. A surface of albedo ρ then has
+the radiance
 
     L = ρ (F + (1 − F) · AMBIENT_RADIANCE),    F = ∫ cosθ cosθ′ V / (π R²) dA over the lamp,
 
 F its form factor to the lamp (0 … 1) with V the visibility, so L lies in 0 … ρ. Every material counts as Lambertian
-with its albedo. Without occluders F is Lambert's formula for a polygon, exactly (as in Baum, Rushmeier & Winget,
-SIGGRAPH 1989); shadows take from it the share of the lamp that is hidden, found with `LAMP_POINTS` rays a pixel.
+with its albedo. Without occluders F is exactly Lambert's formula for a polygon (as in Baum, Rushmeier & Winget,
+SIGGRAPH 1989). A shadow removes the share of the lamp that is hidden, which is found with `LAMP_POINTS` rays a pixel.
 """
 
 from __future__ import annotations
@@ -28,18 +28,21 @@ from datagen.records.arrays import Bools, Floats
 from scene_library.sightlines import even_points, occlusion_test
 
 AMBIENT_RADIANCE = 0.15
-"""Radiance of all directions that do not meet the lamp, in units of the lamp's."""
+"""Radiance, in units of the lamp's, of directions without the lamp. Halved, shadows are half as bright."""
 LAMP_POINTS = 64
-"""Points of the lamp that each pixel's surface looks for (those of `even_points`)."""
+"""Points of the lamp (those of `even_points`) to which each pixel sends a ray. Halved, edges of shadows have half as
+many steps."""
 _PIXELS_AT_ONCE = 1 << 10
+"""Pixels whose rays are traced in one call: 65 536 rays, 6 MB. Halved, half of that."""
 _LIFT = 1e-5
-"""Ray ends are lifted off their surfaces by this share of the scene's size."""
+"""Distance by which the ends of rays are lifted off their surfaces, in units of the scene's size. Halved, single
+precision lets surfaces shadow themselves in large scenes."""
 
 
 def shaded_image(surface: HiddenSurface) -> NDArray[np.float32]:
-    """(rows, columns) radiance towards the relay wall in units of the lamp's, 0 … 1; 0 where nothing is hit.
+    """(rows, columns) radiance towards the relay wall in units of the lamp's, 0 … 1; 0 where no surface is seen.
 
-    Linear in light: take the square root, or a display's gamma, to look at it. Raises `InputError` for a scene
+    The values are linear in light; a display needs their square root, or a gamma. Raises `InputError` for a scene
     without `relay_wall`.
     """
     scene, frame = surface.scene, surface.frame
@@ -65,9 +68,10 @@ def shaded_image(surface: HiddenSurface) -> NDArray[np.float32]:
 def _lit(
     points: Floats, normals: Floats, lamp: Rectangle, blocked: Callable[[Floats, Floats], Bools], lift_m: float
 ) -> Floats:
-    """(n,) form factor to what each point (n, 3) sees of the lamp.
+    """(n,) form factor of each point (n, 3) to the part of the lamp that it sees.
 
-    The exact form factor of the whole lamp times the seen share of it, lamp points weighted by what they would send.
+    It is the exact form factor to the whole lamp times the visible share of it, in which each lamp point counts by
+    the light that it would send.
     """
     whole = form_factors(points, normals, lamp.corners)
     on_lamp = even_points(lamp.center, lamp.right, lamp.up)
@@ -82,15 +86,12 @@ def _lit(
 def _segments(
     points: Floats, normals: Floats, on_lamp: Floats, lamp_normal: Floats, lift_m: float
 ) -> tuple[Floats, Floats, Floats]:
-    """What the lamp's points would send to each of `points`, and the ways from these to those that would.
-
-    Returns (n, m) weights cosθ cosθ′ / R² without their unit, and for each that is positive, row by row, both ends
-    (·, 3) of the segment between the two points, lifted off their surfaces.
-    """
+    """(n, m) weights cosθ cosθ′ / R², up to a factor, of the light from m points of the lamp to n points; and for
+    each positive weight, row by row, both ends (·, 3) of the segment between the two, lifted off their surfaces."""
     weight = np.empty((len(points), len(on_lamp)))
     start = np.empty((weight.size, 3))
     end = np.empty((weight.size, 3))
-    held = 0
+    used = 0
     for p in range(len(points)):
         for q in range(len(on_lamp)):
             square, leaving, arriving = 0.0, 0.0, 0.0
@@ -99,25 +100,26 @@ def _segments(
                 square += toward * toward
                 leaving += toward * normals[p, k]
                 arriving -= toward * lamp_normal[k]
-            # What lies behind either surface sends nothing, and needs no ray.
+            # A point behind the other one's surface sends it no light, and needs no ray.
             if leaving > 0.0 and arriving > 0.0:
                 weight[p, q] = leaving * arriving / (square * square)
                 for k in range(3):
-                    start[held, k] = points[p, k] + lift_m * normals[p, k]
-                    end[held, k] = on_lamp[q, k] + lift_m * lamp_normal[k]
-                held += 1
+                    start[used, k] = points[p, k] + lift_m * normals[p, k]
+                    end[used, k] = on_lamp[q, k] + lift_m * lamp_normal[k]
+                used += 1
             else:
                 weight[p, q] = 0.0
-    return weight, start[:held], end[:held]
+    return weight, start[:used], end[:used]
 
 
 @compiled()
 def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
-    """(n,) form factor from small patches at `points` with unit `normals` (n, 3) to the whole convex polygon
-    `corners` (m, 3), of which only what lies before the patch counts.
+    """(n,) form factors from small surface elements at `points` with unit `normals` (n, 3) to a convex polygon
+    `corners` (m, 3), or to its part in front of the element, by Lambert's formula
 
-    Lambert's formula, F = |Σ Θ n·Γ| / 2π over the edges: Θ is the angle an edge subtends and Γ the unit normal of the
-    plane through it and the point. The polygon is first cut at the patch's plane.
+        F = |Σ Θ n·Γ| / 2π over the edges,
+
+    with Θ the angle that an edge subtends and Γ the unit normal of the plane through the edge and the point.
     """
     count = len(corners)
     result = np.zeros(len(points))
@@ -125,28 +127,29 @@ def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
     offset = np.empty((count, 3))
     height = np.empty(count)
     for p in range(len(points)):
-        # Corners as seen from the patch, and how high they stand above its plane.
+        # Corners relative to the element, and their heights above its plane.
         for c in range(count):
             height[c] = 0.0
             for k in range(3):
                 offset[c, k] = corners[c, k] - points[p, k]
                 height[c] += offset[c, k] * normals[p, k]
-        # The part of the polygon behind the patch's plane is cut off (Sutherland & Hodgman): it would count negative.
-        held = 0
+        # The part of the polygon behind the element is clipped (Sutherland & Hodgman), for it would count as
+        # negative.
+        count_kept = 0
         for c in range(count):
             after = (c + 1) % count
             if height[c] > 0.0:
                 for k in range(3):
-                    kept[held, k] = offset[c, k]
-                held += 1
+                    kept[count_kept, k] = offset[c, k]
+                count_kept += 1
             if (height[c] > 0.0) != (height[after] > 0.0):
                 share = height[c] / (height[c] - height[after])
                 for k in range(3):
-                    kept[held, k] = offset[c, k] + (offset[after, k] - offset[c, k]) * share
-                held += 1
+                    kept[count_kept, k] = offset[c, k] + (offset[after, k] - offset[c, k]) * share
+                count_kept += 1
         total = 0.0
-        for c in range(held):
-            after = (c + 1) % held
+        for c in range(count_kept):
+            after = (c + 1) % count_kept
             across, along, area = 0.0, 0.0, 0.0
             for k in range(3):
                 i, j = (k + 1) % 3, (k + 2) % 3
@@ -154,7 +157,7 @@ def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
                 area += side * side
                 across += normals[p, k] * side
                 along += kept[c, k] * kept[after, k]
-            # By arctan2, which keeps small angles' digits where an arc cosine would lose half of them.
+            # arctan2 keeps the digits of small angles, half of which an arc cosine would lose.
             length = np.sqrt(area)
             if length > 0.0:
                 total += np.arctan2(length, along) * across / length

@@ -1,10 +1,11 @@
-"""Which surfaces enclose a volume: objects taken apart into connected surfaces, each closed or open.
+"""The connected surfaces of an object, each of them closed or open.
 
-A surface is closed when every edge belongs to an even number of triangles, after vertices at the same place are
-merged; the inside is then where a ray crosses it an odd number of times, however its triangles are wound. Scans have
-small holes: each rim is bridged by a fan of triangles to its centroid, and the surface counts as closed when those
-fans are at most 5 % of its area. A sheet, or a box without its lid, stays open and encloses nothing. Where closed
-surfaces overlap, the solids are united; a surface inside another adds nothing (no light reaches a sealed cavity).
+Vertices at the same place are merged. A surface is closed if every edge belongs to an even number of triangles; a
+point is inside if a ray from it crosses the surface an odd number of times, whatever the winding of the triangles.
+Meshes from scanners have small holes: a fan of triangles bridges each rim to its centroid, and the surface counts as
+closed if the fans are at most 5 % of its area. A sheet, or a box without its lid, stays open and encloses nothing.
+Closed surfaces that overlap enclose the union of their solids; a surface inside another one adds nothing, as no light
+reaches a sealed cavity.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ import numpy as np
 from datagen.records.arrays import Floats, Ints
 
 LARGEST_HOLE_SHARE = 0.05
-"""Area of the bridged holes over area of the surface, up to which a surface counts as closed."""
-_LATTICE = 2**20  # cells across a part: 1 µm in an object of 1 m
+"""Largest area of a closed surface's bridged holes, in units of its own. Halved, more scanned meshes are open."""
+_LATTICE = 2**20
+"""Cells across an object within which vertices count as the same: 1 µm in an object of 1 m. Halved, 2 µm."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +28,9 @@ class ConnectedSurface:
 
     Attributes
     ----------
-    corners : (F, 3, 3) its triangles, without any that bridge holes.
-    lid : (B, 3, 3) the triangles that bridge its holes; with `corners` they make a closed surface.
-    closed : whether it encloses a volume.
+    corners : (F, 3, 3) corners of its triangles, without those that bridge holes.
+    lid : (B, 3, 3) corners of the triangles that bridge its holes.
+    closed : whether it encloses a volume, with its lid.
     """
 
     corners: Floats
@@ -37,7 +39,7 @@ class ConnectedSurface:
 
     @property
     def mean_thickness_m(self) -> float:
-        """2 · volume / area: the thickness of a sheet; 0 for an open surface."""
+        """2 · volume / area, which is the thickness of a sheet; 0 for an open surface."""
         if not self.closed:
             return 0.0
         whole = np.concatenate([self.corners, self.lid])
@@ -47,7 +49,7 @@ class ConnectedSurface:
 
 
 def connected_surfaces(corners: Floats) -> list[ConnectedSurface]:
-    """Take triangles (F, 3, 3), metres, apart into connected surfaces."""
+    """The connected surfaces of triangles (F, 3, 3), metres."""
     if len(corners) == 0:
         return []
     triangles, count = _merged(corners)
@@ -59,19 +61,20 @@ def connected_surfaces(corners: Floats) -> list[ConnectedSurface]:
 
 
 def open_share(corners: Floats) -> float:
-    """Share of the area of triangles (F, 3, 3) in open surfaces; flat ones, which nobody takes for solids, apart."""
-    found = [surface.corners for surface in connected_surfaces(corners) if not surface.closed]
-    return sum(float(_areas(one).sum()) for one in found if not _is_flat(one)) / float(_areas(corners).sum())
+    """Share of the area of triangles (F, 3, 3) in open surfaces, except flat ones, which nobody takes for solids."""
+    opened = [surface.corners for surface in connected_surfaces(corners) if not surface.closed]
+    return sum(float(_areas(one).sum()) for one in opened if not _is_flat(one)) / float(_areas(corners).sum())
 
 
 def _is_flat(corners: Floats) -> bool:
+    """Whether all corners (F, 3, 3) lie in one plane."""
     points = corners.reshape(-1, 3)
     widths = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(widths[2] <= 1e-6 * widths[0])
 
 
 def _connected(links: Ints, count: int) -> tuple[int, Ints]:
-    """How many connected sets `links` (n, 2) make of `count` vertices, and the set of each."""
+    """Number of connected sets into which `links` (n, 2) join `count` vertices, and (count,) each vertex's set."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -81,17 +84,18 @@ def _connected(links: Ints, count: int) -> tuple[int, Ints]:
 
 
 def _merged(corners: Floats) -> tuple[Ints, int]:
-    """(F, 3) vertex numbers, the same for corners at the same place, and how many there are."""
+    """(F, 3) numbers of the vertices, the same for corners at the same place, and the number of vertices."""
     points = corners.reshape(-1, 3)
     low = points.min(axis=0)
     step = max(float((points.max(axis=0) - low).max()) / _LATTICE, np.finfo(np.float64).tiny)
     cell = np.round((points - low) / step).astype(np.int64)
-    # Three numbers of 21 bits in one: sorting those is five times as fast as sorting rows.
+    # Three numbers of 21 bits are packed into one, because sorting numbers is five times as fast as sorting rows.
     places, number = np.unique((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2], return_inverse=True)
     return number.reshape(-1, 3), len(places)
 
 
 def _surface(corners: Floats, triangles: Ints) -> ConnectedSurface:
+    """The surface of connected triangles with corners (F, 3, 3) and vertex numbers (F, 3)."""
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     ends = corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
     key = edges[:, 0] * (int(edges.max()) + 1) + edges[:, 1]
@@ -106,7 +110,7 @@ def _surface(corners: Floats, triangles: Ints) -> ConnectedSurface:
 
 
 def _fans(edges: Ints, ends: Floats) -> Floats:
-    """One triangle for each edge (E, 2) of a rim, from the edge's `ends` (E, 2, 3) to the centroid of its rim."""
+    """(E, 3, 3) a triangle for each edge (E, 2) of a rim, from its `ends` (E, 2, 3) to the centroid of the rim."""
     _, nodes = np.unique(edges, return_inverse=True)
     nodes = nodes.reshape(-1, 2)
     rims, label = _connected(nodes, int(nodes.max()) + 1)
@@ -114,10 +118,11 @@ def _fans(edges: Ints, ends: Floats) -> Floats:
     total = np.zeros((rims, 3))
     np.add.at(total, label, ends.mean(axis=1))
     centers = total / np.bincount(label, minlength=rims)[:, None]
-    # Against the direction of the rim's own triangles, so that winding stays consistent where it was.
+    # The edge is reversed against the surface's own triangle, so that a consistent winding stays consistent.
     return np.concatenate([ends[:, ::-1], centers[label][:, None]], axis=1)
 
 
 def _areas(corners: Floats) -> Floats:
+    """(F,) areas of triangles (F, 3, 3)."""
     sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(0.5 * np.linalg.norm(sides, axis=1))

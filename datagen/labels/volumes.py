@@ -23,8 +23,8 @@ class VoxelGrid:
     Attributes
     ----------
     frame : the label frame.
-    low, high : (3,) its corners along (right, up, depth) of the frame, metres.
-    shape : voxels along (depth, row, column); row 0 is at the top, column 0 at −right, layer 0 nearest the wall.
+    low, high : (3,) corners of the box along (right, up, depth) of the frame, metres.
+    shape : voxels along (depth, row, column); row 0 is at the top, column 0 at −right, layer 0 next to the wall.
     """
 
     frame: ViewFrame
@@ -34,7 +34,7 @@ class VoxelGrid:
 
     @classmethod
     def of(cls, scene: Scene, voxels: tuple[int, int, int]) -> VoxelGrid:
-        """The box along the frame's axes that just holds `scene.hidden_bounds`."""
+        """The grid of the smallest box along the frame's axes that holds `scene.hidden_bounds`."""
         if scene.hidden_bounds is None:
             raise InputError(
                 "labels 'occupancy' and 'sdf': this scene has no hidden_bounds, the box that holds the hidden part; "
@@ -56,7 +56,7 @@ class VoxelGrid:
         return (self.high - self.low)[[2, 1, 0]] / self.shape
 
     def to_voxels(self, points: Floats) -> Floats:
-        """(..., 3) world points → (..., 3) column, row, depth in voxels; centres at +½."""
+        """(..., 3) column, row and depth in voxels (centres at +½) of world points (..., 3)."""
         layers, rows, columns = self.shape
         share = (self.frame.to_view(points) - self.low) / (self.high - self.low)
         return np.stack([share[..., 0] * columns, (1 - share[..., 1]) * rows, share[..., 2] * layers], axis=-1)
@@ -71,44 +71,44 @@ class VoxelGrid:
 
 def object_surfaces(scene: Scene) -> list[ConnectedSurface]:
     """The connected surfaces of all parts with the role `object`, part by part."""
-    found: list[ConnectedSurface] = []
+    surfaces: list[ConnectedSurface] = []
     for part, role in enumerate(scene.roles):
         if role == "object":
-            found += connected_surfaces(scene.corners[scene.face_part == part])
-    return found
+            surfaces += connected_surfaces(scene.corners[scene.face_part == part])
+    return surfaces
 
 
-def occupancy(grid: VoxelGrid, found: list[ConnectedSurface]) -> NDArray[np.uint8]:
-    """(depth, row, column): 1 where an object is, else 0.
+def occupancy(grid: VoxelGrid, surfaces: list[ConnectedSurface]) -> NDArray[np.uint8]:
+    """(depth, row, column) 1 where an object is, else 0.
 
-    A voxel is taken when its centre lies inside a closed surface, so volumes come out right on average. Surfaces
-    that enclose nothing, or are thinner than a voxel (a panel, a letter) and would slip between the centres, take
+    A voxel is occupied if its centre lies inside a closed surface, so that volumes are right on average. Surfaces
+    that enclose nothing, or are thinner than a voxel (a panel, a letter) and may pass between the centres, occupy
     every voxel that they touch.
     """
-    taken = np.zeros(grid.shape, np.bool_)
+    occupied = np.zeros(grid.shape, np.bool_)
     thinnest = float(grid.voxel_m.min())
-    for surface in found:
+    for surface in surfaces:
         if surface.closed:
-            taken |= _inside(grid, surface)
+            occupied |= _inside(grid, surface)
         if surface.mean_thickness_m < thinnest:
-            taken |= cut_voxels(grid.to_voxels(surface.corners), grid.shape)
-    return taken.astype(np.uint8)
+            occupied |= cut_voxels(grid.to_voxels(surface.corners), grid.shape)
+    return occupied.astype(np.uint8)
 
 
-def signed_distance(grid: VoxelGrid, found: list[ConnectedSurface]) -> NDArray[np.float32]:
-    """(depth, row, column): metres from the voxel centre to the nearest object surface, negative inside a closed one.
+def signed_distance(grid: VoxelGrid, surfaces: list[ConnectedSurface]) -> NDArray[np.float32]:
+    """(depth, row, column) metres from the voxel centre to the nearest object surface, negative inside a closed one.
 
-    Open surfaces enclose nothing; their distance has no sign. Where closed surfaces overlap, the smallest of their
-    signed distances is taken: exact outside, and inside never larger in magnitude than the true distance. Without
-    any object every distance is the diagonal of the grid, which is larger than any distance inside it could be.
+    Open surfaces enclose nothing, so their distance is positive on both sides. Where closed surfaces overlap, the
+    result is the least of their signed distances: it is exact outside, and inside never larger in magnitude than the
+    true distance. Without an object every distance is the diagonal of the grid, the largest distance in it.
     """
-    if not found:
+    if not surfaces:
         return np.full(grid.shape, np.linalg.norm(grid.high - grid.low), np.float32)
-    smallest = _distances(grid, np.concatenate([surface.corners for surface in found]), (0, 0, 0), grid.shape)
-    for surface in found:
+    smallest = _distances(grid, np.concatenate([surface.corners for surface in surfaces]), (0, 0, 0), grid.shape)
+    for surface in surfaces:
         inside = np.nonzero(_inside(grid, surface) if surface.closed else np.zeros(grid.shape, np.bool_))
         if len(inside[0]):
-            # Within a solid other surfaces, which may be nearer, do not count.
+            # Inside a solid only its own surface counts, even if another one is nearer.
             low, high = (tuple(int(end(place)) for place in inside) for end in (np.min, np.max))
             own = _distances(grid, surface.corners, low, tuple(k + 1 for k in high))
             own = own[tuple(np.subtract(inside, np.reshape(low, (3, 1))))]
@@ -117,7 +117,7 @@ def signed_distance(grid: VoxelGrid, found: list[ConnectedSurface]) -> NDArray[n
 
 
 def _distances(grid: VoxelGrid, corners: Floats, low: tuple[int, ...], high: tuple[int, ...]) -> Floats:
-    """Metres from the centres of the voxels low … high (excluded) to the nearest of the triangles (F, 3, 3)."""
+    """Metres from the centres of voxels low … high (`high` excluded) to the nearest of triangles (F, 3, 3)."""
     step = grid.voxel_m * [1, -1, 1]
     first = np.array([grid.low[2], grid.high[1], grid.low[0]]) + (0.5 + np.array(low)) * step
     depth_row_column = np.ascontiguousarray(grid.frame.to_view(corners)[..., ::-1])
@@ -126,4 +126,5 @@ def _distances(grid: VoxelGrid, corners: Floats, low: tuple[int, ...], high: tup
 
 
 def _inside(grid: VoxelGrid, surface: ConnectedSurface) -> Bools:
+    """(depth, row, column) whether a closed surface encloses a voxel's centre."""
     return inside_columns(grid.to_voxels(np.concatenate([surface.corners, surface.lid])), grid.shape)

@@ -1,8 +1,8 @@
-"""Datasets as torch sees them. Nothing else in datagen imports torch.
+"""Datasets for torch. Only this package, `building/on_the_fly.py` and `baselines` import torch.
 
 data = TransientDataset("out/rooms.zarr", fields=("histogram", "depth"), redraw_noise=True)
 loader = DataLoader(data, batch_size=16, sampler=EpochSampler(data, seed=0), num_workers=2)
-for epoch in range(10):  # each in another order, and with other noise
+for epoch in range(10):  # each epoch in another order, and with other noise
     for batch in loader:
         batch["histogram"]          # (16, laser, pixel, bin) float32
 """

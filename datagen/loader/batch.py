@@ -1,4 +1,4 @@
-"""Items that were read together, and the batch that they are."""
+"""The batch of items that were read together."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from datagen.records.checks import check_kind
 
 
 class Batch(list[dict[str, torch.Tensor]]):
-    """Items whose tensors are rows of the tensors in `whole`, which is the batch: collating them needs no copy, and
-    that halves the time of an epoch without workers.
+    """The items of a batch. Their tensors are rows of the tensors in `whole`, so collating needs no copy, which
+    halves the time of an epoch without workers.
 
-    events, counts : of all items, item by item; an item gets its own rows, without the column that numbers the item.
+    whole : field → values of all items. events, counts : of all items, in their order; the first column of `events`
+    is the index of the item, and an item gets its own rows without this column.
     """
 
     def __init__(
@@ -30,10 +31,10 @@ class Batch(list[dict[str, torch.Tensor]]):
 
 
 def collate(items: list[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
-    """The batch of items, as torch's own `collate_fn` makes it; a batch that was read as a whole is not copied, and
-    every type of numbers is kept.
+    """The batch of items, as torch's own `collate_fn` makes it. All types of numbers are kept, and items that were
+    read together are not copied.
 
-    Samples as events are joined: `events` (N, 4) sample of the batch, laser, pixel, bin, and `counts` (N,).
+    Samples as events are joined: `events` (N, 4) index of the sample in the batch, laser, pixel, bin; `counts` (N,).
     """
     if isinstance(items, Batch):
         return items.whole

@@ -1,4 +1,4 @@
-"""Crops: the laser points, pixels and bins that a user asks for, as parts of fields."""
+"""Crops: a selection of laser points, pixels and bins, as parts of fields."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from datagen.store.reader import Part
 from datagen.store.schema import Field
 
 Crop = slice | Sequence[int] | NDArray[np.generic] | tuple[slice, slice]
-"""A slice, numbers or a mask of an axis, or (rows, columns), two slices of the grid that the axis is."""
+"""A slice, indices or a mask of an axis; or (rows, columns), two slices, if the axis is a grid."""
 _SUCH_AS = "such as slice(0, 256), a list of numbers, or np.s_[8:24, 8:24] of a grid"
 
 
 class Crops:
-    """The indices that are read of each axis of a dataset's scans.
+    """The selection along each axis of a dataset's scans.
 
-    chosen : axis → indices, for the axes that are not read whole.
+    sizes : axis → its whole length. chosen : axis → indices to read, for the axes that are not read as a whole.
     """
 
     def __init__(self, manifest: Manifest, lasers: Crop | None, pixels: Crop | None, bins: slice | None) -> None:
@@ -40,11 +40,11 @@ class Crops:
                 self.chosen[axis] = _indices(name, crop, self.sizes[axis], _grid(grid, self.sizes[axis]))
         if bins is not None:
             self.chosen["bin"] = _bins(bins, self.sizes["bin"])
-        # The pixels of a confocal scan are one a laser point.
+        # A confocal scan has one pixel for each laser point.
         self._same = {"sensor_pixel": "laser" if capture["pairing"] == "confocal" else "pixel"}
 
     def part(self, field: Field) -> Part | None:
-        """The part of a field that is read; None for all of it."""
+        """The part of a field that is read; None for the whole field."""
         names = [self._same.get(axis, axis) for axis in field.dims[1:]]
         if not self.chosen.keys() & set(names):
             return None
@@ -57,7 +57,7 @@ class Crops:
 
 
 def _grid(settings: Mapping[str, Any], size: int) -> tuple[int, int] | None:
-    """Rows and columns of an axis that is a grid row by row; None for any other."""
+    """Rows and columns of an axis that is a grid, row by row; None for any other axis."""
     rows, columns = settings.get("rows"), settings.get("columns")
     if settings.get("kind", "grid") != "grid" or not isinstance(rows, int) or not isinstance(columns, int):
         return None
@@ -65,7 +65,7 @@ def _grid(settings: Mapping[str, Any], size: int) -> tuple[int, int] | None:
 
 
 def _indices(name: str, crop: Crop, size: int, grid: tuple[int, int] | None) -> NDArray[np.int64]:
-    """The indices, in 0 … size − 1, that a crop of an axis chooses, in the order of the crop."""
+    """The indices, in 0 … size − 1, that a crop selects, in the order of the crop."""
     every = np.arange(size, dtype=np.int64)
     if isinstance(crop, tuple) and len(crop) == 2 and any(isinstance(one, slice) for one in crop):
         if grid is None:
@@ -94,7 +94,7 @@ def _sliced(name: str, crop: Any, numbers: NDArray[np.int64]) -> NDArray[np.int6
 
 
 def _numbers(name: str, crop: object, size: int) -> NDArray[np.generic]:
-    """The indices (negative ones count from the end) or the mask that a user gives, as an array."""
+    """The indices (negative ones count from the end) or the mask of a crop, as an array."""
     try:
         given = np.asarray(crop)
     except (TypeError, ValueError):

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -43,55 +43,57 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     Parameters
     ----------
-    path : the folder that `build` made, complete, or `s3://bucket/name` of one that it put into an object store.
-    fields : any of the dataset's fields; `data.fields` lists all, and "objects" stands for those that begin with
-        `object_` (the classes, poses and boxes of the objects; `data.classes` names the classes).
-    counts : dtype that histograms are handed over in, since torch lacks most operations for uint16 and uint32.
-        float32 is exact up to 2²⁴ counts a bin. `"stored"` leaves them as they are, the least to move from worker to
-        device: cast them there, `batch["histogram"].to(device).float()`. Other fields keep their dtype.
-    redraw_noise : draw histograms anew from the stored transient, with the detector of the scene, at every read: the
+    path : the folder of a complete dataset that `build` made, or its address `s3://bucket/name`.
+    fields : names of the fields of an item. `data.fields` lists all fields of the dataset, and "objects" stands for
+        those that begin with `object_` (classes, poses and boxes of the objects; `data.classes` names the classes).
+    counts : dtype of the histograms of an item, since torch lacks most operations for uint16 and uint32. float32 is
+        exact up to 2²⁴ counts a bin. `"stored"` keeps the stored dtype, which has the fewest bytes to move from
+        worker to device: cast it there, `batch["histogram"].to(device).float()`. Other fields keep their dtype.
+    redraw_noise : draw histograms anew from the stored transient, with the detector of the scene, at every read. The
         n-th read of a scene is its draw n, a function of (`seed`, n, scene). So each epoch has new noise, with any
         wrapper, sampler or worker; you do not have to call `set_epoch`, which sets n. A `background_histogram` is
-        drawn anew, too, where the dataset has the field `background_transient`; elsewhere it is the stored one.
-    representation : `"events"`: instead of `histogram` an item has `events`, (N, 3) laser, pixel and bin of every
-        filled bin (int16, int32 where an axis is longer), and `counts`, (N,) of these bins: an input for networks on
-        points, and less to move where most bins are empty. `collate` joins a batch, with the number of the sample as
-        first column, and `dense` makes histograms of it on any device. `"volume"`: instead of `histogram` an item
-        has `volume`, float32 (depth, row, column), an input for convolutions: the backprojection of the counts, minus
-        their mean over the scan and in units of their noise, onto the space behind the label images, divided by the
-        root of the number of histograms. Objects stand out from a noise of about 1 at the pixel of their label.
-    voxels : of a `volume`.
-    split : the scenes of one split alone: `"train"`, `"val"`, `"test"`, or one that the configuration holds out by
-        what scenes show (`splits.held_out`). A room, and every scene that shows it, is in one split; growing a
-        dataset moves none.
-    fractions : of train, val and test, instead of the configuration's.
+        drawn anew, too, if the dataset has the field `background_transient`; otherwise it is the stored one.
+    representation : `"dense"`, `"events"` or `"volume"`.
+        With `"events"` an item has, instead of `histogram`, the fields `events`, (N, 3) laser, pixel and bin of every
+        filled bin (int16, or int32 for long axes), and `counts`, (N,) the counts of these bins. They are an input for
+        networks on points, and smaller if most bins are empty. `collate` joins the items of a batch, with the index
+        of the sample as the first column, and `dense` turns them into histograms on any device.
+        With `"volume"` an item has, instead of `histogram`, the field `volume`, float32 (depth, row, column), an
+        input for convolutions: the backprojection onto the space behind the label images of the counts minus their
+        mean over the scan, in units of their noise, divided by the root of the number of histograms. Noise alone has
+        a standard deviation of about 1, and an object stands out from it at the pixels of its label.
+    voxels : number of voxels of a `volume` along (depth, row, column).
+    split : read the scenes of one split only: `"train"`, `"val"`, `"test"`, or a split that the configuration holds
+        out by what scenes show (`splits.held_out`). All scenes that show the same room are in one split, and scenes
+        keep their split when the dataset grows.
+    fractions : fractions of train, val and test, instead of those of the configuration.
     seed : of the redrawn noise.
     check : compare every value with the digest in its commit record when it is first read, once for all workers and
-        epochs; a part is therefore read as a whole the first time. It costs about 1 ms a MiB of decoded values.
+        epochs; a part is therefore read as a whole the first time. This costs about 1 ms per MiB of decoded values.
         Without it missing and damaged files are still found, but not files that were exchanged.
-    lasers : the laser points that are read, in this order: a slice, indices, a mask, or rows and columns of a scan
-        that is a grid, `lasers=np.s_[8:24, 8:24]`. All fields with that axis are cut: histograms, transients,
-        `laser_points`, the `sensor_pixels` of a confocal scan. Blocks of 256 KiB without any of these are not
-        decoded. Noise that is drawn anew is that of the whole scan, cut.
-    pixels : likewise the pixels.
-    bins : a slice of the time bins; saves memory, and decoding only with the other two.
-    evidence_at_least : only scenes whose every object has at least this significance (docs/physics.md), 3 for what
-        can be learnt at all; scenes without objects stay. `data.parameters("evidence.weakest")` has the numbers, and
-        with the label `objects` the field `object_significance` that of each object.
+    lasers : the laser points to read, in this order: a slice, indices, a mask, or rows and columns of a scan that is
+        a grid, such as `lasers=np.s_[8:24, 8:24]`. This cuts all fields with that axis: histograms, transients,
+        `laser_points`, the `sensor_pixels` of a confocal scan. Blocks of 256 KiB without any of these laser points
+        are not decoded. Redrawn noise is that of the whole scan, cut afterwards.
+    pixels : the pixels to read, in the same way.
+    bins : a slice of the time bins. It saves memory; it saves decoding only together with the other two.
+    evidence_at_least : read only scenes in which every object has at least this significance (docs/physics.md); below
+        3 nothing can be learnt. Scenes without objects stay. `data.parameters("evidence.weakest")` has the
+        significance of the weakest object of each scene, and the field `object_significance` (label `objects`) that
+        of each object.
 
-    Files are opened by each process for itself, at the first read; a dataset can be handed to loader workers started
-    in any way. Scenes whose simulation failed are left out, with a warning.
+    Each process opens the files for itself, at its first read; a dataset can be sent to loader workers that are
+    started in any way. Scenes whose simulation failed are left out, with a warning.
 
     Raises
     ------
     InputError : the folder is no dataset, shards are not committed, an unknown field or split, an empty split, or
         no scene with so much evidence.
-    CheckError : for what is missing, damaged or other than was written, mostly while reading; naming file, scene and
-        remedy.
+    CheckError : values are missing, damaged or not as written; mostly while reading, with file, scene and remedy.
 
     Examples
     --------
-    A batch of a dataset that `build` made (there is an example):
+    Batches of a dataset (the docstring of `build` makes one):
 
     >>> import datagen as dg, torch
     >>> def batches(path):
@@ -123,10 +125,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     ) -> None:
         check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder that build made")
         check_seed(seed)
-        check_kind("fields", fields, str, Sequence, remedy="such as ('histogram', 'depth')")
-        wanted = (fields,) if isinstance(fields, str) else tuple(fields)
-        for name in wanted:
-            check_kind("fields", name, str, remedy="such as ('histogram', 'depth')")
+        wanted = _names(fields)
         for name, flag in (("redraw_noise", redraw_noise), ("check", check)):
             check_flag(name, flag)
         if evidence_at_least is not None:
@@ -138,21 +137,18 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         self.fields = tuple(self._schema.by_name)
         tables = tuple(name for name in self.fields if name.startswith("object_")) or ("objects",)
         self.selected = tuple(dict.fromkeys(f for name in wanted for f in (tables if name == "objects" else (name,))))
-        self._light = {name: of for name, of in TRANSIENT_OF.items() if redraw_noise and of in self.fields}
+        # Histogram that is drawn anew → field of the transient that it is drawn from.
+        self._light = {name: light for name, light in TRANSIENT_OF.items() if redraw_noise and light in self.fields}
         for name in self.selected:
             if name not in self.fields and name not in self._light:
                 raise InputError(f"fields: {name!r} is not in {path}; it has {', '.join(self.fields)}")
-        if counts == "int32" and "histogram" in self.fields and self._schema.by_name["histogram"].dtype == "uint32":
-            raise InputError("counts = 'int32': histograms are stored as uint32, which it cannot hold; use 'int64'")
-        if counts not in COUNT_TYPES:
-            raise InputError(f"counts = {counts!r}: must be one of {', '.join(COUNT_TYPES)}")
-        self._counts = None if counts == "stored" else np.dtype(counts)
+        self._counts = self._dtype_of_counts(counts)
         if representation not in ("dense", "events", "volume"):
             raise InputError(f"representation = {representation!r}: must be 'dense', 'events' or 'volume'")
-        # What an item has instead of a histogram, if anything.
+        # The representation that replaces the histogram of an item, if any.
         self._instead = representation if representation != "dense" and "histogram" in self.selected else None
         if self._instead == "events":
-            # Compiled here, once, for all workers that are forked.
+            # Compiled here, once, before workers are forked.
             events_of(np.zeros((1, 1, 1, 64), self._schema.by_name["histogram"].dtype))
         if redraw_noise and "transient" not in self.fields:
             raise InputError(
@@ -172,7 +168,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if evidence_at_least is not None:
             self.scenes = self._scenes_with_evidence(evidence_at_least)
         self.seed = seed
-        # Shared memory: no worker checks what another has.
+        # In shared memory, so that no worker checks a value that another has checked.
         stored = [self._light.get(name, name) for name in self.selected]
         stored += GEOMETRY if self._volumes else ()
         self._seen: dict[str, Any] = {
@@ -188,7 +184,6 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return self.__getitems__([item])[0]
 
     def __repr__(self) -> str:
-        """Path, number of samples, split, and fields with their shapes."""
         part = f" of split {self.split!r}" if self.split else ""
         part += f"; of each {self._crops}" if self._crops.chosen else ""
         anew = ", drawn anew at every read"
@@ -200,7 +195,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return f"TransientDataset({str(self.path)!r}: {len(self)} scenes{part}; {', '.join(fields)})"
 
     def __getitems__(self, items: Sequence[int]) -> list[dict[str, torch.Tensor]]:
-        """Several items in one read each field; the batch that a `DataLoader` asks for."""
+        """Several items, with one read for each field. A `DataLoader` calls this for a batch."""
         scenes = [int(self.scenes[self._checked(item)]) for item in items]
         drawn = self._drawn(scenes)
         batch = {
@@ -215,20 +210,20 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             counts = self._stored("histogram", scenes, part=self._parts["histogram"])
         if self._volumes is not None:
             geometry = {name: self._stored(name, scenes, part=self._parts[name]) for name in GEOMETRY}
-            return Batch(batch | {"volume": torch.from_numpy(self._volumes.of(scenes, counts, geometry))})
+            return Batch(batch | {"volume": torch.from_numpy(self._volumes.backproject(scenes, counts, geometry))})
         events, of_events = events_of(counts)
         return Batch(batch, torch.from_numpy(events), torch.from_numpy(self._cast(of_events)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Open files stay with the process that opened them."""
+        """The state without the reader: each process makes its own."""
         return self.__dict__ | {"_reader": None}
 
     def set_epoch(self, epoch: int, items: Sequence[int] | None = None) -> None:
         """Set the next draw of every item (or of `items`) to number `epoch`; later reads count on from it.
 
-        New noise does not need this call. It repeats the noise of an epoch, continues an earlier run, and makes draws
-        independent of reads that workers had begun when an epoch was left early. Running workers see it.
-        `EpochSampler` calls it at the start of each epoch.
+        You do not have to call this for new noise. Call it to repeat the noise of an epoch, to continue an earlier
+        run, or to make draws independent of reads that workers had begun when an epoch was left early. Running
+        workers follow. `EpochSampler` calls it at the start of each epoch.
         """
         chosen = np.arange(len(self)) if items is None else np.asarray(items)
         if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iu"):
@@ -237,7 +232,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             self._draws.fix(epoch, self.scenes[chosen.astype(np.int64)])
 
     def shape(self, field: str) -> tuple[int, ...]:
-        """The shape of one scene's value of a field, as it is handed over."""
+        """The shape of a field of an item."""
         if field == "volume" and self._volumes is not None:
             return self._volumes.shape
         if field not in (*self.fields, *self._light):
@@ -247,7 +242,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """What the numbers of `object_class` stand for; empty where the dataset has no such field."""
+        """Names of the classes that `object_class` numbers; empty if the dataset has no such field."""
         field = self._schema.by_name.get("object_class")
         return () if field is None else field.classes
 
@@ -258,13 +253,14 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     @cached_property
     def stats(self) -> dict[str, dict[str, float]]:
-        """Field → `mean` and `std` of all its values in this dataset (with `split`, in that split), of a histogram
-        those of log(1 + counts), and `nonzero`, the share of values that are not 0. Histograms, and labels that are
-        quantities; as stored, not as drawn anew.
-        """
+        """Field → `mean` and `std` of its values in all scenes of this dataset (with `split`: of the split), of a
+        histogram those of log(1 + counts); and `nonzero`, the fraction of values that are not 0. It has the
+        histograms, as stored (not as drawn anew), and the labels that are quantities."""
         if self._manifest.schema_version < SPLITS_SINCE:
             raise InputError(f"stats: {self.path} is of an earlier schema version, which has none; build it anew")
-        columns = [f"stats.{name}.{of}" for name in WITH_STATS if name in self.fields for of in QUANTITIES]
+        columns = [
+            f"stats.{name}.{quantity}" for name in WITH_STATS if name in self.fields for quantity in QUANTITIES
+        ]
         rows = read_table(self.path, columns, self._schema.scenes).take(self.scenes)
         try:
             return stats_of_rows(rows)
@@ -291,7 +287,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return chosen
 
     def _scenes_with_evidence(self, least: float) -> NDArray[np.int64]:
-        """(N,) the scenes of `self.scenes` whose weakest object has this significance, and those without objects."""
+        """(N,) the scenes of `self.scenes` in which every object has at least this significance."""
         if self._manifest.schema_version < EVIDENCE_SINCE:
             raise InputError(
                 f"evidence_at_least: {self.path} is of an earlier schema version, which has none; build it anew"
@@ -310,6 +306,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return chosen
 
     def _scenes_there(self, manifest: Manifest) -> NDArray[np.int64]:
+        """(N,) the scenes that could be made. Raises `InputError` if shards are missing."""
         there, failed = self._shards_and_failures(manifest)
         if len(there) < self._schema.shards:
             first = next(shard for shard in range(self._schema.shards) if shard not in there)
@@ -322,15 +319,22 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return np.delete(np.arange(self._schema.scenes), sorted(failed))
 
     def _shards_and_failures(self, manifest: Manifest) -> tuple[set[int], set[int]]:
-        """The committed shards and the scenes that failed, from the table when the dataset is complete: reading all
-        commit records of a large dataset takes long.
-        """
+        """The committed shards and the failed scenes. They come from the table if the dataset is complete, because
+        reading all commit records of a large dataset takes long."""
         there = {shard for shard in recorded_shards(self.path) if shard < self._schema.shards}
         if len(there) == self._schema.shards and (self.path / TABLE).is_file():
             failure = read_table(self.path, ["failure"], self._schema.scenes)["failure"]
             return there, set(np.flatnonzero(failure.is_valid().to_numpy()).tolist())
         records = committed(self.path, manifest)
         return {record.shard for record in records}, {scene for record in records for scene in record.failures}
+
+    def _dtype_of_counts(self, counts: object) -> np.dtype[Any] | None:
+        """The dtype that `counts` names; None for "stored"."""
+        if counts == "int32" and "histogram" in self.fields and self._schema.by_name["histogram"].dtype == "uint32":
+            raise InputError("counts = 'int32': histograms are stored as uint32, which it cannot hold; use 'int64'")
+        if counts not in COUNT_TYPES:
+            raise InputError(f"counts = {counts!r}: must be one of {', '.join(COUNT_TYPES)}")
+        return None if counts == "stored" else np.dtype(str(counts))
 
     def _checked(self, item: object) -> int:
         try:
@@ -346,12 +350,12 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         self, name: str, scenes: Sequence[int], part: Part | None = None, out: NDArray[np.generic] | None = None
     ) -> NDArray[np.generic]:
         if self._reader is None:
-            seen = {field: of.numpy() for field, of in self._seen.items()}
+            seen = {field: checked.numpy() for field, checked in self._seen.items()}
             self._reader = DatasetReader(self.path, self._manifest, seen, self._check, seen)
         return self._reader.read(name, scenes, part=part, out=out)
 
     def _tensor(self, name: str, scenes: Sequence[int]) -> torch.Tensor:
-        """(len(scenes), *shape): values as they are stored, counts in the dtype that `counts` names."""
+        """(len(scenes), *shape) stored values of a field; histograms in the dtype that `counts` names."""
         field = self._schema.by_name[name]
         dtype = self._counts if name in COUNTS and self._counts is not None else np.dtype(field.dtype)
         return torch.from_numpy(
@@ -367,7 +371,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return counts.astype(self._counts)
 
     def _drawn(self, scenes: Sequence[int]) -> dict[str, NDArray[np.generic]]:
-        """Field → (len(scenes), *shape) counts, of those selected fields whose noise is drawn anew."""
+        """Field → (len(scenes), *shape) counts, of the selected fields whose noise is drawn anew."""
         wanted = [name for name in self.selected if name in self._light]
         if not wanted:
             return {}
@@ -377,9 +381,18 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             light = self._light[name]
             part, every = self._parts[light], []
             for transient, scene, draw in zip(self._stored(light, scenes), scenes, taken, strict=True):
-                # A draw is of the whole scan, of which a part is then what it would be in the whole.
+                # Noise is drawn for the whole scan and cut afterwards, so that a part equals that part of the whole.
                 counts = self._noise.draw(light, transient, scene, self.seed, *draw)
-                every.append(counts if part is None else part.of(counts))
+                every.append(counts if part is None else part.cut(counts))
             drawn = np.stack(every)
             found[name] = drawn if name == "histogram" and self._instead else self._cast(drawn)
         return found
+
+
+def _names(fields: object) -> tuple[str, ...]:
+    """The names of the fields that a user selects: one, or several."""
+    check_kind("fields", fields, str, Sequence, remedy="such as ('histogram', 'depth')")
+    names = (fields,) if isinstance(fields, str) else tuple(cast(Sequence[Any], fields))
+    for name in names:
+        check_kind("fields", name, str, remedy="such as ('histogram', 'depth')")
+    return names

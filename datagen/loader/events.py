@@ -1,4 +1,4 @@
-"""Histograms as events, one for each filled bin, and back: most bins of a histogram are empty."""
+"""Histograms as events, one for each filled bin, and back. Events are smaller, since most bins are empty."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from datagen.records.checks import check_kind
 
 
 def events_of(histograms: NDArray[np.generic]) -> tuple[NDArray[np.signedinteger[Any]], NDArray[np.generic]]:
-    """(N, 4) histogram, laser, pixel and bin of every filled bin of histograms (n, L, P, T), in this order, and (N,)
-    its counts. Indices are int16, or int32 where an axis is too long for that.
-    """
+    """The filled bins of histograms (n, L, P, T): (N, 4) indices of histogram, laser, pixel and bin, in this order,
+    and (N,) counts. Indices are int16, or int32 if an axis is too long for that."""
     filled = np.count_nonzero(histograms)
     short = max(histograms.shape) <= np.iinfo(np.int16).max
     kind: np.dtype[np.signedinteger[Any]] = np.dtype(np.int16 if short else np.int32)
@@ -29,13 +28,13 @@ def events_of(histograms: NDArray[np.generic]) -> tuple[NDArray[np.signedinteger
 
 @compiled()
 def _list_filled_bins(histograms: NDArray[Any], events: NDArray[np.signedinteger[Any]], counts: NDArray[Any]) -> None:
-    """Write index and counts of every filled bin, one row each. `numpy.nonzero` takes up to four times as long, which
-    is more than decoding the histograms does."""
+    """Write a row of indices and the counts of every filled bin. `numpy.nonzero` takes up to four times as long,
+    which is longer than decoding the histograms takes."""
     found = 0
     for histogram in range(histograms.shape[0]):
         for laser in range(histograms.shape[1]):
             for pixel in range(histograms.shape[2]):
-                # The time series by itself: the compiler then finds the next bin without three multiplications.
+                # With the time series in a variable, the compiler addresses a bin without three multiplications.
                 series = histograms[histogram, laser, pixel]
                 for bin in range(len(series)):
                     if series[bin] != 0:
@@ -52,13 +51,13 @@ def dense(events: torch.Tensor, counts: torch.Tensor, shape: Sequence[int]) -> t
 
     Parameters
     ----------
-    events : (N, 4) sample of the batch, laser, pixel, bin; of one sample (N, 3) laser, pixel, bin.
-    counts : (N,) any type.
-    shape : (samples, L, P, T), or (L, P, T) of one sample: `(len(batch["scene"]), *data.shape("histogram"))`.
+    events : (N, 4) index of the sample in the batch, laser, pixel, bin; for one sample (N, 3) laser, pixel, bin.
+    counts : (N,) numbers of any type.
+    shape : (samples, L, P, T), as `(len(batch["scene"]), *data.shape("histogram"))`, or (L, P, T) for one sample.
 
     Raises
     ------
-    InputError : shape and events do not fit together.
+    InputError : the shapes of the arguments do not fit together.
 
     Examples
     --------

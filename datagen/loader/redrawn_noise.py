@@ -31,7 +31,7 @@ class NoiseSource:
     def __init__(self, manifest: Manifest) -> None:
         config = manifest.config
         try:
-            # Only the sections needed: the scene's mesh files may be gone.
+            # Other sections are not parsed, because mesh files that they name may be gone.
             self._detector = DetectorConfig.model_validate_json(json.dumps(config["detector"]))
             self._effects = EffectsConfig.model_validate_json(json.dumps(config.get("effects", {})))
             self._time = CaptureConfig.model_validate_json(json.dumps(config["capture"])).time.axis()
@@ -49,7 +49,11 @@ class NoiseSource:
     def draw(
         self, field: str, transient: NDArray[np.generic], scene: int, seed: int, number: int, stream: int = 0
     ) -> NDArray[np.integer[Any]]:
-        """(laser, pixel, bin) counts of a scene: a function of (field, seed, number of the draw, stream, scene)."""
+        """(laser, pixel, bin) counts of a scene.
+
+        They are a function of the transient (the values of `field`), `seed`, the number of the draw, the stream of
+        the process and the scene.
+        """
         from datagen.detector import detect
 
         spad, exposure, tolerance = self._detector_of(field, scene, transient)
@@ -61,7 +65,8 @@ class NoiseSource:
         )  # fmt: skip
 
     def _detector_of(self, field: str, scene: int, transient: NDArray[np.generic]) -> tuple[Spad, Exposure, float]:
-        """The detector of a scene with the effects that its transient calls for; decided at the first draw."""
+        """Detector, exposure and tolerance of a scene, with the effects that its transient needs. The effects are
+        decided at the first draw."""
         if (field, scene) not in self._decided:
             from datagen.detector import detector_for
             from datagen.effects import decide_detector_effects
@@ -74,41 +79,42 @@ class NoiseSource:
 
 
 class DrawCounter:
-    """The number of the next draw of each scene: every read takes one, and `fix` sets the number.
+    """Counts the draws of each scene. `take` returns the number of the next draw and raises it, `fix` sets it.
 
-    Each scene has a number of its own, because a dataset is not told that an epoch begins: wrappers, samplers and
-    workers hand it indices alone. The number depends only on how often the scene was read, not on workers,
+    Each scene has a count of its own, because a dataset does not know when an epoch begins: wrappers, samplers and
+    workers only pass indices. The number of a draw depends on how often the scene was read, and not on workers,
     prefetching or the order of scenes.
 
-    The processes of distributed training count separately, and a scene changes hands between them: each process draws
-    from a stream of its own, except right after `fix`, when all of them know the number.
+    The processes of distributed training count separately, and read the same scene in turns. So each process draws
+    from a stream of its own, except for the first read after `fix`, when the number is the same in all of them.
     """
 
     def __init__(self, scenes: int) -> None:
         self._rank: int | None = None
-        # Of each scene: number of the next draw, whether it was fixed.
+        # (scene, 2): number of the next draw, and whether `fix` set it.
         state: Any = torch.zeros((scenes, 2), dtype=torch.int64)
         self._state: torch.Tensor = state.share_memory_()
 
     def fix(self, epoch: int, scenes: NDArray[np.int64]) -> None:
-        """The next read of each of these scenes is draw `epoch`, and those that follow count on from there."""
+        """Make the next read of each of these scenes draw number `epoch`; later reads count on from there."""
         if not isinstance(epoch, int | np.integer) or not 0 <= epoch < 2**62:
             raise InputError(f"epoch = {epoch!r}: must be a whole number in 0 … 2^62")
         self._state[torch.from_numpy(scenes)] = torch.tensor([int(epoch), 1])
 
     def take(self, scenes: Sequence[int]) -> list[tuple[int, int]]:
-        """(draw, stream) of each scene of a batch, which are thereby taken: no read after this has them again."""
+        """(number, stream) of the next draw of each scene of a batch. The numbers are used up: later reads get
+        others."""
         rank, state = self._own_rank(), self._state.numpy()
         taken = []
         for scene in scenes:
             draw, fixed = int(state[scene, 0]), bool(state[scene, 1])
             state[scene] = draw + 1, 0
-            # Streams 1 and 2 order epochs and deal out splits.
+            # Streams 1 and 2 belong to the order of epochs and to splits.
             taken.append((draw, 0 if fixed or rank == 0 else rank + 2))
         return taken
 
     def __getstate__(self) -> dict[str, Any]:
-        """A spawned worker gets the rank of the process that starts it."""
+        """The state with the rank of this process, which a spawned worker takes over."""
         return self.__dict__ | {"_rank": self._own_rank()}
 
     def _own_rank(self) -> int:

@@ -15,14 +15,14 @@ from datagen.seeding import Purpose, generator
 
 
 class EpochSampler(Sampler[int]):
-    """The order of an epoch, a function of (seed, epoch): shuffled, then dealt out to `ranks` training processes.
+    """The order of items in an epoch, a function of (seed, epoch): shuffled, then dealt out to `ranks` processes.
 
-    `rank` is the number of this process. Each process gets the same number of items: where the items do not divide
-    evenly, some come twice. Every iteration is the next epoch; the first is 0, or the one that `set_epoch` names.
+    `rank` is the index of this process. All processes get the same number of items: if the items do not divide
+    evenly, some come twice. Every iteration is the next epoch; the first one is 0, or the one that `set_epoch` names.
 
-    When an epoch begins, redrawn noise of the items becomes that of (seed of the dataset, epoch, scene), also through
-    `Subset` (`random_split`) and `ConcatDataset`: a run is repeated to the bit from any epoch on, for any number of
-    workers and ranks.
+    When an epoch begins, the redrawn noise of the items becomes a function of (seed of the dataset, epoch, scene),
+    also through `Subset` (`random_split`) and `ConcatDataset`. So a run can be repeated bit for bit from any epoch
+    on, with any number of workers and ranks.
     """
 
     def __init__(self, data: Sized, seed: int = 0, *, shuffle: bool = True, rank: int = 0, ranks: int = 1) -> None:
@@ -45,7 +45,8 @@ class EpochSampler(Sampler[int]):
         return -(-len(self._data) // self._ranks)
 
     def __iter__(self) -> Iterator[int]:
-        # Nothing runs before the first item is asked for: workers may still read for the last epoch until then.
+        # A generator runs nothing before its first item is requested. Until then workers may still be reading for the
+        # epoch before, whose noise must not change.
         epoch, self._epoch = self._epoch, self._epoch + 1
         order = np.arange(len(self._data))
         _fix_noise(self._data, epoch, order)
@@ -56,7 +57,7 @@ class EpochSampler(Sampler[int]):
 
 
 def _fix_noise(data: object, epoch: int, items: NDArray[np.int64]) -> None:
-    """`set_epoch` of the datasets below, of the scenes that these items of `data` are."""
+    """Call `set_epoch` of the datasets that `data` is made of, for the scenes of these items."""
     if isinstance(data, TransientDataset):
         data.set_epoch(epoch, items.tolist())
     elif isinstance(data, Subset):

@@ -22,11 +22,11 @@ MOST_VOXELS = 2**26
 
 
 class Volumes:
-    """Backprojected volumes behind the label images of a dataset's scenes.
+    """Backprojects the histograms of a dataset onto the space behind its label images.
 
-    shape : voxels along (depth, row, column).
+    shape : number of voxels along (depth, row, column).
 
-    Raises `InputError` for another shape, and a dataset that does not say where its measurement was made.
+    Raises `InputError` for an invalid shape, and if the dataset does not say where its measurement was made.
     """
 
     def __init__(self, manifest: Manifest, crops: Crops, shape: tuple[int, int, int]) -> None:
@@ -46,15 +46,15 @@ class Volumes:
             first, bins = float(crops.chosen["bin"][0]), len(crops.chosen["bin"])
             self._time = replace(self._time, bins=bins, start_s=self._time.start_s + first * self._time.width_s)
 
-    def of(
+    def backproject(
         self, scenes: Sequence[int], counts: NDArray[Any], geometry: Mapping[str, NDArray[Any]]
     ) -> NDArray[np.float32]:
         """(N, depth, row, column) volumes of N scenes, from counts (N, laser, pixel, bin) and the fields `GEOMETRY`.
 
-        Raises `InputError` for a scene of which is not known where its hidden part is.
+        Raises `InputError` for a scene that does not say where its hidden part is.
         """
         volumes = np.empty((len(counts), *self.shape), np.float32)
-        for row, of in enumerate(counts):
+        for row, histograms in enumerate(counts):
             where = {name: values[row].astype(np.float64) for name, values in geometry.items()}
             view, bounds = where["hidden_view"], where["hidden_bounds"]
             if not (np.isfinite(view).all() and np.isfinite(bounds).all()):
@@ -63,5 +63,5 @@ class Volumes:
                     "to Scene.from_parts, or take another representation"
                 )
             grid = HiddenGrid.behind_images(view, bounds, self.shape)
-            volumes[row] = backprojected_volume(scan_of(of, where, self._capture, self._time), grid)
+            volumes[row] = backprojected_volume(scan_of(histograms, where, self._capture, self._time), grid)
         return volumes

@@ -1,12 +1,12 @@
 """Filtered backprojection: each count is added to all places that it may have come from.
 
-The arrival time of a count gives the length of its path: for laser point l and pixel p its place lies on an ellipsoid
-with both as foci (a sphere, where they are one). The sum over the scan of the counts n at the arrival time of every
-place x,
+The arrival time of a count gives the length of its path. For laser point l and pixel p the place of its reflection
+lies on an ellipsoid with these as foci (a sphere, if they coincide). The sum over the scan of the counts n at the
+arrival time of a place x,
 
     B(x) = Σ_lp n_lp((|x − x_l| + |x − x_p|) / c),
 
-is filtered by the Laplacian of a Gaussian, which leaves what is as thin as a surface (Velten et al., Nature
+is filtered by the Laplacian of a Gaussian, which keeps structures as thin as a surface (Velten et al., Nature
 Communications 3, 745 (2012)).
 """
 
@@ -29,21 +29,22 @@ from datagen.units import time_from_path
 GEOMETRY = ("hidden_view", "hidden_bounds", "laser_points", "sensor_pixels", "laser_position", "sensor_position")
 """Fields that state where a measurement was made, and where the hidden part is."""
 LASERS_OF_A_FLOOD = 16
-"""Laser points that represent all points of a flood, which are lit at once. Half as many take half of the time, and
-lie twice as far apart."""
+"""Laser points that represent the points of a flood, all of which are lit at once. Half as many take half of the
+time, and lie twice as far apart."""
 
 
 @dataclass(frozen=True)
 class Scan:
-    """A measurement as backprojection needs it.
+    """The input of backprojection.
 
     Attributes
     ----------
-    signal : (pair, bin); row r is pixel `pixel[r]` under laser point `laser[r]`.
-    laser_points, pixels : (L, 3) and (P, 3) on the relay wall, label frame, metres.
-    laser, pixel : (pair,) indices.
-    first : (pair,) start of the first bin after the light left the laser point for the hidden part, in bins.
-    bin_m : path of one bin, metres.
+    signal : (pair, bin) whitened counts; row r is that of pixel `pixel[r]` and laser point `laser[r]`.
+    laser_points, pixels : (L, 3) and (P, 3) points on the relay wall, label frame, metres.
+    laser, pixel : (pair,) indices into `laser_points` and `pixels`.
+    first : (pair,) time from the reflection at the laser point to the start of the first bin, without the way from
+        the pixel to the sensor, in bins.
+    bin_m : length of the path that light travels in one bin, metres.
     """
 
     signal: Floats
@@ -61,10 +62,10 @@ def scan_of(
     capture: Mapping[str, Any],
     time: TimeAxis,
 ) -> Scan:
-    """The scan of a stored scene: confocal, exhaustive or a flood.
+    """The scan of a stored scene, confocal, exhaustive or a flood. Pairs with an unknown point (NaN) are left out.
 
-    counts : (laser, pixel, bin). geometry : the fields `GEOMETRY` of the scene. capture : that section of the
-    configuration. time : of the bins of `counts`. Laser points and pixels that lie nowhere (NaN) are left out.
+    counts : (laser, pixel, bin). geometry : the fields `GEOMETRY` of the scene. capture : the section `capture` of
+    the configuration. time : the bins of `counts`.
     """
     to_frame = label_frame(geometry["hidden_view"])
     lasers, pixels = to_frame(geometry["laser_points"]), to_frame(geometry["sensor_pixels"].mean(axis=-2))
@@ -93,9 +94,8 @@ def scan_of(
 
 
 def whitened(counts: Floats) -> Floats:
-    """(pair, bin) counts minus the mean over the scan in each bin, divided by the root of that mean. Light that is
-    alike all over the wall, such as that of other walls, goes away, and noise becomes the same everywhere.
-    """
+    """(pair, bin) counts minus the mean over the scan in each bin, divided by the root of that mean. This removes
+    light that is the same for the whole scan, such as that of other walls, and gives all bins the same noise."""
     if not len(counts):
         return counts
     mean = counts.mean(axis=0)
@@ -104,7 +104,7 @@ def whitened(counts: Floats) -> Floats:
 
 
 def backprojected(scan: Scan, places: Floats) -> Floats:
-    """(V,) B at places (V, 3) of the label frame."""
+    """(V,) the sum B at places (V, 3) of the label frame."""
     total = np.zeros(len(places), np.float32)
     add_to_places(
         np.pad(scan.signal, ((0, 0), (1, 1))).astype(np.float32), _in_bins(scan.laser_points, scan),
@@ -115,14 +115,13 @@ def backprojected(scan: Scan, places: Floats) -> Floats:
 
 
 def _in_bins(points: Floats, scan: Scan) -> NDArray[np.float32]:
-    """(3, N) of points (N, 3)."""
+    """(3, N) coordinates of points (N, 3), in lengths of `bin_m`."""
     return np.ascontiguousarray((points / scan.bin_m).T, np.float32)
 
 
 def backprojected_volume(scan: Scan, grid: HiddenGrid) -> Floats:
-    """(depth, row, column) B on a grid, divided by the root of the number of histograms: noise alone then has a
-    standard deviation of about 1.
-    """
+    """(depth, row, column) the sum B on a grid, divided by the root of the number of histograms, so that noise alone
+    has a standard deviation of about 1."""
     total = backprojected(scan, grid.centers.reshape(-1, 3)).reshape(grid.shape)
     return np.asarray(total / np.sqrt(max(len(scan.signal), 1)))
 
@@ -135,7 +134,7 @@ def reconstructed(scan: Scan, grid: HiddenGrid) -> Floats:
 
 Singles = NDArray[np.float32]
 BLOCK = 1024
-"""Places whose distances to all laser points and pixels are computed together, so many that they stay in a core's
+"""Places whose distances to all laser points and pixels are computed together; this many distances fit into a core's
 cache. Half as many double the passes over the signal."""
 
 
@@ -144,16 +143,17 @@ def add_to_places(
     signal: Singles, laser_points: Singles, pixels: Singles, laser: Ints, pixel: Ints, first: Singles,
     places: Singles, total: Singles,
 ) -> None:  # fmt: skip
-    """Add to total (V,) Σ_r signal[r, ⌊|x − x_l| + |x − x_p| − first[r]⌋ + 1] for every place x (3, V).
+    """Add Σ_r signal[r, ⌊|x − x_l| + |x − x_p| − first[r]⌋ + 1] to `total` (V,), for every place x (3, V).
 
-    As in `Scan`, lengths in bins, points (3, L) and (3, P). The first and the last column of signal are zeros,
-    for what lies before and after all bins.
+    Arguments are those of `Scan`, with lengths in bins and points as (3, L) and (3, P). The first and the last column
+    of `signal` are zeros, for arrival times before and after all bins.
     """
     last, same = np.float32(signal.shape[1] - 1), np.array_equal(laser_points, pixels)
     to_laser = np.empty((laser_points.shape[1], BLOCK), np.float32)
     to_pixel = to_laser if same else np.empty((pixels.shape[1], BLOCK), np.float32)
     for begin in range(0, len(total), BLOCK):
-        # Distances depend on laser point or pixel alone: computed here, not for each of their many pairs.
+        # A distance depends on one laser point or pixel, and not on the pair: computing it here saves a root for each
+        # of the many pairs.
         x, y, z = places[0][begin : begin + BLOCK], places[1][begin : begin + BLOCK], places[2][begin : begin + BLOCK]
         _distances(laser_points, x, y, z, to_laser)
         if not same:
@@ -161,11 +161,11 @@ def add_to_places(
         out = total[begin : begin + BLOCK]
         for r in range(len(signal)):
             there, back, row = to_laser[laser[r]], to_pixel[pixel[r]], signal[r]
-            # One bin more, for the column of zeros before the first bin.
+            # Plus 1 for the column of zeros before the first bin.
             offset = np.float32(1) - first[r]
             for k in range(len(out)):
                 at = there[k] + back[k] + offset
-                # A place that is too far, or NaN, takes the column of zeros.
+                # Times outside of all bins, and NaN, take the column of zeros: such a place adds nothing.
                 out[k] += row[np.int32(at)] if at > 0 and at < last else row[0]
 
 

@@ -13,16 +13,17 @@ from datagen.records.arrays import Floats
 
 
 def label_frame(hidden_view: Floats) -> Callable[[Floats], Floats]:
-    """The map from points of the scene to the label frame, both (..., 3); `hidden_view` (3, 3) is the stored
+    """A function that maps points (..., 3) of the scene to the label frame; `hidden_view` (3, 3) is the stored
     field."""
     return ViewFrame.about(Rectangle(*hidden_view)).to_view
 
 
 @dataclass(frozen=True)
 class HiddenGrid:
-    """Voxels between two corners of the label frame.
+    """A box of voxels in the label frame.
 
-    low, high : (3,) along (right, up, depth), metres. shape : voxels along (depth, row, column), row 0 at the top.
+    low, high : (3,) its corners along (right, up, depth), metres. shape : number of voxels along (depth, row,
+    column); row 0 is at the top.
     """
 
     low: Floats
@@ -31,13 +32,13 @@ class HiddenGrid:
 
     @classmethod
     def of_volumes(cls, view: Floats, bounds: Floats, shape: tuple[int, int, int]) -> HiddenGrid:
-        """The grid of `occupancy`: the box that holds `hidden_bounds` (2, 3)."""
+        """The grid of the label `occupancy`: the smallest box around `hidden_bounds` (2, 3)."""
         corners = label_frame(view)(np.stack(np.meshgrid(*bounds.T, indexing="ij"), axis=-1).reshape(8, 3))
         return cls(corners.min(axis=0), corners.max(axis=0), shape)
 
     @classmethod
     def behind_images(cls, view: Floats, bounds: Floats, shape: tuple[int, int, int]) -> HiddenGrid:
-        """The grid with rows and columns of the label images, as deep as the hidden part."""
+        """The grid behind the label images, with their width and height, and as deep as the hidden part."""
         far = cls.of_volumes(view, bounds, shape).high[2]
         half = np.linalg.norm(view[1:], axis=1)
         return cls(np.array([-half[0], -half[1], 0.0]), np.array([half[0], half[1], far]), shape)

@@ -1,4 +1,4 @@
-"""How good predictions are, in the metrics that people report: `datagen score`."""
+"""Scores of predictions, in the usual metrics: `datagen score`."""
 
 from datagen.scoring.scores import Scores, score
 

@@ -1,4 +1,4 @@
-"""The metrics of one scene: arrays in, a number out."""
+"""The metrics of one scene, as functions of arrays."""
 
 from __future__ import annotations
 
@@ -9,29 +9,26 @@ from scipy.spatial import cKDTree
 
 from datagen.records.arrays import Bools, Floats
 
-WINDOW = 1.5
-"""Standard deviation of the window of SSIM, pixels."""
-REACH = 5
-"""The window is cut off after so many pixels: 11 × 11."""
+WINDOW, REACH = 1.5, 5
+"""Standard deviation of the window of SSIM, and pixels from its middle to its end (11 × 11 in all), as published."""
 K1, K2 = 0.01, 0.03
-"""The constants that keep SSIM's quotients finite, as published."""
+"""Constants that keep SSIM's quotients finite, as published."""
 
 
 def intersection_over_union(found: Bools, true: Bools) -> float:
-    """|A ∩ B| / |A ∪ B| of two sets of pixels or voxels; NaN where both are empty."""
+    """|A ∩ B| / |A ∪ B| of two sets of pixels or voxels; NaN if both are empty."""
     union = np.count_nonzero(found | true)
     return np.count_nonzero(found & true) / union if union else float("nan")
 
 
-def ssim(found: Floats, true: Floats, value_range: float = 1.0) -> float:
-    """Mean structural similarity of two images (row, column).
+def ssim(found: Floats, true: Floats) -> float:
+    """Mean structural similarity of two images (row, column) with values in 0 … 1.
 
-    SSIM = (2 μx μy + c1)(2 σxy + c2) / ((μx² + μy² + c1)(σx² + σy² + c2)), c1 = (0.01 L)², c2 = (0.03 L)², L the
-    range of values, under a Gaussian window of 11 × 11 pixels (σ = 1.5), mirrored at the border; its mean over all
-    pixels.
+    SSIM = (2 μx μy + c1)(2 σxy + c2) / ((μx² + μy² + c1)(σx² + σy² + c2)), c1 = 0.01², c2 = 0.03²,
+    under a Gaussian window of 11 × 11 pixels (σ = 1.5), mirrored at the border; its mean over all pixels.
     Wang, Bovik, Sheikh, Simoncelli, IEEE Trans. Image Processing 13(4), 600 (2004), Eq. 13.
     """
-    c1, c2 = (K1 * value_range) ** 2, (K2 * value_range) ** 2
+    c1, c2 = K1**2, K2**2
 
     def mean(image: Floats) -> Floats:
         blurred: Floats = gaussian_filter(image, WINDOW, mode="reflect", radius=REACH)
@@ -45,9 +42,10 @@ def ssim(found: Floats, true: Floats, value_range: float = 1.0) -> float:
 
 
 def chamfer_distance(found: Floats, true: Floats) -> float:
-    """½ (mean over A of the distance to the nearest of B + mean over B of that to the nearest of A), metres.
+    """Half the sum of two means: the distance from each found point to the nearest true one, and from each true point
+    to the nearest found one, metres.
 
-    Distances, not their squares; point clouds (N, 3) and (M, 3), neither of them empty.
+    Distances are not squared. Both point clouds, (N, 3) and (M, 3), must have a point.
     """
     there, _ = cKDTree(true).query(found)
     back, _ = cKDTree(found).query(true)
@@ -55,10 +53,10 @@ def chamfer_distance(found: Floats, true: Floats) -> float:
 
 
 def center_distances(found: Floats, true: Floats, missed_m: float) -> Floats:
-    """(M,) distance of each true centre from the one found that it is matched with, metres.
+    """(M,) distance of each true centre from the found centre that it is matched with, metres.
 
-    Centres (N, 3) found and (M, 3) true are matched one to one such that the sum of the distances is least (the
-    Hungarian method); a true one that is left over counts `missed_m`.
+    The centres (N, 3) and (M, 3) are matched one to one so that the sum of the distances is least (the Hungarian
+    method). A true centre without a match gets the distance `missed_m`.
     """
     distances = np.full(len(true), missed_m)
     apart = np.linalg.norm(true[:, None] - found[None], axis=-1)

@@ -1,4 +1,4 @@
-"""Predictions, from a file or a mapping, checked: one line for each way in which they can be wrong."""
+"""Reading predictions from a file or a mapping, with one line for each error that they can have."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _REMEDY = "docs/datasets.md shows how to write predictions"
 
 @dataclass(frozen=True)
 class Predictions:
-    """Predictions for the scenes of a `Truth`, in its order; quantities that were not predicted are None.
+    """Predictions for the scenes of a `Truth`, in the same order; quantities that were not predicted are None.
 
-    depth, mask : (N, R, C). occupancy : (N, D, H, W). points : (N, M, 3) and centers : (N, K, 3) in the label frame,
+    depth, mask : (N, R, C). occupancy : (N, D, H, W). points : (N, M, 3) and centers : (N, K, 3) in the label frame;
     rows of NaN are fill.
     """
 
@@ -44,12 +44,12 @@ class Predictions:
 
 
 def read_predictions(source: str | Path | Mapping[str, Any], truth: Truth) -> Predictions:
-    """The predictions for the scenes of `truth`; those for other scenes are ignored.
+    """The predictions for the scenes of `truth`; predictions for other scenes are ignored.
 
-    source : an `.npz` file, a Zarr group, or a mapping, of `scene` (N,) and any of `QUANTITIES`.
+    source : an `.npz` file, a Zarr group, or a mapping, with `scene` (N,) and any of `QUANTITIES`.
 
-    Raises `InputError`: no such file, none of these formats, scenes missing or twice, an unknown or no quantity, a
-    wrong shape, values that are no numbers, not finite, or out of range.
+    Raises `InputError` for a missing file, another format, scenes that are missing or there twice, an unknown
+    quantity or none, a wrong shape, and values that are no numbers, not finite, or out of range.
     """
     arrays = dict(source) if isinstance(source, Mapping) else _loaded(source)
     where = "predictions" if isinstance(source, Mapping) else str(source)
@@ -92,7 +92,7 @@ def _loaded(path: str | Path) -> dict[str, NDArray[Any]]:
 
 
 def _rows(where: str, scene: NDArray[Any], truth: Truth) -> NDArray[np.intp]:
-    """(N,) row in the predictions of each scene of `truth`."""
+    """(N,) the row of the predictions that belongs to each scene of `truth`; `scene` has the index of each row."""
     if scene.ndim != 1 or scene.dtype.kind not in "iu":
         raise InputError(f"{where}: scene is {scene.dtype} {scene.shape}; must be whole numbers of shape (N,)")
     values, first = np.unique(scene, return_index=True)
@@ -113,6 +113,7 @@ def _rows(where: str, scene: NDArray[Any], truth: Truth) -> NDArray[np.intp]:
 
 
 def _checked(where: str, name: str, given: NDArray[Any], count: int, rows: NDArray[np.intp], truth: Truth) -> Floats:
+    """A predicted quantity in float64, the rows of the scenes of `truth` only. Raises as `read_predictions` does."""
     if given.dtype.kind not in "fiub":
         raise InputError(f"{where} is {given.dtype}; must be numbers")
     image, volume = truth.depth.shape[1:], None if truth.occupancy is None else truth.occupancy.shape[1:]

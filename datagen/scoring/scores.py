@@ -14,14 +14,10 @@ import numpy as np
 from datagen.labels.frame import image_points
 from datagen.records.arrays import Bools, Floats
 from datagen.records.checks import check_kind
-from datagen.scoring.metrics import (
-    center_distances,
-    chamfer_distance,
-    intersection_over_union,
-    ssim,
-)
+from datagen.scoring.metrics import center_distances, chamfer_distance, intersection_over_union, ssim
 from datagen.scoring.predictions import Predictions, read_predictions
-from datagen.scoring.truth import LEAST_SIGMA, Truth, read_truth
+from datagen.scoring.truth import Truth, read_truth
+from datagen.store.summaries import LEAST
 from datagen.store.verify import dataset_digest
 from datagen.suites import suite_of
 
@@ -44,12 +40,12 @@ class Scores:
 
     Attributes
     ----------
-    dataset : its name.
-    published : whether it is a suite with the published bytes.
-    split, scenes, scenes_with_evidence : the split, how many scenes it has, and in how many of them every object has
-        evidence.
-    all, with_evidence : metric → value, over all objects, and over those with evidence (3 σ) alone; metrics of
-        quantities that were not predicted are left out.
+    dataset : name of the dataset.
+    published : whether the dataset is a suite with the published bytes.
+    split, scenes : the split, and its number of scenes.
+    scenes_with_evidence : number of scenes in which every object has evidence (a significance of 3 or more).
+    all, with_evidence : metric → value, over all objects, and over the objects with evidence. Metrics of quantities
+        that were not predicted are left out.
     """
 
     dataset: str
@@ -66,9 +62,9 @@ class Scores:
         width = max(map(len, TITLES.values()))
         lines = [
             f"{self.dataset} ({state}), split {self.split}: {self.scenes} scenes, in {self.scenes_with_evidence} of "
-            f"them every object has {LEAST_SIGMA:g} σ",
+            f"them every object has {LEAST:g} σ",
             "",
-            f"{'':{width}}  {'all':>8}  {f'≥ {LEAST_SIGMA:g} σ':>8}",
+            f"{'':{width}}  {'all':>8}  {f'≥ {LEAST:g} σ':>8}",
         ]
         for name, value in self.all.items():
             lines.append(f"{TITLES[name]:{width}}  {value:8.3f}  {self.with_evidence[name]:8.3f}")
@@ -78,24 +74,24 @@ class Scores:
         """The scores as JSON; NaN becomes null."""
         values = asdict(self)
         for part in ("all", "with_evidence"):
-            values[part] = {name: None if np.isnan(of) else of for name, of in values[part].items()}
+            values[part] = {name: None if np.isnan(value) else value for name, value in values[part].items()}
         return json.dumps(values, indent=1)
 
 
 def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split: str = "test") -> Scores:
-    """Score predictions against the labels of a suite's test scenes.
+    """Score predictions against the labels of a split of a suite.
 
     Parameters
     ----------
     suite : the folder that `build_suite` made, or any dataset with the fields depth, part_id and objects.
     predictions : an `.npz` file, a Zarr group, or a mapping: `scene` (N,) and any of `depth` (N, row, column) in m,
-        `mask` (N, row, column) where an object is seen, `points` (N, M, 3) and `centers` (N, K, 3) in the label
+        `mask` (N, row, column) whether an object is seen, `points` (N, M, 3) and `centers` (N, K, 3) in the label
         frame (rows of NaN are fill), `occupancy` (N, depth, row, column) in 0 … 1. docs/datasets.md defines them.
-    split : the scenes that must be predicted, and are scored.
+    split : the split whose scenes must all be predicted.
 
     Raises
     ------
-    InputError : no such dataset, labels missing; predictions that are not of that form, incomplete, or not finite.
+    InputError : no such dataset, missing labels; predictions that have another form, are incomplete, or not finite.
     CheckError : the dataset is damaged.
     """
     check_kind("suite", suite, str, os.PathLike, remedy="the folder that build_suite made")
@@ -121,48 +117,49 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
 def _metrics(
     found: Predictions, truth: Truth, each: dict[str, Floats], centers: list[Floats], evident: bool
 ) -> Metrics:
-    """Metric → value over all, or (`evident`) over those with evidence: pixels and centres by object, else by
-    scene."""
+    """Metric → value, over everything, or (`evident`) over what has evidence: objects for the metrics of depth and of
+    centres, scenes in which every object has evidence for the others."""
     values: Metrics = {}
     if found.depth is not None:
         off = (found.depth - truth.depth)[truth.on_evident if evident else truth.on_object]
         values["depth_rmse_m"] = float(np.sqrt(np.mean(off**2))) if off.size else float("nan")
         values["depth_mae_m"] = float(np.mean(np.abs(off))) if off.size else float("nan")
-    for name, of in each.items():
-        chosen = of[truth.all_evident] if evident else of
+    for name, values_by_scene in each.items():
+        chosen = values_by_scene[truth.all_evident] if evident else values_by_scene
         values[name] = float(np.nanmean(chosen)) if np.isfinite(chosen).any() else float("nan")
     if centers:
         of_objects = [row[~np.isnan(row)] for row in truth.sigma]
-        chosen_ones = [of[sigma >= LEAST_SIGMA] for of, sigma in zip(centers, of_objects, strict=True)]
+        chosen_ones = [errors[sigma >= LEAST] for errors, sigma in zip(centers, of_objects, strict=True)]
         every = np.concatenate(chosen_ones if evident else centers)
         values["center_m"] = float(every.mean()) if every.size else float("nan")
     return values
 
 
 def _by_scene(found: Predictions, truth: Truth) -> dict[str, Floats]:
-    """Metric → (N,) values, of the metrics that have one value for each scene."""
-    of: dict[str, Callable[[int], float]] = {}
+    """Metric → (N,) value for each scene, of the metrics that are means over scenes."""
+    metrics: dict[str, Callable[[int], float]] = {}
     depth, shows = found.depth, found.shows
     if depth is not None and shows is not None:
-        of["silhouette_iou"] = lambda k: intersection_over_union(shows[k], truth.on_object[k])
-        of["ssim"] = lambda k: _ssim(depth, shows, truth, k)
+        metrics["silhouette_iou"] = lambda k: intersection_over_union(shows[k], truth.on_object[k])
+        metrics["ssim"] = lambda k: _ssim(depth, shows, truth, k)
     if found.points is not None or depth is not None:
-        of["chamfer_m"] = lambda k: _chamfer(found, truth, k)
+        metrics["chamfer_m"] = lambda k: _chamfer(found, truth, k)
     if found.occupancy is not None and truth.occupancy is not None:
         full, known = found.occupancy > 0.5, truth.occupancy > 0
-        of["occupancy_iou"] = lambda k: intersection_over_union(full[k], known[k])
-    return {name: np.array([metric(k) for k in range(len(truth.scenes))]) for name, metric in of.items()}
+        metrics["occupancy_iou"] = lambda k: intersection_over_union(full[k], known[k])
+    return {name: np.array([metric(k) for k in range(len(truth.scenes))]) for name, metric in metrics.items()}
 
 
 def _ssim(depth: Floats, mask: Bools, truth: Truth, k: int) -> float:
-    """SSIM of depth as a fraction of the depth of the hidden part, 0 where no object is seen."""
+    """SSIM of the depth images of scene `k`, in units of the depth of the hidden part; pixels without an object are
+    0."""
     true = np.where(truth.on_object[k], truth.depth[k], 0.0)
     return ssim(np.where(mask[k], depth[k], 0.0) / truth.reach[k], true / truth.reach[k])
 
 
 def _chamfer(found: Predictions, truth: Truth, k: int) -> float:
-    """Chamfer distance of scene `k`, metres: NaN where it shows no object, the diagonal of the hidden part where
-    none was predicted."""
+    """Chamfer distance of scene `k`, metres: NaN if the scene shows no object, the diagonal of the hidden part if no
+    object was predicted."""
     true = image_points(truth.depth[k], truth.on_object[k], *truth.view[k])
     if not len(true):
         return float("nan")
@@ -175,7 +172,8 @@ def _chamfer(found: Predictions, truth: Truth, k: int) -> float:
 
 
 def _center_errors(found: Predictions, truth: Truth) -> list[Floats]:
-    """For each scene the distance of each of its objects, metres; empty where no centres were predicted."""
+    """One array for each scene, with the error of each object's centre in metres; no array without predicted
+    centres."""
     if found.centers is None:
         return []
     return [

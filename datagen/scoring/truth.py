@@ -1,4 +1,4 @@
-"""The truth that predictions are scored against: labels of one split, and which objects have evidence."""
+"""The truth that predictions are compared with: the labels of a split, and which objects have evidence."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ from datagen.labels.boxes import objects_seen
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.store import DatasetReader, Manifest, read_manifest
 from datagen.store.location import location_of
+from datagen.store.summaries import LEAST
 from datagen.store.table import read_table
 
 NEEDED = (
     "depth", "part_id", "object_part", "object_box_center", "object_significance", "hidden_view", "hidden_bounds",
 )  # fmt: skip
-LEAST_SIGMA = 3.0
-"""Standard deviations over the noise from which an object counts as having evidence; with half as many one empty
-room in 15 would seem to have an object."""
 
 
 @dataclass(frozen=True)
@@ -30,14 +28,15 @@ class Truth:
 
     Attributes
     ----------
-    manifest : of the dataset.
-    scenes : (N,) their numbers.
-    depth : (N, R, C) metres; shows : (N, R, C) row of the table of objects that a pixel shows, −1 for none.
-    occupancy : (N, D, H, W), or None where the dataset has none.
-    centers : (N, K, 3) middles of the objects' boxes in the label frame, metres; sigma : (N, K) their significance,
-        NaN in rows without an object.
-    view : (N, 2) half width and half height of the images, metres; span : (N,) diagonal of the hidden part; reach :
-        (N,) its depth.
+    manifest : the dataset's manifest.
+    scenes : (N,) indices of the scenes.
+    depth : (N, R, C) metres.
+    shows : (N, R, C) row of the object that a pixel shows in the table of objects; −1 for no object.
+    occupancy : (N, D, H, W), or None if the dataset has none.
+    centers : (N, K, 3) middles of the objects' boxes in the label frame, metres; NaN in rows without an object.
+    sigma : (N, K) significance of the objects; NaN in rows without an object.
+    view : (N, 2) half width and half height of the images, metres.
+    span, reach : (N,) diagonal and depth of the hidden part, metres.
     """
 
     manifest: Manifest
@@ -64,8 +63,8 @@ class Truth:
 
     @property
     def evident(self) -> Bools:
-        """(N, K) whether an object has evidence."""
-        return np.nan_to_num(self.sigma) >= LEAST_SIGMA
+        """(N, K) whether an object has evidence, a significance of `LEAST` or more."""
+        return np.nan_to_num(self.sigma) >= LEAST
 
     @property
     def all_evident(self) -> Bools:
@@ -76,8 +75,8 @@ class Truth:
 def read_truth(dataset: str | Path, split: str) -> Truth:
     """The labels of one split of a dataset.
 
-    Raises `InputError` where it is no dataset, has no such split, or lacks labels that scores need; `CheckError` for
-    what is damaged.
+    Raises `InputError` if it is no dataset, has no such split, or lacks labels that scores need; `CheckError` if it
+    is damaged.
     """
     root, manifest = location_of(dataset), read_manifest(dataset)
     fields = manifest.schema.by_name
@@ -86,9 +85,9 @@ def read_truth(dataset: str | Path, split: str) -> Truth:
         raise InputError(f"{dataset}: has no {', '.join(missing)}; build with store.fields depth, part_id, objects")
     table = read_table(root, ["split", "failure"], manifest.schema.scenes)
     splits = table["split"].to_pylist()
-    scenes = [k for k, of in enumerate(splits) if of == split and table["failure"][k].as_py() is None]
+    scenes = [k for k, name in enumerate(splits) if name == split and table["failure"][k].as_py() is None]
     if not scenes:
-        there = ", ".join(sorted({str(of) for of in splits if of}))
+        there = ", ".join(sorted({str(name) for name in splits if name}))
         raise InputError(f"--split {split}: {dataset} has {there or 'no scenes'}")
     volume = ["occupancy"] if "occupancy" in fields else []
     reader = DatasetReader(root, manifest, [*NEEDED, *volume])

@@ -1,4 +1,4 @@
-"""The Zarr v3 group of a dataset: its metadata, which the parent process alone writes, and the codecs of each
+"""The Zarr v3 group of a dataset: its metadata, which only the parent process writes, and the codecs of each
 array."""
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from datagen.store.schema import Field, Schema
 
 GROUP = "data.zarr"
 BLOCK_BYTES = 2**18
-"""Decoded bytes of a block of blosc, the least that a reader decodes. It fits into a core's cache; half as many cost
-a few percent of the disk."""
+"""Decoded bytes of a block of blosc, the smallest piece that a reader can decode. A block fits into a core's cache;
+with half as many bytes datasets grow by a few percent."""
 LEVEL = 1
-"""Level of zstd. Higher ones gain mostly by longer blocks: with these blocks level 5 saves 3 % of the disk for five
-times the time."""
+"""Compression level of zstd. With blocks of this size level 5 saves 3 % of the disk and takes five times as long."""
 
 
 def shard_file(field: Field, shard: int) -> str:
-    """Path of the file that holds shard `shard` of a field, relative to the dataset. Each file has one field, one
-    shard and one writer."""
+    """Path, relative to the dataset, of the file that holds shard number `shard` of a field. A file has one
+    writer."""
     return "/".join([GROUP, field.name, "c", str(shard), *["0"] * len(field.shape)])
 
 
 def metadata_files(schema: Schema, time: TimeConfig) -> dict[str, bytes]:
-    """Path relative to the dataset → content, of every `zarr.json` of the group and of its coordinates."""
+    """Path relative to the dataset → content, of every `zarr.json` of the group and of the files of its
+    coordinates."""
     store = MemoryStore()
     geometry = " ".join(name for name, field in schema.by_name.items() if field.dtype == "float64")
     group = zarr.create_group(store, attributes={"coordinates": geometry})
@@ -40,20 +40,22 @@ def metadata_files(schema: Schema, time: TimeConfig) -> dict[str, bytes]:
         _create(group, field, schema)
     _create_arrival_times(group, time)
     with warnings.catch_warnings():
-        # No part of the standard yet: readers that know it open the group in one read, others ignore it.
+        # Consolidated metadata are no part of the standard yet, hence the warning. Readers that know them open the
+        # group in one read, others ignore them.
         warnings.filterwarnings("ignore", "Consolidated metadata", UserWarning)
         zarr.consolidate_metadata(store)
     return {f"{GROUP}/{key}": store._store_dict[key].to_bytes() for key in sorted(store._store_dict)}
 
 
 COORDINATES = (f"{GROUP}/bin/zarr.json", f"{GROUP}/bin/c/0")
-"""Files of the array of arrival times. It bears the name of its axis, as xarray and others expect of a coordinate."""
+"""Files of the array of arrival times. The array has the name of its axis, which makes it a coordinate for xarray."""
 
 
 def _create_arrival_times(group: zarr.Group, time: TimeConfig) -> None:
+    """Create the coordinate `bin`: the arrival time of the middle of each bin, ps."""
     origin = "laser emission" if time.origin == "source" else "the laser point, without the legs of the device"
     middles = 1000.0 * time.start_ns + time.bin_width_ps * (np.arange(time.bins) + 0.5)
-    # "ps" is no unit of time to those who decode units of time by themselves: the numbers stay numbers.
+    # Readers that turn units of time into dates do not know "ps", so the numbers stay numbers.
     array = group.create_array(
         "bin", shape=middles.shape, dtype=np.float64, chunks=middles.shape, compressors=[Crc32cCodec()],
         dimension_names=("bin",), fill_value=float("nan"),
@@ -64,25 +66,24 @@ def _create_arrival_times(group: zarr.Group, time: TimeConfig) -> None:
 
 
 def chunk_grid(field: Field) -> tuple[int, ...]:
-    """The number of chunks along each axis of a scene of a sharded field."""
+    """The number of chunks along each axis of one scene's value of a sharded field."""
     return tuple(math.ceil(s / c) for c, s in zip(field.chunk, field.shape, strict=True))
 
 
 def fill_of(field: Field) -> float | int:
-    """The value that a scene is filled with when it could not be made: NaN, or 0 for whole numbers."""
+    """The value that a field has in scenes that could not be made: NaN, or 0 for whole numbers."""
     return float("nan") if np.dtype(field.dtype).kind == "f" else 0
 
 
 def shard_shape(field: Field, scenes_per_shard: int) -> tuple[int, ...]:
-    """The shape of a shard of a sharded field: K scenes, every other axis whole (rounded up to whole chunks)."""
+    """The shape of a shard of a sharded field: K scenes, and all of every other axis, rounded up to whole chunks."""
     return scenes_per_shard, *(c * n for c, n in zip(field.chunk, chunk_grid(field), strict=True))
 
 
 def shard_content(field: Field, values: NDArray[np.generic], scenes_per_shard: int) -> bytes:
     """The content of a field's `shard_file`, encoded by zarr in memory.
 
-    values : (scenes, *field.shape) of the shard's scenes; the last shard of a dataset has fewer than
-        `scenes_per_shard`.
+    values : (scenes, *field.shape). The last shard of a dataset may have fewer scenes than `scenes_per_shard`.
     """
     store = MemoryStore()
     array = _create(zarr.create_group(store), field, Schema((field,), len(values), scenes_per_shard))
@@ -91,8 +92,10 @@ def shard_content(field: Field, values: NDArray[np.generic], scenes_per_shard: i
 
 
 def _create(group: zarr.Group, field: Field, schema: Schema) -> zarr.Array[Any]:
+    """Create the array of a field in a Zarr group, with its codecs and attributes."""
     k, dtype = schema.scenes_per_shard, np.dtype(field.dtype)
-    # Low counts leave most of their bits 0, which planes of bits gather; light leaves only its exponents alike.
+    # Low counts have mostly zero bits; bitshuffle puts these together. Floats have only their exponents in common,
+    # and for those shuffling by bytes is enough.
     shuffle: Literal["shuffle", "bitshuffle"] = "shuffle" if dtype.kind == "f" else "bitshuffle"
     blosc = BloscCodec(cname="zstd", clevel=LEVEL, shuffle=shuffle, typesize=dtype.itemsize, blocksize=BLOCK_BYTES)
     return group.create_array(
@@ -101,12 +104,12 @@ def _create(group: zarr.Group, field: Field, schema: Schema) -> zarr.Array[Any]:
         dtype=dtype,
         chunks=(1, *field.chunk) if field.sharded else (k, *field.shape),
         shards=shard_shape(field, k) if field.sharded else None,
-        # crc32c comes last, over the compressed bytes: without it most flipped bits go unnoticed.
+        # crc32c comes last, over the compressed bytes: without it most flipped bits would go unnoticed.
         compressors=[blosc, Crc32cCodec()],
         fill_value=fill_of(field),
         dimension_names=field.dims,
         attributes={"units": field.unit, "long_name": field.meaning}
         | ({"classes": list(field.classes)} if field.classes else {}),
-        # A scene of zeros must be there, or losing it would go unnoticed: what is missing reads as the fill value.
+        # A chunk of zeros is written, too: a missing chunk reads as the fill value, so its loss would go unnoticed.
         config={"write_empty_chunks": True},
     )

@@ -23,18 +23,18 @@ from datagen.store.table import TABLE, table_of
 
 CARD = "README.md"
 _MOST_FILES = 20
-"""The most files of an import that are listed; half as many would hide some of a usual session."""
+"""The largest number of imported files that the card lists; half as many would hide some of a usual session."""
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _TAGS = ["non-line-of-sight", "single-photon", "transient-imaging"]
 
 
 def write_card(root: Path, manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | None = None) -> None:
-    """Write the card. Of a dataset that is not complete it says how much is there."""
+    """Write the card. The card of an incomplete dataset says how many shards are there."""
     write_if_changed(root / CARD, card(manifest, records, table).encode())
 
 
 def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | None = None) -> str:
-    """The text of the card. It follows from the manifest and the commit records alone: no date, no timing."""
+    """The text of the card. It depends on the manifest and the commit records alone, and has no date or duration."""
     schema, config = manifest.schema, manifest.config
     failures = {scene: reason for record in records for scene, reason in record.failures.items()}
     stored = sum(file.bytes for record in records for file in record.files.values())
@@ -127,7 +127,9 @@ def _made_lines(manifest: Manifest) -> list[str]:
     files = manifest.imported
     if not files:
         return [f"- seed {manifest.seed}; each scene depends on (seed, scene index) only"]
-    shown = [f"- scene {scene}: `{of.name}` ({of.format}), SHA-256 `{of.sha256}`" for scene, of in enumerate(files)]
+    shown = [
+        f"- scene {scene}: `{file.name}` ({file.format}), SHA-256 `{file.sha256}`" for scene, file in enumerate(files)
+    ]
     more = [f"- and {len(shown) - _MOST_FILES} more, see `dataset.json`"] if len(shown) > _MOST_FILES else []
     given = manifest.config["scene"]["layout"]["options"]
     said = ", ".join(f"{name} {_option(value)}" for name, value in given.items() if value is not None)
@@ -141,7 +143,7 @@ def _option(value: Any) -> str:
 
 
 def _front_matter(manifest: Manifest, whole: bool) -> list[str]:
-    """The YAML header that the Hugging Face Hub reads. It names the table, whose rows the Hub's viewer shows."""
+    """The YAML header for the Hugging Face Hub. It names the table, whose rows the Hub's viewer shows."""
     scenes, terms = manifest.schema.scenes, manifest.config.get("license", "")
     size = next((name for most, name in _SIZES if scenes < most), "n>1M")
     tags = [*_TAGS] if manifest.imported else [*_TAGS, "synthetic"]
@@ -150,7 +152,7 @@ def _front_matter(manifest: Manifest, whole: bool) -> list[str]:
         named |= {"license": "other", "license_link": terms} if "://" in terms else {"license": terms.lower()}
     if whole:
         named["configs"] = [{"config_name": "scenes", "data_files": TABLE}]
-    # JSON is YAML.
+    # Each value is written as JSON, which is YAML.
     return ["---", *(f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in named.items()), "---", ""]
 
 
@@ -169,16 +171,17 @@ def _failure_lines(failures: dict[int, str]) -> list[str]:
 
 
 def _split_lines(table: pa.Table) -> list[str]:
-    """The number of scenes in each split."""
+    """Lines that state the number of scenes in each split."""
     scenes = Counter(name for name in table["split"].to_pylist() if name is not None)
     counts = ", ".join(f"{name} {count}" for name, count in scenes.most_common())
     return [f"Splits (column `split` of `{TABLE}`; no room is in two): {counts}.", ""]
 
 
 def _stats_lines(manifest: Manifest) -> list[str]:
-    """Mean and standard deviation of each field of the split `train`, by which inputs are normalised."""
-    of = (manifest.stats or {}).get("train", {})
-    rows = [f"| `{name}` | {s['mean']:.6g} | {s['std']:.6g} | {s['nonzero']:.4g} |" for name, s in of.items()]
+    """A table with mean and standard deviation of each field in the split `train`, for the normalisation of
+    inputs."""
+    fields = (manifest.stats or {}).get("train", {})
+    rows = [f"| `{name}` | {s['mean']:.6g} | {s['std']:.6g} | {s['nonzero']:.4g} |" for name, s in fields.items()]
     head = [
         "## Mean and spread",
         "",
@@ -189,7 +192,7 @@ def _stats_lines(manifest: Manifest) -> list[str]:
 
 
 def _evidence_lines(table: pa.Table) -> list[str]:
-    """The significance of objects against the noise, kind by kind."""
+    """A table with the significance of the objects of each kind."""
     names = [name for name in table.column_names if name.startswith("evidence.")]
     scenes = table.select(names).to_pylist() if names else []
     kinds, anew = evidence_by_kind(scenes), placed_anew_lines(scenes)
@@ -207,7 +210,7 @@ def _evidence_lines(table: pa.Table) -> list[str]:
 
 
 def _class_lines(schema: Schema) -> list[str]:
-    """The classes that the numbers of a field stand for."""
+    """A line for each field of classes, with the class that each number stands for."""
     lines: list[str] = []
     for field in schema.fields:
         if field.classes:
@@ -217,6 +220,7 @@ def _class_lines(schema: Schema) -> list[str]:
 
 
 def _time_lines(capture: dict[str, Any]) -> list[str]:
+    """A line on the time axis and the pairing."""
     axis, pairing = capture["time"], capture["pairing"]
     start, width = f"{axis['start_ns']:g}", f"{axis['bin_width_ps'] / 1000:g}"
     origin = "laser emission" if axis["origin"] == "source" else "the laser point (device legs left out)"
@@ -228,7 +232,7 @@ def _time_lines(capture: dict[str, Any]) -> list[str]:
 
 
 def ranges(table: pa.Table) -> list[tuple[str, str, str, str]]:
-    """(name, least, median, most) of every number that varies from scene to scene, in the table's order."""
+    """(name, least, median, most) of every numeric column that varies from scene to scene, in the table's order."""
     rows = []
     for name in table.column_names:
         column = table[name].drop_null()
@@ -245,7 +249,7 @@ def ranges(table: pa.Table) -> list[tuple[str, str, str, str]]:
 
 
 def _parameter_lines(table: pa.Table) -> list[str]:
-    """The parameters that vary from scene to scene, with least, median and largest value."""
+    """A table of the parameters that vary from scene to scene, with least, median and largest value."""
     rows = [f"| `{name}` | {' | '.join(numbers)} |" for name, *numbers in ranges(table)]
     head = ["## What varies", "", f"From `{TABLE}`, which has a row for every scene.", ""]
     return [*head, "| parameter | least | median | most |", "|---|---|---|---|", *rows, ""] if rows else []

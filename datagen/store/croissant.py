@@ -1,6 +1,6 @@
 """`croissant.json`, the card for machines: MLCommons Croissant 1.1 with the fields of its Responsible-AI extension.
 
-It is written from what a dataset holds, and has the SHA-256 of `samples.parquet`.
+The card also has the SHA-256 of `samples.parquet`.
 """
 
 from __future__ import annotations
@@ -62,9 +62,10 @@ _IMPORTED = _RESPONSIBLE | {
 
 
 def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]) -> dict[str, Any]:
-    """The description: files; a record a scene with the columns of the table; a record an array of the group.
+    """The content of `croissant.json`: the files, a record for each scene, and a record for each array.
 
-    Its version is schema version . scenes . 0: growing adds, and breaks nothing. Its date is that of the last shard.
+    The version of the dataset is (schema version).(scenes).0, because a dataset that grows stays compatible. Its date
+    is that of its last shard.
     """
     config, fields = manifest.config, manifest.schema.fields
     made = datetime.datetime.fromtimestamp(max(record.finished for record in records), datetime.UTC)

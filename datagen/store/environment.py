@@ -1,4 +1,4 @@
-"""The environment that a dataset is made in: versions of libraries, commit of the code, hardware."""
+"""The environment in which a dataset is made: versions of libraries, commit of the code, hardware."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ def environment() -> dict[str, str]:
 
 @functools.cache
 def made_with() -> dict[str, str]:
-    """The environment that a shard's record states: versions, architecture, processor, system, commit."""
+    """Name → value of the environment in a shard's record: versions, architecture, processor, system, commit."""
     versions = environment() | {"machine": platform.machine(), "processor": processor()}
     return versions | {"system": SYSTEM, "commit": commit() or "unknown"}
 
 
 def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
-    """Differences between environments that may give other bytes for the same seed: `numpy 2.3.1 and 2.4.6`.
+    """Differences between environments that may give other bytes for the same seed, such as `numpy 2.3.1 and 2.4.6`.
 
-    The version of datagen is no such difference (the schema version is raised when its bytes change), nor is the
-    processor within one architecture, nor an entry that an older record lacks.
+    Another version of datagen gives the same bytes (the schema version is raised when they change), and so does
+    another processor of the same architecture. An entry that an older record lacks is ignored.
     """
     found = []
     for name in ("python", *LIBRARIES, "machine"):
@@ -54,8 +54,8 @@ def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
 
 
 def together(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
-    """The environment of a shard whose scenes were made in two environments. Values that differ are joined by "and";
-    `mixed` takes them apart again."""
+    """The environment of a shard whose scenes were made in two environments. Values that differ are joined by "and",
+    where `mixed` splits them."""
     both = {name: f"{old[name]} and {value}" for name, value in new.items() if old.get(name, value) != value}
     return {**old, **new, **both}
 
@@ -83,7 +83,7 @@ def processor() -> str:
 
 @functools.cache
 def commit() -> str | None:
-    """The git commit of the code when it runs from a checkout ("+changes" if that is modified), else None."""
+    """The git commit of the code if it runs from a checkout ("+changes" if that is modified), else None."""
     folder = Path(__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return None

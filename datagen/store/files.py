@@ -1,4 +1,4 @@
-"""Files that are wholly there or not at all, checksums that tell whether a file has changed, and safe reading."""
+"""Writing files atomically, checksums of files, and reading files that may be damaged or hostile."""
 
 from __future__ import annotations
 
@@ -22,22 +22,24 @@ from datagen.locks import locked
 from datagen.store.location import Location, size_of, sized_chunks
 
 PARTIAL = ".partial"
-"""Suffix of a file that is still being written; whatever bears it may be deleted."""
+"""Suffix of a file that is being written. A file with this suffix that nobody has locked may be deleted."""
 JSON_BYTES = 64 * 2**20
-"""A JSON file of a dataset that is larger is not one of ours: records take 10 kB a scene at most, of 256 scenes."""
+"""A larger JSON file was not written by datagen: a record has at most 256 scenes of 10 kB each. Half as many bytes
+would still be enough."""
 _SEAL = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
 
 _NOTHING = errno.ENOENT, errno.ENOTDIR, errno.ELOOP
-"""Errors of opening a file that is not there, or below one that is no folder, or behind a link that leads nowhere."""
+"""Errors of opening a file that is missing, lies below a file instead of a folder, or is a link that leads
+nowhere."""
 _NOT_PLAIN = errno.EINVAL, errno.ENXIO
-"""Errors of opening a folder, a pipe or a socket."""
+"""Errors of opening a folder, a pipe or a socket as a file."""
 
 T = TypeVar("T")
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write beside `path`, fsync, rename: a reader sees the old content or the new one, whenever this process
-    dies."""
+    """Write a new file beside `path`, sync it, and rename it: a reader sees the old content or the new one, even if
+    this process dies."""
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
     try:
         with _new_locked(partial) as file:
@@ -48,7 +50,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
-    # Without this a renamed file may lose its name in a power cut. Not all file systems can sync a folder.
+    # Without a sync of the folder the file may lose its new name in a power cut. Not all file systems support it.
     with contextlib.suppress(OSError):
         handle = os.open(path.parent, os.O_RDONLY)
         try:
@@ -58,9 +60,9 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def _new_locked(partial: Path) -> BinaryIO:
-    """A new file, locked: `clear_partials` of another build then leaves it alone."""
+    """A new file that is locked, so that `clear_partials` of another build leaves it alone."""
     while True:
-        # A link to somewhere else may stand there, and must not be written through.
+        # What stands there may be a link to another file, which must not be overwritten.
         partial.unlink(missing_ok=True)
         file = partial.open("xb")
         if locked(file.fileno(), otherwise=True) and os.fstat(file.fileno()).st_nlink > 0:
@@ -69,7 +71,8 @@ def _new_locked(partial: Path) -> BinaryIO:
 
 
 def clear_partials(folder: Path) -> None:
-    """Remove the files that killed builds left half written in a folder; those that a running build writes stay."""
+    """Remove the half-written files that killed builds left in a folder. The files of running builds are locked, and
+    stay."""
     for partial in folder.glob(f"*{PARTIAL}"):
         with contextlib.suppress(OSError):
             handle = os.open(partial, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
@@ -81,18 +84,18 @@ def clear_partials(folder: Path) -> None:
 
 
 def bytes_below(folder: Path) -> int:
-    """The size of all files in a folder."""
+    """The size in bytes of all files below a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def write_if_changed(path: Path, content: bytes) -> None:
-    """`write_atomically`, unless the file holds just that already."""
+    """`write_atomically`, unless the file has exactly this content already."""
     if not holds(path, content):
         write_atomically(path, content)
 
 
 def holds(path: Location, content: bytes) -> bool:
-    """Whether a file is there and holds exactly this content; a file of another size is not read."""
+    """Whether a file exists and has exactly this content. A file of another size is not read."""
     try:
         with sized_chunks(path) as (size, chunks):
             return size == len(content) and b"".join(chunks) == content
@@ -103,14 +106,13 @@ def holds(path: Location, content: bytes) -> bool:
 
 
 def json_bytes(value: Any) -> bytes:
-    """JSON as the files of a dataset hold it: keys in the order given, floats that round-trip, a final newline. A
-    dataclass is written as a mapping of its fields.
-    """
+    """A value as the JSON that files of a dataset hold: keys in the order given, floats that round-trip, a final
+    newline. A dataclass becomes a mapping of its fields."""
     return (json.dumps(value, indent=2, ensure_ascii=False, default=vars) + "\n").encode()
 
 
 def finite(value: Any) -> Any:
-    """The value with None in place of every NaN and infinity, which JSON cannot hold."""
+    """The value with None instead of NaN and infinity, which JSON does not have."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -119,13 +121,13 @@ def finite(value: Any) -> Any:
 
 
 def sealed(values: dict[str, Any]) -> bytes:
-    """`json_bytes` whose last key, `checksum`, is the SHA-256 of the file as it is without that key."""
+    """`json_bytes` with `checksum` as the last key: the SHA-256 of the file without that key."""
     body = json_bytes(values)
     return body[:-3] + f',\n  "checksum": "{hashlib.sha256(body).hexdigest()}"\n}}\n'.encode()
 
 
 def is_intact(content: bytes, must_be_sealed: bool) -> bool:
-    """Whether a file's content matches the checksum at its end. Without a checksum it is intact unless
+    """Whether a file's content matches the checksum at its end. Content without checksum is intact unless
     `must_be_sealed`."""
     seal = _SEAL.search(content, max(0, len(content) - 100))
     if seal is None:
@@ -134,7 +136,7 @@ def is_intact(content: bytes, must_be_sealed: bool) -> bool:
 
 
 def read_whole(path: Location) -> bytes:
-    """The content of a JSON file of a dataset; raises `InputError` where there is none, or one without end."""
+    """The content of a JSON file of a dataset; raises `InputError` if it is missing, no plain file, or too large."""
     content = read_if_there(path)
     if content is None:
         raise InputError(f"{path}: missing, or not a plain file")
@@ -142,8 +144,8 @@ def read_whole(path: Location) -> bytes:
 
 
 def read_if_there(path: Location) -> bytes | None:
-    """The content of a JSON file of a dataset, or None where nothing is there; raises `InputError` as `read_whole`
-    does for what is no plain file."""
+    """The content of a JSON file of a dataset, or None if it is missing; raises `InputError` if it is no plain file,
+    cannot be read, or is larger than `JSON_BYTES`."""
     try:
         with sized_chunks(path) as (size, chunks):
             content = b"".join(chunks) if size <= JSON_BYTES else None
@@ -159,13 +161,13 @@ def read_if_there(path: Location) -> bytes | None:
 
 
 def read_json(path: Location) -> Any:
-    """The value a JSON file holds; raises `InputError` naming the file when it is no JSON."""
+    """The value of a JSON file; raises `InputError`, which names the file, if it is no JSON."""
     return parsed(path, read_whole(path), Any)
 
 
 @functools.cache
 def _adapter(kind: Any) -> pydantic.TypeAdapter[Any]:
-    """The validator of a type, which takes pydantic some milliseconds to make."""
+    """The validator of a type. It is cached, because making one takes pydantic some milliseconds."""
     return pydantic.TypeAdapter(kind)
 
 
@@ -181,8 +183,8 @@ def parsed(path: Location, content: bytes, kind: type[T]) -> T:
 
 
 def own_path(root: Path, name: str) -> Path:
-    """`root / name`, to be written or deleted; raises `InputError` when a symbolic link leads there, as it may lead
-    out of the dataset. The dataset itself may be one."""
+    """`root / name`, for a file that will be written or deleted. Raises `InputError` if a part of `name` is a
+    symbolic link, which may lead out of the dataset; `root` itself may be one."""
     path = root
     for part in Path(name).parts:
         path = path / part
@@ -207,11 +209,11 @@ def _sha256(chunks: Iterable[bytes]) -> str:
 
 
 def difference(path: Location, sha256: str | None, due_bytes: int | None = None) -> str | None:
-    """A sentence on how a file differs from what was written, or None if it does not differ.
+    """A sentence on how a file differs from the content that was written, or None if it does not differ.
 
-    sha256 : of what was written; without it only the size is compared.
-    due_bytes : size of what was written. A file of another size is not read; without `due_bytes` none is read that is
-        larger than a JSON file can be.
+    sha256 : of the content that was written; None: only sizes are compared.
+    due_bytes : size of the content that was written. A file of another size is not read; without `due_bytes` a file
+        larger than `JSON_BYTES` is not read.
     """
     try:
         if sha256 is None:
@@ -242,7 +244,8 @@ def check_writable(path: Path) -> None:
         what = "is a file" if existing == path else f"cannot be made: {existing} is a file"
         raise InputError(f"output {path}: {what}, not a folder; name a new folder, or a dataset to resume")
     try:
-        # Permission bits do not tell on every file system. A file without a name leaves nothing behind.
+        # Permission bits are not reliable on every file system, so a file is made; it has no name and leaves no
+        # trace.
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:

@@ -22,14 +22,14 @@ Parameters = Sequence[Mapping[str, Scalar]]
 STAGES = (
     "read", "scene", "effects", "transport", "detector", "background", "evidence", "presence", "labels", "store",
 )  # fmt: skip
-"""The stages of `Sample.seconds`, in the order in which a scene goes through them."""
+"""Keys of `Sample.seconds`, in the order of the stages."""
 
 
 def info(path: str | Location) -> str:
-    """A description of a dataset for people: shapes, sizes, seconds per scene by stage, errors, decisions. No hash is
-    compared; `verify` does that.
+    """A description of a dataset for people: shapes, sizes, seconds per scene by stage, errors, decisions. Hashes are
+    not compared; `verify` does that.
 
-    Raises `InputError` when the folder is no dataset, or its records hold what datagen does not write.
+    Raises `InputError` if the folder is no dataset, or its records hold values that datagen does not write.
     """
     root = location_of(path)
     manifest = read_manifest(root)
@@ -55,7 +55,7 @@ def _description(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
 
 
 def _origin(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
-    """How much of the dataset is there, and what it was made of and with."""
+    """Lines on how many scenes are there, and from what and with which versions they were made."""
     schema, files = manifest.schema, manifest.imported
     whole = "" if len(records) == schema.shards else " (incomplete: build again to go on)"
     lines = [
@@ -68,15 +68,15 @@ def _origin(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
         f"{manifest.hardware['cores']} cores",
     ]
     if files:
-        kinds = ", ".join(dict.fromkeys(of.format for of in files))
-        names = ", ".join(of.name for of in files[:3])
+        kinds = ", ".join(dict.fromkeys(file.format for file in files))
+        names = ", ".join(file.name for file in files[:3])
         lines.append(f"imported     from {len(files)} files ({kinds}): {names}{', …' if len(files) > 3 else ''}")
     differences = mixed([record.environment for record in records])
     return lines + [f"mixed        shards differ in {difference}" for difference in differences]
 
 
 def _fields(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
-    """A line for each field, and the classes that its numbers stand for."""
+    """A line for each field with its shape and sizes, and one for each field of classes."""
     schema, scenes = manifest.schema, sum(len(record.scenes) for record in records)
     stored = Counter[str]()
     for record in records:
@@ -91,7 +91,8 @@ def _fields(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
 
 
 def seconds_by_stage(records: Sequence[ShardRecord]) -> dict[str, float]:
-    """Stage → median seconds per scene; of writing, each scene's share of its shard. Stages not run are left out."""
+    """Stage → median seconds per scene; "store" is the time of a shard divided by its scenes. Stages that no scene
+    has are left out."""
     taken = {
         stage: [scene.seconds[stage] for scene in scenes_made(records) if stage in scene.seconds] for stage in STAGES
     }
@@ -100,7 +101,7 @@ def seconds_by_stage(records: Sequence[ShardRecord]) -> dict[str, float]:
 
 
 def _times(records: Sequence[ShardRecord]) -> list[str]:
-    """Seconds by stage, and scenes per second while a shard was being made: interruptions do not count."""
+    """Lines with the seconds of each stage, and the scenes per second of the time in which any shard was made."""
     made = scenes_made(records)
     if not made:
         return []
@@ -112,7 +113,7 @@ def _times(records: Sequence[ShardRecord]) -> list[str]:
 
 
 def _covered(intervals: list[tuple[float, float]]) -> float:
-    """The length of the union of intervals."""
+    """The length of the union of intervals (start, stop)."""
     total, reached = 0.0, float("-inf")
     for start, stop in sorted(intervals):
         total += max(0.0, stop - max(start, reached))
@@ -121,19 +122,19 @@ def _covered(intervals: list[tuple[float, float]]) -> float:
 
 
 def _accuracy(made: Parameters) -> list[str]:
-    """The transients' relative L2 errors, in how many scenes their target was met, and the costs of the transport."""
-    errors = [float(of["transient.relative_error"]) for of in made if "transient.relative_error" in of]
+    """Lines with the transients' relative L2 errors, the scenes that met their target, and the transport's costs."""
+    errors = [float(scene["transient.relative_error"]) for scene in made if "transient.relative_error" in scene]
     if not errors:
         return []
     lines = [f"relative error of the transients: median {statistics.median(errors):.4f}, largest {max(errors):.4f}"]
-    targeted = [bool(of["transient.target_met"]) for of in made if "transient.target_met" in of]
+    targeted = [bool(scene["transient.target_met"]) for scene in made if "transient.target_met" in scene]
     if targeted:
         lines.append(
             f"  target met in {sum(targeted)} of {len(targeted)} scenes (upper bounds of the error, at 95 %)"
         )
     shares: dict[str, list[float]] = {}
-    for of in made:
-        for name, value in of.items():
+    for scene in made:
+        for name, value in scene.items():
             if name.startswith("transport.spend.") and name.endswith(".share"):
                 shares.setdefault(name.split(".")[2], []).append(float(value))
     if shares:
@@ -143,17 +144,17 @@ def _accuracy(made: Parameters) -> list[str]:
 
 
 def _evidence(made: Parameters) -> list[str]:
-    """The significance of objects against the noise, kind by kind."""
+    """Lines with the significance of the objects of each kind."""
     lines = [*evidence_lines(evidence_by_kind(made)), *placed_anew_lines(made)]
     head = ["evidence of objects (significance of an ideal matched filter)"]
     return head + [f"  {line}" for line in lines] if lines else []
 
 
 def _decisions(made: Parameters) -> list[str]:
-    """For each parameter `decision.*` the number of scenes that have each of its values."""
+    """A line for each parameter `decision.*`, with the number of scenes that have each of its values."""
     counted: dict[str, Counter[str]] = {}
-    for of in made:
-        for name, value in of.items():
+    for scene in made:
+        for name, value in scene.items():
             if name.startswith("decision."):
                 counted.setdefault(name.removeprefix("decision."), Counter())[str(value)] += 1
     lines = [
@@ -164,14 +165,14 @@ def _decisions(made: Parameters) -> list[str]:
 
 
 def _effects(made: Parameters) -> list[str]:
-    """For each effect the number of scenes in which it was simulated or left out, and the range of its estimates."""
+    """A line for each effect: the scenes in which it was simulated or left out, and the range of its estimates."""
     lines = []
-    for name in dict.fromkeys(name.split(".")[1] for of in made for name in of if name.startswith("effect.")):
-        there = [of for of in made if of.get(f"effect.{name}.kind", "absent") != "absent"]
+    for name in dict.fromkeys(name.split(".")[1] for scene in made for name in scene if name.startswith("effect.")):
+        there = [scene for scene in made if scene.get(f"effect.{name}.kind", "absent") != "absent"]
         if not there:
             continue
-        on = sum(bool(of[f"effect.{name}.on"]) for of in there)
-        estimates = [float(of[f"effect.{name}.estimate"]) for of in there if f"effect.{name}.estimate" in of]
+        on = sum(bool(scene[f"effect.{name}.on"]) for scene in there)
+        estimates = [float(scene[f"effect.{name}.estimate"]) for scene in there if f"effect.{name}.estimate" in scene]
         span = f"{min(estimates):9.2g} … {max(estimates):.2g}" if estimates else ""
         lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}  {span}".rstrip())
     head = f"{'effects (scenes)':27}{'simulated':>9}{'left out':>10}    leaving out changes the answer by ≤"

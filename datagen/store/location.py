@@ -1,7 +1,7 @@
-"""The place of a dataset, a local folder or a prefix of an object store (`s3://bucket/name`), and reading from it.
+"""The location of a dataset, a local folder or a prefix of an object store (`s3://bucket/name`), and reading from it.
 
-A `Bucket` has the methods of a `pathlib.Path` that reading needs, so all readers take either. Credentials,
-region and endpoint come from the environment alone (`AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`,
+A `Bucket` has those methods of a `pathlib.Path` that reading needs, so all readers take either. Credentials, region
+and endpoint come from the environment alone (`AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`,
 `AWS_ENDPOINT_URL` …).
 """
 
@@ -25,17 +25,12 @@ from datagen.errors import CheckError, InputError
 
 SCHEME = "s3://"
 READ_BYTES = 2**20
-"""Bytes read at a time where a file is hashed; half as many make no difference to speed, all at once to memory."""
+"""Bytes that are read at a time, so that a large file need not fit into memory. Half as many are as fast."""
 
 
 @dataclass(frozen=True)
 class Bucket:
-    """An object, or a prefix of objects, of an object store.
-
-    Attributes
-    ----------
-    bucket, key : its address is `s3://bucket/key`.
-    """
+    """An object, or a prefix of objects, of an object store; its address is `s3://bucket/key`."""
 
     bucket: str
     key: PurePosixPath
@@ -48,26 +43,26 @@ class Bucket:
 
     @property
     def name(self) -> str:
-        """The last part of its address."""
+        """The last part of the address."""
         return self.key.name
 
     def resolve(self) -> Bucket:
-        """The bucket itself: an object store has no links."""
+        """The same address: an object store has no links."""
         return self
 
     def is_file(self) -> bool:
-        """Whether there is such an object."""
+        """Whether there is an object of this address."""
         try:
             return self.size() >= 0
         except FileNotFoundError:
             return False
 
     def is_dir(self) -> bool:
-        """Whether there is an object below it."""
+        """Whether there is an object below this prefix."""
         return next(self._below(), None) is not None
 
     def size(self) -> int:
-        """Its size in bytes; raises `FileNotFoundError`."""
+        """The size of the object in bytes; raises `FileNotFoundError`."""
         return int(self._request("head", str(self.key))["size"])
 
     def read_bytes(self) -> bytes:
@@ -75,7 +70,7 @@ class Bucket:
         return b"".join(self.chunks()[1])
 
     def chunks(self) -> tuple[int, Iterator[bytes]]:
-        """Size in bytes and content piece by piece, for one request; raises `FileNotFoundError`."""
+        """Size in bytes, and content piece by piece, in one request; raises `FileNotFoundError`."""
         answer = self._request("get", str(self.key))
         return int(answer.meta["size"]), (bytes(piece) for piece in self._guarded(answer))
 
@@ -85,22 +80,22 @@ class Bucket:
         return io.BytesIO(self.read_bytes())
 
     def read_range(self, offset: int, size: int) -> bytes:
-        """`size` bytes of the object that begin at `offset`."""
+        """`size` bytes of the object from `offset` on."""
         return bytes(self._request("get_range", str(self.key), start=offset, length=size)) if size > 0 else b""
 
     def glob(self, pattern: str) -> Iterator[Bucket]:
-        """Objects right below it whose names match."""
+        """Objects directly below this prefix whose names match."""
         depth = len(self.key.parts) + 1
         for key in self._below():
             if len(key.parts) == depth and fnmatch.fnmatch(key.name, pattern):
                 yield Bucket(self.bucket, key)
 
     def put(self, file: Path) -> None:
-        """Put a file's bytes there; a large one goes in parts, and is there when all are."""
+        """Upload a file. A large file is sent in parts, and the object appears when all parts are there."""
         self._request("put", str(self.key), file)
 
     def unlink(self) -> None:
-        """Remove the object, if it is there."""
+        """Remove the object if it exists."""
         try:
             self._request("delete", str(self.key))
         except FileNotFoundError:
@@ -111,13 +106,14 @@ class Bucket:
             yield from (PurePosixPath(entry["path"]) for entry in batch)
 
     def _guarded(self, answer: Any) -> Iterator[Any]:
-        """The items of an answer; an error in the middle of it becomes one line for the user."""
+        """The items of an answer; an error between them becomes one line for the user."""
         try:
             yield from answer
         except Exception as error:
             raise self._refusal(error) from None
 
     def _request(self, what: str, *arguments: Any, **options: Any) -> Any:
+        """The answer of a function of obstore, or an error with one line for the user."""
         if _forked:
             raise CheckError(
                 f"{self}: connections to object stores do not survive a fork; start workers anew, as by "
@@ -132,7 +128,7 @@ class Bucket:
             raise self._refusal(error) from None
 
     def _refusal(self, error: Exception) -> Exception:
-        """The error that a user sees: the first line of the store's own, which holds no credentials."""
+        """The error that the user sees: the first line of the library's message, which has no credentials in it."""
         if isinstance(error, CheckError | InputError):
             return error
         text = " ".join(str(error).strip().partition("\n")[0].split())[:300]
@@ -144,10 +140,10 @@ AnyLocation = TypeVar("AnyLocation", Path, Bucket)
 
 
 def location_of(path: str | Path | Bucket) -> Location:
-    """The place that a path or an address names.
+    """The location that a path or an address names.
 
-    Raises `InputError` for an address without bucket or name, with credentials, or of another scheme, and where the
-    extra `s3` is not installed.
+    Raises `InputError` for an address without bucket or name, with credentials, or of another scheme than s3, and if
+    the extra `s3` is not installed.
     """
     if isinstance(path, Path | Bucket):
         return path
@@ -166,10 +162,10 @@ def location_of(path: str | Path | Bucket) -> Location:
 
 @contextmanager
 def opened(path: Path) -> Iterator[tuple[int, io.BufferedReader]]:
-    """Size and content of a plain local file. Raises `OSError` where there is none (errno EINVAL: no plain one), and
-    `CheckError` where this process has too many files open."""
+    """Size and content of a plain local file. Raises `OSError` if there is no file (errno EINVAL: it is no plain
+    file), and `CheckError` if this process has too many files open."""
     try:
-        # A pipe in the file's place must be refused, not waited for.
+        # Without O_NONBLOCK opening a pipe would wait for a writer.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:
         if error.errno in (errno.EMFILE, errno.ENFILE):
@@ -184,8 +180,8 @@ def opened(path: Path) -> Iterator[tuple[int, io.BufferedReader]]:
 
 @contextmanager
 def sized_chunks(path: Location) -> Iterator[tuple[int, Iterator[bytes]]]:
-    """Size of a file or object, and its content piece by piece, so that a caller can refuse it by its size. Raises
-    as `opened` does."""
+    """Size of a file or object, and its content piece by piece: a caller can refuse it by its size before reading.
+    Raises as `opened` does."""
     if isinstance(path, Bucket):
         yield path.chunks()
         return
@@ -202,8 +198,8 @@ def size_of(path: Location) -> int:
 
 
 def read_range(path: Location, offset: int, size: int) -> bytes:
-    """`size` bytes from `offset` on, fewer where a file ends; raises as `opened` does. Each read opens its file:
-    that takes some 10 µs, and no reader keeps files open that others need."""
+    """`size` bytes from `offset` on, or fewer if the file ends before; raises as `opened` does. Each call opens the
+    file, which takes some 10 µs: readers that kept files open would reach the limit of open files."""
     if isinstance(path, Bucket):
         return path.read_range(offset, size)
     with opened(path) as (_, file):
@@ -211,8 +207,8 @@ def read_range(path: Location, offset: int, size: int) -> bytes:
 
 
 _forked = False
-"""Whether this process was forked from one that had connections: their threads are not here, and waiting for them
-would never end."""
+"""Whether this process was forked from a process with connections. The threads of these connections do not exist in
+this process, so a request would wait forever."""
 
 
 def _after_fork() -> None:
@@ -235,6 +231,6 @@ def _store_of(bucket: str) -> Any:
 
 
 def _allowed() -> dict[str, Any]:
-    """Plain HTTP where the endpoint that the environment names has it: that of one's own machine or network."""
+    """Options that allow plain HTTP if the environment names an endpoint with it, such as one on this machine."""
     endpoint = os.environ.get("AWS_ENDPOINT_URL", os.environ.get("AWS_ENDPOINT", ""))
     return {"allow_http": True} if endpoint.startswith("http://") else {}

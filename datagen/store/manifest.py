@@ -1,4 +1,4 @@
-"""`dataset.json`, the manifest: configuration, fields and origin of a dataset. A folder that holds one is a
+"""`dataset.json`, the manifest: configuration, fields and origin of a dataset. A folder with a manifest is a
 dataset."""
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ MANIFEST = "dataset.json"
 FORMAT = "datagen dataset"
 REMEDY = "build the dataset again with its configuration, which writes it anew"
 _RENAMED_SINCE = {1: (("transport", "scramblings", "replicates"),)}
-"""Schema version → (section, key then, key now) of its stored configuration."""
+"""Schema version → (section, stored key, present key) of the keys that were renamed since."""
 _KEPT = (
     "stats", "config", "meshes", "mesh_folder", "metadata", "versions", "commit", "hardware", "fingerprint",
     "schema_version",
 )  # fmt: skip
-"""Fields of `Manifest` that stand in the file as they are."""
+"""Fields of `Manifest` that the file contains unchanged."""
 
 
 class DamagedManifest(InputError):
-    """A `dataset.json` that is not as it was written; a build with its configuration writes it anew."""
+    """Raised for a `dataset.json` that is not as it was written. A build with its configuration writes it anew."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,11 @@ class Manifest:
     ----------
     config : the configuration as plain values, with the key names of its `schema_version`.
     meshes : mesh file → digest of its bytes.
-    mesh_folder : where relative mesh paths start; None when there are none, so that no machine's paths are stored.
-    metadata : `zarr.json` files, and those of coordinates → SHA-256.
-    stats : split → field → `mean`, `std` and `nonzero` of its values (`stats_of`); None before the dataset is
-        complete.
+    mesh_folder : the folder from which relative mesh paths start; None without such paths, so that no machine's paths
+        are stored then.
+    fingerprint : of the configuration and the meshes.
+    metadata : `zarr.json` files and files of coordinates → SHA-256.
+    stats : split → field → `mean`, `std` and `nonzero` of its values; None before the dataset is complete.
     """
 
     config: dict[str, Any]
@@ -92,9 +93,9 @@ class Manifest:
 
     @property
     def imported(self) -> tuple[ImportedFile, ...]:
-        """The files that the captures were imported from; empty where they were simulated.
+        """The files that the captures were imported from; empty if they were simulated.
 
-        Raises `InputError` for what an import does not write.
+        Raises `InputError` for values that an import does not write.
         """
         scene = self.config.get("scene")
         layout = scene.get("layout") if isinstance(scene, dict) else None
@@ -111,11 +112,13 @@ class Manifest:
         return self.schema_version >= CHECKSUMS_SINCE
 
     def parsed_config(self, meshes: bool = True) -> DatasetConfig:
-        """The configuration as models, able to generate the scenes again (other ones than the stored, if the dataset
-        is of an earlier schema version).
+        """The configuration as models. It generates the scenes again, but from an earlier schema version other
+        scenes.
 
-        Raises `InputError` when a mesh file is no longer where it was, a setting no longer exists, or the fields are
-        not those that the configuration gives. Without `meshes` no mesh file need be there, nor can they be read.
+        meshes : look for the mesh files. Without it they may be missing, and scenes with meshes cannot be generated.
+
+        Raises `InputError` if a mesh file is no longer where it was, a setting no longer exists, or the fields are
+        not those that the configuration gives.
         """
         config = self.config
         for section, old, new in _RENAMED_SINCE.get(self.schema_version, ()):
@@ -133,14 +136,14 @@ class Manifest:
         return models
 
     def splits(self) -> SplitsConfig:
-        """The division into splits. Raises `InputError` for settings that no datagen writes."""
+        """The division into splits. Raises `InputError` for settings that datagen does not write."""
         try:
             return SplitsConfig.model_validate_json(json.dumps(self.config.get("splits", {})))
         except pydantic.ValidationError as error:
             raise InputError(f"{MANIFEST}: splits: {' '.join(str(error).split())}; {REMEDY}") from None
 
     def to_bytes(self) -> bytes:
-        """The file `dataset.json`."""
+        """The content of `dataset.json`."""
         schema, config = self.schema, self.config
         values = {"format": FORMAT, "schema_version": self.schema_version}
         values |= {key: config[key] for key in ("name", "description")} | {"seed": self.seed}
@@ -159,12 +162,12 @@ def describe(config: DatasetConfig, schema: Schema) -> Manifest:
 
 
 def metadata_hashes(schema: Schema, time: TimeConfig) -> dict[str, str]:
-    """File of `metadata_files` → hex SHA-256 of its content."""
+    """File of `metadata_files` → hex SHA-256."""
     return {name: hashlib.sha256(content).hexdigest() for name, content in metadata_files(schema, time).items()}
 
 
 def mesh_folder(config: DatasetConfig) -> str | None:
-    """The folder in which the relative mesh paths of a configuration start; None when it has none."""
+    """The folder from which the relative mesh paths of a configuration start; None if it has no such paths."""
     for item in config.scene.contents:
         if isinstance(item, Mesh) and not Path(item.path).is_absolute():
             return str(item.file)[: -len(item.path)]
@@ -172,10 +175,10 @@ def mesh_folder(config: DatasetConfig) -> str | None:
 
 
 def read_manifest(root: str | Location) -> Manifest:
-    """The manifest of a dataset of any schema version. The file may come from anywhere: names, sizes and types that
-    datagen does not write are refused. `Manifest.parsed_config` checks the settings.
+    """The manifest of a dataset of any schema version. The file is not trusted: names, sizes and types that datagen
+    does not write are refused. `Manifest.parsed_config` checks the settings.
 
-    Raises `InputError` when the folder is no dataset or one of a later schema version, and `DamagedManifest`.
+    Raises `InputError` if the folder is no dataset or of a later schema version, and `DamagedManifest`.
     """
     root = location_of(root)
     path = root / MANIFEST
@@ -213,7 +216,7 @@ def read_manifest(root: str | Location) -> Manifest:
 
 
 Name = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
-"""A name of a field or a dimension: folders are named after fields, so it must be no path."""
+"""A name of a field or a dimension. It must not be a path, because folders are named after fields."""
 Size = Annotated[int, pydantic.Field(ge=1, lt=2**40)]
 Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 
@@ -273,7 +276,7 @@ class _File:
 
 
 def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:
-    """The manifest that a file states, if its parts fit together."""
+    """The manifest that a file states. Raises `InputError` if its parts contradict each other."""
     fields = tuple(
         Field(row.name, row.dims, row.shape[1:], row.dtype, row.unit, row.meaning, row.shard is not None, row.classes)
         for row in file.fields

@@ -26,12 +26,12 @@ from datagen.store.record import BUILD, sound_records
 from datagen.store.schema import SCHEMA_VERSION, schema_of
 
 WHEN_COMPLETE = ("samples.parquet", "croissant.json")
-"""Files that are there only when all shards are."""
+"""Files that exist only if all shards exist."""
 
 
 def is_fresh(root: Path) -> bool:
-    """Whether a build starts anew: there is no folder, an empty one, or one where a build died over its first
-    file."""
+    """Whether a build starts a new dataset: the folder is missing or empty, or a build died while it wrote its first
+    file there."""
     if not root.exists():
         return True
     return root.is_dir() and all(
@@ -42,16 +42,16 @@ def is_fresh(root: Path) -> bool:
 def planned(root: Path, config: DatasetConfig) -> Manifest:
     """The manifest that `prepare` would write; no file is changed.
 
-    A dataset may grow (more `scenes`); nothing else of its content may change. One whose `dataset.json` is missing or
-    damaged is taken up when its shards were made with this configuration.
+    A dataset may grow (more `scenes`); nothing else of its content may change. A dataset whose `dataset.json` is
+    missing or damaged can be resumed if its shards were made with this configuration.
 
-    Raises `InputError` for a foreign folder, another dataset, fewer scenes than there are, and where a symbolic link
+    Raises `InputError` for a folder of other files, another dataset, fewer scenes than it has, and if a symbolic link
     would lead the build out of the folder.
     """
     if is_fresh(root) or not root.is_dir():
         return describe(config, schema_of(config))
     try:
-        manifest = _taken_up(root, config)
+        manifest = _resumed(root, config)
     except DamagedManifest:
         restored = _restored(root, config)
         if restored is None:
@@ -67,10 +67,10 @@ def planned(root: Path, config: DatasetConfig) -> Manifest:
 
 
 def prepare(root: Path, config: DatasetConfig) -> Manifest:
-    """Create a dataset, or take up one that exists; returns its manifest. Raises as `planned` does.
+    """Create a dataset, or resume an existing one; returns its manifest. Raises as `planned` does.
 
-    Only the parent of a build calls this. Every step can be repeated, so a build killed in the middle is taken up by
-    the next one.
+    Only the parent process of a build calls this. Every step can be repeated: if a build is killed in between, the
+    next one resumes.
     """
     manifest = planned(root, config)
     root.mkdir(parents=True, exist_ok=True)
@@ -79,7 +79,7 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
         clear_partials(folder)
     content = manifest.to_bytes()
     if not holds(root / MANIFEST, content):
-        # It grows, or is mended: what described it as complete goes before anything else changes.
+        # The dataset grows, or is repaired: files that say it is complete go before anything else changes.
         forget_complete(root)
     write_if_changed(root / MANIFEST, content)
     for name, metadata in metadata_files(manifest.schema, config.capture.time).items():
@@ -91,15 +91,14 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
 
 
 def forget_complete(root: Path) -> None:
-    """Remove what says that all shards are there, before one of them is made anew."""
+    """Remove the files that say that all shards are there, before a shard is made again."""
     for name in WHEN_COMPLETE:
         (root / name).unlink(missing_ok=True)
 
 
 def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
-    """The manifest of a dataset that lost its own, from the configuration and the shards; None where there is no
-    shard to tell whose it is.
-    """
+    """The manifest of a dataset that lost its own, from the configuration and the shards; None without any shard,
+    since nothing then says that the folder belongs to this configuration."""
     records = list(sound_records(root, must_be_sealed=True))
     if not records:
         return None
@@ -116,7 +115,7 @@ def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
             f"output {root}: has no sound dataset.json, and shards up to scene {last.last_scene}; ask for at least "
             f"--scenes {last.last_scene + 1}"
         )
-    # A shard after the first begins at a multiple of their size.
+    # Shard s begins at scene s · scenes_per_shard.
     k = last.first_scene // last.shard if last.shard else 0
     schema = schema_of(config, k if 0 < k <= 256 and k & (k - 1) == 0 else None)
     described, made_by = describe(config, schema), records[0].environment
@@ -126,7 +125,8 @@ def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
     return replace(described, versions=versions, commit=None if commit == "unknown" else commit, hardware=hardware)
 
 
-def _taken_up(root: Path, config: DatasetConfig) -> Manifest:
+def _resumed(root: Path, config: DatasetConfig) -> Manifest:
+    """The manifest of an existing dataset, with the scenes of this configuration. Raises as `planned` does."""
     if not (root / MANIFEST).is_file():
         first = sorted(path.name for path in root.iterdir())[0]
         raise DamagedManifest(
@@ -151,6 +151,7 @@ def _taken_up(root: Path, config: DatasetConfig) -> Manifest:
 
 
 def _check_same(root: Path, old: Manifest, config: DatasetConfig) -> None:
+    """Raise `InputError`, which names the first difference, unless a dataset was made with this configuration."""
     if config.fingerprint() == old.fingerprint:
         return
     new = config.model_dump(mode="json", exclude={*WITHOUT_EFFECT})
@@ -174,7 +175,7 @@ _MISSING = object()
 
 
 def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, str, str]]:
-    """(dotted key, old value, new value) of every difference, save top-level keys that only `old` has."""
+    """(dotted key, old value, new value) of every difference, except top-level keys that only `old` has."""
     if isinstance(old, dict) and isinstance(new, dict):
         names = list(new) if not key else [*new, *(name for name in old if name not in new)]
         for name in names:

@@ -1,9 +1,10 @@
 """The reader of a dataset: from its files to values, for every field and size.
 
-A file must be there, have the size that the commit record states, and its checksums must match; decoded values must
-have the digest that the record states. A missing chunk is an error, never a fill value. The files are Zarr 3.0;
-zarr's own reading gives the same values (by test) in about three times the time, and gives fill values for what is
-missing. Here the index of a shard is kept, a chunk is one `pread`, and blosc decodes it into place.
+A file must exist, have the size that the commit record states, and match its checksums; decoded values must have the
+digest that the record states. A missing chunk is an error, never a fill value. The files are Zarr 3.0. zarr's own
+reader gives the same values (a test compares them), but takes about three times as long, and returns fill values for
+missing chunks. This reader is faster because it keeps the index of a shard in memory, reads a chunk by one `pread`,
+and lets blosc decode it into the result.
 """
 
 from __future__ import annotations
@@ -33,27 +34,27 @@ from datagen.store.schema import Field
 from datagen.store.shard import digest
 
 MEMORY_BYTES = 256 * 2**20
-"""Decoded values that a reader keeps: of small fields, of fields that decode to a quarter of this in all, and indices
-of shards. With half as much, datasets of 32 to 64 MiB a field are decoded anew in every epoch."""
+"""Memory of a reader for indices of shards, small fields, and large fields that need at most a quarter of it in all.
+With half as much, datasets with fields of 32 to 64 MiB would be decoded again in every epoch."""
 MOST_THREADS = 8
-"""Threads that decode the scenes of a batch side by side. With half as many a batch takes up to twice as long where
-there are so many cores."""
+"""Threads that decode the scenes of a batch side by side. With half as many a batch takes up to twice as long on a
+machine with eight cores."""
 WORTH_BYTES = 2**21
 """Decoded bytes of a read below which starting threads takes longer than it saves; half as many change little."""
 _MISSING = 2**64 - 1
-"""Offset and size, in a shard's index, of a chunk that is not there (Zarr's `sharding_indexed`)."""
+"""Offset and size of a missing chunk in a shard's index (Zarr's `sharding_indexed`)."""
 _CRC_BYTES = 4
 _HEADER_BYTES = 16
 _PLAIN, _UNSPLIT = 2, 16
-"""Flags in a blosc frame's third byte: it holds the bytes as they are; its blocks are not split into streams."""
+"""Flags in the third byte of a blosc frame: its content is not compressed; its blocks are not split into streams."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
     """A part of one scene's value.
 
-    axes : the indices that are read of each axis but the last, in their order.
-    last : what is read of the last axis, a slice of step 1, since that axis is never cut into chunks.
+    axes : the indices to read along each axis except the last, in this order.
+    last : a slice of step 1 along the last axis, which is never cut into chunks.
     """
 
     axes: tuple[NDArray[np.int64], ...]
@@ -64,22 +65,21 @@ class Part:
         """The shape of the part."""
         return *map(len, self.axes), self.last.stop - self.last.start
 
-    def of(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
-        """The part of a whole value; a copy."""
+    def cut(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+        """A copy of this part of a whole value."""
         taken: NDArray[np.generic] = values[..., self.last][np.ix_(*self.axes)] if self.axes else values[self.last]
         return np.ascontiguousarray(taken)
 
 
 class DatasetReader:
-    """The values of a dataset. Not to be shared between threads of yours; a fork may go on with it.
+    """Reads the values of a dataset. Several threads must not share a reader; a forked process may use it.
 
     Parameters
     ----------
-    fields : those that will be read.
-    check : compare every value with its digest when it is first read, and sizes with the commit record. Without it
-        missing and damaged files are still found, by the checksums in them, but not files put in another's place.
-    seen : field → (scenes,) whether the digest was checked already; when processes share it, none checks again what
-        another has checked.
+    fields : names of the fields that will be read.
+    check : compare every value with its digest when it is first read, and file sizes with the commit record. Without
+        it missing and damaged files are still found, by their checksums, but not files that were exchanged.
+    seen : field → (scenes,) whether the digest was checked already. Processes that share it check each value once.
     """
 
     def __init__(
@@ -90,8 +90,8 @@ class DatasetReader:
         self._fields = {name: self._schema.by_name[name] for name in fields}
         self._check = check
         self._seen = seen or {name: np.zeros(self._schema.scenes, bool) for name in self._fields}
-        # Shard → field → bytes of its file, digest of each scene (None: could not be made). Whole records of a large
-        # dataset would not fit into memory.
+        # Shard → field → size of its file, digest of each scene (None: could not be made). The whole records of a
+        # large dataset would not fit into memory.
         self._records: dict[int, dict[str, tuple[int, list[bytes | None]]]] = {}
         self._kept: OrderedDict[tuple[object, ...], NDArray[np.generic]] = OrderedDict()
         self._kept_bytes = 0
@@ -100,11 +100,12 @@ class DatasetReader:
     def read(
         self, name: str, scenes: Sequence[int], part: Part | None = None, out: NDArray[np.generic] | None = None
     ) -> NDArray[np.generic]:
-        """(len(scenes), *field.shape): the scenes' values in the field's dtype; with `part` (len(scenes),
-        *part.shape). Into `out`, where that is given, of this shape, cast to its dtype one by one, which needs less
-        memory traffic than casting the whole.
+        """The values of scenes in the field's dtype, (len(scenes), *field.shape), or (len(scenes), *part.shape).
 
-        Raises `CheckError` naming file, scene and remedy for what is missing, damaged or other than was written.
+        out : array of this shape for the result. Each scene is cast to its dtype as it is decoded, which moves less
+            memory than casting all of them afterwards.
+
+        Raises `CheckError`, with file, scene and remedy, for values that are missing, damaged or not as written.
         """
         field = self._fields[name]
         if out is None:
@@ -116,26 +117,27 @@ class DatasetReader:
             scene = scenes[row]
             if not field.sharded:
                 value = self._small(field, scene)
-                out[row] = value if part is None else part.of(value)
+                out[row] = value if part is None else part.cut(value)
             elif is_kept:
                 out[row] = self._keep((name, scene, part), lambda: self._value(field, scene, part))
             else:
                 self._decode(field, scene, part, out[row])
 
         threads = min(cores(), len(scenes), MOST_THREADS)
-        # A loader's worker has others beside it, which use the other cores.
+        # In a worker of a loader no threads are started: the other workers use the other cores.
         if threads < 2 or is_kept or out.nbytes < WORTH_BYTES or multiprocessing.parent_process() is not None:
             for row in range(len(scenes)):
                 into(row)
             return out
-        # The threads end with the call, because a loader may fork its workers after it. `map` raises the first error.
+        # The threads end before the call returns, because a loader may fork later. `map` raises the first error.
         with ThreadPoolExecutor(threads, "datagen-decode") as pool:
             for _ in pool.map(into, range(len(scenes))):
                 pass
         return out
 
     def _keep(self, key: tuple[object, ...], make: Callable[[], NDArray[np.generic]]) -> NDArray[np.generic]:
-        """The array kept under a key, made if there is none; the oldest arrays go when memory is full."""
+        """The array in memory under a key, made if it is not there. The oldest arrays are dropped when memory is
+        full."""
         kept = self._kept.get(key)
         if kept is None:
             kept = make()
@@ -148,7 +150,7 @@ class DatasetReader:
         return kept
 
     def _small(self, field: Field, scene: int) -> NDArray[np.generic]:
-        """One scene's value of a field whose file is one chunk of all scenes of its shard."""
+        """One scene's value of a small field, whose file is one chunk with all scenes of a shard."""
         shard, within = divmod(scene, self._schema.scenes_per_shard)
 
         def decode() -> NDArray[np.generic]:
@@ -166,14 +168,14 @@ class DatasetReader:
         return out
 
     def _decode(self, field: Field, scene: int, part: Part | None, out: NDArray[np.generic]) -> None:
-        """One scene of a sharded field, or a part of it, into `out`, cast to its dtype. The first reading of a scene
-        is of all its values where it is to be checked, since its digest is of all of them."""
+        """Decode one scene of a sharded field, or a part of it, into `out`, cast to its dtype. If the digest is still
+        to be checked, the whole scene is decoded, because the digest is that of all its values."""
         whole = self._check and not self._seen[field.name][scene]
         if part is not None and not whole:
             self._decode_part(field, scene, part, out)
         elif part is not None or out.dtype != _stored(field):
             value = self._value(field, scene, None)
-            out[...] = value if part is None else part.of(value)
+            out[...] = value if part is None else part.cut(value)
         else:
             for place in product(*map(range, chunk_grid(field))):
                 frame = self._chunk(field, scene, place)
@@ -186,8 +188,8 @@ class DatasetReader:
             self._check_digest(field, scene, out)
 
     def _decode_part(self, field: Field, scene: int, part: Part, out: NDArray[np.generic]) -> None:
-        """A part of one scene of a sharded field into `out`. A row is all that a chunk has along the last axis; of a
-        chunk those blocks are decoded that lie between the first row of the part and the last."""
+        """Decode a part of one scene of a sharded field into `out`. In a chunk, only the blocks between the first row
+        of the part and the last are decoded; a row is all that a chunk has along the last axis."""
         row_bytes = field.shape[-1] * np.dtype(field.dtype).itemsize
         for place in product(*map(range, chunk_grid(field))):
             here = [
@@ -214,7 +216,7 @@ class DatasetReader:
         return scene // self._schema.scenes_per_shard
 
     def _chunk(self, field: Field, scene: int, place: tuple[int, ...]) -> bytes:
-        """A chunk of a scene of a sharded field, as it is compressed; `place` is its place in the grid of chunks."""
+        """The compressed chunk at index `place` of the grid of chunks, of one scene of a sharded field."""
         shard, within = divmod(scene, self._schema.scenes_per_shard)
         index = self._keep((field.name, "index", shard), lambda: self._index(field, shard))
         offset, size = (int(n) for n in index[(within, *place)])
@@ -223,8 +225,8 @@ class DatasetReader:
         return self._frame(field, shard, scene, offset, size, math.prod(field.chunk) * _stored(field).itemsize)
 
     def _frame(self, field: Field, shard: int, scene: int | None, offset: int, size: int, due_bytes: int) -> bytes:
-        """A blosc frame whose checksum is right and which states to decode to `due_bytes`."""
-        # Sizes in a file from anywhere may ask for any amount of memory.
+        """A blosc frame, after a check of its checksum and of its decoded size, which must be `due_bytes`."""
+        # Sizes in a hostile file may ask for any amount of memory, so they are bounded before anything is read.
         possible = size <= due_bytes + _HEADER_BYTES + _CRC_BYTES and offset < 2**63 - size
         stored = self._bytes(field, shard, offset, size) if possible else b""
         body, checksum = stored[:-_CRC_BYTES], int.from_bytes(stored[-_CRC_BYTES:], "little")
@@ -245,7 +247,7 @@ class DatasetReader:
         return out
 
     def _index(self, field: Field, shard: int) -> NDArray[np.generic]:
-        """(scene, *chunks, 2): offset and size of every chunk, from the end of the file."""
+        """(scene, *chunks, 2) offset and size of every chunk of a shard. The index lies at the end of the file."""
         shape = (self._schema.scenes_per_shard, *chunk_grid(field), 2)
         size = math.prod(shape) * 8
         stored = self._bytes(field, shard, max(self._size(field, shard) - size - _CRC_BYTES, 0), size + _CRC_BYTES)
@@ -255,7 +257,8 @@ class DatasetReader:
         return np.frombuffer(stored, "<u8", count=size // 8).reshape(shape)
 
     def _size(self, field: Field, shard: int) -> int:
-        """Bytes of a shard's file: those that its commit record states, unless all of it was checked before."""
+        """Size of a shard's file in bytes. It must be that of the commit record, unless all scenes were checked
+        before."""
         try:
             size = size_of(self._root / shard_file(field, shard))
         except OSError as error:
@@ -274,6 +277,7 @@ class DatasetReader:
             raise self._fault(field, shard, None, f"cannot be opened ({error.strerror})") from None
 
     def _check_digest(self, field: Field, scene: int, value: NDArray[np.generic]) -> None:
+        """Compare a scene's value with the digest in its record, unless that was done before."""
         seen = self._seen[field.name]
         if not self._check or seen[scene]:
             return
@@ -284,7 +288,7 @@ class DatasetReader:
         seen[scene] = True
 
     def _record(self, shard: int) -> dict[str, tuple[int, list[bytes | None]]]:
-        """Bytes of the file and digests of the scenes of each field that is read, as a shard's record states them."""
+        """Field → size of its file, and digests of the scenes, as the record of a shard states them."""
         if shard not in self._records:
             record = read_record(self._root, shard, self._manifest.must_be_sealed)
             wrong = record.mismatch(self._schema, self._manifest.fingerprint) if record else "is not committed"
@@ -293,7 +297,7 @@ class DatasetReader:
             self._records[shard] = {
                 name: (
                     record.files[shard_file(field, shard)].bytes,
-                    [None if of.failure else bytes.fromhex(of.digests[name]) for of in record.scenes],
+                    [None if scene.failure else bytes.fromhex(scene.digests[name]) for scene in record.scenes],
                 )
                 for name, field in self._fields.items()
             }
@@ -312,25 +316,25 @@ def _stored(field: Field) -> np.dtype[np.generic]:
 
 
 # A blosc frame (c-blosc 1, README_CHUNK_FORMAT) is a header, the offset of each block, and the blocks. numcodecs
-# decodes whole frames only. Each block is compressed and shuffled by itself, so some blocks under a new header are a
-# frame, too: reading 16 × 16 of 64 × 64 laser points takes less than half of the time.
+# decodes whole frames only. But each block is compressed and shuffled by itself, so some of the blocks under a new
+# header are a frame, too. With this, reading 16 × 16 of 64 × 64 laser points takes less than half of the time.
 
 
 def _sizes(frame: bytes) -> tuple[int, int]:
-    """Bytes that a frame decodes to, and its own, as its header states them."""
+    """Decoded size and compressed size of a frame in bytes, as its header states them."""
     decoded, stored = struct.unpack_from("<4xI4xI", frame)
     return decoded, stored
 
 
 def _block_bytes(frame: bytes) -> int:
-    """Decoded bytes of a block; those of the whole frame where its blocks cannot be decoded apart."""
+    """Decoded size of a block in bytes; that of the whole frame if its blocks cannot be decoded one by one."""
     decoded, block = struct.unpack_from("<4xII", frame)
     apart = frame[2] & _UNSPLIT and not frame[2] & _PLAIN and 0 < block < decoded
     return int(block if apart else decoded)
 
 
 def _some_blocks(frame: bytes, first: int, stop: int) -> bytes:
-    """A frame of the blocks first … stop − 1 of `frame`. Raises `ValueError` for blocks that lie outside of it."""
+    """A frame with the blocks first … stop − 1 of `frame`. Raises `ValueError` if a block lies outside of `frame`."""
     decoded, block, stored = struct.unpack_from("<4xIII", frame)
     count = -(-decoded // block)
     if len(frame) < _HEADER_BYTES + 4 * count:
@@ -338,7 +342,7 @@ def _some_blocks(frame: bytes, first: int, stop: int) -> bytes:
     begins = np.frombuffer(frame, "<i4", count, _HEADER_BYTES)
     if begins.min() < _HEADER_BYTES + 4 * count or begins.max() >= stored:
         raise ValueError("blocks outside of it")
-    # Blocks that several threads compressed lie in the order in which these got ready.
+    # If several threads compressed the blocks, these lie in the order in which they were finished.
     ordered = np.sort(begins)
     ends = np.append(ordered[1:], stored)[np.searchsorted(ordered, begins)]
     pieces = [frame[begins[one] : ends[one]] for one in range(first, stop)]

@@ -1,6 +1,6 @@
 """The commit record of a shard, `build/shard-000123.json`: hashes of its files, and for each scene the digests of the
-decoded values, the parameters and the seconds. A shard is there when its record is. The record ends in a checksum of
-its own; one that fails it is not used.
+decoded values, the parameters and the seconds. A shard is committed when its record exists. The record ends with a
+checksum of its own; a record that does not match it is not used.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ Digest = Annotated[str, pydantic.Field(pattern=r"^[0-9a-f]{64}$")]
 
 @dataclass(frozen=True)
 class SceneRecord:
-    """One scene of a shard. `failure` is None, or why the scene could not be made (its values are fill values)."""
+    """One scene of a shard. `failure` says why the scene could not be made (its values are fill values), or is
+    None."""
 
     index: int
     failure: str | None = None
@@ -38,7 +39,7 @@ class SceneRecord:
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     seconds: Mapping[str, Finite] = field(default_factory=dict)
     stats: Mapping[str, FieldStats] = field(default_factory=dict)
-    """Since schema version 5."""
+    """Field → statistics of its values; empty before schema version 5."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +52,14 @@ class FileRecord:
 
 @dataclass(frozen=True)
 class ShardRecord:
-    """A committed shard: its files, its scenes, and what made it.
+    """A committed shard: its files, its scenes, and the environment in which it was made.
 
     Attributes
     ----------
-    first_scene, last_scene : the scenes it holds, both included.
-    fingerprint : of the configuration it was made with.
+    first_scene, last_scene : its first scene and its last one.
+    fingerprint : of the configuration that it was made with.
     files : path relative to the dataset → hash and size.
-    seconds : wall-clock seconds of the whole shard: "store" is encoding, writing and syncing.
+    seconds : wall-clock seconds of the whole shard: "store" for encoding, writing and syncing; "total".
     started, finished : Unix times.
     environment : versions and machine of the worker.
     """
@@ -84,7 +85,7 @@ class ShardRecord:
         return sealed(vars(self))
 
     def mismatch(self, schema: Schema, fingerprint: str) -> str | None:
-        """A sentence on why this is no record of a shard of such a dataset, or None."""
+        """A sentence on why this record does not belong to a dataset of this schema and fingerprint, or None."""
         scenes = schema.scenes_of(self.shard)
         if self.fingerprint != fingerprint:
             return f"was made with another configuration (fingerprint {self.fingerprint[:12]})"
@@ -99,8 +100,8 @@ class ShardRecord:
         return None
 
     def problem(self, root: Location, hashes: bool = True) -> str | None:
-        """A sentence on the first of the shard's files that is not as it was written, or None. Without `hashes` only
-        presence and size are looked at."""
+        """A sentence on the first file of the shard that is not as it was written, or None. Without `hashes` only the
+        sizes are compared."""
         for name, known in self.files.items():
             wrong = difference(root / name, known.sha256 if hashes else None, known.bytes)
             if wrong is not None:
@@ -118,14 +119,16 @@ def _record_name(shard: int) -> str:
 
 
 def running_path(root: Path, shard: int) -> Path:
-    """Path of the file that the writer of a shard locks; it holds the times at which scenes were begun."""
+    """Path of the file that the writer of a shard locks, with the times at which scenes were begun."""
     return root / BUILD / f"shard-{shard:06d}.running"
 
 
 def read_record(root: Location, shard: int, must_be_sealed: bool) -> ShardRecord | None:
-    """The record of a shard, or None when the shard is not committed.
+    """The record of a shard, or None if the shard is not committed.
 
-    Raises `CheckError` for a damaged record. Those of datasets before `CHECKSUMS_SINCE` need not be sealed.
+    must_be_sealed : the record must have a checksum; records before `CHECKSUMS_SINCE` have none.
+
+    Raises `CheckError` for a damaged record.
     """
     path = root / _record_name(shard)
     try:
@@ -149,7 +152,7 @@ def recorded_shards(root: Location) -> list[int]:
 
 
 def sound_records(root: Location, must_be_sealed: bool, shards: Iterable[int] | None = None) -> Iterator[ShardRecord]:
-    """The undamaged records of `shards` that are there (left out: of all), whatever dataset they belong to."""
+    """The undamaged records of `shards` (None: of all shards). They may belong to another dataset."""
     for shard in recorded_shards(root) if shards is None else shards:
         try:
             record = read_record(root, shard, must_be_sealed)

@@ -19,10 +19,7 @@ from datagen.store.verify import committed
 
 @dataclass(frozen=True)
 class SceneContent:
-    """The arrays and parameters of one scene.
-
-    arrays : field → the scene's value. parameters : as in `samples.parquet`.
-    """
+    """One scene: field → its value (`arrays`), and its parameters as in `samples.parquet`."""
 
     root: Path
     manifest: Manifest
@@ -37,9 +34,9 @@ class SceneContent:
 
 
 class Scenes:
-    """The scenes of a dataset, one after the other. Needs none of the mesh files that it was made from.
+    """Reads single scenes of a dataset. The mesh files that it was made from are not needed.
 
-    Raises `InputError` when the folder is no dataset, `CheckError` for what is missing or damaged.
+    Raises `InputError` if the folder is no dataset, `CheckError` for missing or damaged values.
     """
 
     def __init__(self, dataset: str | Path) -> None:
@@ -48,12 +45,12 @@ class Scenes:
         self._reader = DatasetReader(self.root, self.manifest, self.manifest.schema.by_name)
 
     def made(self) -> list[int]:
-        """The numbers of the scenes that are there and could be made."""
+        """The indices of the scenes of committed shards that could be made, ascending."""
         records = committed(self.root, self.manifest)
         return sorted(scene.index for record in records for scene in record.scenes if scene.failure is None)
 
     def read(self, index: int, called: str = "scene") -> SceneContent:
-        """One scene; `called` is what a refusal calls its number. Raises `InputError` for one that is not there, or
+        """The scene of an index. Raises `InputError`, which calls the index `called`, if the scene is not there or
         could not be made."""
         schema = self.manifest.schema
         shard = index // schema.scenes_per_shard

@@ -1,7 +1,7 @@
 """The schema of a dataset: fields, shapes, units, and the division into chunks and shards.
 
-It follows from the configuration alone, so every shape is known before the first scene: a scene of `L` laser points,
-`P` pixels for each (1 when confocal) and `T` bins gives histograms of (L, P, T), and label images have the
+The schema follows from the configuration alone, so every shape is known before the first scene is made. Histograms
+are (L, P, T) for `L` laser points, `P` pixels for each (1 in a confocal scan) and `T` bins; label images have the
 configured rows and columns.
 """
 
@@ -35,28 +35,27 @@ SCHEMA_VERSIONS = {
     15: "datagen 0.16: with a target other light in some scenes",
     16: "datagen 0.17: with a target other light of meshes",
 }
-"""Version of the stored format → the release that began it, and what its files or its scenes of a seed have that is
-other than before (CHANGELOG.md has the details). All are read; only the last is written. It is raised with every such
-change, so that no dataset mixes two."""
+"""Version of the stored format → the release that introduced it, and how its files, or the scenes of a seed, differ
+from those of the version before (CHANGELOG.md has the details). All versions are read; only the last is written.
+Every such change raises the version, so that no dataset mixes two."""
 SCHEMA_VERSION = max(SCHEMA_VERSIONS)
 CHECKSUMS_SINCE = 4
-"""The first version whose `dataset.json` and commit records must carry a checksum of their own."""
+"""The first version whose `dataset.json` and commit records must have a checksum of their own."""
 COORDINATES_SINCE = 5
 """The first version that stores the arrival time of each bin, as a coordinate of its axis."""
 SPLITS_SINCE = 5
-"""The first version whose table says which split a scene belongs to."""
+"""The first version whose table has the split of each scene."""
 EVIDENCE_SINCE = 6
-"""The first version whose table says how much light each object brings."""
+"""The first version whose table has the detectability of each object."""
 CHUNK_BYTES = 4 * 2**20
-"""A scene's chunk is cut (first along `laser`) when its raw bytes exceed this. Half as much would double the requests
-for a large scene and change no time from a disk."""
+"""Largest raw size of a chunk; a scene with more is cut, first along `laser`. Half as much would double the requests
+to an object store for a large scene, and reading from a disk would take the same time."""
 SHARD_BYTES = 256 * 2**20
-"""The most raw bytes of one shard over all fields. Half as much would double the number of
-files."""
+"""Largest raw size of a shard over all fields. Half as much would double the number of files."""
 LARGEST_CHUNK_BYTES = 2**31 - 17
 """Blosc's own limit."""
 LARGEST_SCENE_BYTES = 2**34
-"""The most raw bytes that one field of a scene may have: more do not fit into the memory of a worker."""
+"""Largest raw size of one field of a scene: a worker's memory could not hold more."""
 MOST_SCENES = 100_000_000
 
 _MEASURED = ("scene", "laser", "pixel", "bin")
@@ -70,10 +69,11 @@ class Field:
 
     Attributes
     ----------
-    dims : dimension names; the first is `scene`. A name has one size in a dataset.
+    dims : dimension names; the first is `scene`. A name has the same size in all fields of a dataset.
     shape : the shape of one scene's value, without the scene axis.
-    sharded : large fields have one chunk a scene in shards of K scenes; small ones one chunk of K scenes, no shard.
-    classes : what the numbers 0, 1, 2 … of a field stand for, where they are classes.
+    sharded : whether each scene has chunks of its own, in shards of K scenes (large fields), or a chunk holds K
+        scenes (small fields).
+    classes : names of the classes 0, 1, 2 …, if the values are classes.
     """
 
     name: str
@@ -92,9 +92,10 @@ class Field:
 
     @property
     def chunk(self) -> tuple[int, ...]:
-        """The part of one scene that is compressed, and read, as a whole.
+        """The shape of the part of one scene that is compressed, and read, as a whole.
 
-        The leading axes are cut until it holds at most `CHUNK_BYTES`; the last axis (time, or an image row) never is.
+        The leading axes are cut until a chunk has at most `CHUNK_BYTES`. The last axis (time, or an image row) is
+        never cut.
         """
         cut = list(self.shape)
         for axis in range(len(cut) - 1):
@@ -116,11 +117,11 @@ class Schema:
 
     @property
     def shards(self) -> int:
-        """How many shards there are."""
+        """The number of shards."""
         return math.ceil(self.scenes / self.scenes_per_shard)
 
     def scenes_of(self, shard: int) -> range:
-        """The scene indices that a shard holds."""
+        """The scene indices of a shard."""
         k = self.scenes_per_shard
         return range(shard * k, min((shard + 1) * k, self.scenes))
 
@@ -136,9 +137,11 @@ class Schema:
 
 
 def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Schema:
-    """The schema that a configuration describes; a dataset that exists keeps its own `scenes_per_shard`.
+    """The schema that a configuration describes.
 
-    Raises `InputError` for too many scenes, and when one time series is larger than a chunk can be.
+    scenes_per_shard : that of an existing dataset, which keeps it.
+
+    Raises `InputError` for too many scenes, and if one time series is larger than a chunk can be.
     """
     if config.scenes > MOST_SCENES:
         raise InputError(f"scenes = {config.scenes}: must be ≤ {MOST_SCENES}")
@@ -151,7 +154,7 @@ def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Sch
 
 
 def check_size(field: Field, scenes_per_shard: int) -> None:
-    """Raise `InputError` for a field whose chunk is larger than a chunk can be, or a scene of it than memory is."""
+    """Raise `InputError` if a chunk of a field exceeds `LARGEST_CHUNK_BYTES`, or a scene `LARGEST_SCENE_BYTES`."""
     scenes = 1 if field.sharded else scenes_per_shard
     chunk = math.prod(field.chunk if field.sharded else field.shape)
     chunk_bytes = scenes * chunk * np.dtype(field.dtype).itemsize
@@ -168,10 +171,9 @@ def check_size(field: Field, scenes_per_shard: int) -> None:
 
 
 def _scenes_per_shard(fields: tuple[Field, ...], scenes: int) -> int:
-    """K: a power of two in 8 … 256 that leaves a small dataset at least eight shards (or as many as eights of
-    scenes), and below 8 only where eight scenes would exceed `SHARD_BYTES`. Workers do not enter, so neither do
-    they enter the bytes.
-    """
+    """K, the number of scenes in a shard: the largest power of two up to 256 that leaves eight shards to the dataset,
+    but at least 8; less than 8 only if eight scenes would exceed `SHARD_BYTES`. It does not depend on the number of
+    workers, so the stored bytes do not either."""
     k = 256
     while k > 8 and k * 8 > scenes:
         k //= 2
@@ -181,6 +183,7 @@ def _scenes_per_shard(fields: tuple[Field, ...], scenes: int) -> int:
 
 
 def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
+    """The sharded fields that the configuration stores: measurements, label images and volumes."""
     measured = config.capture.shape
     image, volume = (config.labels.rows, config.labels.columns), config.labels.voxels
     imported = isinstance(config.scene.layout, ImportedCaptures)
@@ -216,7 +219,7 @@ def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
 
 
 def _object_tables(config: DatasetConfig) -> tuple[Field, ...]:
-    """The tables of the label `objects`, with rows enough for every scene that the configuration can give."""
+    """The tables of the label `objects`, with enough rows for every scene that the configuration can give."""
     if "objects" not in config.store.fields:
         return ()
     classes, rows = config.scene.object_classes(), config.scene.most_objects()
@@ -247,6 +250,7 @@ def _object_tables(config: DatasetConfig) -> tuple[Field, ...]:
 
 
 def _presence(config: DatasetConfig) -> tuple[Field, ...]:
+    """The field of the label `presence`, if the configuration stores it."""
     if "presence" not in config.store.fields:
         return ()
     meaning = (
@@ -258,6 +262,7 @@ def _presence(config: DatasetConfig) -> tuple[Field, ...]:
 
 
 def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
+    """The fields that say where laser, sensor, relay wall and hidden part are; every dataset has them."""
     lasers, pixels = config.capture.scan.laser_points, config.capture.shape[1]
     all_pixels = lasers if config.capture.pairing == "confocal" else pixels
     rectangle = ("scene", "vector", "axis")

@@ -1,4 +1,5 @@
-"""Writing one shard: stale files are unlinked, fields are written whole and synced, and the record comes last."""
+"""Writing one shard: old files are removed, the file of each field is written and synced, and the record comes
+last."""
 
 from __future__ import annotations
 
@@ -22,14 +23,14 @@ from datagen.store.schema import Field, Schema
 from datagen.store.stats import COUNTS, WITH_STATS, stats_of
 
 FINITE = ("transient", "background_transient", "depth", "normal", "albedo", "shaded", "sdf", "evidence")
-"""Fields in which NaN and infinity are refused."""
+"""Fields whose values must be finite."""
 
 
 def discard_shard(root: Path, schema: Schema, shard: int) -> None:
-    """Unlink the record and every file of a shard, finished or partial. The record goes first.
+    """Remove the record and every file of a shard, finished or partial. The record goes first, so that it never
+    vouches for files that are gone.
 
-    A stale file must never stand beside a new record.
-    Raises `InputError` where a symbolic link stands in the way; nothing is unlinked then.
+    Raises `InputError` if one of them is reached through a symbolic link; nothing is removed then.
     """
     record = own_path(root, record_path(root, shard).relative_to(root).as_posix())
     paths = [own_path(root, shard_file(field, shard)) for field in schema.fields]
@@ -44,8 +45,8 @@ def discard_shard(root: Path, schema: Schema, shard: int) -> None:
 def encoded(field: Field, value: NDArray[np.generic]) -> NDArray[np.generic]:
     """One scene's value in the dtype of its field.
 
-    Raises `InputError` for another shape than the configuration gives, counts beyond the dtype's range (nothing
-    wraps), and values that are not finite where the field has no use for them.
+    Raises `InputError` for another shape than the configuration gives, counts beyond the dtype's range (they never
+    wrap around), and values that are not finite in a field of `FINITE`.
     """
     value = np.asarray(value)
     if value.shape != field.shape:
@@ -87,13 +88,13 @@ def write_shard(
 ) -> ShardRecord:  # fmt: skip
     """Write one shard and commit it; returns its record.
 
-    samples : (index, sample) for each scene of the shard in order, or (index, reason) for one that could not be made.
-    made_by : what made them; left out: this process, now.
-    started : Unix time at which the first of them was begun; left out: now.
+    samples : (index, sample) for each scene of the shard in order, or (index, reason) if it could not be made.
+    made_by : the environment that made the samples; left out: that of this process.
+    started : Unix time at which the first sample was begun; left out: now.
     """
     started, scenes = time.time() if started is None else started, schema.scenes_of(shard)
     discard_shard(root, schema, shard)
-    # A scene that could not be made keeps the fill value.
+    # Scenes that cannot be made keep the fill value.
     made: dict[Field, NDArray[np.generic]] = {
         field: np.full((len(scenes), *field.shape), fill_of(field), np.dtype(field.dtype).newbyteorder("<"))
         for field in schema.fields
@@ -101,10 +102,10 @@ def write_shard(
     records, store_s = list[SceneRecord](), 0.0
     for index, sample in samples:
         begun = time.perf_counter()
-        records.append(_keep(made, scenes.start, index, sample))
+        records.append(_fill_in(made, scenes.start, index, sample))
         store_s += time.perf_counter() - begun
     begun = time.perf_counter()
-    # Folders are not synced: a shard whose file names were lost is found missing, and made again.
+    # Folders are not synced: if a power cut loses the name of a file, the next build makes the shard again.
     files = dict[str, FileRecord]()
     for field in schema.fields:
         name, content = shard_file(field, shard), shard_content(field, made.pop(field), schema.scenes_per_shard)
@@ -130,7 +131,9 @@ def _write_new(path: Path, content: bytes) -> FileRecord:
     return FileRecord(hashlib.sha256(content).hexdigest(), len(content))
 
 
-def _keep(made: Mapping[Field, NDArray[np.generic]], first: int, index: int, sample: Sample | str) -> SceneRecord:
+def _fill_in(made: Mapping[Field, NDArray[np.generic]], first: int, index: int, sample: Sample | str) -> SceneRecord:
+    """Copy a sample's values into the arrays of a shard; returns its record. `first` is the first scene of the
+    shard."""
     if isinstance(sample, str):
         return SceneRecord(index, failure=printable(sample))
     try:
@@ -138,7 +141,7 @@ def _keep(made: Mapping[Field, NDArray[np.generic]], first: int, index: int, sam
         parameters = {name: _plain(name, value) for name, value in sample.parameters.items()}
         seconds = {name: _finite(name, value) for name, value in sample.seconds.items()}
     except Exception as error:
-        # A value that is no sample costs its scene, not the build.
+        # A sample function of the user may return anything; its scene then fails, not the build.
         reason = str(error) if isinstance(error, InputError) else f"not a sample: {type(error).__name__}: {error}"
         return SceneRecord(index, failure=printable(" ".join(reason.split())))
     for field, value in values.items():
@@ -160,6 +163,7 @@ def _plain(name: str, value: Scalar | np.generic) -> Scalar:
         raise InputError(f"parameter {name}: {type(plain).__name__} made, must be a number, a text, true or false")
     if isinstance(plain, int) and not -(2**63) <= plain < 2**63:
         raise InputError(f"parameter {name}: a whole number of more than 64 bits made")
+    # Raises UnicodeEncodeError for text that JSON cannot hold.
     f"{name}{plain}".encode()
     return plain
 

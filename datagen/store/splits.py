@@ -1,4 +1,5 @@
-"""The split of each scene: one that the configuration holds out by what scenes show, or a fixed random draw."""
+"""The split of each scene: a held-out split that the configuration defines by what scenes show, or a fixed random
+draw of train, val and test."""
 
 from __future__ import annotations
 
@@ -16,26 +17,26 @@ NOT_OF_THE_ROOM = (
     "attempts", "draws", "scene.", "capture.", "detector.", "exposure.", "effect.", "decision.", "sampler.",
     "transient.", "transport.", "histogram.", "stats.", "evidence.",
 )  # fmt: skip
-"""Parameters that do not say what was drawn for the room begin so: two scenes that differ in these alone show one."""
+"""Prefixes of parameters that do not describe the room: two scenes that differ in these alone show the same room."""
 _BLOCK = 10
-"""Each ten rooms in a row have one number in each tenth of 0 … 1, so that small datasets have all splits too. With
-half as many, shares of a tenth could not be met in each block."""
+"""Ten rooms in a row have their random numbers in ten different tenths of 0 … 1, so that small datasets have all
+splits, too. With half as many rooms, a split of a tenth would be missing in some blocks."""
 
 
 def splits_of(scenes: Sequence[Parameters | None], splits: SplitsConfig) -> list[str | None]:
-    """The split of every scene, by its parameters; None where these are, of a scene that could not be made.
+    """The split of every scene, from its parameters; None for a scene without parameters, which could not be made.
 
-    A room goes where the first scene that shows it goes, by that scene's number alone: neither growing nor anything
-    else that is drawn moves it, and no room is on two sides.
+    The random draw of a room depends only on the index of the first scene that shows it. So no room is in two splits,
+    and a room keeps its split when the dataset grows.
     """
     first: dict[tuple[tuple[str, Scalar], ...], int] = {}
-    rooms = [first.setdefault(_room(of), scene) if of else scene for scene, of in enumerate(scenes)]
+    rooms = [first.setdefault(_room(scene), index) if scene else index for index, scene in enumerate(scenes)]
     share = _shares(len(scenes))[rooms]
     ends = np.cumsum(splits.shares)[:-1] - 1e-9
     dealt = np.searchsorted(ends, share, side="right")
     return [
-        None if of is None else _held_out(of, splits) or BY_SHARE[number]
-        for of, number in zip(scenes, dealt, strict=True)
+        None if scene is None else _held_out(scene, splits) or BY_SHARE[number]
+        for scene, number in zip(scenes, dealt, strict=True)
     ]
 
 
@@ -44,15 +45,14 @@ def _held_out(parameters: Parameters, splits: SplitsConfig) -> str | None:
 
 
 def _room(parameters: Parameters) -> tuple[tuple[str, Scalar], ...]:
-    """The parameters that were drawn for the room and tell it from others; all parameters where none is of a room."""
+    """The parameters that distinguish a room from others; all parameters if none describes a room."""
     own = tuple(item for item in parameters.items() if not item[0].startswith(NOT_OF_THE_ROOM))
     return tuple(sorted(own or parameters.items()))
 
 
 def _shares(scenes: int) -> NDArray[np.float64]:
-    """(scenes,) random numbers in 0 … 1; of each ten in a row one lies in each tenth. A dataset that grows keeps
-    those of its first scenes.
-    """
+    """(scenes,) random numbers in 0 … 1; of ten in a row one lies in each tenth. The first numbers do not depend on
+    `scenes`, so a dataset that grows keeps them."""
     blocks = -(-scenes // _BLOCK)
     drawn = np.random.Philox(seed_sequence(0, 0, Purpose.LOADER, part=2)).random_raw(blocks * 2 * _BLOCK)
     keys, within = np.moveaxis(drawn.reshape(blocks, 2, _BLOCK), 1, 0)
@@ -61,7 +61,7 @@ def _shares(scenes: int) -> NDArray[np.float64]:
 
 
 def _shows(parameters: Parameters, rule: HeldOut) -> bool:
-    """Whether a scene meets every key of a rule."""
+    """Whether a scene fulfils all conditions of a rule."""
     where = (
         (rule.classes, _values(parameters, ".class")),
         (rule.layouts, {parameters.get("layout.kind"), parameters.get("layout.turn")}),

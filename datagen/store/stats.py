@@ -1,6 +1,6 @@
 """Mean and spread of histograms, as log(1 + counts), and of labels, computed for each scene when it is written.
 
-They are the same to the bit on any processor: sums are of integers, or exactly rounded.
+The results have the same bits on any processor, because all sums are sums of integers or exactly rounded.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import pydantic
 from numpy.typing import NDArray
 
 LABELS = ("depth", "normal", "albedo", "shaded", "occupancy", "sdf")
-"""Labels that are quantities, not indices."""
+"""Labels whose values are quantities, not indices."""
 COUNTS = ("histogram", "background_histogram")
 WITH_STATS = (*COUNTS, *LABELS)
 
@@ -24,9 +24,8 @@ _Sane = Annotated[float, pydantic.Field(ge=-1e100, le=1e100)]
 
 @dataclass(frozen=True)
 class FieldStats:
-    """Mean and standard deviation of a field's values, of a histogram those of log(1 + counts), and the share of
-    values that are not 0 (in most labels 0 means that there is nothing).
-    """
+    """Mean and standard deviation of a field's values (of a histogram: of log(1 + counts)), and the fraction of
+    values that are not 0 (in most labels 0 means that nothing is there)."""
 
     mean: _Sane
     std: _Sane
@@ -37,19 +36,19 @@ QUANTITIES = tuple(field.name for field in fields(FieldStats))
 
 
 def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
-    """Mean, spread and share of non-zeros of one scene's values of a field."""
+    """The statistics of one scene's values of a field."""
     size = max(values.size, 1)
     found = values[values != 0]
     if field in COUNTS:
         if values.dtype.itemsize <= 2:
-            every = np.bincount(found)  # as `unique`, and several times as fast
+            every = np.bincount(found)  # several times as fast as `unique`
             counts, times = np.flatnonzero(every), every[every > 0]
         else:
             counts, times = np.unique(found, return_counts=True)
-        # Numpy's own is another function on other processors.
+        # numpy's log1p rounds differently on different processors.
         logs = np.array([math.log1p(count) for count in counts.tolist()])
         weighed = times * logs
-        mean, square = (math.fsum(of.tolist()) / size for of in (weighed, weighed * logs))
+        mean, square = (math.fsum(terms.tolist()) / size for terms in (weighed, weighed * logs))
     else:
         exact = found.astype(np.float64)
         mean, square = (_sum(x) / size for x in (exact, exact * exact))
@@ -57,8 +56,8 @@ def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
 
 
 def _sum(values: NDArray[np.float64]) -> float:
-    """The sum of values, the same in any order of summation. Values are rounded to steps so fine that the sum just
-    fits into 62 bits: finer than doubles, so that the spread of values that hardly vary is right."""
+    """The sum of values, independent of their order. Each value is rounded to a multiple of 2^−steps, as fine as lets
+    the sum fit into 62 bits. That is finer than a double, so the spread of almost equal values stays right."""
     largest = float(np.abs(values).max(initial=0.0)) * max(values.size, 1)
     if not math.isfinite(largest):
         return largest
@@ -67,10 +66,10 @@ def _sum(values: NDArray[np.float64]) -> float:
 
 
 def together(scenes: Sequence[FieldStats]) -> dict[str, float]:
-    """The statistics of all values of several scenes of one shape, from those of each scene, by the names of
-    `FieldStats`."""
+    """The statistics of several scenes of one shape together, from those of each scene: field of `FieldStats` →
+    value."""
     if not scenes:
         raise ValueError("no scenes")
-    mean, nonzero = (math.fsum(getattr(of, name) for of in scenes) / len(scenes) for name in ("mean", "nonzero"))
-    square = math.fsum(of.std * of.std + of.mean * of.mean for of in scenes) / len(scenes)
+    mean, nonzero = (math.fsum(getattr(one, name) for one in scenes) / len(scenes) for name in ("mean", "nonzero"))
+    square = math.fsum(one.std * one.std + one.mean * one.mean for one in scenes) / len(scenes)
     return asdict(FieldStats(mean, math.sqrt(max(square - mean * mean, 0.0)), nonzero))

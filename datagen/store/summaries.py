@@ -1,5 +1,5 @@
 """Sentences about many scenes that `info`, the card, `plan` and `build` share: the significance of objects (evidence)
-by kind, how often objects were placed again, and where label images lie."""
+by kind, how often objects were placed again, and where label images lie relative to the scan."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from datagen.records.arrays import Floats
 from datagen.records.sample import SCAN_PLACE
 
 LEAST = 3.0
-"""Standard deviations under which a label cannot be learnt from the data. With half as many, one empty room in 15
-would look as if the object were there, instead of one in 700."""
+"""Significance, in standard deviations, below which a label cannot be learnt from the data. With half as much, one
+empty room in 15 would look as if the object were there, instead of one in 700."""
 SHARE = 0.9
-"""Share of the objects that shall be over `LEAST` in an advice; with half, every other object would stay under."""
+"""Fraction of the objects that an advice brings over `LEAST`; with half, every other object would stay below."""
 NEAR = 5
-"""The least number of objects from which a distance is stated; with half as many it is that of one lucky object."""
+"""Least number of objects for which a distance is stated; with half as many it could come from one lucky object."""
 PLACED_ANEW = "evidence.placed_anew"
 """Parameter of a scene: how often its objects were placed again for want of evidence."""
 OVER_M = 0.01
-"""Label images count as lying over the scan up to this distance of both middles: a third of a pixel of 64 in 2 m.
-Half as much would speak of shifts that no pixel shows."""
+"""Distance of the middles up to which label images count as lying over the scan: a third of a pixel if 64 pixels
+cover 2 m. Half as much would report shifts that no pixel shows."""
 _SIGNIFICANCE = re.compile(r"evidence\.(.+)\.significance")
 
 Parameters = Iterable[Mapping[str, object]]
@@ -38,12 +38,14 @@ class KindEvidence:
 
     Attributes
     ----------
-    kind : name in `scene.contents`. objects : how many were found.
-    median : of their significance. under_3, under_1 : shares that have less.
-    exposure_factor : how many times the exposure would bring `SHARE` of them over `LEAST`, since significance grows
-        with its square root; 1 where they are over it, infinite where too many have no light at all.
-    within_m : of those that are no farther away, `SHARE` are over `LEAST`; NaN where that many are anyway, where
-        fewer than `NEAR` objects show it, or where the distances are not known.
+    kind : name in `scene.contents`.
+    objects : number of objects.
+    median : of their significance.
+    under_3, under_1 : fractions with a significance below 3 and 1.
+    exposure_factor : factor of the exposure that would bring `SHARE` of the objects over `LEAST`, since significance
+        grows with the square root of the exposure; 1 if they are over it, infinite if too many bring no light at all.
+    within_m : distance up to which `SHARE` of the objects are over `LEAST`; NaN if that many of all objects are, if
+        fewer than `NEAR` objects are so near, or if distances are unknown.
     """
 
     kind: str
@@ -56,26 +58,26 @@ class KindEvidence:
 
 
 def kind_of(part: str) -> str:
-    """The name of an object in `scene.contents`: its part's name without its number (box_2: box)."""
+    """The kind of an object, which is the name of its part without the number (box_2: box)."""
     return re.sub(r"_\d+$", "", part)
 
 
 def evidence_by_kind(scenes: Parameters, together: str | None = None) -> list[KindEvidence]:
-    """The evidence of each kind of object, kinds in alphabetical order; empty where no evidence is stored.
+    """The evidence of each kind of object, in alphabetical order; empty if no evidence is stored.
 
-    scenes : parameters; `PART.away_m` among them is how far away an object is.
-    together : all kinds as one, of this name.
+    scenes : parameters; `PART.away_m` is the distance of an object.
+    together : name under which all kinds are counted as one.
     """
     return [_evidence(kind, *np.array(objects).T) for kind, objects in _objects_by_kind(scenes, together).items()]
 
 
 def significance_by_kind(scenes: Parameters) -> dict[str, list[float]]:
-    """Kind, in alphabetical order → the significance of each object of it."""
+    """Kind, in alphabetical order → the significance of each of its objects."""
     return {kind: [sigma for sigma, _ in objects] for kind, objects in _objects_by_kind(scenes).items()}
 
 
 def _objects_by_kind(scenes: Parameters, together: str | None = None) -> dict[str, list[tuple[float, float]]]:
-    """Kind → significance and distance of each object of it."""
+    """Kind → significance and distance of each of its objects."""
     kinds: dict[str, list[tuple[float, float]]] = {}
     for parameters in scenes:
         for name, value in parameters.items():
@@ -104,21 +106,22 @@ def _within_m(sigma: Floats, away_m: Floats) -> float:
 
 
 def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
-    """A line for each kind on which a person can act."""
+    """A line for each kind, with its significance and how to raise it."""
     lines = []
-    for of in kinds:
-        line = f"{of.kind}: {of.median:.2g} σ in the median of {of.objects}, {of.under_3:.0%} under {LEAST:g} σ"
-        if of.exposure_factor > 1:
-            ways = [f"{of.exposure_factor:.2g} × the exposure" if of.exposure_factor < 1e6 else "no exposure"]
-            ways += [] if math.isnan(of.within_m) else [f"at most {of.within_m:.2g} m away,"]
+    for k in kinds:
+        line = f"{k.kind}: {k.median:.2g} σ in the median of {k.objects}, {k.under_3:.0%} under {LEAST:g} σ"
+        if k.exposure_factor > 1:
+            ways = [f"{k.exposure_factor:.2g} × the exposure" if k.exposure_factor < 1e6 else "no exposure"]
+            ways += [] if math.isnan(k.within_m) else [f"at most {k.within_m:.2g} m away,"]
             line += f"; {', or '.join(ways)} would bring {SHARE:.0%} over"
         lines.append(line)
     return lines
 
 
 def placed_anew_lines(scenes: Parameters) -> list[str]:
-    """One line on how many scenes had their objects placed again for `evidence_at_least`; none without that key."""
-    times = [int(of[PLACED_ANEW]) for of in scenes if isinstance(of.get(PLACED_ANEW), int)]  # type: ignore[call-overload]
+    """One line on how many scenes had their objects placed again for `evidence_at_least`; no line without that
+    key."""
+    times = [value for scene in scenes if isinstance(value := scene.get(PLACED_ANEW), int)]
     if not times:
         return []
     share, mean = sum(count > 0 for count in times) / len(times), sum(times) / len(times)
@@ -129,11 +132,11 @@ def placed_anew_lines(scenes: Parameters) -> list[str]:
 
 
 def label_place_line(scenes: Parameters) -> str:
-    """One sentence on where label images lie, seen from the scan; "" for datasets made before version 0.14, which do
-    not state it."""
+    """One sentence on where label images lie relative to the scan; "" for datasets before version 0.14, which do not
+    store it."""
     shifts = []
-    for of in scenes:
-        right, up = (of.get(name) for name in SCAN_PLACE)
+    for parameters in scenes:
+        right, up = (parameters.get(name) for name in SCAN_PLACE)
         if isinstance(right, float) and isinstance(up, float):
             shifts.append((abs(right), abs(up)))
     if not shifts:

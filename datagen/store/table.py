@@ -21,7 +21,7 @@ from datagen.store.stats import QUANTITIES, FieldStats, together
 
 TABLE = "samples.parquet"
 CROISSANT = "croissant.json"
-"""The machine-readable card. It has the table's SHA-256."""
+"""The card for machines, which has the table's SHA-256."""
 COLUMNS = {
     "scene": "number of the scene; rows are in its order",
     "failure": "why the scene could not be made; null where it could",
@@ -40,9 +40,11 @@ _OWN = ("scene", "shard", "failure", "split")
 
 
 def table_of(records: Sequence[ShardRecord], fields: Sequence[str], splits: SplitsConfig | None = None) -> pa.Table:
-    """The table, with the columns `scene`, `shard`, `failure` (null when there is none), `split` (with `splits`;
-    null where there is a failure), every parameter by its dotted name (null where a scene has none of that name),
-    `stats.FIELD.QUANTITY` and `sha256.FIELD`. No timings: the table depends on the configuration alone.
+    """The table, with a row for each scene. It has no timings, so that it depends on the configuration alone.
+
+    Its columns are `scene`, `shard`, `failure` (null without one), `split` (only if `splits` is given; null after a
+    failure), each parameter by its dotted name (null in scenes without it), `stats.FIELD.QUANTITY` and
+    `sha256.FIELD`.
     """
     rows = [(record.shard, scene) for record in records for scene in record.scenes]
     rows.sort(key=lambda row: row[1].index)
@@ -68,7 +70,7 @@ def table_of(records: Sequence[ShardRecord], fields: Sequence[str], splits: Spli
 
 
 def table_bytes(table: pa.Table) -> bytes:
-    """The table as a Parquet file, the same bytes for the same table."""
+    """The table as a Parquet file. The same table gives the same bytes."""
     sink = io.BytesIO()
     pq.write_table(table, sink, compression="zstd")
     return sink.getvalue()
@@ -77,15 +79,15 @@ def table_bytes(table: pa.Table) -> bytes:
 def stats_by_split(table: pa.Table) -> dict[str, dict[str, dict[str, float]]]:
     """Split → field → `mean`, `std`, `nonzero` over the values of all its scenes."""
     splits = table["split"].to_pylist()
-    rows = {name: [row for row, of in enumerate(splits) if of == name] for name in dict.fromkeys(splits) if name}
+    rows = {name: [row for row, split in enumerate(splits) if split == name] for name in {*splits} if name}
     return {name: stats_of_rows(table.take(here)) for name, here in sorted(rows.items())}
 
 
 def stats_of_rows(table: pa.Table) -> dict[str, dict[str, float]]:
     """Field → `mean`, `std`, `nonzero` over the values of all scenes of a table without failures."""
-    names = [name.split(".")[1] for name in table.column_names if re.fullmatch(r"stats\.\w+\.mean", name)]
-    columns = {name: [f"stats.{name}.{quantity}" for quantity in QUANTITIES] for name in names}
-    found = {name: table.select(of).drop_null().to_pylist() for name, of in columns.items()}
+    fields = [name.split(".")[1] for name in table.column_names if re.fullmatch(r"stats\.\w+\.mean", name)]
+    columns = {name: [f"stats.{name}.{quantity}" for quantity in QUANTITIES] for name in fields}
+    found = {name: table.select(names).drop_null().to_pylist() for name, names in columns.items()}
     stats = {
         name: [FieldStats(**{key.rpartition(".")[2]: value for key, value in row.items()}) for row in rows]
         for name, rows in found.items()
@@ -94,7 +96,7 @@ def stats_of_rows(table: pa.Table) -> dict[str, dict[str, float]]:
 
 
 def read_splits(root: Location, scenes: int, splits: SplitsConfig) -> list[str | None]:
-    """The split of every scene by other `splits` than the stored ones, from the parameters in the table."""
+    """The split of every scene for other `splits` than the stored ones, from the parameters in the table."""
     table = read_table(root, None, scenes)
     names = [name for name in table.column_names if name not in _OWN and not name.startswith(("sha256.", "stats."))]
     failed = table["failure"].is_valid().to_pylist()
@@ -104,9 +106,11 @@ def read_splits(root: Location, scenes: int, splits: SplitsConfig) -> list[str |
 
 
 def read_table(root: Location, columns: Sequence[str] | None, scenes: int) -> pa.Table:
-    """Some columns of the table of a dataset of so many scenes, or all.
+    """Columns of the table of a dataset (None: all columns).
 
-    Raises `CheckError` when it is not the file whose hash `croissant.json` has, `InputError` for an unknown column.
+    scenes : the number of rows that it must have.
+
+    Raises `CheckError` if the file has another hash than `croissant.json` states, `InputError` for an unknown column.
     """
     path, remedy = root / TABLE, "run the same `datagen build` again to write it anew"
     try:
@@ -133,6 +137,7 @@ def read_table(root: Location, columns: Sequence[str] | None, scenes: int) -> pa
 
 
 def _column(scenes: Sequence[SceneRecord], name: str) -> pa.Array:
+    """A parameter of all scenes as a column: of booleans, integers, floats, or else texts."""
     values: list[Scalar | None] = [scene.parameters.get(name) for scene in scenes]
     present = [value for value in values if value is not None]
     kinds = {bool if isinstance(value, bool) else type(value) for value in present}

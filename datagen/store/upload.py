@@ -1,106 +1,128 @@
-"""A build into an object store: shards are made in a local folder and put there one by one, each record last.
+"""The output of a build, a local folder that may be copied to an object store shard by shard.
 
-A build that was interrupted is taken up, also on another machine: shards whose records are there are fetched, not
-made again. Readers use no shard without its record, and no dataset is complete without its table, which comes after
-all records. One build at a time may write there: object stores have no locks.
+The commit record of a shard is uploaded after its files, and the table after all records: readers use no shard
+without its record, and take no dataset for complete without its table. A build that was interrupted can be resumed on
+another machine: it fetches the shards whose records are in the object store, instead of making them again. Object
+stores have no locks, so only one build at a time may write to an address.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.errors import InputError
 from datagen.store.card import CARD
 from datagen.store.files import read_whole, write_atomically
-from datagen.store.location import Bucket
+from datagen.store.location import Bucket, location_of
 from datagen.store.manifest import MANIFEST, DamagedManifest, Manifest, read_manifest
 from datagen.store.prepare import WHEN_COMPLETE, is_fresh
 from datagen.store.record import ShardRecord, record_path, recorded_shards, sound_records
 
 
-def staging_of(bucket: Bucket) -> Path:
-    """The local folder of a build into an object store: below DATAGEN_STAGING, or the user's cache. It may be deleted
-    when the build is done."""
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    below = os.environ.get("DATAGEN_STAGING") or Path(cache, "datagen", "staging")
-    return Path(below, bucket.bucket, *bucket.key.parts)
+@dataclass(frozen=True)
+class Output:
+    """The folder that a build writes, and the prefix of an object store that it is copied to (None: no copy)."""
 
+    folder: Path
+    bucket: Bucket | None
 
-def fetch(root: Path, bucket: Bucket) -> None:
-    """Copy the shards of an earlier build from the object store to the local folder, where that lacks them.
+    @classmethod
+    def at(cls, path: str | Path) -> Output:
+        """The output that a path or an address names. The folder of an address lies below DATAGEN_STAGING, or in the
+        user's cache; it may be deleted when the build is done."""
+        target = location_of(path)
+        if isinstance(target, Path):
+            return cls(target, None)
+        cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        below = os.environ.get("DATAGEN_STAGING") or Path(cache, "datagen", "staging")
+        return cls(Path(below, target.bucket, *target.key.parts), target)
 
-    Raises `InputError` when what lies there is no dataset, or another one than that of the folder.
-    """
-    try:
-        manifest = read_manifest(bucket)
-    except DamagedManifest:
-        # Restored from here, as a build restores a folder's; shards that are no part of it are made new.
-        return
-    except InputError:
-        if bucket.is_dir():
-            raise InputError(f"output {bucket}: holds objects and no dataset; name another prefix") from None
-        return
-    if is_fresh(root):
-        root.mkdir(parents=True, exist_ok=True)
-        write_atomically(root / MANIFEST, read_whole(bucket / MANIFEST))
-    own = read_manifest(root)
-    if (own.fingerprint, own.schema_version) != (manifest.fingerprint, manifest.schema_version):
-        raise InputError(f"output {bucket}: holds another dataset than {root}, made for it; delete one of the two")
-    missing = sorted({*recorded_shards(bucket)} - {*recorded_shards(root)})
-    for record in sound_records(bucket, manifest.must_be_sealed, missing):
-        if record.mismatch(manifest.schema, manifest.fingerprint) is None:
-            _fetch_shard(root, bucket, record)
+    @property
+    def shown(self) -> Path | str:
+        """The folder, or the address of its copy."""
+        return self.folder if self.bucket is None else str(self.bucket)
 
+    def fetch(self) -> None:
+        """Copy the shards of an earlier build from the object store to the folder, where that lacks them.
 
-def _fetch_shard(root: Path, bucket: Bucket, record: ShardRecord) -> None:
-    """Copy one shard, its record last. A file that differs from the record is found by the build, and made again."""
-    if record.problem(bucket, hashes=False) is not None:
-        return
-    for name in record.files:
-        (root / name).parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(root / name, (bucket / name).read_bytes())
-    kept = record_path(root, record.shard)
-    kept.parent.mkdir(exist_ok=True)
-    write_atomically(kept, record.to_bytes())
+        Raises `InputError` if what lies there is no dataset, or another one than that of the folder.
+        """
+        root, bucket = self.folder, self.bucket
+        if bucket is None:
+            return
+        try:
+            manifest = read_manifest(bucket)
+        except DamagedManifest:
+            # The build restores the manifest from the folder, and makes shards that do not belong to it anew.
+            return
+        except InputError:
+            if bucket.is_dir():
+                raise InputError(f"output {bucket}: holds objects and no dataset; name another prefix") from None
+            return
+        if is_fresh(root):
+            root.mkdir(parents=True, exist_ok=True)
+            write_atomically(root / MANIFEST, read_whole(bucket / MANIFEST))
+        own = read_manifest(root)
+        if (own.fingerprint, own.schema_version) != (manifest.fingerprint, manifest.schema_version):
+            raise InputError(
+                f"output {bucket}: holds another dataset than {root}, made for it; delete one of the two"
+            )
+        missing = sorted({*recorded_shards(bucket)} - {*recorded_shards(root)})
+        for record in sound_records(bucket, manifest.must_be_sealed, missing):
+            # A file that differs from its record is found by the build, which makes the shard again.
+            if record.mismatch(manifest.schema, manifest.fingerprint) or record.problem(bucket, hashes=False):
+                continue
+            for name in record.files:
+                (root / name).parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(root / name, (bucket / name).read_bytes())
+            kept = record_path(root, record.shard)
+            kept.parent.mkdir(exist_ok=True)
+            write_atomically(kept, record.to_bytes())
 
+    def begin(self, manifest: Manifest) -> None:
+        """Upload the manifest and the metadata of the arrays, if they are not there."""
+        if self.bucket is None:
+            return
+        if not _holds(self.bucket / MANIFEST, self.folder / MANIFEST):
+            # The dataset grows, or is repaired: files that say it is complete go before anything else changes.
+            self._forget_complete(self.bucket)
+        for name in (MANIFEST, *manifest.metadata):
+            self._put(self.bucket, name)
 
-def begin(root: Path, bucket: Bucket, manifest: Manifest) -> None:
-    """Upload the manifest and the metadata of the arrays, if they are not there."""
-    if not _holds(bucket / MANIFEST, root / MANIFEST):
-        # It grows, or is mended: what described it as complete goes before anything else changes.
+    def put_shard(self, record: ShardRecord) -> None:
+        """Upload a committed shard, its record last, unless the same bytes are there."""
+        if self.bucket is None:
+            return
+        kept, there = record_path(self.folder, record.shard), record_path(self.bucket, record.shard)
+        if _holds(there, kept) and record.problem(self.bucket) is None:
+            return
+        self._forget_complete(self.bucket)
+        there.unlink()
+        for name in record.files:
+            (self.bucket / name).put(self.folder / name)
+        there.put(kept)
+
+    def finish(self, records: Iterable[ShardRecord], complete: bool) -> None:
+        """Upload what is missing or differs; the files of a complete dataset come last."""
+        if self.bucket is None:
+            return
+        for record in records:
+            self.put_shard(record)
+        # The table comes before croissant.json, which holds the table's hash.
+        for name in (CARD, MANIFEST, *(WHEN_COMPLETE if complete else ())):
+            self._put(self.bucket, name)
+
+    def _put(self, bucket: Bucket, name: str) -> None:
+        if not _holds(bucket / name, self.folder / name):
+            (bucket / name).put(self.folder / name)
+
+    @staticmethod
+    def _forget_complete(bucket: Bucket) -> None:
         for name in WHEN_COMPLETE:
             (bucket / name).unlink()
-    for name in (MANIFEST, *manifest.metadata):
-        _put(root, bucket, name)
-
-
-def put_shard(root: Path, bucket: Bucket, record: ShardRecord) -> None:
-    """Upload a committed shard, its record last, unless the same bytes are there."""
-    kept, there = record_path(root, record.shard), record_path(bucket, record.shard)
-    if _holds(there, kept) and record.problem(bucket) is None:
-        return
-    for name in WHEN_COMPLETE:
-        (bucket / name).unlink()
-    there.unlink()
-    for name in record.files:
-        (bucket / name).put(root / name)
-    there.put(kept)
-
-
-def finish_upload(root: Path, bucket: Bucket, records: Iterable[ShardRecord], complete: bool) -> None:
-    """Upload what is missing or differs; the files of a complete dataset come last."""
-    for record in records:
-        put_shard(root, bucket, record)
-    # The table before what vouches for it.
-    for name in (CARD, MANIFEST, *(WHEN_COMPLETE if complete else ())):
-        _put(root, bucket, name)
-
-
-def _put(root: Path, bucket: Bucket, name: str) -> None:
-    if not _holds(bucket / name, root / name):
-        (bucket / name).put(root / name)
 
 
 def _holds(there: Bucket, kept: Path) -> bool:

@@ -1,5 +1,4 @@
-"""Verification of a dataset against its commit records: files by their hash, values by the digests of decoded
-data."""
+"""Verification of a dataset against its commit records: files by their hash, values by their digests."""
 
 from __future__ import annotations
 
@@ -29,10 +28,12 @@ from datagen.store.table import CROISSANT, TABLE, stats_by_split, table_bytes, t
 def committed(
     root: Location, manifest: Manifest, shards: Iterable[int] | None = None, hashes: bool = False
 ) -> list[ShardRecord]:
-    """The records of the shards that are there: sound, of this configuration, of all their scenes, their files in
-    place. With `hashes` the files' bytes must also be those that were written.
+    """The records of committed shards: undamaged, of this configuration, with all their files at the right size. With
+    `hashes` the files' bytes must also be those that were written.
+
+    shards : look at these shards only; None: at all.
     """
-    # The records in the folder count, since `dataset.json` may claim any number of scenes.
+    # The loop is over records in the folder, since a hostile `dataset.json` may claim any number of scenes.
     return [
         record
         for record in sound_records(root, manifest.must_be_sealed, shards)
@@ -43,7 +44,8 @@ def committed(
 
 
 def finish(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
-    """Write what a complete dataset has beside its arrays: the table, the cards, `stats` in `dataset.json`."""
+    """Write the files of a complete dataset beside its arrays: the table, the cards, and `stats` in
+    `dataset.json`."""
     table = _table(manifest, records)
     manifest = replace(manifest, stats=stats_by_split(table))
     write_if_changed(root / MANIFEST, manifest.to_bytes())
@@ -68,11 +70,12 @@ class Verification:
 
 
 def verify(path: str | Path, deep: bool = False) -> Verification:
-    """The problems of a dataset, from a check of its metadata, commit records, every file's SHA-256, table and cards.
+    """The problems of a dataset: a check of its metadata, commit records, table, cards, and the SHA-256 of every
+    file.
 
-    deep : also decode every value and compare it with the digest taken before it was written.
+    deep : also decode every value and compare it with the digest that was taken before it was written.
 
-    Raises `InputError` when the folder is no dataset; whatever else is wrong stands in `problems`.
+    Raises `InputError` if the folder is no dataset; everything else that is wrong is in `problems`.
     """
     root = location_of(path)
     manifest = read_manifest(root)
@@ -105,7 +108,7 @@ def verify(path: str | Path, deep: bool = False) -> Verification:
 
 
 def _missing(there: Sequence[int], shards: int) -> Iterator[str]:
-    """`shard 3` or `shards 3-90` for every gap in the shards that are there."""
+    """`shard 3` or `shards 3-90` for every gap between the shards that are there."""
     ends = [-1, *(shard for shard in there if shard < shards), shards]
     for before, after in itertools.pairwise(ends):
         if after - before == 2:
@@ -123,6 +126,7 @@ def _metadata_problems(root: Location, manifest: Manifest) -> Iterator[str]:
 
 
 def _shard_problems(root: Location, manifest: Manifest, record: ShardRecord, deep: bool) -> Iterator[str]:
+    """Problems of the files and scenes of a committed shard."""
     wrong = record.mismatch(manifest.schema, manifest.fingerprint) or record.problem(root)
     if wrong is not None:
         yield f"shard {record.shard}: {wrong}"
@@ -140,18 +144,19 @@ def _shard_problems(root: Location, manifest: Manifest, record: ShardRecord, dee
 
 
 def _summary_problems(root: Location, manifest: Manifest, records: Sequence[ShardRecord]) -> Iterator[str]:
+    """Problems of the files that a complete dataset has beside its arrays."""
     if not (root / TABLE).is_file():
         yield f"{TABLE}: missing; build again to write it"
         return
     table, now = _table(manifest, records), environment()
     if manifest.schema_version >= SPLITS_SINCE and manifest.stats != stats_by_split(table):
         yield "dataset.json: its stats differ from what the commit records say"
-    # Another pyarrow writes the same table in other bytes.
+    # Another version of pyarrow writes the same table with other bytes; then the rows are compared.
     same_writer = manifest.versions["pyarrow"] == now["pyarrow"]
     if not holds(root / TABLE, table_bytes(table)) and (same_writer or not _has_rows_of(root / TABLE, table)):
         yield f"{TABLE}: differs from what the commit records say"
         return
-    # Another datagen may word the same facts otherwise.
+    # Another version of datagen may describe the same dataset in other words; then the cards must only exist.
     same_words = (manifest.versions["datagen"], manifest.schema_version) == (now["datagen"], SCHEMA_VERSION)
     texts = {CROISSANT: b"", CARD: b""}
     if same_words:
@@ -172,14 +177,14 @@ def _has_rows_of(path: Location, table: pa.Table) -> bool:
 
 
 def dataset_digest(path: str | Location) -> str:
-    """Hex SHA-256 over all decoded values of a dataset. It does not depend on shards, compression, order of building
-    or interruptions.
+    """Hex SHA-256 over all decoded values of a dataset. It does not depend on shards, compression, the order of
+    building or interruptions.
 
-    For each field, by name, the hash takes a line `name dtype shape` (of one scene), then for each scene in order the
-    SHA-256 of its values, little-endian in C order, or 32 zero bytes where the scene could not be made. All values
-    are read, and compared with the digests taken when they were written.
+    The hash takes, for each field in alphabetical order, a line `name dtype shape` (of one scene), and then for each
+    scene the SHA-256 of its values, little-endian in C order, or 32 zero bytes if the scene could not be made. All
+    values are read, and compared with the digests that were taken when they were written.
 
-    Raises `InputError` when the folder is no dataset, `CheckError` when it is not complete or not as it was written.
+    Raises `InputError` if the folder is no dataset, `CheckError` if it is not complete or not as it was written.
     """
     root = location_of(path)
     manifest = read_manifest(root)
@@ -195,7 +200,7 @@ def dataset_digest(path: str | Location) -> str:
         whole.update(f"{name} {field.dtype} {' '.join(map(str, field.shape))}\n".encode())
         for scene in scenes:
             if scene.failure is None:
-                # Read in order to be compared: the digest that the record states is then that of the values.
+                # Reading compares the values with the record's digest, which can then stand for them.
                 reader.read(name, [scene.index])
             whole.update(bytes.fromhex(scene.digests[name]) if scene.failure is None else bytes(32))
     return whole.hexdigest()

@@ -1,4 +1,4 @@
-"""Benchmark sets of known bytes: `datagen suite`."""
+"""Benchmark datasets whose bytes are published: `datagen suite`."""
 
 from datagen.suites.catalogue import SUITES, Suite, SuiteResult, build_suite, find_suite, suite_of
 

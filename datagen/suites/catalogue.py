@@ -1,5 +1,5 @@
-"""Benchmark suites: datasets of a name and version whose bytes are published. Each has its configuration beside this
-file, and the digest of its values in `digests.json`."""
+"""Benchmark suites: datasets with a name, a version and published bytes. The configuration of each lies beside this
+file, and the digest of its values is in `digests.json`."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ PINNED = FOLDER / "digests.json"
 
 @dataclass(frozen=True)
 class Suite:
-    """A named, versioned benchmark set.
+    """A benchmark suite.
 
     Attributes
     ----------
-    name : with its version; what a name gives never changes.
+    name : its name with the version, such as `letters-5`. The bytes of a name never change.
     digest : hex SHA-256 of all its values as published (`datagen digest`).
     """
 
@@ -52,7 +52,8 @@ class Suite:
 
 @functools.cache
 def pinned() -> dict[str, Any]:
-    """`made_with`: versions and architecture for which bytes are promised; `digests`: suite → hex SHA-256."""
+    """The content of `digests.json`: versions and architecture that give the published bytes (`made_with`), and suite
+    → hex SHA-256 (`digests`)."""
     values: dict[str, Any] = json.loads(PINNED.read_text())
     return values
 
@@ -64,7 +65,7 @@ SUITES: dict[str, Suite] = {
 
 
 def find_suite(name: str) -> Suite:
-    """The suite of a name. Raises `InputError` for one that there is not."""
+    """The suite of a name. Raises `InputError` for an unknown name."""
     if name not in SUITES:
         near = difflib.get_close_matches(name, SUITES, 1, 0.4)
         meant = f"did you mean {near[0]!r}? There are" if near else "there are"
@@ -73,12 +74,12 @@ def find_suite(name: str) -> Suite:
 
 
 def suite_of(manifest: Manifest) -> Suite | None:
-    """The suite that a dataset has the configuration of, if any."""
+    """The suite whose configuration a dataset has, or None."""
     suite = SUITES.get(str(manifest.config["name"]))
     if suite is None:
         return None
     config = suite.config
-    # Which scenes are tested is no part of the fingerprint, and part of a benchmark.
+    # The number of scenes and their splits are part of a benchmark, but not of the fingerprint.
     same = manifest.schema.scenes == config.scenes and manifest.config["splits"] == config.splits.model_dump(
         mode="json"
     )
@@ -86,7 +87,7 @@ def suite_of(manifest: Manifest) -> Suite | None:
 
 
 def differing_versions() -> str:
-    """What here may give other bytes than those published: `numpy 2.3.1 (published with 2.4.6)`; "" for nothing."""
+    """Versions here that may give other bytes, such as `numpy 2.3.1 (published with 2.4.6)`; "" if there are none."""
     here, there = made_with(), pinned()["made_with"]
     names = [name for name in (*LIBRARIES, "machine") if here[name] != there[name]]
     return ", ".join(f"{name} {here[name]} (published with {there[name]})" for name in names)
@@ -98,10 +99,10 @@ class SuiteResult:
 
     Attributes
     ----------
-    name, path : which, and where.
-    digest, published : hex SHA-256 of its values, and that of the published ones.
-    splits : split → scenes.
-    bytes : on disk.
+    name, path : name of the suite, and folder of the dataset.
+    digest, published : hex SHA-256 of the values that were built, and of the published values.
+    splits : split → number of scenes.
+    bytes : size on disk.
     """
 
     name: str
@@ -124,22 +125,22 @@ class SuiteResult:
 
 
 def build_suite(name: str, path: str | Path, workers: int = 1, *, progress: bool = True) -> SuiteResult:
-    """Build a benchmark set of a name, and compare its digest with the published one.
+    """Build a benchmark suite, and compare its digest with the published one.
 
     Parameters
     ----------
-    name : such as `letters-5`; `datagen suite` lists them.
-    path : the folder to make, or to go on with.
-    workers, progress : as of `build`; the bytes do not depend on them.
+    name : such as `letters-5`; `datagen suite` lists all names.
+    path : the folder of the dataset, new or to be resumed.
+    workers, progress : as for `build`; the bytes do not depend on them.
 
     Returns
     -------
-    SuiteResult; the set itself is a dataset like any other, read by `TransientDataset(path, split="train")`.
+    SuiteResult; the suite itself is a dataset like any other, read by `TransientDataset(path, split="train")`.
 
     Raises
     ------
     InputError : no such suite, or the folder holds something else.
-    CheckError : the bytes are not the published ones. The dataset stays; the line says which versions differ.
+    CheckError : the bytes are not the published ones. The dataset stays; the error names the versions that differ.
     """
     check_kind("name", name, str, remedy=f"one of {', '.join(SUITES)}")
     suite = find_suite(name)

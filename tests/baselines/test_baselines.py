@@ -1,4 +1,4 @@
-"""Baselines: backprojection finds a point wherever it is, and the network learns what there is to learn."""
+"""Baselines: backprojection finds a point, and the network learns more than the mean."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's demonstration room: what its text gives, and where Fig. 7 has its peaks."""
+"""The paper's demonstration room: the numbers of its text, and the peaks of its Fig. 7."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def room() -> tuple[Scene, Capture, Transient]:
     return scene, capture, dg.simulate(scene, capture, accuracy, seed=7)
 
 
-def test_what_the_paper_says_about_room_and_capture(room: tuple[Scene, Capture, Transient]) -> None:
+def test_room_and_capture_are_those_of_the_paper(room: tuple[Scene, Capture, Transient]) -> None:
     scene, capture, transient = room
     np.testing.assert_allclose([capture.laser.position, capture.sensor.position], [[0, 0, 1]] * 2, atol=1e-12)
     np.testing.assert_allclose(transient.laser_points, [[6, 0, 2.5]], atol=1e-9)

@@ -1,4 +1,4 @@
-"""Laser and sensor where the scene puts the device, elsewhere, and where they must not be."""
+"""Laser and sensor at the scene's own place and elsewhere, and places that are refused."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from datagen.records import Capture, Scene
 from datagen.report.replay import read_scene, replay
 
 BOX = {"kind": "box", "width_m": 0.4, "depth_m": 0.4, "height_m": 1.0, "along": 0.6, "across": 0.5, "rotation_deg": 0}
-"""Stands 4.8 m ahead and 2.5 m to the left of the device, behind the inner corner 3 m ahead and 1 m to the left."""
+"""A box 4.8 m ahead and 2.5 m to the left of the device, behind the inner corner 3 m ahead and 1 m to the left."""
 PATCH = {"pairing": "exhaustive", "field_of_view": {"rows": 2, "columns": 2, "width_m": 1.5, "height_m": 1.5}}
 
 
@@ -104,8 +104,9 @@ def test_scans_drawn_for_every_scene_are_built_and_simulated_again(tmp_path: Any
     assert not np.array_equal(*(scene.arrays["laser_points"] for scene in stored))
 
 
-def test_a_later_scene_that_does_not_fit_is_told_before_a_build() -> None:
-    """With the laser 0.55 m to the side scenes 0 … 4 are in order, and an object of scene 5 is in plain sight."""
+def test_a_later_scene_that_does_not_fit_is_refused_before_a_build() -> None:
+    """With the laser 0.55 m to the side, the objects of the first scenes are hidden, and one of a later scene is
+    not."""
     layout = {"kind": "l_corridor"}
     capture = {"scan": {"rows": 2, "columns": 2}, "laser_offset_m": [0.0, 0.55, 0.0]}
     settings = {"seed": 3, "scene": {"layout": layout}, "capture": capture}
@@ -126,11 +127,11 @@ def test_a_later_scene_that_does_not_fit_is_told_before_a_build() -> None:
         check_inputs(config_from_mapping({**settings, "scenes": 12}))
 
 
-def test_an_object_of_which_a_corner_peeps_out_is_seen() -> None:
-    """A sliver that random points on the surface would miss."""
+def test_an_object_with_a_visible_corner_is_in_plain_sight() -> None:
+    """Random points on the surface would miss so small a part."""
     scene = furnished()
     corner = np.array([3.0, 1.0])
-    # Towards the corner of the box that leaves its cover first, a millimetre past the edge of the wall.
+    # The corner of the box that becomes visible first, seen a millimetre past the edge of the wall.
     box = scene.corners[scene.faces_of("box")].reshape(-1, 3)
     bearing = (box[:, 1] - corner[1]) / (box[:, 0] - corner[0])
     first = box[np.argmin(bearing)]

@@ -1,4 +1,4 @@
-"""Flood illumination: its quadrature, its convergence to a closed form, its standard error, and what is refused."""
+"""Flood illumination: its quadrature, its convergence to a closed form, its standard error, and refused settings."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_flood_is_the_mean_of_its_points(scene: Scene) -> None:
 
 
 def test_standard_error_is_the_spread_of_repetitions(scene: Scene) -> None:
-    """Over 24 seeds, the root mean square spread of all bins is what is stated, to a fifth."""
+    """Over 24 seeds, the root mean square spread of all bins is the stated one, to a fifth."""
     capture = captured(4, scene)
     made = [dg.simulate(scene, capture, dg.Accuracy(lookins=16, fov_samples=4), seed=k) for k in range(24)]
     spread = np.stack([t.total for t in made]).var(axis=0, ddof=1).sum()
@@ -91,13 +91,13 @@ def test_points_are_midpoints_of_cells_that_fill_the_field_of_view(scene: Scene)
     capture = captured(8, scene)
     zones, targets = capture.sensor.pixels, capture.laser.targets
     low, high = zones.min(axis=1), zones.max(axis=1)
-    held = ((targets[:, None, 1:] > low[:, 1:]) & (targets[:, None, 1:] < high[:, 1:])).all(axis=-1)
-    assert (held.sum(axis=0) == 4).all()
-    for zone, own in zip(zones, held.T, strict=True):
+    inside = ((targets[:, None, 1:] > low[:, 1:]) & (targets[:, None, 1:] < high[:, 1:])).all(axis=-1)
+    assert (inside.sum(axis=0) == 4).all()
+    for zone, own in zip(zones, inside.T, strict=True):
         np.testing.assert_allclose(targets[own].mean(axis=0), zone.mean(axis=0), atol=1e-12)
 
 
-def test_what_makes_no_flood_is_refused(scene: Scene) -> None:
+def test_impossible_floods_are_refused(scene: Scene) -> None:
     with pytest.raises(InputError, match=r"illumination = 'flood' with pairing 'confocal'"):
         flood(4, pairing="confocal", field_of_view={})
     with pytest.raises(InputError, match=r"scan\.rows = 6 with .*field_of_view\.rows = 4.*take a multiple of 4"):

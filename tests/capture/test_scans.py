@@ -1,4 +1,4 @@
-"""Scan patterns: where the laser points are, what is drawn anew, and what is refused."""
+"""Scan patterns: positions of laser points, patterns drawn for every scene, and refused settings."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_grid_goes_row_by_row_from_the_top_left(scene: Scene) -> None:
     np.testing.assert_allclose(on_wall(targets(scan, scene), scene), expected, atol=1e-12)
 
 
-def test_a_place_on_the_wall_can_be_said_both_ways(scene: Scene) -> None:
+def test_a_place_on_the_wall_has_two_notations(scene: Scene) -> None:
     wall = wall_of(scene)
     point = wall.center + 0.3 * wall.right / np.linalg.norm(wall.right) - [0, 0, 0.2]
     for kind in ({"rows": 2, "columns": 2}, {"kind": "circle", "count": 4}):
@@ -101,7 +101,7 @@ def test_a_circle_is_round_even_and_counter_clockwise(scene: Scene) -> None:
     np.testing.assert_allclose(place, 0.7j * np.exp(2j * np.pi * np.arange(12) / 12), atol=1e-12)
 
 
-def test_what_is_drawn_depends_on_scene_and_seed_alone(scene: Scene) -> None:
+def test_drawn_patterns_depend_on_scene_and_seed_alone(scene: Scene) -> None:
     for kind in ("random", "subset"):
         config = configured(EVERY_KIND[kind])
         first = dg.capture_for(config, scene, seed=5, index=3).laser.targets

@@ -1,4 +1,4 @@
-"""A measurement small enough to be repeated, by any detector."""
+"""A small measurement, which many tests can simulate."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CONTENTS = [{"kind": "pillar"}, {"kind": "box"}]
 def measurement(
     detector: dict[str, Any], contents: list[dict[str, Any]] | None = None, **others: Any
 ) -> DatasetConfig:
-    """Four laser points and coarse light."""
+    """A configuration of four laser points and coarse light, for a detector."""
     values = {
         "seed": 3,
         "scenes": 4,

@@ -1,4 +1,5 @@
-"""An exposure found for evidence gives it, by the detector's own law, and is the least that does."""
+"""The exposure for a requested evidence gives that evidence, under each kind of detector, and is the least that
+does."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ DETECTORS: dict[str, dict[str, Any]] = {
 
 
 def significances(config: dg.DatasetConfig, scenes: int) -> np.ndarray:
-    """Of all objects of the first scenes, each under its own detector."""
+    """Significances of all objects of the first scenes, each under its own detector."""
     found = []
     for index in range(scenes):
         scene = dg.scene_for(config, index)
@@ -47,7 +48,7 @@ def with_cycles(config: dg.DatasetConfig, cycles: float) -> dg.DatasetConfig:
     ("kind", "evidence", "quantile"),
     [*((kind, 10, 0.5) for kind in DETECTORS), ("background", 3, 0.2), ("dead time", 3, 0.2)],
 )
-def test_it_gives_what_is_asked_and_no_less_does(
+def test_the_exposure_is_the_least_that_gives_the_evidence(
     kind: str, evidence: float, quantile: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With N cycles at most a share of the objects has less; with N/1.1, below what N was rounded up from, more have.
@@ -55,32 +56,31 @@ def test_it_gives_what_is_asked_and_no_less_does(
     A significance grows with N as long as no counter is full.
     """
     monkeypatch.setattr(exposure, "OBJECTS", 12)
-    asked = {"evidence": evidence, "quantile": quantile, "longest_s": 1e3}
-    found = dg.with_exposure_found(measurement({**DETECTORS[kind], "exposure_for": asked}))
+    request = {"evidence": evidence, "quantile": quantile, "longest_s": 1e3}
+    found = dg.with_exposure_found(measurement({**DETECTORS[kind], "exposure_for": request}))
     cycles = found.detector.cycles
     assert isinstance(cycles, float) and cycles == float(f"{cycles:.2g}")
     assert np.mean(significances(found, 6) < evidence) <= quantile
     assert np.mean(significances(with_cycles(found, round(cycles / 1.1)), 6) < evidence) > quantile
 
 
-def test_it_is_the_same_for_any_number_of_scenes_and_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_exposure_is_the_same_for_any_number_of_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exposure, "OBJECTS", 6)
-    asked = {"exposure_for": {"evidence": 5}}
-    cycles = {dg.with_exposure_found(measurement(asked, scenes=n)).detector.cycles for n in (1, 4, 4, 100)}
+    request = {"exposure_for": {"evidence": 5}}
+    cycles = {dg.with_exposure_found(measurement(request, scenes=n)).detector.cycles for n in (1, 4, 4, 100)}
     assert len(cycles) == 1
 
 
 def test_a_dataset_holds_plain_cycles_and_its_own_configuration_builds_it_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Taken up by the same request, without a search; another request is refused."""
+    """The same request resumes the build; another request is refused."""
     monkeypatch.setattr(exposure, "OBJECTS", 6)
     config = measurement({"exposure_for": {"evidence": 5}})
     dg.build(config.with_scenes(2), tmp_path / "a", progress=False)
     stored = read_manifest(tmp_path / "a").parsed_config()
     assert stored.detector.exposure_for is None and stored.detector.cycles > 1
     dg.build(stored.with_scenes(4), tmp_path / "b", progress=False)
-    monkeypatch.setattr(exposure, "_pilots", None)
     assert dg.build(config, tmp_path / "a", progress=False).kept == 0
     first, second = (sorted(p for p in (tmp_path / n / "data.zarr").rglob("*") if p.is_file()) for n in "ab")
     assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
@@ -99,7 +99,7 @@ def test_scenes_on_the_fly_are_those_of_the_dataset(tmp_path: Path, monkeypatch:
         assert (stored["histogram"] == made["histogram"]).all()
 
 
-def test_rooms_that_wait_for_the_exposure_can_be_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_contact_sheet_finds_the_exposure_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exposure, "OBJECTS", 6)
     config = measurement({"exposure_for": {"evidence": 5}}, [{"kind": "box", "evidence_at_least": 4}])
     ((found, _),) = first_scenes([config], 1)
@@ -117,7 +117,7 @@ def test_rooms_that_wait_for_the_exposure_can_be_drawn(monkeypatch: pytest.Monke
         ({"exposure_for": {"evidence": 4e4, "longest_s": 1e6}}, None, "more than uint32 holds; set a wider"),
     ],
 )
-def test_what_no_exposure_reaches_is_refused_in_a_line(
+def test_requests_that_no_exposure_meets_are_refused_in_a_line(
     detector: dict[str, Any], contents: list[dict[str, Any]] | None, words: str
 ) -> None:
     with pytest.raises(dg.InputError) as refusal:
@@ -135,12 +135,12 @@ def test_what_no_exposure_reaches_is_refused_in_a_line(
         ({"exposure_for": {"evidence": 0}}, r"detector.exposure_for.evidence = 0"),
     ],
 )
-def test_one_of_both_is_given(detector: dict[str, Any], words: str) -> None:
+def test_contradictory_settings_are_refused(detector: dict[str, Any], words: str) -> None:
     with pytest.raises(dg.InputError, match=words):
         measurement(detector)
 
 
-def test_what_needs_the_exposure_says_how_to_find_it() -> None:
+def test_a_detector_without_exposure_is_refused_with_the_remedy() -> None:
     config = measurement({"exposure_for": {"evidence": 5}})
     with pytest.raises(dg.InputError, match=r"use dg\.with_exposure_found\(config\)"):
         detector_for(config.detector, 0, 0)

@@ -1,4 +1,5 @@
-"""A floor for evidence: objects have it as stored, a scene is the same whoever asks, and what it bends is told."""
+"""Scenes whose objects must have evidence: stored objects have it, and a scene is the same by every way to make
+it."""
 
 from __future__ import annotations
 
@@ -21,8 +22,9 @@ def config(**others: object) -> dg.DatasetConfig:
     return measurement({"cycles": 300_000}, FLOORED, **others)
 
 
-def test_objects_have_what_is_asked_and_others_are_as_they_fall(tmp_path: Path) -> None:
-    """Boxes under the floor are frequent without it, and there are none with it; the share placed anew is told."""
+def test_objects_have_the_least_evidence_and_others_stand_anywhere(tmp_path: Path) -> None:
+    """Boxes below the least evidence are frequent without it and absent with it; summaries state how many were
+    moved."""
     free = measurement({"cycles": 300_000})
     boxes = [simulate_sample(free, k).parameters["evidence.box.significance"] for k in range(8)]
     assert 2 <= np.sum(np.array(boxes) < FLOOR) <= 7
@@ -32,12 +34,12 @@ def test_objects_have_what_is_asked_and_others_are_as_they_fall(tmp_path: Path) 
     assert data.parameters("evidence.pillar.significance").min() < FLOOR
     anew = data.parameters("evidence.placed_anew")
     assert anew.max() > 0
-    told = f"in {np.mean(anew > 0):.0%} of scenes objects were placed anew"
+    stated = f"in {np.mean(anew > 0):.0%} of scenes objects were placed anew"
     for text in (result.summary(), info(tmp_path / "a"), (tmp_path / "a/README.md").read_text()):
-        assert told in text
+        assert stated in text
 
 
-def test_a_scene_that_meets_the_floor_at_once_is_the_one_without_it() -> None:
+def test_a_scene_with_enough_evidence_is_not_changed() -> None:
     free = measurement({"cycles": 300_000})
     met = [k for k in range(8) if simulate_sample(free, k).parameters["evidence.box.significance"] > 1.3 * FLOOR]
     assert met
@@ -46,7 +48,7 @@ def test_a_scene_that_meets_the_floor_at_once_is_the_one_without_it() -> None:
         assert np.array_equal(one.vertices, other.vertices)
 
 
-def test_the_scene_is_the_same_whoever_asks(tmp_path: Path) -> None:
+def test_the_scene_is_the_same_by_every_way_to_make_it(tmp_path: Path) -> None:
     """Built in one process or two, made on the fly, simulated again."""
     one, two = (tmp_path / name for name in ("one", "two"))
     small = config(store={"fields": ["histogram"], "scenes_per_shard": 1, "histogram_dtype": "uint32"})
@@ -59,7 +61,7 @@ def test_the_scene_is_the_same_whoever_asks(tmp_path: Path) -> None:
     assert resimulate(one, 4) == ([0, 1, 2, 3], [])
 
 
-def test_what_no_placing_gives_is_refused_in_a_line() -> None:
+def test_evidence_that_no_placing_gives_is_refused_in_a_line() -> None:
     hopeless = [{"kind": "box", "evidence_at_least": 1e4}]
     with pytest.raises(dg.InputError) as refusal:
         dg.scene_for(measurement({"cycles": 10}, scene={"contents": hopeless, "max_attempts": 10}), 0)
@@ -70,7 +72,6 @@ def test_what_no_placing_gives_is_refused_in_a_line() -> None:
 
 
 def test_a_scene_without_such_objects_needs_no_light() -> None:
-    """Objects of other contents are asked for nothing."""
     none = [{"kind": "box", "count": 0, "evidence_at_least": 1e4}, {"kind": "pillar"}]
     scene = dg.scene_for(measurement({"cycles": 10}, none), 0)
     assert scene.objects == ("pillar",) and scene.parameters["evidence.placed_anew"] == 0

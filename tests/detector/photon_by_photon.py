@@ -1,7 +1,7 @@
-"""The truth the samplers are held against: every photon drawn, sorted, and put to the rule one by one.
+"""The reference for the samplers: every photon is drawn, and the photons are handled one by one in the order of time.
 
-Nothing here is shared with the package: absolute times, photon after photon in all replicates at once; where
-avalanches breed others, plain lists and a heap of what they bred.
+The package shares nothing with this simulation. It uses absolute times, and handles one photon of all replicates at a
+time; where avalanches cause others it uses plain lists and a heap of these.
 """
 
 from __future__ import annotations
@@ -68,14 +68,14 @@ def _photons_only(flux, edges, cycles, rule, rng, replicates, burn_in):
 
 
 def _with_carriers(flux, edges, cycles, rule, rng, burn_in, gate) -> Iterator[NDArray[np.int64]]:
-    """One replicate after the other, without end."""
+    """Endless replicates, (pixel, n) detections each."""
     pixels, period, ends = len(flux), edges[-1], edges.tolist()
     neighbours = [_neighbours(p, pixels, rule.columns) for p in range(pixels)]
     uniform, wait = _one_by_one(rng.random), _one_by_one(rng.standard_exponential)
     carriers = [_one_by_one(lambda n, load=load: rng.poisson(load, n)) for load in rule.loads]
     while True:
         photons = [arrivals(f, edges, -burn_in, cycles, rng, 1)[:, 0].tolist() for f in flux]
-        # The next photon of each pixel, and what avalanches bred.
+        # The next photon of each pixel, and the events that avalanches caused.
         events = [(times[0], p, "photon") for p, times in enumerate(photons) if times]
         heapq.heapify(events)
         ready = [-np.inf] * pixels
@@ -99,7 +99,7 @@ def _with_carriers(flux, edges, cycles, rule, rng, burn_in, gate) -> Iterator[ND
                     if uniform() < rule.crosstalk:
                         heapq.heappush(events, (t, q, "crosstalk"))
             if kind == "photon":
-                # Those that arrive before the pixel is ready again are lost.
+                # Photons that arrive before the pixel is ready again are lost.
                 following = max(bisect_right(photons[p], t), bisect_left(photons[p], ready[p]))
                 if following < len(photons[p]):
                     heapq.heappush(events, (photons[p][following], p, "photon"))
@@ -107,7 +107,7 @@ def _with_carriers(flux, edges, cycles, rule, rng, burn_in, gate) -> Iterator[ND
 
 
 def _one_by_one(draw: Callable[[int], NDArray]) -> Callable[[], float]:
-    """Numbers of one law, drawn by the thousand."""
+    """A function that returns one random number of a law, which are drawn 4096 at a time."""
 
     def numbers() -> Iterator[float]:
         while True:

@@ -1,4 +1,4 @@
-"""Tests of two sets of histograms for the same law, all on one family-wise level."""
+"""Statistical tests whether two sets of histograms follow the same law, on one family-wise level."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ FAMILY_LEVEL = 1e-3
 """Probability that any statistical test of tests/detector fails by chance, over all of them together."""
 
 FAMILY_SIZE = 10_000
-"""More p-values than tests/detector computes; each is held against FAMILY_LEVEL / FAMILY_SIZE."""
+"""More p-values than tests/detector computes; the level of each is FAMILY_LEVEL / FAMILY_SIZE."""
 
 
 def accept(p_value: float, what: str) -> None:

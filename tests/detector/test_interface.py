@@ -1,4 +1,4 @@
-"""Bad input, batching, plans, classes of detectors, what a configuration draws."""
+"""Bad input, batching, the choice of samplers, classes of detectors, and detectors drawn from a configuration."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ def test_hot_pixels_belong_to_the_array():
         (Spad(pde=1.0, dead_time_s=50e-9, paralyzable=True), 0.5, 10**6, "avalanches"),
     ],
 )
-def test_planner_takes_the_cheapest_sampler_within_its_bound(spad, flux, cycles, sampler):
+def test_the_cheapest_sampler_within_its_bound_is_chosen(spad, flux, cycles, sampler):
     transient = np.full(64, flux / 64)
     plan = choose_sampler(transient, TIME, spad, Exposure(1e7, cycles, 1.0))
     assert plan.sampler == sampler, plan
@@ -209,7 +209,7 @@ def test_planner_takes_the_cheapest_sampler_within_its_bound(spad, flux, cycles,
     assert exact.poisson_bias == 0 or exact.sampler != "poisson"
 
 
-def test_planner_approximates_only_when_told_to():
+def test_approximate_samplers_are_chosen_only_on_request():
     transient, exposure = np.full(64, 1.0 / 64), Exposure(1e7, 10**8, 1.0)
     with pytest.raises(InputError, match="approximate=True"):
         choose_sampler(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure)
@@ -220,19 +220,12 @@ def test_planner_approximates_only_when_told_to():
     assert abs(counts.sum() / mean.sum() - 1) < 1e-3
 
 
-def test_bright_and_dark_histograms_are_planned_one_by_one():
+def test_samplers_are_chosen_for_each_histogram():
     transient = np.zeros((2, 1, 64))
     transient[0], transient[1] = 1e-9, 0.01
     plan = choose_sampler(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), Exposure(1e7, 10**6, 1.0))
     assert plan.histograms == {"free_running_events": 1, "poisson": 1}
     assert plan.sampler == "free_running_events"
-
-
-def test_default_configuration_is_a_laboratory_detector():
-    spad, exposure = detector_for(DetectorConfig(), seed=0, index=0)
-    assert (spad.mode, spad.pde, spad.dead_time_s) == ("ideal", 0.3, 50e-9)
-    assert (exposure.repetition_rate_hz, exposure.cycles) == (10e6, 10**6)
-    assert (spad.jitter_fwhm_s, exposure.pulse_fwhm_s) == pytest.approx((60e-12, 50e-12))
 
 
 @pytest.mark.parametrize("name", sorted(DETECTOR_CLASSES))
@@ -258,7 +251,7 @@ def test_classes_stay_in_their_ranges_and_are_correlated(name):
     assert np.corrcoef(*rank)[0, 1] < -0.3
 
 
-def test_configured_numbers_win_over_the_class_and_scenes_are_independent():
+def test_configured_numbers_replace_those_of_the_class_and_scenes_are_independent():
     config = DetectorConfig.model_validate_json(
         '{"detector_class": "any", "mode": "synchronous", "pde": {"uniform": [0.1, 0.2]}, "dead_time_ns": 33,'
         ' "cycles": {"log_uniform": [1e3, 1e5]}, "gate": {"start_ns": 5, "width_ns": 20, "rise_ps": 200}}'
@@ -279,8 +272,8 @@ def test_class_rates_leave_room_for_the_time_axis():
     assert detector_for(fixed, 0, 0, long)[1].repetition_rate_hz == pytest.approx(20e6)
 
 
-def test_the_plan_refuses_what_cannot_be_counted() -> None:
-    """What `detect` would refuse for counts beyond 64 bits, the planner refuses first, with the same line."""
+def test_the_choice_refuses_counts_beyond_64_bits() -> None:
+    """`choose_sampler` refuses them with the same line as `detect`."""
     time = TimeAxis(8, 1e-10)
     exposure = Exposure(photons_per_pulse=1e30, cycles=10**15)
     messages = []

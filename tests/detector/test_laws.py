@@ -1,4 +1,4 @@
-"""Closed forms and conservation laws that counting must obey."""
+"""Closed forms and conservation laws that counts and their expected values obey."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_dead_time_of_whole_periods_leaves_the_shape(laps, flux):
 
 @pytest.mark.parametrize("flux", [0.01, 1.0, 20.0])
 @pytest.mark.parametrize("rest", [0.3e-9, 41.3e-9, 99.9e-9])
-def test_reduction_lemma_against_a_detector_that_is_followed_for_long(flux, rest):
+def test_reduction_lemma_against_a_long_simulation(flux, rest):
     """τ = m T_r + τ′ only rescales; the long way is a synchronous detector whose cycle is many periods."""
     lam, laps, follow = signal(flux), 2, 140
     short = equilibrium(lam, EDGES, TIME.width_s, rest).mean
@@ -203,7 +203,7 @@ def test_self_consistent_mean_with_afterpulses_and_crosstalk_is_close():
 @pytest.mark.parametrize("caused", [{"afterpulse_probability": 0.05, "afterpulse_times_s": (5e-9,)},
                                     {"crosstalk_probability": 0.05}], ids=["traps", "neighbours"])  # fmt: skip
 def test_self_consistent_mean_is_the_same_however_much_darkness_is_recorded(mode, caused):
-    """What follows the record, until the next pulse, is worked out in bins much longer than it has."""
+    """The time between the record and the next pulse is cut into bins much longer than those of the record."""
     lam = np.tile(signal(0.3), (1, 2, 1))
     exposure = Exposure(1 / (8 * PERIOD), 10**6, 1.0, ambient_rate_hz=2e6)
     spad = Spad(1.0, dead_time_s=450e-9, mode=mode, **caused)

@@ -1,4 +1,4 @@
-"""Where the obvious formula fails: hard cases beside the truth."""
+"""Hard cases in which the obvious formula fails."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from datagen.detector.events import draw_free_running
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.flux import cycle_of
 from datagen.detector.irf import response_cdf, response_kernel, spread
-from datagen.detector.random_numbers import binomial, stream_of
+from datagen.detector.random_numbers import binomial, streams_of
 from datagen.detector.sampler_choice import poisson_bias
 from datagen.detector.tdc import Tdc
 from datagen.errors import InputError
@@ -36,11 +36,11 @@ def test_tiny_flux_keeps_its_digits():
 
 def test_hazard_chain_from_nothing_to_infinity():
     lam = np.array([0.0, 1e-300, 1.0, 0.0, np.inf, 5.0])
-    counts = draw_hazard_chain(lam, 10**6, stream_of(1))
+    counts = draw_hazard_chain(lam, 10**6, streams_of(1, 0, 0)[0])
     assert counts[[0, 1, 3, 5]].tolist() == [0, 0, 0, 0]
     assert counts.sum() == 10**6
     assert abs(counts[2] - 1e6 * -np.expm1(-1)) < 6e3
-    assert draw_hazard_chain(np.array([1e4, 1.0]), 10**9, stream_of(2)).tolist() == [10**9, 0]
+    assert draw_hazard_chain(np.array([1e4, 1.0]), 10**9, streams_of(2, 0, 0)[0]).tolist() == [10**9, 0]
 
 
 @pytest.mark.parametrize(
@@ -64,8 +64,8 @@ def test_hazard_chain_from_nothing_to_infinity():
     ],
 )
 def test_binomial_at_its_extremes(n, p):
-    """log(1 − p) loses a p of 1e-17 altogether and a tenth of 3e-15; the law itself is the judge."""
-    sample = _many_binomials(n, p, 100_000, stream_of(3))
+    """log(1 − p) loses a p of 1e-17 altogether, and a tenth of 3e-15."""
+    sample = _many_binomials(n, p, 100_000, streams_of(3, 0, 0)[0])
     exact = binom(n, p)
     cuts = np.unique(exact.ppf(np.linspace(0.02, 0.98, 25)))
     edges = np.concatenate([[-np.inf], cuts, [np.inf]])
@@ -83,7 +83,8 @@ def _many_binomials(n, p, count, stream):
 
 
 def test_direct_peak_ten_orders_above_the_signal():
-    """Convolution by FFT leaves the peak's rounding all over the histogram; ours leaves every bin its own."""
+    """Convolution by FFT spreads the rounding of the peak over the histogram; the direct sum keeps faint bins
+    exact."""
     signal = np.full(4096, 1e-10)
     signal[100] = 1.0
     kernel = response_kernel(1e-11, 3e-10, 1e-10)
@@ -150,8 +151,7 @@ def test_response_beyond_the_window_is_lost_when_the_period_is_long():
 
 
 @pytest.mark.parametrize("mode", ["ideal", "synchronous", "free_running"])
-def test_nothing_in_nothing_out(mode):
-    """0/0 lurks in every normalisation."""
+def test_without_light_there_are_no_counts_and_no_warnings(mode):
     spad = Spad(mode=mode, dead_time_s=2e-7, afterpulse_probability=0.02 if mode == "free_running" else 0.0)
     with np.errstate(all="raise"):
         counts = detect(np.zeros((2, 2, 100)), TIME, spad, Exposure())
@@ -170,7 +170,7 @@ def test_flux_of_ten_thousand_per_cycle():
         assert state.mean.sum() == pytest.approx(total, rel=2e-3)
         spad = Spad(dead_time_s=tau)
         cycle = cycle_of(TIME, spad, Exposure(1e7))
-        counts = draw_free_running(lam, cycle, spad, 10**5, state, stream_of(1))
+        counts = draw_free_running(lam, cycle, spad, 10**5, state, streams_of(1, 0, 0)[0])
         assert counts.sum() == pytest.approx(1e5 * total, rel=2e-3)
 
 
@@ -192,7 +192,7 @@ def test_empty_bins_are_never_hit():
         state = equilibrium(lam, edges, 1e-9, tau)
         spad = Spad(dead_time_s=tau)
         cycle = cycle_of(TIME, spad, Exposure(1e7))
-        counts = draw_free_running(lam, cycle, spad, 200_000, state, stream_of(4))
+        counts = draw_free_running(lam, cycle, spad, 200_000, state, streams_of(4, 0, 0)[0])
         assert counts[lam == 0].sum() == 0
         assert counts[7] > 0 and counts[60] > 0
 
@@ -233,7 +233,7 @@ def test_saturating_counters():
     ],
 )
 def test_saturated_mean_is_given_for_counts_whose_law_is_known(spad):
-    """Elsewhere it once was that of Poisson or binomial counts all the same: three times too many."""
+    """Where the law is unknown, that of Poisson or binomial counts would be up to three times too large."""
     exposure, transient = Exposure(1e7, 1, 1.0), np.full(100, 0.3)
     known = Spad(pde=1.0, mode="synchronous", counter_max=1, dead_time_s=1e-9)
     expected_histogram(transient, TIME, known, exposure)
@@ -279,7 +279,7 @@ def test_poisson_bias_bounds_the_true_bias():
             )
             true = np.max(1 - mean / lam)
             assert true <= bound * (1 + 1e-6) + 1e-12
-            assert bound < 8 * true + 1e-9  # not an idle bound either
+            assert bound < 8 * true + 1e-9  # a useful bound
 
 
 def test_jitter_of_counts_has_the_mean_of_jittered_counts():
@@ -288,7 +288,7 @@ def test_jitter_of_counts_has_the_mean_of_jittered_counts():
         tdc = Tdc(cycle)
         counts = np.random.default_rng(0).integers(0, 4000, len(cycle.gate))
         counts[::3] = 2
-        stream = stream_of(6)
+        stream = streams_of(6, 0, 0)[0]
         got = np.stack([tdc.draw(counts, stream) for _ in range(200)]).mean(0)
         want = tdc.mean(counts.astype(float))
         assert np.abs(got - want).max() < 6 * np.sqrt(want.max() / 200)

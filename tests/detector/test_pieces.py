@@ -1,4 +1,4 @@
-"""How fine the pieces are: order and size of the only error of the chain and of the means under a dead time."""
+"""The error of cutting bins into pieces, the only error of the return chain and of means under a dead time."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def test_the_error_falls_with_the_square_of_the_piece(flux: float, dead_time_s: 
 
 @pytest.mark.parametrize("dead_time_s", [0.37e-9, 7.3e-9, 31.4e-9])
 @pytest.mark.parametrize("flux", [0.1, 1.0, 4.0, 40.0])
-def test_no_exposure_of_a_hundred_million_cycles_shows_it(flux: float, dead_time_s: float) -> None:
+def test_the_error_is_invisible_in_a_hundred_million_cycles(flux: float, dead_time_s: float) -> None:
     mean, finest = (_mean(flux, dead_time_s, size) for size in (PIECE_FLUX, PIECE_FLUX / 16))
-    # What χ² over all 64 bins, 64 ± 11, would grow by.
+    # The increase of χ² over all 64 bins, which is 64 ± 11.
     assert 1e8 * np.sum((mean - finest) ** 2 / finest) < 0.2
     if flux <= 4.0:
         assert np.max(np.abs(mean / finest - 1)) < 2e-4

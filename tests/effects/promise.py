@@ -1,13 +1,13 @@
-"""The switchboard's promise: a scene as decided differs from it with every effect on by no more than the tolerance.
+"""The switchboard's promise: leaving out effects changes a scene's results by no more than the tolerance.
 
-The difference is relative L2. Transients are compared by two independent pairs of runs, a and b, of P as decided and
-of F everything on:
+The change is a relative L2 difference. Transients P as decided and F with every effect on are simulated twice each,
+with independent noise (a and b):
 
     error² = (P_a − F_a)·(P_b − F_b) / (F_a · F_b),
 
-in which the noise of the runs cancels on average; the standard error is found by leaving out channels one at a time.
-That is asked of the whole transient, and again of its light of three bounces and more, which the direct return would
-dwarf; the larger one counts. Histograms are compared by their means, of the same transient.
+in which the noise cancels on average; its standard error is that of the jackknife over channels. The larger of two
+errors counts: that of the whole transient, and that of its light of three bounces and more, which the direct return
+would hide. Histograms are compared by their expected values for the same transient.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ EVERYTHING = EffectsConfig.model_validate({"tolerance": 0.0} | {row.name: "on" f
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one scene.
+    """The comparison of one scene.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Outcome:
 
 
 def run_case(config: DatasetConfig, times: int = 0) -> Outcome:
-    """Simulate one scene as decided and with everything on, and compare; with `times`, measure each so often too."""
+    """The comparison of one scene as decided with the scene with every effect on; with `times`, both are timed."""
     scene = generate_scene(config.scene, config.seed, 0)
     capture = capture_for(config, scene, config.seed, 0)
     accuracy, tolerance = config.transport.accuracy(), config.detector.tolerance
@@ -145,10 +145,10 @@ def difference(
 
 
 def in_turn(times: int, first: Callable[[], object], second: Callable[[], object]) -> tuple[float, float]:
-    """Least processor seconds of either call, run in turn: on a machine that others use single ones say little."""
+    """Least processor seconds of each call, run in turns: on a busy machine a single time says little."""
     least = [np.inf, np.inf]
     for k in range(times):
-        # Who goes first finds less of its data in the cache.
+        # The first call of a turn finds less of its data in the cache.
         for which in (0, 1) if k % 2 else (1, 0):
             before = time.process_time()
             (first, second)[which]()

@@ -1,4 +1,4 @@
-"""Hold many random scenes against the switchboard's promise, and measure what deciding saves.
+"""Test the switchboard's promise on many random scenes, and measure the time that decisions save.
 
     python tests/effects/promise_table.py --scenes 40
 

@@ -1,5 +1,5 @@
-"""The bound on the timing response bounds what leaving it out changes in the expected histogram; the detector's other
-effects are simulated, for leaving them out saves nothing."""
+"""The bound on the timing response bounds the change of the expected histogram without it; the detector's other
+effects are always simulated, because leaving them out saves nothing."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datagen.detector import Exposure, Spad, choose_sampler, detect, expected_histogram
+from datagen.detector import Exposure, Spad, detect, expected_histogram
 from datagen.effects import decide_detector_effects
 from datagen.effects.detector_effects import DETECTOR_EFFECTS, Detection
 from datagen.records import TimeAxis
@@ -84,7 +84,7 @@ def change(given: Detection, without: Detection) -> float:
 
 @pytest.mark.parametrize("detectors", [100, pytest.param(4000, marks=pytest.mark.nightly)])
 def test_bound_of_the_timing_response_holds_in_random_detectors(detectors: int) -> None:
-    """It must be strong in some, nearly nothing in others, or nothing is tested."""
+    """The test needs detectors in which the response matters, and others in which it does not."""
     row, rng = ROWS["timing_response"], np.random.default_rng(11)
     assert not isinstance(row.change, str)
     strong = weak = tried = 0
@@ -98,8 +98,8 @@ def test_bound_of_the_timing_response_holds_in_random_detectors(detectors: int) 
         strong, weak, tried = strong + (actual > 0.01), weak + (found.value <= 0.01), tried + 1
 
 
-def test_bright_light_behind_the_gate_is_not_forgotten() -> None:
-    """A flash a thousand times the rest is shut out; what the response moves of it into the gate is not nothing."""
+def test_bright_light_outside_the_gate_counts() -> None:
+    """The gate shuts out a flash a thousand times as bright as the rest, of which the response moves some into it."""
     values = np.full((1, 1, AXIS.bins), 1e-12)
     values[..., 20] = 1e-8
     spad = Spad(pde=0.3, mode="ideal", jitter_tail_s=2e-11, gate_start_s=4.2e-9, gate_width_s=1e-8)
@@ -112,23 +112,14 @@ def test_bright_light_behind_the_gate_is_not_forgotten() -> None:
     assert change(no_gate, row.without(no_gate)) < 0.1
 
 
-def test_what_saves_nothing_is_simulated() -> None:
-    """`auto` leaves it in, by a sampler as biased as `detector.tolerance` at most; `on` asks for an exact one."""
+def test_effects_that_save_nothing_are_simulated() -> None:
+    """Under `auto` the sampler's bias is at most `detector.tolerance`; under `on` the sampler is exact."""
     given = random_detection(np.random.default_rng(3))
     decided = decide_detector_effects(given.transient, given.time, given.spad, given.exposure)
     for decision in decided.decisions:
         if decision.effect != "timing_response" and decision.kind != "absent":
             assert decision.simulated and decision.kind == "always" and "saves nothing" in decision.reason
     assert decided.apply_detector(given.spad, given.exposure, 1e-3)[2] == 1e-3
-
-
-def test_effects_too_faint_to_matter_cost_no_sampler_of_their_own() -> None:
-    """The sampler weighs them: where hardly any light comes counts are Poisson, whatever the detector suffers."""
-    spad = Spad(pde=0.3, dead_time_s=1e-7, afterpulse_probability=1e-4, dark_count_rate_hz=1.0)
-    choice = choose_sampler(
-        signal(np.random.default_rng(1)), AXIS, spad, Exposure(cycles=1000, photons_per_pulse=1e4)
-    )
-    assert choice.histograms == {"poisson": 4}
 
 
 @pytest.mark.parametrize("jitter_fwhm_s", [2e-10, 3e-9])

@@ -1,4 +1,4 @@
-"""Decisions as people see them in `info`, and as a replay and the loader follow them."""
+"""Stored decisions in the text of `info`, and in the replay of a scene."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_info_counts_scenes_by_decision(dataset: Path) -> None:
     assert "effects" in lines
 
 
-def test_replay_simulates_what_was_simulated(dataset: Path) -> None:
+def test_replay_leaves_out_the_same_effects(dataset: Path) -> None:
     again = replay(read_scene(dataset, 0))
     assert again.reproduced
     assert set(again.transient.components) == {"direct", "primary"}

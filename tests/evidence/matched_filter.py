@@ -1,9 +1,9 @@
-"""What a matched filter makes of drawn histograms: the truth that a stated significance is held against.
+"""The separation of a matched filter on drawn histograms, with which a stated significance is compared.
 
     PYTHONPATH=. python tests/evidence/matched_filter.py 200
 
-prints measured over stated separation for so many random scenes of the ready configurations, each seen by 2 × 2
-points and a detector of another kind.
+prints measured over stated separation for 200 random scenes of the ready configurations, with scans of 2 × 2 points
+and different kinds of detectors.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BINS, WIDTH_S = 128, 4e-10
 PERIOD_S = BINS * WIDTH_S
 DRAWS = 1000
 SIGMA = 6.0
-"""What every scene's exposure brings σ to, where drawing it takes a bearable time."""
+"""Significance for which every scene's exposure is chosen, unless drawing it would take too long."""
 MODES = ("ideal", "one a cycle", "gated", "free running", "dead for three bins")
 DEAD_S = {"ideal": 0.0, "gated": 0.0, "one a cycle": 2 * PERIOD_S, "free running": 20 * WIDTH_S}
 
@@ -42,7 +42,7 @@ def ready() -> tuple[dg.DatasetConfig, ...]:
 
 @cache
 def light_of(number: int) -> tuple[Transient, str]:
-    """Light of the random scene of a number, and one of its objects: the one that brings most."""
+    """The transient of random scene `number`, and the name of the object that brings most light to it."""
     config = ready()[number % len(ready())]
     index = number // len(ready())
     while True:
@@ -53,12 +53,12 @@ def light_of(number: int) -> tuple[Transient, str]:
         name = max(brings, key=lambda of: brings[of], default="")
         if name and brings[name] > 0:
             return light, name
-        # Nothing to be told of a room whose objects bring no light; another takes its place.
+        # A room whose objects bring no light is replaced by another one.
         index += 1000
 
 
 def detector(mode: str, light: Transient, name: str, scene: int) -> tuple[dg.Spad, dg.Exposure]:
-    """One under which the dead time takes a tenth to a third of all detections, if it has one."""
+    """A detector whose dead time, if there is one, removes a tenth to a third of all detections."""
     rng = np.random.default_rng(scene)
     dead = DEAD_S.get(mode, 3 * WIDTH_S)
     spad = dg.Spad(
@@ -77,7 +77,7 @@ def detector(mode: str, light: Transient, name: str, scene: int) -> tuple[dg.Spa
 
 
 def armed_cycles(counts: np.ndarray, spad: dg.Spad, exposure: dg.Exposure) -> np.ndarray:
-    """(…, bin) cycles in which the diode was armed, as the histogram tells: a detection takes it away for so long."""
+    """(…, bin) number of cycles in which the diode was armed, from the counts before the bin within the dead time."""
     cycles = np.full(counts.shape, float(exposure.cycles))
     if spad.mode == "ideal":
         return cycles
@@ -91,13 +91,14 @@ def armed_cycles(counts: np.ndarray, spad: dg.Spad, exposure: dg.Exposure) -> np
 
 @dataclass(frozen=True)
 class Separation:
-    """Stated σ, and the measured separation of the matched filter's mean with an object's light from that without
-    it, both in standard deviations with it.
+    """The stated σ, and the measured separation of the matched filter's means with and without an object's light, in
+    standard deviations with it.
 
     error : standard error of `measured`.
-    follows : what it is by the detector's law. Without the object the filter's mean is −Σ w_i s⁰_i, with w = s/b and
-        s⁰_i = N A⁰_i λᵒ_i what would be detected of its light by a diode as often armed as without it. So it is
-        Σ w_i s⁰_i / σ, which is σ where the object's own light adds nothing to the dead time.
+    follows : the separation that the law of the detector predicts. Without the object the filter's mean is
+        −Σ w_i s⁰_i, with w = s/b and s⁰_i = N A⁰_i λᵒ_i, the detections of its light by a diode that is armed as
+        often as without it. So the separation is Σ w_i s⁰_i / σ, which is σ if the object's light causes no dead
+        time.
     """
 
     stated: float
@@ -107,12 +108,12 @@ class Separation:
 
     @property
     def beyond(self) -> float:
-        """Standard errors by which what is measured differs from what follows."""
+        """Difference of the measured from the predicted separation, in standard errors."""
         return abs(self.measured - self.follows) / self.error
 
 
 def separation(scene: int, mode: str) -> Separation:
-    """Of the random scene of a number under a detector of a mode."""
+    """The separation in random scene `scene` under a detector of kind `mode`."""
     light, name = light_of(scene)
     spad, exposure = detector(mode, light, name, scene)
     stated = dg.own_evidence(light, spad, exposure, [name])[name].significance
@@ -131,7 +132,7 @@ def separation(scene: int, mode: str) -> Separation:
     with_it, without = answers
     spread = with_it.std(ddof=1)
     measured = (with_it.mean() - without.mean()) / spread
-    # Of a standard deviation the error depends on the fourth moment: weights are large where little is seen.
+    # The error of a standard deviation depends on the fourth moment: weights are large in bins with few counts.
     fourth = float((((with_it - with_it.mean()) / spread) ** 4).mean())
     error = np.hypot(
         np.sqrt(1 + without.var() / spread**2) / np.sqrt(DRAWS), measured * np.sqrt((fourth - 1) / (4 * DRAWS))
@@ -142,7 +143,7 @@ def separation(scene: int, mode: str) -> Separation:
 
 
 def farthest_of(scenes: int) -> float:
-    """Standard errors beyond which of so many scenes none lies, but for one run in a thousand (Bonferroni)."""
+    """Standard errors that none of so many scenes exceeds, except in one run in a thousand (Bonferroni)."""
     return float(norm.isf(1e-3 / scenes / 2))
 
 
@@ -157,8 +158,8 @@ if __name__ == "__main__":
         line = f"{of.stated:8.3f} {of.follows:8.3f} {of.measured:8.3f} ± {of.error:.3f}  {ratio:.3f}"
         print(f"{number:4d} {room:26s} {kind:20s} {line}", flush=True)
     ratios, beyond = [of.measured / of.stated for of in all_of_them], [of.beyond for of in all_of_them]
-    told = [ratio for ratio, of in zip(ratios, all_of_them, strict=True) if of.stated > 1]
+    significant = [ratio for ratio, of in zip(ratios, all_of_them, strict=True) if of.stated > 1]
     print(
-        f"median {np.median(ratios):.4f}, of the {len(told)} with σ > 1 {np.median(told):.4f}; farthest "
-        f"{max(beyond):.2f} standard errors from what follows, at most {farthest_of(scenes):.2f} expected"
+        f"median {np.median(ratios):.4f}, of the {len(significant)} with σ > 1 {np.median(significant):.4f};"
+        f" farthest {max(beyond):.2f} standard errors from the prediction, at most {farthest_of(scenes):.2f} expected"
     )

@@ -1,4 +1,4 @@
-"""The image of evidence against the light of each object as the cells give it, and against what it must obey."""
+"""The image of evidence against each object's own light, and against laws that it obeys."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from rooms import rectangle
 
 import datagen as dg
 from datagen.config import LabelsConfig
@@ -27,9 +28,8 @@ WALL = Rectangle.of((0, 0, 0), (0, 1, 0), (0, 0, 1))
 
 
 def plate(x: float, y: float, z: float, half: float) -> trimesh.Trimesh:
-    """Facing the wall, x in front of it."""
-    corners = [(x, y + a * half, z + b * half) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    return trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
+    """A square that faces the wall at the distance x."""
+    return rectangle((x, y, z), (0, half, 0), (0, 0, half))
 
 
 def room(*more: dg.Part) -> dg.Scene:
@@ -63,20 +63,20 @@ CAPTURES = {"confocal": confocal(3), "exhaustive": exhaustive(), "many points": 
 
 
 def curtain() -> dg.Part:
-    """It hangs edge on, seen by no label pixel, between the wall's lit middle and one of the plates."""
+    """An occluder between the wall's lit middle and one of the plates, edge on to the label pixels."""
     half = [(0.05, -0.3, -3), (1.19, -0.3, -3), (1.19, -0.3, 3), (0.05, -0.3, 3)]
     return dg.Part("curtain", trimesh.Trimesh(half, [(0, 1, 2), (0, 2, 3)]), dg.Lambertian(0.0), "structure")
 
 
 @cache
 def lit(scan: str, hung: bool) -> tuple[dg.Scene, dg.Transient]:
-    """The room, with the curtain or without, and its light, whatever counts it."""
+    """The room, with the curtain or without, and its transient."""
     scene = room(curtain()) if hung else room()
     return scene, dg.simulate(scene, CAPTURES[scan], dg.Accuracy(target=0.002), seed=0)
 
 
 def image_and_truth(scan: str, spad: dg.Spad, hung: bool = False) -> dict[str, tuple[float, float]]:
-    """Of each object the image's sum over its pixels, and its own detections."""
+    """Object → sum of the image over its pixels, and its own detections."""
     capture = CAPTURES[scan]
     scene, t = lit(scan, hung)
     caster, surface = Raycaster(scene), hidden_surface(scene, LABELS.rows, LABELS.columns)
@@ -107,7 +107,7 @@ def test_pixels_of_an_object_in_view_add_up_to_its_own_detections(name: str, sca
         assert found == pytest.approx(truth, rel=0.02)
 
 
-def test_stations_stand_for_a_scan() -> None:
+def test_representative_pairs_stand_for_a_scan() -> None:
     assert len(CAPTURES["many points"].laser.targets) > 4 * SCAN_PAIRS
     for found, truth in image_and_truth("many points", SPADS["ideal"]).values():
         assert found == pytest.approx(truth, rel=0.05)
@@ -121,7 +121,7 @@ def test_a_curtain_takes_the_evidence_of_what_stands_behind_it() -> None:
 
 
 def unsimulated(scene: dg.Scene, capture: dg.Capture, gain: float = 1.0) -> np.ndarray:
-    """The image of a detector to which every photon in the time axis counts alike."""
+    """The image of a detector in which every photon within the time axis gives `gain` detections."""
     caster = Raycaster(scene)
     scan_pairs = representative_pairs(caster, scene, capture)
     per_photon = np.full((0 if scan_pairs is None else len(scan_pairs.times), capture.time.bins), gain)
@@ -129,12 +129,12 @@ def unsimulated(scene: dg.Scene, capture: dg.Capture, gain: float = 1.0) -> np.n
     return evidence_image(caster, surface, capture, scan_pairs, per_photon)
 
 
-def test_evidence_is_that_of_the_exposure() -> None:
+def test_evidence_is_proportional_to_the_gain() -> None:
     once, twice = (unsimulated(room(), confocal(2), gain=gain) for gain in (1.0, 2.0))
     assert once.max() > 0 and np.allclose(twice, 2 * once, rtol=1e-6)
 
 
-def test_where_no_laser_ray_meets_anything_there_is_none() -> None:
+def test_without_a_laser_point_there_is_no_evidence() -> None:
     away = dg.Capture(
         dg.Laser((3.0, 2.9, -1.5), [(9.0, 9.0, 0.0)]),
         dg.Sensor.grid((3, 2.9, -1.5), (0, 0, 0), (0, 1, 0), (0, 0, 1), 1, 1), TIME,

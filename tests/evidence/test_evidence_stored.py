@@ -1,4 +1,4 @@
-"""Evidence of a dataset that was built: in its table, its fields, its card, and as a choice of scenes."""
+"""Evidence in a built dataset: in its table, its fields and its card, and as a condition on scenes."""
 
 from __future__ import annotations
 
@@ -57,30 +57,30 @@ def test_table_and_fields_say_the_same(built: Path) -> None:
         assert (item["evidence"].numpy() >= 0).all()
 
 
-def test_only_scenes_with_so_much_of_it_are_read(built: Path) -> None:
+def test_scenes_with_too_little_evidence_are_left_out(built: Path) -> None:
     every = dg.TransientDataset(built, fields=("histogram",))
     weakest = np.asarray(every.parameters("evidence.weakest"), np.float64)
     limit = float(np.nanmedian(weakest))
     kept = dg.TransientDataset(built, fields=("histogram",), evidence_at_least=limit)
     assert kept.scenes.tolist() == [k for k, found in enumerate(weakest) if not found < limit]
     assert 0 < len(kept) < len(every) == 6
-    # A scene that shows nothing claims nothing.
+    # A scene without objects has no label without evidence.
     alone = dg.TransientDataset(built, fields=("histogram",), evidence_at_least=2 * float(np.nanmax(weakest)))
     assert alone.scenes.tolist() == np.flatnonzero(np.isnan(weakest)).tolist()
 
 
 @pytest.mark.parametrize("least", [-1.0, float("nan"), "3", [3]])
-def test_a_floor_that_is_none_is_refused(built: Path, least: float) -> None:
+def test_bad_conditions_are_refused(built: Path, least: float) -> None:
     with pytest.raises(dg.InputError, match=r"evidence_at_least = .*: must be a number in 0 … 1e\+09 \(standard"):
         dg.TransientDataset(built, fields=("histogram",), evidence_at_least=least)
 
 
-def test_a_dataset_of_before_has_none() -> None:
+def test_datasets_of_earlier_schemas_have_no_evidence() -> None:
     with pytest.raises(dg.InputError, match=r"evidence_at_least: .* is of an earlier schema version"):
         dg.TransientDataset(EARLIER, fields=("histogram",), evidence_at_least=3)
 
 
-def test_info_and_card_tell_it_by_kind(built: Path) -> None:
+def test_info_and_card_state_evidence_by_kind(built: Path) -> None:
     objects = int(np.sum([int(item["object_count"]) for item in dg.TransientDataset(built, fields=("objects",))]))
     assert f"σ in the median of {objects}, " in info(built)
     assert f"| box | {objects} | " in (built / "README.md").read_text()

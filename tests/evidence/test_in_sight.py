@@ -1,5 +1,5 @@
-"""Evidence of objects in plain sight counts all light of theirs that the sensor sees: in closed form, and as what the
-detected means lose without the object."""
+"""Evidence of objects in plain sight counts all light by way of them: in closed form, and as the detections that are
+lost without the object."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WALL = dg.Part("relay_wall", rectangle((0, -1.2, 0), (0, 1.0, 0), (0, 0, 1.0)), 
 
 
 def plate(albedo: float = 0.6, x: float = 0.4, half_m: float = 0.3) -> dg.Part:
-    """It faces the device, beside the wall; with nothing behind it, it shadows nothing."""
+    """A plate beside the wall that faces the device; nothing is behind it, so it shadows nothing."""
     return dg.Part("plate", rectangle((x, 0.6, 0), (0, half_m, 0), (0, 0, half_m)), dg.Lambertian(albedo))
 
 
@@ -41,7 +41,7 @@ def evidence(scene: dg.Scene, looked: dg.Capture, accuracy: dg.Accuracy, spad: d
 
 
 def test_one_bounce_in_closed_form() -> None:
-    """A laser point on a plate that a pixel looks at: ρ/π cosθ A/R² photons, and no other light in the world."""
+    """A laser point on a plate inside a pixel: ρ/π cosθ A/R² photons, and no other light."""
     at = np.array([0.4, 0.6, 0.0])
     scene, looked = dg.Scene.from_parts([plate()]), capture([tuple(at)], [tuple(at)])
     found = evidence(scene, looked, dg.Accuracy(lookins=64, fov_samples=1, max_bounces=3, direct=True))
@@ -66,9 +66,9 @@ CASES = {
 @pytest.mark.parametrize("direct", [True, False])
 @pytest.mark.parametrize("illumination", ["scan", "flood"])
 @pytest.mark.parametrize("case", CASES)
-def test_it_is_what_the_detected_mean_loses_without_the_object(case: str, illumination: str, direct: bool) -> None:
-    """To 3 %, the error of both by lookins: an object that shadows nothing, and a detector without dead time. The
-    plate is turned towards the wall a little, so that light of two and three bounces goes to and fro."""
+def test_evidence_is_the_loss_of_detections_without_the_object(case: str, illumination: str, direct: bool) -> None:
+    """To 3 %, the sampling error of both, for an object that shadows nothing and a detector without dead time. The
+    plate is turned a little towards the wall, so that there is light of two and three bounces between the two."""
     looked = capture(*CASES[case], illumination=illumination)
     turned = trimesh.Trimesh(
         [(0.4, 0.3, -0.3), (0.9, 0.9, -0.3), (0.9, 0.9, 0.3), (0.4, 0.3, 0.3)], [(0, 1, 2), (0, 2, 3)], process=False
@@ -96,8 +96,8 @@ def test_with_a_target_all_light_is_counted_as_well() -> None:
     assert by_target.detections > 20 * three["plate"].detections
 
 
-def test_light_of_several_objects_is_told_apart() -> None:
-    """Each has its own: what one reflects to the sensor is no light of the other, unless it touched both."""
+def test_light_of_several_objects_is_separated() -> None:
+    """Light that one object reflects to the sensor does not count for the other, unless it touched both."""
     other = dg.Part("other", rectangle((0.4, 1.6, 0), (0, 0.3, 0), (0, 0, 0.3)), dg.Lambertian(0.6))
     scene = dg.Scene.from_parts([plate(), other])
     looked = capture([(0.4, 0.6, 0.0), (0.4, 1.6, 0.0)], [(0.4, 0.6, 0.0), (0.4, 1.6, 0.0)], pairing="confocal")
@@ -131,7 +131,7 @@ def test_scenes_of_ready_configurations_hide_their_objects(name: str) -> None:
         assert objects_in_sight(scene, dg.capture_for(config, scene, config.seed, index), Raycaster(scene)) == ()
 
 
-def test_datasets_of_objects_in_plain_sight_store_it(tmp_path: Path) -> None:
+def test_datasets_store_evidence_of_objects_in_plain_sight(tmp_path: Path) -> None:
     scene, looked = dg.Scene.from_parts([WALL, plate()]), capture(*CASES["a scan of both"])
     settings = {
         "transport": {"lookins": 2048, "fov_samples": 8, "direct": True, "max_bounces": 3},
@@ -140,8 +140,8 @@ def test_datasets_of_objects_in_plain_sight_store_it(tmp_path: Path) -> None:
     }
     dg.build_from([scene], tmp_path / "set", looked, settings=settings, progress=False)
     data = dg.TransientDataset(tmp_path / "set", ("histogram",), counts="stored")
-    told = float(data.parameters("evidence.plate.detections")[0])
+    stored = float(data.parameters("evidence.plate.detections")[0])
     wanted = evidence(scene, looked, dg.Accuracy(lookins=2048, fov_samples=8, direct=True, max_bounces=3))
     pde = float(data.parameters("detector.pde")[0])
-    assert told == pytest.approx(wanted.detections * pde / IDEAL.pde, rel=1e-3)
-    assert told > 0.9 * float(data[0]["histogram"].sum())
+    assert stored == pytest.approx(wanted.detections * pde / IDEAL.pde, rel=1e-3)
+    assert stored > 0.9 * float(data[0]["histogram"].sum())

@@ -1,4 +1,4 @@
-"""Evidence against laws that it obeys exactly, and against what a matched filter makes of drawn histograms."""
+"""Evidence against laws that it obeys exactly, and against a matched filter on drawn histograms."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from matched_filter import DRAWS, MODES, farthest_of, ready, separation
 import datagen as dg
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.own_light import own_light
-from datagen.evidence.own import evidence_parameters, evidence_tables
 from datagen.records import Transient
-from datagen.store.summaries import evidence_by_kind, evidence_lines, kind_of
+from datagen.store.summaries import evidence_by_kind, evidence_lines
 
 TIME = dg.TimeAxis(bins=60, width_s=2e-10)
 PARTS = ("wall", "box", "pillar")
@@ -43,8 +42,8 @@ BRIGHT = dg.Exposure(repetition_rate_hz=2e7, cycles=10_000, photons_per_pulse=3e
 
 
 @pytest.mark.parametrize("name", DETECTORS)
-def test_detections_of_all_light_and_of_none_add_up_to_what_is_expected(name: str) -> None:
-    """Every detection is owed to a photon of one of the lights, or to background, or caused by another detection."""
+def test_detections_of_all_lights_add_up_to_the_expected_histogram(name: str) -> None:
+    """Without background and caused avalanches, every detection is due to a photon of one of the lights."""
     t, spad = transient(), replace(DETECTORS[name], dark_count_rate_hz=0.0, afterpulse_probability=0.0)
     spad = replace(spad, crosstalk_probability=0.0)
     lights = [*t.parts.values(), t.components["secondary"]]
@@ -68,12 +67,12 @@ def test_detections_of_parts_add_up(name: str) -> None:
     assert max(alone) <= one.significance <= sum(alone)
 
 
-def test_caused_avalanches_are_nobody_s_own_light() -> None:
+def test_caused_avalanches_belong_to_no_part() -> None:
     t = transient()
     clean = dg.own_evidence(t, replace(DETECTORS["afterpulses"], afterpulse_probability=0.0), BRIGHT)
     noisy = dg.own_evidence(t, DETECTORS["afterpulses"], BRIGHT)
     for part in PARTS:
-        # What they keep dead takes from it, and what they add to the bins hides it.
+        # Their dead time removes detections of the part, and their counts hide it.
         assert 0.9 * clean[part].detections < noisy[part].detections < clean[part].detections
         assert noisy[part].significance < clean[part].significance
 
@@ -98,7 +97,7 @@ def test_with_power_evidence_grows_in_proportion_in_the_dark_and_as_its_root_in_
         assert np.isclose(bright / dim, 4**power, rtol=1e-4)
 
 
-def test_of_one_light_alone_significance_is_the_root_of_its_detections() -> None:
+def test_significance_of_a_lone_light_is_the_root_of_its_detections() -> None:
     light = transient().parts["box"]
     alone = Transient(TIME, {"primary": light}, {"box": light}, 0 * light, light[..., 0], np.zeros((3, 3)))
     found = dg.own_evidence(alone, dg.Spad(pde=0.4, mode="ideal"), replace(BRIGHT, pulse_fwhm_s=0.0))["box"]
@@ -139,30 +138,17 @@ def test_an_unknown_part_is_refused() -> None:
         dg.own_evidence(transient(), dg.Spad(), BRIGHT, ["sofa"])
 
 
-def test_as_parameters_and_tables() -> None:
-    found = {"box": dg.Evidence(40.0, 3.0, 5.0), "box_2": dg.Evidence(4.0, 1.0, 0.5)}
-    flat = evidence_parameters(found)
-    assert flat["evidence.weakest"] == 0.5 and flat["evidence.box.detections"] == 40.0 and len(flat) == 7
-    assert evidence_parameters({}) == {}
-    tables = evidence_tables(tuple(found.values()), 3)
-    assert tables["object_significance"].tolist() == [5.0, 0.5, 0.0]
-    assert [kind_of(name) for name in ("box", "box_2", "letter_a", "letter_a_12")] == [
-        "box",
-        "box",
-        *["letter_a"] * 2,
-    ]
-
-
 @pytest.mark.parametrize("mode", MODES)
-def test_a_matched_filter_sees_what_is_stated(mode: str) -> None:
-    """Of drawn histograms. 5 scenes, at 1e-5 each (4.4 standard errors); `matched_filter.py` does it for 200."""
+def test_a_matched_filter_has_the_stated_significance(mode: str) -> None:
+    """On drawn histograms of 5 scenes, at a level of 1e-5 each (4.4 standard errors); `matched_filter.py` does
+    200."""
     found = separation(MODES.index(mode), mode)
     assert found.stated > 0.5 and DRAWS == 1000
     assert found.beyond < 4.4
 
 
-def test_an_object_that_keeps_the_diode_dead_is_seen_by_that_too() -> None:
-    """A letter is nearly all the light: σ alone is beyond the error, what follows from the detector's law is not."""
+def test_the_dead_time_that_an_object_causes_separates_further() -> None:
+    """A letter brings nearly all the light: the separation is above σ, and as the law of the detector predicts."""
     letter = next(number for number, of in enumerate(ready()) if of.name == "letters_on_a_bench")
     found = separation(letter, "free running")
     assert found.follows > 1.1 * found.stated
@@ -170,37 +156,37 @@ def test_an_object_that_keeps_the_diode_dead_is_seen_by_that_too() -> None:
 
 
 @pytest.mark.nightly
-def test_matched_filters_see_what_is_stated_in_200_scenes() -> None:
-    """Level 1e-3 for all of them together; the median has far less error than the 3 % asked."""
+def test_matched_filters_have_the_stated_significance_in_200_scenes() -> None:
+    """Level 1e-3 for all scenes together; the error of the median is far below 3 %."""
     found = [separation(number, MODES[number % len(MODES)]) for number in range(200)]
     assert max(of.beyond for of in found) < farthest_of(len(found))
-    # Where σ is under 1 the ratio is little but noise.
+    # For σ under 1 the ratio is mostly noise.
     assert abs(np.median([of.measured / of.stated for of in found if of.stated > 1]) - 1) < 0.03
 
 
 def placed(sigma: list[float], away_m: list[float]) -> list[dict[str, float]]:
-    """A scene for each object."""
+    """Parameters of scenes with one object each, of significance `sigma` at the distance `away_m`."""
     pairs = zip(sigma, away_m, strict=True)
     return [{"evidence.box.significance": s, "box.away_m": a} for s, a in pairs]
 
 
-def test_a_distance_is_told_within_which_objects_are_seen() -> None:
-    """Of those no farther away nine in ten are over, and of no greater number of them; else no distance is told."""
+def test_the_summary_states_the_distance_within_which_objects_are_detected() -> None:
+    """It is the largest distance within which nine in ten objects are over 3 σ; without one, none is stated."""
     away = np.arange(1.0, 21.0)
     sigma = 100 / away**2
     (box,) = evidence_by_kind(placed(sigma.tolist(), away.tolist()))
-    # Over 3 σ are the five up to 5.8 m; with the sixth it would be fewer than nine in ten.
+    # The five objects up to 5.8 m are over 3 σ; with the sixth fewer than nine in ten are.
     assert box.within_m == 5.0
     assert evidence_lines([box])[0].endswith("the exposure, or at most 5 m away, would bring 90% over")
     shuffled = np.random.default_rng(0).permutation(20)
     assert evidence_by_kind(placed(sigma[shuffled].tolist(), away[shuffled].tolist())) == [box]
     for others in (placed([9.0] * 20, away.tolist()), placed(sigma[1:].tolist(), away[1:].tolist()),
                    placed(sigma[::-1].tolist(), away.tolist()), placed(sigma.tolist(), [np.nan] * 20)):  # fmt: skip
-        (told,) = evidence_by_kind(others)
-        assert np.isnan(told.within_m) and "away" not in evidence_lines([told])[0]
+        (box,) = evidence_by_kind(others)
+        assert np.isnan(box.within_m) and "away" not in evidence_lines([box])[0]
 
 
-def test_what_is_said_of_kinds() -> None:
+def test_the_summary_of_kinds() -> None:
     sigma = {"box": [1.5, 30.0], "box_2": [6.0], "cone": [0.5], "ghost": [0.0]}
     scenes = [
         {f"evidence.{name}.significance": values[k] for name, values in sigma.items() if k < len(values)}
@@ -214,6 +200,6 @@ def test_what_is_said_of_kinds() -> None:
         "box: 6 σ in the median of 3, 33% under 3 σ; 4 × the exposure would bring 90% over",
         "ghost: 0 σ in the median of 1, 100% under 3 σ; no exposure would bring 90% over",
     ]
-    # So much more exposure does just that.
+    # With the exposure that the summary states, the object is over 3 σ.
     more = {"evidence.box.significance": 1.5 * np.sqrt(box.exposure_factor)}
     assert evidence_by_kind([more])[0].under_3 == 0.0

@@ -1,4 +1,4 @@
-"""Presence: a scene with an object against the same scene without it, by laws and by a matched filter on draws."""
+"""The presence of objects, against laws that it obeys and against a matched filter on drawn histograms."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from datasets import write_dataset
+from rooms import rectangle
 
 import datagen as dg
 from datagen.config import config_from_mapping
@@ -21,9 +22,8 @@ COARSE = dg.Accuracy(target=0.05)
 
 
 def plate(x: float, y: float, half: float) -> trimesh.Trimesh:
-    """Facing the wall x = 0, x in front of it."""
-    corners = [(x, y + a * half, b * half) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    return trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
+    """A square that faces the wall x = 0 at the distance x."""
+    return rectangle((x, y, 0), (0, half, 0), (0, 0, half))
 
 
 def room(albedo: float = 0.6, back: bool = True) -> dg.Scene:
@@ -52,18 +52,18 @@ def presence(scene: dg.Scene, accuracy: dg.Accuracy = COARSE, exposure: dg.Expos
 
 @cache
 def fine(albedo: float) -> tuple[dg.Transient, dg.Transient]:
-    """With the plate, and without it."""
+    """Transients with the plate and without it, whose errors are far below their difference."""
     return dg.simulate(room(albedo), capture(), dg.Accuracy(target=0.01), seed=7), fine_without()
 
 
 @cache
 def fine_without() -> dg.Transient:
-    """It is the same, whatever the albedo of the plate was."""
+    """The transient without the plate, which is the same for any albedo of it."""
     return dg.simulate(room().without("plate"), capture(), dg.Accuracy(target=0.01), seed=7)
 
 
 def expected(albedo: float, exposure: dg.Exposure = EXPOSURE) -> list[np.ndarray]:
-    """Detections with the plate and without it, of fine transients, whose errors are far below the difference."""
+    """Expected detections with the plate and without it."""
     return [dg.expected_histogram(of.total, of.time, IDEAL, exposure) for of in fine(albedo)]
 
 
@@ -78,8 +78,8 @@ def truth(albedo: float, exposure: dg.Exposure = EXPOSURE) -> float:
      pytest.param(0.8, True, marks=pytest.mark.nightly)],
 )  # fmt: skip
 def test_a_matched_filter_on_draws_finds_the_stated_separation(albedo: float, faint: bool) -> None:
-    """On many draws with and without the plate; the exposure brings σ to 6. Faint: under daylight, many times the
-    plate's change in every bin, where both spreads are equal."""
+    """Histograms are drawn with and without the plate, for an exposure that makes σ 6. A faint plate is seen under
+    daylight of many times its change in every bin, so that both spreads are equal."""
     draws, wanted = 1000 if faint else 400, 6.0
     day = replace(EXPOSURE, ambient_rate_hz=6e11 if faint else 1e4)
     exposure = replace(day, cycles=int(day.cycles * (wanted / truth(albedo, day)) ** 2) + 1)
@@ -103,14 +103,14 @@ def test_a_matched_filter_on_draws_finds_the_stated_separation(albedo: float, fa
 
 @pytest.mark.parametrize("target", [0.1, 0.02])
 @pytest.mark.parametrize("albedo", [0.0, 0.3, pytest.param(0.8, marks=pytest.mark.nightly)])
-def test_it_is_within_its_floor_of_the_truth(albedo: float, target: float) -> None:
+def test_significance_is_within_its_floor_of_the_truth(albedo: float, target: float) -> None:
     found = presence(room(albedo), dg.Accuracy(target=target))
     assert abs(found.significance - truth(albedo)) < found.floor < 0.25 * found.significance
 
 
 def test_errors_are_no_evidence() -> None:
-    """Of a plate that no light reaches, with samples so few that two simulations differ by many σ; and of other
-    samples for each scene, which is the most that errors do."""
+    """A plate that no light reaches has no significance above its floor, even with so few samples that two
+    simulations differ by many σ, and with other random numbers for each scene, which is the worst case."""
     scene, accuracy = room(), dg.Accuracy(lookins=256, fov_samples=1)
     exposure = replace(EXPOSURE, cycles=10**7)
     pair = [dg.simulate(scene, capture(), accuracy, seed=seed) for seed in (1, 2)]
@@ -124,12 +124,12 @@ def test_errors_are_no_evidence() -> None:
         assert found["plate"].significance > found["plate"].floor
 
 
-def test_one_replicate_tells_no_floor() -> None:
+def test_with_one_replicate_the_floor_is_unknown() -> None:
     found = presence(room(), dg.Accuracy(lookins=256, fov_samples=1, replicates=1))
     assert found.significance > 0 and np.isnan(found.floor)
 
 
-def test_a_black_plate_is_known_by_its_shadow() -> None:
+def test_a_black_plate_is_detected_by_its_shadow() -> None:
     black = presence(room(0.0))
     own = dg.own_evidence(fine(0.0)[0], IDEAL, EXPOSURE, ["plate"])["plate"]
     assert own.significance == 0 and black.detections < 0 and black.significance > 3 * black.floor
@@ -145,8 +145,7 @@ def test_a_black_plate_is_known_by_its_shadow() -> None:
     ],
     ids=["ideal", "gated", "synchronous", "free running"],
 )
-def test_a_lone_plate_is_known_by_its_light(spad: dg.Spad) -> None:
-    """Where nothing is shadowed, presence is the evidence of its own light, whatever the detector."""
+def test_presence_without_shadows_is_the_evidence_of_own_light(spad: dg.Spad) -> None:
     lone = room(0.6, back=False)
     t = dg.simulate(lone, capture(), dg.Accuracy(target=0.005), seed=1)
     own = dg.own_evidence(t, spad, EXPOSURE, ["plate"])["plate"]
@@ -155,19 +154,19 @@ def test_a_lone_plate_is_known_by_its_light(spad: dg.Spad) -> None:
     assert found.detections == pytest.approx(own.detections, rel=0.05) and own.significance > 10
 
 
-def test_it_grows_with_the_root_of_the_exposure() -> None:
+def test_presence_grows_with_the_root_of_the_exposure() -> None:
     once, four = (presence(room(), exposure=replace(EXPOSURE, cycles=n * EXPOSURE.cycles)) for n in (1, 4))
     for name, times in (("significance", 2), ("floor", 2), ("detections", 4)):
         assert getattr(four, name) == pytest.approx(times * getattr(once, name), rel=1e-9)
 
 
-def test_what_it_refuses() -> None:
+def test_unknown_parts_are_refused() -> None:
     with pytest.raises(dg.InputError, match="presence_evidence: part 'door': this scene has relay_wall, plate"):
         dg.presence_evidence(room(), capture(), COARSE, IDEAL, EXPOSURE, ["door"])
     assert dg.presence_evidence(room(), capture(), COARSE, IDEAL, EXPOSURE, []) == {}
 
 
-def test_a_dataset_has_it_on_request(tmp_path: Path) -> None:
+def test_a_dataset_has_presence_on_request(tmp_path: Path) -> None:
     values = {
         "seed": 6,
         "scenes": 2,
@@ -177,8 +176,8 @@ def test_a_dataset_has_it_on_request(tmp_path: Path) -> None:
         "detector": {"cycles": 100_000},
     }
     plain = config_from_mapping(values | {"store": {"fields": ["histogram"]}})
-    asked = config_from_mapping(values | {"store": {"fields": ["histogram", "objects", "presence"]}})
-    data = dg.TransientDataset(write_dataset(asked, tmp_path / "set"), ("objects", "histogram"))
+    with_presence = config_from_mapping(values | {"store": {"fields": ["histogram", "objects", "presence"]}})
+    data = dg.TransientDataset(write_dataset(with_presence, tmp_path / "set"), ("objects", "histogram"))
     for index in range(2):
         without, item = simulate_sample(plain, index), data[index]
         assert np.array_equal(without.arrays["histogram"], item["histogram"].numpy())
@@ -190,4 +189,4 @@ def test_a_dataset_has_it_on_request(tmp_path: Path) -> None:
         assert not table[count:].any()
         for name in names:
             assert data.parameters(f"evidence.{name}.presence_floor")[index] > 0
-    assert "evidence.box.presence_detections" in simulate_sample(asked, 0).parameters
+    assert "evidence.box.presence_detections" in simulate_sample(with_presence, 0).parameters

@@ -1,4 +1,4 @@
-"""Datasets of one hidden point, for all that goes out and comes back."""
+"""Datasets of one hidden point, for exports and imports."""
 
 from __future__ import annotations
 

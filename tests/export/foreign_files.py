@@ -13,7 +13,7 @@ h5py = pytest.importorskip("h5py", reason="h5py is not installed (extra `export`
 
 
 def stanford(folder: Path, axes: str = "xyt", **other: Any) -> tuple[Path, np.ndarray]:
-    """A light-cone-transform file; and (row, column, bin) what it holds, from the top left."""
+    """The path of a file of the light-cone transform, and its counts (row, column, bin) from the top left."""
     counts = np.random.default_rng(1).poisson(0.7, (5, 6, 40))
     counts[0, 0, 0] = 9
     stored = counts.transpose(["yxt".index(axis) for axis in axes])
@@ -23,7 +23,7 @@ def stanford(folder: Path, axes: str = "xyt", **other: Any) -> tuple[Path, np.nd
 
 
 def tal(path: Path, h: np.ndarray, form: int, lit: np.ndarray, seen: np.ndarray, **other: Any) -> Path:
-    """As `tal.io.write_capture` writes: enums of one element, nothing as an empty dataset."""
+    """A file as `tal.io.write_capture` writes it: an enum is an array of one element, None an empty dataset."""
     content: dict[str, Any] = {
         "H": h, "H_format": np.array([form], np.int32), "sensor_grid_xyz": seen, "laser_grid_xyz": lit,
         "sensor_grid_format": np.array([1 + (seen.ndim == 3)]), "laser_grid_format": np.array([1 + (lit.ndim == 3)]),

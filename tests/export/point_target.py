@@ -1,4 +1,4 @@
-"""Measurements whose truth is known: light that went by way of one point, in whole bins."""
+"""Measurements with a known truth: light that was reflected by one hidden point, in one bin for each pair."""
 
 from __future__ import annotations
 

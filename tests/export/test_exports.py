@@ -1,4 +1,4 @@
-"""Exported scenes, read back by other readers: light that went by way of one point tells where it is."""
+"""Exported scenes, read by other readers: light that was reflected by one point must lead back to this point."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_tal_counts_lie_where_its_own_coordinates_and_times_say(
     info = yaml.safe_load(got["scene_info"])
     config = config_of(scan, origin)
     frame = WallFrame(np.array(info["datagen"]["origin_m"]), np.array(info["datagen"]["axes"]))
-    point = frame.of(hidden_point(config, 1))
+    point = frame.to_wall(hidden_point(config, 1))
     there = in_wall_frame(made(scan, origin), 1, hidden_point(config, 1))
     np.testing.assert_allclose(point[2], there[2], atol=1e-12)
     assert point[2] > 0
@@ -108,7 +108,7 @@ def test_stanford_mat_shifted_by_its_tofgrid_counts_from_the_wall(origin: str, m
     np.testing.assert_array_equal(meas.sum(axis=2), stored.arrays["histogram"].sum(axis=(1, 2)).reshape(4, 5))
     points, frame = got["grid_points"].transpose(0, 1, 2), measurement(stored).frame
     assert (points[0, :, 1] > points[-1, :, 1]).all() and (points[:, 0, 0] < points[:, -1, 0]).all()
-    point = frame.of(hidden_point(config_of("confocal", origin), 1))
+    point = frame.to_wall(hidden_point(config_of("confocal", origin), 1))
     way = 2 * np.linalg.norm(points - point, axis=-1)
     delays = np.floor(got["tofgrid"] * 1e-12 / step).astype(int)
     assert (delays > 0).all() == (origin == "source")
@@ -129,13 +129,13 @@ def test_lists_of_pairs_count_from_the_wall(scan: str, origin: str, made: Any, t
         assert got[name].shape == (rows, 3)
     assert (got["camera_normals"] == [0, 0, 1]).all()
     np.testing.assert_allclose(got["trans_data"].sum(axis=1), 7e-9, rtol=1e-5)
-    point = measurement(Scenes(made(scan, origin)).read(0)).frame.of(hidden_point(config, 0))
+    point = measurement(Scenes(made(scan, origin)).read(0)).frame.to_wall(hidden_point(config, 0))
     way = sum(np.linalg.norm(got[name] - point, axis=1) for name in ("laser_points", "camera_points"))
     found = got["trans_data"].argmax(axis=1)
     assert (abs(found - way / LIGHT / float(got["bin_resolution"][0, 0])) <= 1.51).all()
 
 
-def test_what_is_too_large_for_matlab_is_refused_in_a_line(
+def test_scans_too_large_for_matlab_are_refused_in_a_line(
     made: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("datagen.export.mat._LARGEST_BYTES", 1000)
@@ -244,7 +244,7 @@ print(sum(len(part) for part in rows.values()), min(part[0]["thumbnail"].size[0]
 
 
 def test_hub_folder_is_read_by_datasets(made: Any, tmp_path: Path) -> None:
-    """In a process of its own: a module of these tests has the package's name."""
+    """Another process reads it, because a module of these tests is called `datasets`, too."""
     export(made("confocal"), tmp_path / "hub", "hub")
     offline = os.environ | {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path)}
     command = [sys.executable, "-c", READ_BY_DATASETS, tmp_path / "hub", tmp_path / "cache"]
@@ -271,15 +271,15 @@ def test_points_without_a_grid_are_none() -> None:
     assert alone is not None and alone.shape == (1, 1)
 
 
-def test_bad_requests_are_told_in_a_line(made: Any, tmp_path: Path) -> None:
-    for options, told in (
+def test_bad_requests_are_refused_in_a_line(made: Any, tmp_path: Path) -> None:
+    for options, piece in (
         ({"format": "doc"}, "--format doc"),
         ({"format": "npz", "scenes": "0-5"}, "--scenes 0-5"),
         ({"format": "npz", "scenes": "x"}, "--scenes x"),
         ({"format": "npz", "field": "transient"}, "--field transient"),
         ({"format": "hub", "scenes": "0"}, "--scenes"),
     ):
-        with pytest.raises(InputError, match=told) as error:
+        with pytest.raises(InputError, match=piece) as error:
             export(made("confocal"), tmp_path / "out", **options)  # type: ignore[arg-type]
         assert "\n" not in str(error.value)
     (tmp_path / "mine").mkdir()

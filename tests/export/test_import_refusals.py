@@ -1,4 +1,4 @@
-"""Captures that are damaged, or lack something, are refused in a line, and nothing is made."""
+"""Captures that are damaged or lack something are refused in one line, and nothing is made."""
 
 from __future__ import annotations
 
@@ -90,11 +90,11 @@ def tal_file(path: Path, h: Any = H, form: int = 1, lit: Any = SEEN, seen: Any =
 
 
 def refuse(folder: Path, files: Path | list[Path], piece: str, **options: Any) -> None:
-    """In one line that names what is wrong, and nothing is made."""
+    """Check that an import is refused in one line that contains `piece`, and that nothing is made."""
     before = sorted(folder.iterdir())
-    with pytest.raises(dg.InputError) as told:
+    with pytest.raises(dg.InputError) as refused:
         dg.import_captures(files, folder / "set", progress=False, **options)
-    message = str(told.value)
+    message = str(refused.value)
     assert "\n" not in message and len(message) < 400 and piece in message, message
     assert sorted(folder.iterdir()) == before
 
@@ -161,7 +161,7 @@ def test_the_command_refuses_in_a_line(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_a_configuration_cannot_ask_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Nor can what draws rooms draw one of an imported capture."""
+    """Commands that draw rooms refuse imported captures, too."""
     path, _ = stanford(tmp_path)
     dg.import_captures(path, tmp_path / "set", bin_width="4ps", progress=False)
     config = read_manifest(tmp_path / "set").parsed_config()
@@ -177,7 +177,7 @@ def test_a_configuration_cannot_ask_for_it(tmp_path: Path, capsys: pytest.Captur
     assert "no room to draw" in capsys.readouterr().err
 
 
-def test_a_file_that_changes_meanwhile_is_told(tmp_path: Path) -> None:
+def test_a_file_that_changes_during_the_import_is_refused(tmp_path: Path) -> None:
     path, _ = stanford(tmp_path)
     dg.import_captures(path, tmp_path / "set", bin_width="4ps", progress=False)
     from datagen.importing.captures import ImportedSamples

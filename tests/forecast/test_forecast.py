@@ -1,4 +1,4 @@
-"""Forecasts from pilots whose costs are known beforehand: nothing here depends on a clock."""
+"""Forecasts from pilots of known cost; no test depends on a clock."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from datagen.store import schema_of
 
 FIXED_S, LOOKIN_S, DETECTOR_S = 0.2, 0.001, 0.3
 NOISE = 20.0
-"""Of one lookin, relative to the signal: the error of n lookins is what is noise of √(noise² + signal²)."""
+"""Noise of one hidden vertex relative to the signal: with n of them, the error is that noise / √(n + noise²)."""
 
 
 def small_config(**changes: object) -> DatasetConfig:
-    """The stores' small configuration, with the lookins that `Simulated` takes its time for."""
+    """The small configuration of the tests of stores, with the number of samples that `Simulated` takes time for."""
     return fake_samples.small_config(**({"transport": {"lookins": 4096}} | changes))
 
 
 class Simulated:
-    """A sample function on an idle machine whose clock it moves: 0.2 s and a millisecond a lookin, in later scenes by
-    the share `harder` of it more."""
+    """A sample function with a clock of its own: transport takes 0.2 s and a millisecond for each hidden vertex, in
+    later scenes `harder` times the scene's number more."""
 
     def __init__(self, refused: tuple[int, ...] = (), compiling_s: float = 0.0, harder: float = 0.0) -> None:
         self.now_s, self.refused, self.compiling_s, self.harder = 0.0, refused, compiling_s, harder
@@ -79,7 +79,7 @@ def one_pilot() -> Pilots:
 
 
 def test_known_costs_are_forecast() -> None:
-    """Of every stage and of the whole build; twice the scenes take twice the time and the space."""
+    """The forecast has the cost of each stage and of the build; twice the scenes take twice the time and space."""
     config = small_config()
     pilots = pilots_of(config, 1000.0)
     assert [pilot.index for pilot in pilots.scenes] == spread_indices(12, MOST)
@@ -95,14 +95,14 @@ def test_known_costs_are_forecast() -> None:
 
 @pytest.mark.parametrize(("budget_s", "scenes"), [(20.0, 5), (4.7, 2), (3.1, 1)])
 def test_pilots_keep_to_their_budget(budget_s: float, scenes: int) -> None:
-    """A scene takes 4.6 s; one is always run, and none is begun once the budget is spent."""
+    """A scene takes 4.6 s. One is always simulated, and none is begun once the budget is spent."""
     simulated = Simulated()
     assert len(pilots_of(small_config(), budget_s, simulated).scenes) == scenes == len(simulated.full)
 
 
 @pytest.mark.parametrize("budget_s", [0.2, 1.0, 3.0])
-def test_scenes_that_the_budget_has_no_room_for_are_compared_by_trials(budget_s: float) -> None:
-    """Later ones take longer, and the mean of those compared is that of all; one is simulated in full."""
+def test_scenes_beyond_the_budget_are_compared_by_trials(budget_s: float) -> None:
+    """Later scenes take longer; the mean of those compared is that of all, and one is simulated in full."""
     simulated = Simulated(harder=0.3)
     expected = expected_of(small_config(), pilots_of(small_config(), budget_s, simulated))
     assert (expected.effort, expected.pilots, len(simulated.full)) == (1.0, 4, 1)
@@ -111,7 +111,7 @@ def test_scenes_that_the_budget_has_no_room_for_are_compared_by_trials(budget_s:
 
 
 def test_a_scene_far_beyond_the_budget_lies_on_the_line_of_two_trials() -> None:
-    """Which has what each scene takes in any case, too; and the error of independent samples."""
+    """The line includes the fixed cost of a scene; the error is that of independent samples."""
     simulated = Simulated()
     expected = expected_of(small_config(), pilots_of(small_config(), 0.1, simulated))
     assert (expected.effort, expected.pilots, simulated.full) == (1 / 16, 1, [])
@@ -121,9 +121,9 @@ def test_a_scene_far_beyond_the_budget_lies_on_the_line_of_two_trials() -> None:
     assert looser.transport.target == pytest.approx(0.08) and effort == pytest.approx(1 / 16)
 
 
-def test_what_grows_more_slowly_than_paths_is_not_scaled_in_proportion() -> None:
-    """Cells to a target take little longer for a smaller one: what is expected is between now and in proportion, and
-    the error is the one that was asked for, if the trial's was larger."""
+def test_stages_that_grow_more_slowly_than_paths_are_not_scaled_in_proportion() -> None:
+    """The expected time lies between the trial's own and that in proportion to the paths; the expected error is the
+    target, if the trial's was larger."""
     less = Pilot(0, 1 / 256, {"transport": 3.0, "labels": 1.0}, 4.0, 0.2, 0.02)
     for now_s, full_s in ((3.5, 3.5 + 0.5 * 16), (2.9, 2.9), (48.0, 48.0 + 45 * 16), (60.0, 960.0)):
         trial = Pilot(0, 1 / 16, {"transport": now_s, "labels": 1.0}, now_s + 1.0, 0.05, 0.02, less)
@@ -162,8 +162,7 @@ def test_wall_clock_of_workers_that_take_shards_and_share_the_last_ones(
     assert forecast(schema, pilots, startup_s, workers, 1).build_s == pytest.approx(len(free) * expected.build_s)
 
 
-def test_what_was_expected_comes_true(tmp_path: Path) -> None:
-    """Error and bytes of a dataset with the same samples; and it says what it was held against."""
+def test_a_dataset_has_the_expected_error_and_size(tmp_path: Path) -> None:
     config = small_config(scenes=8, store={"fields": ["histogram", "transient", "depth"], "scenes_per_shard": 8})
     expected = expected_of(config, pilots_of(config, 1000.0))
     root = write_dataset(config, tmp_path / "set", Simulated())
@@ -188,7 +187,7 @@ def test_unknown_error_is_no_number(one_pilot: Pilots) -> None:
 
 
 def test_a_trial_simulates_what_the_scene_would() -> None:
-    """Effects are decided by the configured lookins: 1/64 of them decide differently, the trial does not."""
+    """Effects are decided for the configured number of samples; 1/64 of it alone would decide differently."""
     scan = {"scan": {"rows": 6, "columns": 6}}
     config = config_from_mapping(
         {"scenes": 1, "seed": 1, "capture": scan, "transport": {"lookins": 8192, "max_bounces": 5}}

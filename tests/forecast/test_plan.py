@@ -1,16 +1,18 @@
-"""`datagen plan` as a user types it, on a tiny configuration."""
+"""The command `datagen plan` on a tiny configuration, and the time limit of a scene."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from datasets import write_dataset
 
 from datagen.cli import run
-from datagen.config import load_config
-from datagen.forecast.text import duration
+from datagen.config import config_from_mapping, load_config
+from datagen.errors import InputError
+from datagen.forecast.text import AT_LEAST_S, PILOTS_WORTH, duration, scene_limit
 
 CONFIG = """
 name: tiny
@@ -31,7 +33,7 @@ def config(tmp_path: Path) -> Path:
 
 
 def test_the_plan_says_what_a_build_takes(config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Decisions with reasons, then seconds, error, bytes; and after a build what it came to."""
+    """The plan has decisions with reasons, seconds, error and bytes, and the actual numbers of a build."""
     dataset, numbers = str(write_dataset(load_config(config), tmp_path / "set")), tmp_path / "plan.json"
     options = ["--workers", "2", "--seconds", "60", "--json", str(numbers), "--against", dataset]
     assert run(["plan", str(config), *options]) == 0
@@ -40,12 +42,12 @@ def test_the_plan_says_what_a_build_takes(config: Path, tmp_path: Path, capsys: 
                   "2 workers", "2 of 2 scenes", "seconds per scene", "bytes per scene", "actual"):  # fmt: skip
         assert piece in text, piece
     values = json.loads(numbers.read_text())
-    expected, held = values["forecast"], {row["name"]: row for row in values["against"]}
+    expected, compared = values["forecast"], {row["name"]: row for row in values["against"]}
     assert expected["scenes"] == 3 and expected["workers"] == 2 and expected["pilots"] == 3
     assert expected["build_s"] > 0 and expected["startup_s"] > 0 and values["machine"]["cores"] >= 1
     # All three scenes were pilots, so error and size are those of the dataset.
     for name, off in (("relative error", 1e-6), ("bytes per scene", 0.1)):
-        assert held[name]["predicted"] == pytest.approx(held[name]["actual"], rel=off), name
+        assert compared[name]["predicted"] == pytest.approx(compared[name]["actual"], rel=off), name
 
 
 @pytest.mark.parametrize(
@@ -74,3 +76,14 @@ def test_bad_input_is_one_line(
 )
 def test_durations_for_people(seconds: float, text: str) -> None:
     assert duration(seconds) == text
+
+
+def test_the_limit_is_given_or_follows_the_longest_pilot(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = config_from_mapping({})
+    assert scene_limit("2.5", config) == 2.5
+    with pytest.raises(InputError, match="--scene-seconds soon: must be a number of seconds, or forecast"):
+        scene_limit("soon", config)
+    for longest, limit in ((0.01, AT_LEAST_S), (60.0, 5.0 + 60.0 * PILOTS_WORTH)):
+        pilots = SimpleNamespace(startup_s=5.0, scene_s=(0.001, 0.002, longest))
+        monkeypatch.setattr("datagen.forecast.text.make_forecast", lambda _, pilots=pilots: pilots)
+        assert scene_limit("forecast", config) == limit

@@ -1,4 +1,4 @@
-"""Distances on a grid against every triangle at every point, in another formula."""
+"""Distances on a grid against another formula, evaluated for every triangle at every point."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_meshes_whose_triangles_meet(mesh: trimesh.Trimesh, place: tuple[float, 
     np.testing.assert_allclose(grid_distances(START, STEP, SHAPE, corners), by_every_triangle(corners), **EXACT)
 
 
-def test_points_on_the_surface_have_none() -> None:
+def test_points_on_the_surface_have_distance_zero() -> None:
     """A triangle through points of the grid, on its corners, on an edge and inside."""
     corners = (START + STEP * np.array([[2, 3, 4], [2, 7, 4], [2, 3, 10]]))[None]
     distance = grid_distances(START, STEP, SHAPE, corners)

@@ -51,14 +51,6 @@ def test_box_of_known_pose(turn_deg: float, side: int) -> None:
         assert np.linalg.norm(corners - corner, axis=1).min() < 1e-6
 
 
-def test_sphere_of_known_centre() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.4)
-    ball.apply_translation((4.0, 2.0, 1.1))
-    boxes = boxes_of(l_corridor(objects=[Part("ball", ball, Lambertian(0.5))]))
-    np.testing.assert_allclose(boxes.center[0], [0.5, 1.1 - HEIGHT_M / 2, 2.0], atol=1e-6)
-    np.testing.assert_allclose(boxes.size[0], 0.8, rtol=0.01)
-
-
 def test_boxes_lie_over_the_images() -> None:
     """An object's pixels lie within the outline of its box, and its nearest depth is the box's for a cuboid."""
     scene = l_corridor()
@@ -145,7 +137,7 @@ def test_rows_for_a_configuration_without_objects() -> None:
     assert boxes.corners().shape == (0, 8, 3)
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_objects_that_do_not_fit_are_refused() -> None:
     scene = l_corridor()
     with pytest.raises(InputError, match="2 objects in a scene, the table has room for 1"):
         boxes_of(scene, ObjectSlots(("pillar", "box"), 1))

@@ -16,7 +16,7 @@ from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
 BIN_M = 0.01
 AXIS = TimeAxis(256, BIN_M / C, 0.0, "wall")
 SIDE_M, POINTS = 1.6, 48
-"""Of a scan whose points are 3.4 cm apart."""
+"""A scan whose points are 3.4 cm apart."""
 
 
 def light_of(points: list[tuple[float, float, float]], axis: TimeAxis = AXIS) -> Floats:
@@ -36,7 +36,7 @@ def light_of(points: list[tuple[float, float, float]], axis: TimeAxis = AXIS) ->
 )
 @pytest.mark.parametrize("late", [0.0, 0.4])
 def test_a_point_is_found_where_it_is(point: tuple[float, float, float], late: float) -> None:
-    """To a column of voxels across and a bin's depth, rows from the top, whatever time the axis begins at."""
+    """Its error is at most a column of voxels across and the depth of a bin, for any start of the time axis."""
     axis = TimeAxis(256, BIN_M / C, round(late / BIN_M) * BIN_M / C, "wall")
     volume, depths = migrated(light_of([point], axis), SIDE_M, SIDE_M, axis)
     layer, row, column = np.unravel_index(volume.argmax(), volume.shape)

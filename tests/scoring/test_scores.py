@@ -1,4 +1,4 @@
-"""Predictions against the labels of a small dataset, and every way in which a file can be wrong."""
+"""Scores of predictions for a small dataset, and every error that predictions can have."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def truth(suite: Path) -> Truth:
 
 @pytest.fixture
 def right(truth: Truth) -> dict[str, Any]:
-    """What the labels say, as predictions."""
+    """The labels as predictions."""
     assert truth.occupancy is not None
     return {"scene": truth.scenes, "depth": truth.depth, "mask": truth.on_object, "occupancy": truth.occupancy,
             "centers": truth.centers}  # fmt: skip
@@ -61,7 +61,7 @@ def test_labels_themselves_are_perfect(suite: Path, right: dict[str, Any]) -> No
     assert (scores.dataset, scores.published, scores.split, scores.scenes) == ("made", False, "test", 4)
 
 
-def test_depth_is_wrong_by_what_it_is_wrong_by(suite: Path, truth: Truth, right: dict[str, Any]) -> None:
+def test_depth_errors_are_those_of_the_predictions(suite: Path, truth: Truth, right: dict[str, Any]) -> None:
     """0.3 m on objects with evidence, 0.1 m on the others, anything elsewhere."""
     off = np.where(truth.on_evident, 0.3, np.where(truth.on_object, 0.1, 7.0))
     scores = dg.score(suite, right | {"depth": truth.depth + off})
@@ -93,7 +93,7 @@ def test_images_and_points_by_scene(suite: Path, truth: Truth, right: dict[str, 
     assert "occupancy_iou" not in scores.all and "center_m" not in scores.all
 
 
-def test_what_is_not_found_counts_as_far_off_as_the_hidden_part_is_long(suite: Path, truth: Truth) -> None:
+def test_a_missed_object_counts_the_diagonal_of_the_hidden_part(suite: Path, truth: Truth) -> None:
     nothing = {"scene": truth.scenes, "depth": truth.depth, "mask": np.zeros(truth.depth.shape, bool)}
     scores = dg.score(suite, nothing | {"centers": np.full((4, 1, 3), np.nan)})
     seen = truth.on_object.any(axis=(1, 2))
@@ -107,7 +107,7 @@ def test_what_is_not_found_counts_as_far_off_as_the_hidden_part_is_long(suite: P
 
 
 def test_centres_of_objects_with_evidence(suite: Path, truth: Truth) -> None:
-    """Those of the others are 1 m off, upwards; order does not matter."""
+    """The other centres are 1 m too high. The order of centres does not matter."""
     off = np.where(truth.evident[..., None], [0, 0, 0], [0, 1.0, 0])
     found = (truth.centers + off)[:, ::-1]
     assert dg.score(suite, {"scene": truth.scenes, "centers": found}).with_evidence["center_m"] < 0.5
@@ -164,7 +164,7 @@ def test_files_and_groups_are_read_alike(
         ({"centers": np.full((4, 1, 3), np.inf)}, "centers has rows that are neither"),
     ],
 )
-def test_what_is_wrong_is_told_in_a_line(
+def test_wrong_predictions_are_refused_in_a_line(
     suite: Path, right: dict[str, Any], change: dict[str, Any], piece: str, tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
@@ -179,7 +179,7 @@ def test_what_is_wrong_is_told_in_a_line(
         dg.score(suite, values)
 
 
-def test_wrong_types_are_told(suite: Path) -> None:
+def test_wrong_types_are_refused(suite: Path) -> None:
     for call, name in (
         (lambda: dg.score(3, {}), "suite"),  # type: ignore[arg-type]
         (lambda: dg.score(suite, 3), "predictions"),  # type: ignore[arg-type]

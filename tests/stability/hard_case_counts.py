@@ -13,7 +13,7 @@ from datagen import Exposure, Spad, TimeAxis, detect, expected_histogram
 from datagen.detector.dead_time import equilibrium
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.irf import response_kernel, spread
-from datagen.detector.random_numbers import binomial, stream_of
+from datagen.detector.random_numbers import binomial, streams_of
 from datagen.records.arrays import Floats
 from datagen.transport.binning import put
 
@@ -155,7 +155,7 @@ def many_cycles() -> HardCase:
 def rare_binomial() -> HardCase:
     """A binomial of so small a probability that 1 − p is 1."""
     trials, p, draws = 10**15, 3e-17, 50_000
-    stream = stream_of(3)
+    stream = streams_of(3, 0, 0)[0]
     drawn = sum(binomial(trials, p, stream) for _ in range(draws))
     return HardCase(
         "10¹⁵ trials of probability 3e-17",

@@ -6,21 +6,19 @@ import shutil
 from pathlib import Path
 
 import pytest
-from fake_samples import fake_sample, small_config
-
-from datagen.building.build import build
+from fake_samples import build_fakes, small_config
 
 
 @pytest.fixture(scope="session")
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What an uninterrupted build with one worker leaves; not to be changed."""
+    """The dataset of an uninterrupted build with one worker. Tests must not change it."""
     root = tmp_path_factory.mktemp("pristine") / "set"
-    result = build(small_config(), root, progress=False, sample_function=fake_sample)
+    result = build_fakes(small_config(), root)
     assert (result.built, result.kept, result.complete) == (3, 0, True)
     return root
 
 
 @pytest.fixture
 def dataset(pristine: Path, tmp_path: Path) -> Path:
-    """A copy of that dataset, to be harmed."""
+    """A copy of that dataset, which a test may damage."""
     return shutil.copytree(pristine, tmp_path / "set")

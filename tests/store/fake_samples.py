@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from datagen.building.build import BuildResult, build
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.records import Sample
@@ -53,6 +53,11 @@ def reseal(path: Path, change: Callable[[Any], object]) -> None:
     path.write_bytes(sealed(values))
 
 
+def build_fakes(config: DatasetConfig, root: str | Path, workers: int = 1, **options: Any) -> BuildResult:
+    """Build silently, by `fake_sample` unless `options` name another sample function."""
+    return build(config, root, workers, **{"progress": False, "sample_function": fake_sample} | options)
+
+
 def fake_sample(config: DatasetConfig, index: int) -> Sample:
     rng = generator(config.seed, index, Purpose.SCENE)
     arrays: dict[str, np.ndarray] = {}
@@ -67,6 +72,16 @@ def slow_sample(config: DatasetConfig, index: int) -> Sample:
     """Never ends in the last shard, so that its build is under way whenever somebody looks."""
     time.sleep(0.05 if index < 8 else 3600)
     return fake_sample(config, index)
+
+
+def changed_at_5(change: Callable[[Sample], Any]) -> Callable[[DatasetConfig, int], Any]:
+    """A sample function whose fifth sample is what `change` returns."""
+
+    def sample(config: DatasetConfig, index: int) -> Any:
+        made = fake_sample(config, index)
+        return change(made) if index == 5 else made
+
+    return sample
 
 
 def fails_at_5(config: DatasetConfig, index: int) -> Sample:
@@ -102,37 +117,6 @@ def waits_for_another(config: DatasetConfig, index: int) -> Sample:
     while len(list(folder.glob("*.pid"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
     return fake_sample(config, index)
-
-
-def too_many_counts(config: DatasetConfig, index: int) -> Sample:
-    sample = fake_sample(config, index)
-    if index == 2:
-        sample.arrays["histogram"][0, 0, 3] = 70000  # type: ignore[index]
-    return sample
-
-
-def leaves_at_5(config: DatasetConfig, index: int) -> Sample:
-    if index == 5:
-        sys.exit("enough")
-    return fake_sample(config, index)
-
-
-def no_depth_at_5(config: DatasetConfig, index: int) -> Sample:
-    sample = fake_sample(config, index)
-    if index == 5:
-        del sample.arrays["depth"]  # type: ignore[attr-defined]
-    return sample
-
-
-def nothing_at_5(config: DatasetConfig, index: int) -> Sample:
-    return None if index == 5 else fake_sample(config, index)  # type: ignore[return-value]
-
-
-def odd_parameter_at_5(config: DatasetConfig, index: int) -> Sample:
-    sample = fake_sample(config, index)
-    if index == 5:
-        sample.parameters["odd"] = [1, 2]  # type: ignore[index]
-    return sample
 
 
 def hangs_at_5(config: DatasetConfig, index: int) -> Sample:

@@ -1,4 +1,4 @@
-"""What kills and damage come to: whether data were lost, read wrong without a word, or a traceback shown."""
+"""The outcome of kills and damage: whether data were lost, read wrong without an error, or a traceback was shown."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 import kills
 import pytest
 from damage import COLUMNS, HARMS, damaged, files_of, harmed, read, sample, small_dataset, told
-from fake_samples import fails_at_5, fake_sample, small_config
+from fake_samples import build_fakes, fails_at_5, small_config
 from here_and_now import one_worker_here
 
 from datagen.building.build import build
@@ -27,9 +27,9 @@ from datagen.store.table import read_table
 from datagen.store.verify import dataset_digest
 
 SHORT = small_config(scenes=6, store={"fields": ["histogram"], "scenes_per_shard": 4})
-"""What is killed at every step."""
+"""The configuration of the builds that are killed at every step."""
 MEMORIES = (0, 2**28)
-"""Bytes of memory that a reader has: fields larger and smaller than that are read in different ways."""
+"""Memory of a reader in bytes. With 0 every field is read from files, with more all fields stay in memory."""
 CORRUPTED = {
     "dataset.json": "dataset.json",
     "commit record": "build/shard-*.json",
@@ -47,7 +47,7 @@ WAYS = (*HARMS, "remove", "exchange")
 
 @contextmanager
 def quietly() -> Iterator[None]:
-    """With builds of one worker in this process, and without the warnings that name scenes which failed before."""
+    """A context in which builds of one worker run in this process, and warnings about failed scenes are hidden."""
     with ExitStack() as stack:
         stack.enter_context(one_worker_here())
         stack.enter_context(warnings.catch_warnings())
@@ -59,7 +59,7 @@ def quietly() -> Iterator[None]:
 
 
 def histograms(root: Path, memory: int) -> dict[int, bytes]:
-    """Every scene there is; none where the dataset is not believed to be whole."""
+    """Scene → its histogram, as a reader with this memory returns it. Raises if the dataset is not complete."""
     before, reader.MEMORY_BYTES = reader.MEMORY_BYTES, memory
     try:
         data = TransientDataset(root, ("histogram",))
@@ -70,7 +70,7 @@ def histograms(root: Path, memory: int) -> dict[int, bytes]:
 
 
 def intact(root: Path) -> dict[int, bytes]:
-    """The records of the shards that are committed with all their scenes: what no kill may lose."""
+    """Shard → its record, of committed shards with all their scenes. A kill must lose none of them."""
     with suppress(InputError):
         there = committed(root, read_manifest(root), hashes=True)
         return {record.shard: record.to_bytes() for record in there if not record.failures}
@@ -78,11 +78,12 @@ def intact(root: Path) -> dict[int, bytes]:
 
 
 Outcome = Counter[str]
-"""How often: `harmed`, `found` (told before anything was mended), `lost`, `silent`, `traceback`."""
+"""Counts: `harmed`, `found` (reported before a repair), `lost`, `silent` (read wrong without an error),
+`traceback`."""
 
 
 def after_a_kill(root: Path, resume: Callable[[], object], due: Path, harms: int, said: str = "") -> Outcome:
-    """What a reader gets of a killed build, and what building again makes of it."""
+    """The outcome of a kill: what readers get from the dataset, and whether building again completes it."""
     kept, digest, told_so = intact(root), dataset_digest(due), Outcome(harmed=harms)
     told_so["traceback"] += "Traceback" in said
     try:
@@ -106,7 +107,7 @@ def kills_between_steps(steps: Iterator[int], folder: Path, mending: bool) -> Ou
     """A build, or (`mending`) one that tries a scene anew, makes a damaged shard again and restores dataset.json,
     is gone at each of the steps, those that there are."""
     due, harmed_one, outcome = folder / "due", folder / "harmed", Outcome()
-    kills.whole_build(due, SHORT)
+    build_fakes(SHORT, due)
     if mending:
         with suppress(CheckError):
             build(SHORT, harmed_one, progress=False, sample_function=fails_at_5)
@@ -114,7 +115,7 @@ def kills_between_steps(steps: Iterator[int], folder: Path, mending: bool) -> Ou
         (harmed_one / "data.zarr/histogram/c/0/0/0/0").write_bytes(b"")
     for step in steps:
         root = shutil.copytree(harmed_one, folder / "set") if mending else folder / "set"
-        resume = partial(kills.whole_build, root, SHORT)
+        resume = partial(build_fakes, SHORT, root)
         if not kills.killed_at(step, resume):
             break
         outcome += after_a_kill(root, resume, due, 1)
@@ -125,14 +126,14 @@ def kills_between_steps(steps: Iterator[int], folder: Path, mending: bool) -> Ou
 def kills_of_processes(what: str, number: int, folder: Path, rng: random.Random) -> Outcome:
     """One of `kills.KILLED`, at random moments. A build that lost workers goes on; one that is gone is run again."""
     due, config, outcome = folder / "due", kills.many_shards(), Outcome()
-    kills.whole_build(due, config)
+    build_fakes(config, due)
     for done, running in kills.killed_builds(what, number, folder, rng):
         status, said = running.ended()
         if what.endswith("worker") and status != 0 and "worker processes died over it" not in said:
             # A scene over which two workers died is given up, told, and tried anew by the next build.
             print(f"{what} killed, and the build ended: {said.strip()}")
             outcome["lost"] += done
-        resume = partial(build, config, running.root, progress=False, sample_function=fake_sample)
+        resume = partial(build_fakes, config, running.root)
         outcome += after_a_kill(running.root, resume, due, done, said)
     return outcome
 

@@ -22,11 +22,11 @@ from kills import KILLED
 
 HEAD = "| what | harmed | found before mending | lost | silent | tracebacks |\n|---|---|---|---|---|---|"
 BUILD_STEPS, MENDING_STEPS = 215, 115
-"""A little more than there are."""
+"""Slightly more steps than a build has."""
 
 
 def rows(kills: int, corruptions: int, seed: int) -> Iterator[tuple[str, Callable[[Path], harm.Outcome]]]:
-    """What is done, and how, given an empty folder."""
+    """(name, function of an empty folder) of each row of the table."""
     each = kills // 8
     for mending, share, most in ((False, 2 * each, BUILD_STEPS), (True, kills - 6 * each, MENDING_STEPS)):
         named = "between two steps of " + ("mending a dataset" if mending else "a build")

@@ -82,7 +82,7 @@ def is_ready(child: subprocess.Popen[str]) -> bool:
 
 
 def interrupted(kind: signal.Signals, root: Path, group: bool, delay: float) -> list[str] | None:
-    """What was wrong with a build that got the signal; None where it ended before."""
+    """A line for each error of a build that got the signal; None if the build ended before the signal."""
     config, temporary, shared = root.with_suffix(".yaml"), root.with_suffix(".tmp"), shared_by_nobody()
     config.write_text(CONFIG)
     temporary.mkdir(exist_ok=True)

@@ -16,12 +16,11 @@ from typing import Any
 
 from fake_samples import fake_sample, small_config
 
-from datagen.building.build import build
 from datagen.config import DatasetConfig
 from datagen.records import Sample
 
 STEPS = ("fsync", "replace", "rename", "unlink", "mkdir", "rmdir", "pwrite", "link")
-"""Calls of the operating system that change what is there, or make it last."""
+"""Calls of the operating system that change files or make changes permanent."""
 PIDS = "DATAGEN_TEST_PIDS"
 """Variable that names the folder in which workers leave their numbers."""
 KILLED = ("worker", "parent", "group", "dask worker")
@@ -42,18 +41,18 @@ if __name__ == "__main__":
 
 
 def many_shards() -> DatasetConfig:
-    """48 scenes of a millisecond, a shard each: whoever kills meets every stage of a commit."""
+    """48 scenes of a millisecond, each a shard, so that kills meet every stage of a commit."""
     return small_config(scenes=48, store={"fields": ["histogram", "depth"], "scenes_per_shard": 1})
 
 
 def tells_pid(config: DatasetConfig, index: int) -> Sample:
-    """A sample of a worker that can be found, and killed."""
+    """A sample of a worker that leaves its process id, so that it can be killed."""
     Path(os.environ[PIDS], str(os.getpid())).touch()
     return fake_sample(config, index)
 
 
 def in_a_child(call: Callable[[], object]) -> int:
-    """The exit status of a process that does this and ends without any clearing up."""
+    """The exit status of a forked process that runs `call` and ends without any cleanup."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         child = os.fork()
@@ -67,7 +66,7 @@ def in_a_child(call: Callable[[], object]) -> int:
 
 
 def killed_at(step: int, call: Callable[[], object]) -> bool:
-    """Do something in a process that is gone at the given step; whether it came to that."""
+    """Whether `call` reaches a step (a call of `STEPS`). It runs in a process that ends at that step."""
 
     def dying() -> None:
         left = step
@@ -92,7 +91,7 @@ def killed_at(step: int, call: Callable[[], object]) -> bool:
 
 
 class RunningBuild:
-    """A build in processes of its own, to be killed; `due` for what it may then say."""
+    """A build in processes of its own that can be killed."""
 
     def __init__(self, root: Path, engine: str) -> None:
         self.root, self._pids = root, root.with_name(f"{root.name}.pids")
@@ -106,7 +105,7 @@ class RunningBuild:
         )  # fmt: skip
 
     def workers(self) -> list[int]:
-        """Those that made a scene and are alive."""
+        """Process ids of living workers that have made a scene."""
         return [pid for pid in (int(path.name) for path in self._pids.iterdir()) if Path(f"/proc/{pid}").is_dir()]
 
     def running(self) -> bool:
@@ -167,7 +166,3 @@ def killed_builds(what: str, kills: int, folder: Path, rng: random.Random) -> It
             yield in_this, running
         else:
             running.ended()
-
-
-def whole_build(root: Path, config: DatasetConfig) -> None:
-    build(config, root, progress=False, sample_function=fake_sample)

@@ -19,11 +19,11 @@ from datagen.store import schema_of
 from datagen.store.environment import made_with
 
 JOBS, RESERVE = 2000, 200
-"""As many are under way as with a hundred workers."""
+"""Number of jobs, and of jobs under way at once (those of a hundred workers)."""
 
 
 def nothing(job: ShardJob) -> dict[int, str]:
-    """What a shard without scenes gives."""
+    """The result of a shard without failures, at once."""
     return {}
 
 

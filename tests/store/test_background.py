@@ -1,4 +1,4 @@
-"""The background capture: the same room without its objects, measured by the same device with noise of its own."""
+"""The fields of the background: the same room without its objects, measured by the same device with other noise."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def sample(scene: dg.Scene) -> Sample:
 
 
 @pytest.mark.parametrize("transport", [{"target": 0.1}, {"lookins": 256, "fov_samples": 2, "max_bounces": None}])
-def test_it_is_the_room_without_its_objects_bit_for_bit(transport: dict[str, Any]) -> None:
+def test_the_background_is_the_room_without_its_objects_bit_for_bit(transport: dict[str, Any]) -> None:
     given = config(transport)
     scene = dg.generate_scene(given.scene, given.seed, 0)
     capture = dg.capture_for(given, scene, given.seed, 0)
@@ -113,7 +113,7 @@ def test_without_a_part_is_as_if_it_had_never_been_there() -> None:
         room(None).without("relay_wall", "back")
 
 
-def test_what_is_left_of_the_difference_is_the_objects_shadow() -> None:
+def test_the_difference_is_the_objects_own_light_and_its_shadow() -> None:
     """Histogram − background: the object's own light, and the light of other things that it keeps away."""
     for albedo in (0.0, 0.8):
         found, scene = sample(room(albedo)), room(albedo)
@@ -172,7 +172,7 @@ def test_fresh_noise_is_that_of_both(built: Path) -> None:
 
 
 def test_a_transient_from_elsewhere_has_none(tmp_path: Path) -> None:
-    """Nor has it presence: that is not known."""
+    """Its presence is unknown, too."""
     item = (room(0.5), capture(), np.zeros(capture().shape))
     with pytest.raises(dg.InputError, match="fields: a background is simulated, and a transient given tells nothing"):
         dg.build_from([item], tmp_path / "set", fields=("histogram", "background_histogram"), progress=False)

@@ -86,9 +86,9 @@ def test_light_of_another_simulator_is_stored_and_detected(tmp_path: Path) -> No
     assert stored[1, 2, 40] > 100
 
 
-def test_what_fits_no_dataset_is_told(tmp_path: Path) -> None:
+def test_scenes_that_form_no_dataset_are_refused(tmp_path: Path) -> None:
     other = capture(dg.TimeAxis(bins=32, width_s=4e-10))
-    for scenes, given, settings, told in (
+    for scenes, given, settings, piece in (
         ([], capture(), {}, "none given"),
         ([room(1.0)], None, {}, "no Capture"),
         ([3], capture(), {}, "not a Scene"),
@@ -96,7 +96,7 @@ def test_what_fits_no_dataset_is_told(tmp_path: Path) -> None:
         ([(room(1.0), capture(), np.zeros((2, 3, 5)))], None, {}, "transient"),
         ([room(1.0)], capture(), {"scene": {}}, "leave it out"),
     ):
-        with pytest.raises(dg.InputError, match=told):
+        with pytest.raises(dg.InputError, match=piece):
             dg.build_from(scenes, tmp_path / "no", given, settings=settings, progress=False)  # type: ignore[arg-type]
     assert not (tmp_path / "no").exists()
 

@@ -35,7 +35,7 @@ def many_shards() -> DatasetConfig:
 
 
 def unhurried(config: DatasetConfig, index: int) -> Sample:
-    """So that somebody can come between."""
+    """A sample that takes long enough for the test to kill the scheduler in the middle of the build."""
     time.sleep(0.1)
     return fake_sample(config, index)
 
@@ -107,9 +107,9 @@ def test_a_cluster_whose_scheduler_is_lost_ends_with_the_same_dataset(tmp_path: 
             cluster.lose()
             cluster.end()
             cluster.begin()
-            _, told = running.communicate(timeout=PATIENCE_S)
-        assert running.returncode == 0, told
-        assert f"the scheduler {cluster.address} was lost; waiting" in told and "Traceback" not in told
+            _, said = running.communicate(timeout=PATIENCE_S)
+        assert running.returncode == 0, said
+        assert f"the scheduler {cluster.address} was lost; waiting" in said and "Traceback" not in said
     finally:
         cluster.end()
     build(many_shards(), tmp_path / "here", sample_function=fake_sample, progress=False)

@@ -1,11 +1,12 @@
-"""What runs the jobs of a build ends with it, whenever that is."""
+"""Worker processes end with their build, whenever a signal ends it."""
 
 from __future__ import annotations
 
-import multiprocessing
+import os
 import signal
+import subprocess
+import sys
 import tempfile
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
@@ -16,29 +17,13 @@ from fake_samples import fake_sample, small_config
 from here_and_now import HereAndNow, jobs_go_to
 from interrupts import LATEST_S, interruptions
 
-from datagen.building import engines
 from datagen.building.build import build
 from datagen.building.shard_job import ShardJob
 from datagen.store import running_path
 
 
-def test_ctrl_c_while_a_job_is_handed_over_leaves_no_worker(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is held back while a worker starts, and comes when that is done: the worker is on no list of busy ones."""
-    submit = engines._Process.submit
-
-    def interrupted(self: engines._Process, *job: Any) -> Future[Any]:
-        submit(self, *job)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(engines._Process, "submit", interrupted)
-    before = set(multiprocessing.active_children())
-    with pytest.raises(KeyboardInterrupt), engines.started("local", 1, None) as engine:
-        engine.submit(time.sleep, 3600)
-    assert set(multiprocessing.active_children()) <= before
-
-
 def test_ctrl_c_while_a_shard_is_handed_out_leaves_nothing_of_it(tmp_path: Path) -> None:
-    """Its worker had begun, and nobody had noted whose future it was."""
+    """Ctrl-C comes when the worker has begun and the build has not yet noted the job's future."""
 
     class Interrupted(HereAndNow):
         def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
@@ -60,3 +45,13 @@ def test_a_signal_at_any_moment_ends_a_build_in_one_line(kind: signal.Signals, t
     with tempfile.TemporaryDirectory() as folder:
         counted = interruptions(kind, tries, Path(folder), kind.value, latest_s, resume=tries > 2)
     assert counted["ended"] == tries and counted["wrong"] == 0
+
+
+def test_a_temporary_folder_with_a_long_path_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    folder = tmp_path / ("long" * 30)
+    folder.mkdir()
+    code = "from datagen.building.engines import started\nwith started('local', 1, None) as e: e.submit(abs, 1)"
+    env = os.environ | {"TMPDIR": str(folder), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    assert f"InputError: TMPDIR: workers cannot be started, since their socket lies in {folder}" in done.stderr
+    assert "set TMPDIR to a shorter path" in done.stderr

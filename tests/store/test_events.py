@@ -1,4 +1,4 @@
-"""Samples as events: what is in the bins that are not empty, and back; batches keep every type of numbers."""
+"""Samples as events, the indices and counts of filled bins, and back."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from datagen.records import Sample
 
 
 def one_dark(config: DatasetConfig, index: int) -> Sample:
-    """As `fake_sample`, scene 3 without a single count."""
+    """A `fake_sample`; that of scene 3 has no counts."""
     sample = fake_sample(config, index)
     if index == 3:
         dark = {**sample.arrays, "histogram": np.zeros_like(sample.arrays["histogram"])}
@@ -60,7 +60,7 @@ def test_events_are_the_histograms(dataset: Path, counts: str, dtype: torch.dtyp
     "shape", [(2, 3, 1, 5), (1, 1, 1, 40_000), (3, 1, 2, 1), (2, 70, 70, 70), (2, 5, 3, 64), (0, 5, 3, 64)]
 )
 def test_indices_are_numpys(shape: tuple[int, ...], dtype: type[np.integer[Any]]) -> None:
-    """By words of several bins, and where the bins are none."""
+    """Also for axes of every length, and without any histogram."""
     histograms = np.random.default_rng(0).poisson(0.1, shape).astype(dtype)
     histograms[..., -1:] *= np.iinfo(dtype).max // 4
     events, counts = events_of(histograms)
@@ -86,19 +86,10 @@ def test_redrawn_noise_comes_as_events_too(dataset: Path) -> None:
         assert torch.equal(dg.dense(found["events"], found["counts"], (4, 1, 16)), expected)
 
 
-def test_what_does_not_fit_is_refusal(dataset: Path) -> None:
+def test_wrong_representations_and_shapes_are_refused(dataset: Path) -> None:
     with pytest.raises(InputError, match="representation = 'sparse': must be 'dense', 'events' or 'volume'"):
         dg.TransientDataset(dataset, representation="sparse")
     events, counts = torch.zeros((5, 4), dtype=torch.int32), torch.ones(5)
     for shape, n in (((4, 1, 16), 5), ((1, 4, 1, 16), 4)):
         with pytest.raises(InputError, match="a size for each axis"):
             dg.dense(events, counts[:n], shape)
-
-
-def test_batches_keep_small_types(dataset: Path) -> None:
-    """Also of a list of items, which is what wrappers hand over."""
-    data = dg.TransientDataset(dataset, counts="stored")
-    apart = dg.collate([data[1], data[2]])
-    together = dg.collate(data.__getitems__([1, 2]))
-    assert apart["histogram"].dtype == together["histogram"].dtype == torch.uint16
-    assert all(torch.equal(apart[name], together[name]) for name in together)

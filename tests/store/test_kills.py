@@ -1,4 +1,5 @@
-"""A sample of the table of `harm_table.py`: builds killed, files corrupted; nothing lost, silent or a traceback."""
+"""A small part of the table of `harm_table.py`: builds are killed and files corrupted. Nothing may be lost, read
+wrong without an error, or end in a traceback."""
 
 from __future__ import annotations
 

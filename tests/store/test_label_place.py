@@ -1,4 +1,5 @@
-"""Where label images lie, seen from the scan: stored with each sample, and told by `info` and the card."""
+"""The place of label images relative to the scan, which is stored with each sample and stated by `info` and the
+card."""
 
 from __future__ import annotations
 
@@ -38,8 +39,8 @@ def test_datasets_say_where_their_labels_lie(tmp_path: Path, place: str, says: s
         assert found == pytest.approx(middle[:2], abs=1e-5)
 
 
-def test_datasets_that_do_not_say_are_told_nothing_of() -> None:
+def test_the_line_follows_from_the_parameters() -> None:
     assert label_place_line([]) == label_place_line([{"attempts": 1}]) == ""
     assert "over the scan" in label_place_line([{"labels.scan_right_m": 0.004, "labels.scan_up_m": 0.0}])
-    told = label_place_line([{"labels.scan_right_m": x, "labels.scan_up_m": 0.1} for x in (-1.0, 2.0, 1.5)])
-    assert "lie 1 … 2 m beside the scan" in told and "(median 1.5 m)" in told and "up to 0.1 m above" in told
+    line = label_place_line([{"labels.scan_right_m": x, "labels.scan_up_m": 0.1} for x in (-1.0, 2.0, 1.5)])
+    assert "lie 1 … 2 m beside the scan" in line and "(median 1.5 m)" in line and "up to 0.1 m above" in line

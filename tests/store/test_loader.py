@@ -1,4 +1,4 @@
-"""The torch dataset: what is read, in which order, from which process, and what is refused."""
+"""The torch dataset: its values, their order, workers, and refused arguments."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_collating_without_a_copy_equals_collating(dataset: Path, workers: int) 
     assert torch.equal(collate([data[1], data[2]])["histogram"], plain[0]["histogram"][1:3])
 
 
-def test_what_cannot_be_loaded_is_refusal(dataset: Path, tmp_path: Path) -> None:
+def test_wrong_arguments_of_a_loader_are_refused(dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"fields: 'albedo' is not in .*; it has histogram, transient, depth"):
         TransientDataset(dataset, ("albedo",))
     with pytest.raises(InputError, match="counts = 'uint16': must be one of"):

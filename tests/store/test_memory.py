@@ -15,7 +15,7 @@ from datagen.building.build import build
 from datagen.config import config_from_mapping
 
 MOST_MB_A_1000 = 4.0
-"""What allocators keep; a leak of one histogram a scene would be 8 MB."""
+"""Growth that allocators may cause; a leak of one histogram a scene would be 8 MB."""
 
 
 def resident_mb() -> float:
@@ -31,7 +31,7 @@ def test_memory_of_a_worker_is_flat(tmp_path: Path) -> None:
 
 
 class Watched(HereAndNow):
-    """It notes what this process holds after each shard."""
+    """An engine that notes the memory of this process after each shard."""
 
     def __init__(self) -> None:
         self.resident_mb: list[float] = []

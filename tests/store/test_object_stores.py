@@ -15,12 +15,13 @@ from collections.abc import Iterator
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
-from fake_samples import fake_sample, small_config
+from fake_samples import build_fakes, small_config
 
-from datagen.building.build import BuildResult, build
+from datagen.building.build import BuildResult
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
@@ -86,14 +87,14 @@ def two_shards(seed: int = 3) -> DatasetConfig:
     return small_config(scenes=8, seed=seed)
 
 
-def built(config: DatasetConfig | None = None, **options: object) -> BuildResult:
-    return build(config or two_shards(), ADDRESS, progress=False, sample_function=fake_sample, **options)  # type: ignore[arg-type]
+def built(config: DatasetConfig | None = None, **options: Any) -> BuildResult:
+    return build_fakes(config or two_shards(), ADDRESS, **options)
 
 
 @pytest.fixture(scope="module")
 def local(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("local") / "set"
-    build(two_shards(), root, progress=False, sample_function=fake_sample)
+    build_fakes(two_shards(), root)
     return root
 
 
@@ -102,7 +103,7 @@ def items(path: str | Path) -> list[dict[str, torch.Tensor]]:
     return [data[i] for i in range(len(data))]
 
 
-def test_what_is_built_there_is_what_is_built_here(bucket: Bucket, local: Path, tmp_path: Path) -> None:
+def test_a_dataset_in_a_store_equals_one_in_a_folder(bucket: Bucket, local: Path, tmp_path: Path) -> None:
     result = built()
     assert result.complete and str(result.path) == ADDRESS
     assert verify(ADDRESS, deep=True).problems == () and dataset_digest(ADDRESS) == dataset_digest(local)
@@ -123,7 +124,7 @@ def test_what_is_built_there_is_what_is_built_here(bucket: Bucket, local: Path, 
 
 
 @pytest.mark.parametrize("puts", [6, 17, *(pytest.param(n, marks=pytest.mark.nightly) for n in (1, 11))])
-def test_an_interrupted_upload_is_taken_up(
+def test_an_interrupted_upload_is_resumed(
     bucket: Bucket, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, puts: int
 ) -> None:
     """Whatever the last object was; with the folder that shards were made in, and (odd numbers) without."""
@@ -150,7 +151,7 @@ def test_an_interrupted_upload_is_taken_up(
     assert verify(ADDRESS, deep=True).problems == () and dataset_digest(ADDRESS) == dataset_digest(local)
 
 
-def test_damage_there_is_told_and_mended(bucket: Bucket) -> None:
+def test_damage_in_the_store_is_reported_and_repaired(bucket: Bucket) -> None:
     built()
     shard, record = bucket / "data.zarr/histogram/c/1/0/0/0", bucket / "build/shard-000000.json"
     sound = shard.read_bytes()
@@ -169,7 +170,7 @@ def test_damage_there_is_told_and_mended(bucket: Bucket) -> None:
     assert verify(ADDRESS, deep=True).problems == ()
 
 
-def test_what_is_sent_to_a_worker_reads_there(bucket: Bucket) -> None:
+def test_a_dataset_sent_to_a_worker_reads_from_the_store(bucket: Bucket) -> None:
     built()
     data = TransientDataset(ADDRESS, ("histogram",))
     sent = pickle.loads(pickle.dumps(data))
@@ -191,12 +192,12 @@ def test_what_is_sent_to_a_worker_reads_there(bucket: Bucket) -> None:
         ("gs://rooms/set", "must be s3://bucket/name"),
     ],
 )
-def test_addresses_that_are_none(address: str, why: str) -> None:
+def test_invalid_addresses_are_refused(address: str, why: str) -> None:
     with pytest.raises(InputError, match=why):
         location_of(address)
 
 
-def test_others_are_left_alone(bucket: Bucket, tmp_path: Path) -> None:
+def test_other_objects_are_left_alone(bucket: Bucket, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such dataset"):
         info(f"{ADDRESS}/nothing")
     with pytest.raises(CheckError, match=r"s3://nowhere/set.*look at the address"):

@@ -1,4 +1,4 @@
-"""Samples made while they are asked for are those of a build."""
+"""Samples that are simulated while they are read equal those of a build."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_samples_are_those_of_a_build_for_any_number_of_workers(tmp_path: Path) 
     assert batch["histogram"].shape == (3, 4, 1, 64)
 
 
-def test_what_the_configuration_does_not_give_is_told() -> None:
+def test_fields_that_the_configuration_does_not_give_are_refused() -> None:
     with pytest.raises(dg.InputError, match="sdf"):
         dg.GeneratedDataset(config_from_mapping({}), ("sdf",))
     with pytest.raises(dg.InputError, match="first = -1"):

@@ -1,4 +1,4 @@
-"""Tools that people already use open a dataset as it is: xarray, pandas and other Parquet readers, mlcroissant."""
+"""Other tools open a dataset: xarray, pandas and other Parquet readers, mlcroissant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parts of samples: a partial read is the whole read, cut, however a field is cut into chunks and blocks."""
+"""Parts of samples: a partial read equals the whole value, cut, for any division into chunks and blocks."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def crops(rng: np.random.Generator, lasers: int, pixels: int, bins: int) -> list[dict[str, Any]]:
-    """What people ask for, and what they may."""
+    """Usual crops, and unusual ones that are allowed."""
     mask = rng.random(lasers) < 0.3
     mask[rng.integers(lasers)] = True
     return [
@@ -77,7 +77,7 @@ def crops(rng: np.random.Generator, lasers: int, pixels: int, bins: int) -> list
 
 
 def cut(whole: np.ndarray, dims: tuple[str, ...], crop: dict[str, Any], grid: tuple[int, int]) -> np.ndarray:
-    """By numpy alone; of a field's values of several scenes, axis by axis."""
+    """The crop of the values of several scenes, made by numpy axis by axis."""
     for axis, name in enumerate(dims, 1):
         chosen = crop.get({"laser": "lasers", "pixel": "pixels", "bin": "bins"}.get(name, ""))
         if isinstance(chosen, tuple) and isinstance(chosen[0], slice):
@@ -112,25 +112,6 @@ def test_a_part_is_the_whole_cut(dataset: Path) -> None:
         assert all(torch.equal(a["histogram"].float(), b["histogram"]) for a, b in zip(items, floats, strict=True))
 
 
-@pytest.mark.parametrize("size", [70_000, 70_003, 2**17])
-def test_blocks_apart_are_the_blocks_of_the_whole(size: int) -> None:
-    """Also where several threads wrote them in another order, and where the last is short."""
-    from numcodecs import Blosc
-
-    values = np.random.default_rng(1).poisson(0.1, size).astype("u2")
-    frame = bytes(Blosc("zstd", 5, Blosc.BITSHUFFLE, blocksize=16384).encode(values))
-    block = reader._block_bytes(frame) // 2
-    count = -(-size // block)
-    for first, stop in ((0, 1), (count - 1, count), (1, 3), (0, count)):
-        due = values[first * block : stop * block]
-        out = np.empty_like(due)
-        reader.blosc.decompress(reader._some_blocks(frame, first, stop), out)
-        assert np.array_equal(out, due)
-    for other in (values[:100], np.random.default_rng(1).integers(0, 2**16, size).astype("u2")):
-        frame = bytes(Blosc("lz4", 5, Blosc.BITSHUFFLE, blocksize=16384).encode(other))
-        assert reader._block_bytes(frame) == other.nbytes, "one block, split ones, values as they are"
-
-
 def test_a_table_of_blocks_is_not_believed(tmp_path: Path) -> None:
     from numcodecs import Blosc
 
@@ -157,8 +138,8 @@ def test_redrawn_noise_is_that_of_the_whole_cut(tmp_path: Path) -> None:
             assert torch.equal(batch["transient"], due["transient"][:, [1, 3], :, 2:9])
 
 
-def test_what_is_read_in_part_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the digest of the whole when it is first read, like any other value; later by the checksums of chunks."""
+def test_parts_are_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first read compares the digest of the whole value; later reads check the checksums of chunks."""
     monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
     root = write_dataset(config_of("confocal", 4, 4, (1, 1), 64), tmp_path / "set", fake_sample)
     first, second = (root / f"data.zarr/histogram/c/{shard}/0/0/0" for shard in (0, 1))
@@ -193,7 +174,7 @@ def test_what_is_read_in_part_is_checked(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize(
-    ("crop", "told"),
+    ("crop", "piece"),
     [
         ({"lasers": 3}, "lasers = 3: must choose of 4, such as slice"),
         ({"lasers": [4]}, "lasers: 4 is not in 0 … 3"),
@@ -205,8 +186,8 @@ def test_what_is_read_in_part_is_checked(tmp_path: Path, monkeypatch: pytest.Mon
         ({"bins": slice(16, 20)}, "none of 16 is left"),
     ],
 )
-def test_what_cannot_be_cut_is_refusal(one: Path, crop: dict[str, Any], told: str) -> None:
-    with pytest.raises(InputError, match=told) as error:
+def test_wrong_crops_are_refused(one: Path, crop: dict[str, Any], piece: str) -> None:
+    with pytest.raises(InputError, match=piece) as error:
         dg.TransientDataset(one, ("histogram",), **crop)
     assert "\n" not in str(error.value)
 

@@ -1,4 +1,4 @@
-"""The one way of reading: equal to zarr's own, whole scenes and cut ones, and no value for what is not there."""
+"""The reader gives the values that zarr gives, and an error instead of a value for missing or damaged chunks."""
 
 from __future__ import annotations
 
@@ -18,15 +18,7 @@ from fake_samples import fake_sample
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import CheckError
 from datagen.loader import TransientDataset
-from datagen.store import DatasetReader, Manifest, prepare, read_manifest, schema, write_shard
-
-
-def made(root: Path, config: DatasetConfig) -> Manifest:
-    manifest = prepare(root, config)
-    for shard in range(manifest.schema.shards):
-        scenes = manifest.schema.scenes_of(shard)
-        write_shard(root, manifest.schema, shard, manifest.fingerprint, ((i, fake_sample(config, i)) for i in scenes))
-    return manifest
+from datagen.store import DatasetReader, read_manifest, schema
 
 
 def config_of(rows: int, columns: int, pixels: int, bins: int) -> DatasetConfig:
@@ -45,9 +37,7 @@ def config_of(rows: int, columns: int, pixels: int, bins: int) -> DatasetConfig:
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("reader") / "set"
-    made(root, config_of(1, 2, 1, 8))
-    return root
+    return write_dataset(config_of(1, 2, 1, 8), tmp_path_factory.mktemp("reader") / "set", fake_sample)
 
 
 @pytest.fixture
@@ -57,9 +47,9 @@ def dataset(sound: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("chunk_bytes", [2**22, 700, 90], ids=["whole", "cut on laser", "cut on laser and pixel"])
 def test_reads_what_zarr_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_bytes: int) -> None:
-    """From files and from memory."""
+    """In reads from files and from memory."""
     monkeypatch.setattr(schema, "CHUNK_BYTES", chunk_bytes)
-    manifest = made(tmp_path, config_of(rows=1, columns=5, pixels=3, bins=17))
+    manifest = read_manifest(write_dataset(config_of(rows=1, columns=5, pixels=3, bins=17), tmp_path, fake_sample))
     order = [7, 0, 9, 9, 3, 4, 8]
     for memory in (0, 2**28):
         monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", memory)
@@ -90,13 +80,13 @@ def test_damage_is_an_error(dataset: Path) -> None:
         (b"", False, "the shard's index is damaged"),
     ):
         path.write_bytes(data)
-        with pytest.raises(CheckError, match=message) as told:
+        with pytest.raises(CheckError, match=message) as refused:
             DatasetReader(dataset, manifest, ["histogram"], check).read("histogram", [0, 1, 2, 3])
-        assert str(path) in str(told.value) and "build` again" in str(told.value)
+        assert str(path) in str(refused.value) and "build` again" in str(refused.value)
 
 
 @pytest.mark.parametrize("name", ["histogram", "depth", "laser_points", "relay_wall"])
-def test_what_is_not_there_is_no_value(dataset: Path, name: str) -> None:
+def test_a_missing_chunk_is_an_error_and_no_fill_value(dataset: Path, name: str) -> None:
     """A chunk that is missing would be filled by zarr; two shards exchanged would be read as they are."""
     manifest = read_manifest(dataset)
     one, other = (next((dataset / f"data.zarr/{name}/c/{shard}").rglob("0")) for shard in (0, 1))
@@ -111,7 +101,7 @@ def test_what_is_not_there_is_no_value(dataset: Path, name: str) -> None:
         DatasetReader(dataset, manifest, [name]).read(name, [0])
 
 
-def test_a_pipe_in_a_files_place_is_refusal_at_once(dataset: Path) -> None:
+def test_a_pipe_instead_of_a_file_is_refused_at_once(dataset: Path) -> None:
     manifest = read_manifest(dataset)
     path = dataset / "data.zarr/histogram/c/0/0/0/0"
     path.unlink()
@@ -124,7 +114,7 @@ def test_a_pipe_in_a_files_place_is_refusal_at_once(dataset: Path) -> None:
     ("shards", "allowed"), [(20, 40), pytest.param(300, 256, marks=pytest.mark.nightly)], ids=["few", "many"]
 )
 def test_five_fields_of_more_shards_than_files_are_allowed(tmp_path: Path, shards: int, allowed: int) -> None:
-    """Also where the rest of the process has taken nearly all of them, and told as what it is where it took all."""
+    """Also if the rest of the process has nearly all files that are allowed open; if all, the error says so."""
     fields = ["histogram", "transient", "depth", "normal"]
     values = config_of(1, 1, 1, 2).model_dump(mode="json") | {"scenes": shards, "labels": {"rows": 1, "columns": 1}}
     config = config_from_mapping(values | {"store": {"fields": fields, "scenes_per_shard": 1}})
@@ -156,7 +146,7 @@ def test_threads_read_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     """Several scenes side by side, whole and cast, and the first error of them is raised."""
     monkeypatch.setattr(schema, "CHUNK_BYTES", chunk_bytes)
     monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
-    manifest = made(tmp_path, config_of(rows=1, columns=5, pixels=3, bins=17))
+    manifest = read_manifest(write_dataset(config_of(rows=1, columns=5, pixels=3, bins=17), tmp_path, fake_sample))
     order = [7, 0, 9, 9, 3, 4, 8]
 
     def read(threads: int) -> list[np.ndarray]:

@@ -1,4 +1,4 @@
-"""How a dataset is cut, from its configuration alone."""
+"""The division of a dataset into shards and chunks, which follows from its configuration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Splits: no room on two sides, no sample moved by growing, what is held out nowhere else."""
+"""Splits: no room is in two, growing moves no scene, and held-out scenes are in no other split."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ HELD_OUT = [
 
 
 @pytest.mark.parametrize(("key", "value", "shows", "does_not"), HELD_OUT, ids=[row[0] for row in HELD_OUT])
-def test_what_is_held_out_is_in_no_other_split(
+def test_held_out_scenes_are_in_no_other_split(
     key: str, value: list[Any], shows: dict[str, Any], does_not: dict[str, Any]
 ) -> None:
     splits = SplitsConfig.model_validate({"held_out": ({"name": "unseen", key: tuple(value)},)})
@@ -171,7 +171,7 @@ def test_the_example_of_the_docs_is_one() -> None:
     assert splits_of([turned, {"a.class": "chair"}], config.splits) == ["plywood_to_the_left", "unseen_chairs"]
 
 
-def test_a_split_without_scenes_is_refusal(tmp_path: Path) -> None:
+def test_a_split_without_scenes_is_refused(tmp_path: Path) -> None:
     """All scenes show one room, so they are all in one split."""
     path = write_dataset(
         small_config(), tmp_path / "set", lambda c, i: dataclasses.replace(fake_sample(c, i), parameters={"room": 1})
@@ -183,7 +183,7 @@ def test_a_split_without_scenes_is_refusal(tmp_path: Path) -> None:
             dg.TransientDataset(path, ("depth",), split=name)
 
 
-def test_wrong_splits_are_refusal(tmp_path: Path) -> None:
+def test_wrong_splits_are_refused(tmp_path: Path) -> None:
     path = write_dataset(chair_config(12), tmp_path / "set", chairs)
     for options, message in (
         ({"split": "trian"}, r"split = 'trian': .*set has train, val, test$"),

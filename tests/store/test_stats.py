@@ -1,4 +1,4 @@
-"""What a dataset says of itself: mean and spread of what a network is fed, its own description, its errors."""
+"""Statistics of a dataset's fields, its description, and errors of items."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ import pytest
 import torch
 import zarr
 from datasets import write_dataset
-from fake_samples import fake_sample, reseal, small_config
+from fake_samples import build_fakes, fake_sample, reseal, small_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import datagen as dg
-from datagen.building.build import build
 from datagen.errors import InputError
 from datagen.store import verify
 from datagen.store.stats import QUANTITIES, FieldStats, stats_of, together
@@ -40,7 +39,7 @@ def plain(values: np.ndarray, name: str) -> list[float]:
 
 @settings(deadline=None, max_examples=40)
 @given(arrays(np.uint16, (3, 2, 7)), arrays(np.float32, (3, 4), elements=st.floats(-1e4, 1e4, width=32)))
-def test_they_are_mean_and_standard_deviation(counts: np.ndarray, label: np.ndarray) -> None:
+def test_statistics_are_mean_and_standard_deviation(counts: np.ndarray, label: np.ndarray) -> None:
     for name, values in (("histogram", counts), ("sdf", label), ("sdf", label * np.float32(1e15))):
         scenes = [stats_of(name, scene) for scene in values]
         scale = 1e-5 * max(1.0, float(np.abs(values.astype(float)).max()))
@@ -49,7 +48,7 @@ def test_they_are_mean_and_standard_deviation(counts: np.ndarray, label: np.ndar
         assert np.allclose(list(together(scenes).values()), plain(values, name), rtol=1e-5, atol=scale)
 
 
-def test_what_hardly_varies_hardly_spreads() -> None:
+def test_almost_equal_values_have_a_small_spread() -> None:
     for value in (0.03, 1e-12, 3e7, 1e30):
         same = np.full(1000, value, np.float32)
         assert stats_of("sdf", same).std <= 1e-7 * value
@@ -66,7 +65,7 @@ def test_adding_up_does_not_depend_on_order() -> None:
     assert stats_of("depth", np.zeros((2, 2), np.float32)) == FieldStats(0.0, 0.0, 0.0)
 
 
-def test_a_dataset_has_them_by_split(dataset: Path) -> None:
+def test_statistics_are_those_of_a_split(dataset: Path) -> None:
     stored = {name: np.asarray(zarr.open_array(dataset / "data.zarr" / name, mode="r")[:]) for name in FIELDS}
     described = json.loads((dataset / "dataset.json").read_text())
     for split in (None, "train", "test"):
@@ -83,22 +82,22 @@ def test_a_dataset_has_them_by_split(dataset: Path) -> None:
     assert f"| `depth` | {described['stats']['train']['depth']['mean']:.6g} |" in card
 
 
-def test_they_are_checked_and_kept(dataset: Path, tmp_path: Path) -> None:
-    build(small_config(), tmp_path / "set", progress=False, sample_function=fake_sample)
+def test_statistics_are_verified_and_kept(dataset: Path, tmp_path: Path) -> None:
+    build_fakes(small_config(), tmp_path / "set")
     described = tmp_path / "set/dataset.json"
     content, when = described.read_bytes(), described.stat().st_mtime_ns
-    build(small_config(), tmp_path / "set", progress=False, sample_function=fake_sample)
+    build_fakes(small_config(), tmp_path / "set")
     assert (described.read_bytes(), described.stat().st_mtime_ns) == (content, when)
     reseal(described, lambda values: values["stats"]["train"]["depth"].update(mean=7.0))
     found = verify(tmp_path / "set").problems
     assert found[0] == "dataset.json: its stats differ from what the commit records say" and len(found) == 2
-    build(small_config(), tmp_path / "set", progress=False, sample_function=fake_sample)
+    build_fakes(small_config(), tmp_path / "set")
     assert described.read_bytes() == content and verify(tmp_path / "set").problems == ()
-    build(small_config(), tmp_path / "set", scenes=24, progress=False, sample_function=fake_sample)
+    build_fakes(small_config(), tmp_path / "set", scenes=24)
     assert described.read_bytes() != content and verify(tmp_path / "set").problems == ()
 
 
-def test_earlier_datasets_have_none() -> None:
+def test_earlier_datasets_have_no_statistics() -> None:
     data = dg.TransientDataset(Path(__file__).parents[1] / "regression/schema_4/dataset", ("depth",))
     with pytest.raises(InputError, match=r"stats: .* is of an earlier schema version, which has none"):
         data.stats  # noqa: B018
@@ -117,13 +116,13 @@ def test_items_are_numbers(dataset: Path) -> None:
     data = dg.TransientDataset(dataset, ("depth",))
     for number in (2, np.int64(2), torch.tensor(2), -10):
         assert int(data[number]["scene"]) == 2  # type: ignore[index]
-    for wrong, told in (
+    for wrong, piece in (
         (slice(0, 3), "Subset` has several"),
         ([1, 2], "has several"),
         (1.0, "number$"),
         ("a", "number$"),
     ):
-        with pytest.raises(InputError, match=f"must be a whole.*{told}") as refused:
+        with pytest.raises(InputError, match=f"must be a whole.*{piece}") as refused:
             data[wrong]  # type: ignore[index]
         assert "\n" not in str(refused.value)
     for outside in (12, -13):

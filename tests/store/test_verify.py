@@ -7,13 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
-import pytest
 import zarr
 from fake_samples import reseal
 
-from datagen.errors import InputError
 from datagen.store import DatasetReader, committed, read_manifest, verify
-from datagen.store.card import readable
 from datagen.store.croissant import croissant
 from datagen.store.info import info
 
@@ -32,7 +29,7 @@ def test_a_sound_dataset_has_no_problems(dataset: Path) -> None:
 
 
 def test_a_flip_that_hashes_do_not_guard_is_found_by_the_checksum(dataset: Path) -> None:
-    """Also without commit records, by any Zarr reader: the codec chain ends in a CRC-32C."""
+    """Any Zarr reader finds it, without commit records, because the codec chain ends with a CRC-32C."""
     manifest = read_manifest(dataset)
     sound = (dataset / SHARD).read_bytes()
     values = zarr.open_array(dataset / "data.zarr/histogram", mode="r")[4:8]
@@ -60,14 +57,6 @@ def test_damage_is_named(dataset: Path) -> None:
     assert the_problem(dataset).startswith("shard 1: not there (no commit record)")
 
 
-def test_values_that_differ_from_their_digests_are_found(dataset: Path) -> None:
-    """Also by a record that is sound in itself: somebody else's, or one made to look so."""
-    record = dataset / "build/shard-000001.json"
-    reseal(record, lambda values: values["scenes"][2]["digests"].update(depth="0" * 64))
-    problems = verify(dataset, deep=True).problems
-    assert any("scene 6: field depth decodes to other values than were written" in problem for problem in problems)
-
-
 def test_damaged_metadata_and_tables_are_found(dataset: Path, pristine: Path) -> None:
     for name in (
         "data.zarr/zarr.json",
@@ -87,13 +76,6 @@ def test_damaged_metadata_and_tables_are_found(dataset: Path, pristine: Path) ->
 def test_a_changed_configuration_is_found(dataset: Path) -> None:
     reseal(dataset / "dataset.json", lambda values: values["config"].update(seed=values["config"]["seed"] + 1))
     assert any("fingerprint" in problem for problem in verify(dataset).problems)
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "datagen dataset"}', '{"schema_version": 1}'])
-def test_a_damaged_manifest_is_bad_input(dataset: Path, text: str) -> None:
-    (dataset / "dataset.json").write_text(text)
-    with pytest.raises(InputError, match=r"dataset\.json"):
-        verify(dataset)
 
 
 def test_the_table_has_a_row_for_every_scene(dataset: Path) -> None:
@@ -118,14 +100,3 @@ def test_info_sums_up(dataset: Path) -> None:
     text = info(dataset)
     for piece in ("scenes       12 of 12", f"{'histogram':22}12 × 4 × 1 × 16", "transport     0.0020", "scenes/s"):
         assert piece in text
-
-
-def test_sizes_for_people() -> None:
-    assert [readable(n) for n in (0, 999, 1000, 1.5e6, 2.345e9, 7e15)] == [
-        "0 bytes",
-        "999 bytes",
-        "1 kB",
-        "1.5 MB",
-        "2.35 GB",
-        "7e+03 TB",
-    ]

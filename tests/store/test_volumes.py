@@ -1,4 +1,4 @@
-"""Samples as volumes: the compiled sum is the plain one, noise has the size that is said, and parts are parts."""
+"""Samples as volumes: the compiled sum equals the plain one, noise has a standard deviation of 1, crops are crops."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def random_scan(rng: np.random.Generator, lasers: int, pixels: int, bins: int, c
 
 
 def plain(scan: Scan, places: Any) -> Any:
-    """As it is defined, histogram by histogram."""
+    """The sum B as it is defined, histogram by histogram."""
     single = np.float32
     at, lasers, pixels = ((of / scan.bin_m).astype(single) for of in (places, scan.laser_points, scan.pixels))
     total = np.zeros(len(places), single)
@@ -75,7 +75,8 @@ def test_the_compiled_sum_is_the_plain_one(confocal: bool, places: int) -> None:
 
 
 def test_noise_alone_has_a_standard_deviation_of_one() -> None:
-    """Of 64 histograms less their mean, √(1 − 1/64); 1000 draws, at a level of 10⁻⁶ of all 12 places together."""
+    """Up to the factor √(1 − 1/64), because the mean of 64 histograms is subtracted. 1000 draws, at a level of 10⁻⁶
+    for all 12 places together."""
     rng, draws = np.random.default_rng(5), 1000
     scan = random_scan(rng, 64, 1, 200, confocal=True)
     grid = HiddenGrid(np.array([-0.5, -0.5, 0.4]), np.array([0.5, 0.5, 1.4]), (3, 2, 2))
@@ -89,7 +90,7 @@ def test_noise_alone_has_a_standard_deviation_of_one() -> None:
     assert np.abs(spread - 1).max() < 5.4 * np.sqrt(2 / draws) + 0.01
 
 
-def test_what_lies_nowhere_adds_nothing(dataset: Path) -> None:
+def test_unknown_points_and_places_add_nothing(dataset: Path) -> None:
     """A laser point that met no surface; places that are endlessly far, or nowhere."""
     stored = Scenes(dataset).read(2)
     capture = config_from_mapping({"capture": {"scan": {"rows": 3, "columns": 4}}}).model_dump()["capture"]
@@ -106,12 +107,12 @@ def test_what_lies_nowhere_adds_nothing(dataset: Path) -> None:
     assert not backprojected(scan_of(stored.arrays["histogram"], arrays, capture, stored.time), at[:1]).any()
 
 
-def test_a_scene_without_a_view_is_told(dataset: Path) -> None:
+def test_a_scene_without_a_view_is_refused(dataset: Path) -> None:
     data = dg.TransientDataset(dataset, representation="volume")
     geometry = {name: Scenes(dataset).read(7).arrays[name][None] for name in GEOMETRY}
     geometry["hidden_bounds"] = np.full((1, 2, 3), np.nan)
     with pytest.raises(InputError, match="scene 7 has no hidden_view and hidden_bounds"):
-        data._volumes.of([7], np.zeros((1, 12, 1, 96)), geometry)  # type: ignore[union-attr]
+        data._volumes.backproject([7], np.zeros((1, 12, 1, 96)), geometry)  # type: ignore[union-attr]
 
 
 def volume_of(counts: Any, arrays: Any, capture: Any, time: dg.TimeAxis) -> Any:
@@ -152,6 +153,6 @@ def test_noise_is_drawn_anew_and_parts_are_parts(dataset: Path) -> None:
 
 
 @pytest.mark.parametrize("voxels", [(4, 4), (0, 4, 4), (4.0, 4, 4), 32, (2**10, 2**10, 2**10)])
-def test_what_is_no_grid_is_refusal(dataset: Path, voxels: Any) -> None:
+def test_numbers_of_voxels_that_are_none_are_refused(dataset: Path, voxels: Any) -> None:
     with pytest.raises(InputError, match=r"voxels = .*: must be three whole numbers ≥ 1"):
         dg.TransientDataset(dataset, representation="volume", voxels=voxels)

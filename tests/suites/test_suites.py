@@ -1,4 +1,4 @@
-"""Suites: what there is, that the bytes are held against the published ones, and the command."""
+"""Suites: their names and digests, the comparison with the published bytes, and the command."""
 
 from __future__ import annotations
 
