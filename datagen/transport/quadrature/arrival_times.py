@@ -1,8 +1,8 @@
-"""When the light of an element arrives: the exact distribution over time bins of a triangle's linear arrival time.
+"""Time bins of an element's light, exact for a triangle over which arrival time and weight vary linearly.
 
-Over a triangle whose arrival time and weight vary linearly, the share of light that has come by time x is closed: the
-part of the triangle before x is, up to the middle vertex, a triangle similar in kind at the earliest vertex, and
-behind it the whole less one at the latest.
+The share of light that has arrived by time t has a closed form: up to the time of the middle vertex, the part of the
+triangle that has arrived is a smaller triangle at the earliest vertex; after it, the part that is still to come is a
+smaller triangle at the latest vertex.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from datagen.records.arrays import Floats
 
 @compiled()
 def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float, float]:
-    """Arrival times at the vertices, such that those of the triangle have the same mean and a variance larger by so
-    much: light that is spread once more, as by a footprint of a pixel, whose own spread is short of the
-    triangle's."""
+    """Arrival times at the three vertices of a triangle whose times have the mean of a, b, c and a variance that is
+    larger by `variance`, bins²: the light of an element as seen from a footprint that is not a point."""
     mean = (a + b + c) / 3.0
     own = ((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2) / 12.0
     stretch, half = math.sqrt(1.0 + variance / own), math.sqrt(6.0 * (variance + own))
@@ -33,7 +32,7 @@ def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float
 def spread(
     histogram: Floats, row: int, a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
 ) -> float:
-    """Add `energy` over the bins of a row as it arrives from a triangle, and return what fell outside the window.
+    """Add `energy` to the bins of a row as it arrives from a triangle; returns the energy outside of the bins.
 
     histogram : (rows, T) bin i spans times i … i + 1.
     a, b, c : arrival times at the vertices, in bins; linear in between.
@@ -46,10 +45,10 @@ def spread(
 def tent(
     a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
 ) -> tuple[float, float, float, float, float, float, float]:
-    """How `energy` arrives from a triangle: its vertices' times in order, a ≤ b ≤ c, and four numbers of its sides.
+    """The times of a triangle's vertices in order, a ≤ b ≤ c, and the numbers low, up, high and down.
 
-    The line that has come by time a + x cuts off shares x/(b − a) and x/(c − a) of two sides, and holds
-    x² (low + x · up) of the energy; what is still to come at c − x is x² (high + x · down).
+    By time a + x ≤ b, x² (low + x · up) of the energy has arrived; at time c − x ≥ b, x² (high + x · down) is still
+    to come.
     """
     a, b, at_a, at_b = (b, a, at_b, at_a) if a > b else (a, b, at_a, at_b)
     b, c, at_b, at_c = (c, b, at_c, at_b) if b > c else (b, c, at_b, at_c)
@@ -69,7 +68,7 @@ def tent(
 def pour(
     histogram: Floats, row: int, shape: tuple[float, float, float, float, float, float, float], energy: float
 ) -> float:
-    """Add `energy` over the bins of a row in the shape of a `tent`, and return what fell outside the window."""
+    """Add `energy` to the bins of a row with the distribution of a `tent`; returns the energy outside of the bins."""
     a, b, c, low, up, high, down = shape
     bins = histogram.shape[1]
     if not (c > 0.0 and a < bins and c < 1e15 and a > -1e15):

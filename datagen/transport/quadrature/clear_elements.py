@@ -1,9 +1,9 @@
-"""Elements that nothing can hide, on diffuse surfaces: most of a room, and so many of them at once.
+"""Elements on diffuse surfaces that nothing can hide, as most of a room's are, worked off many at once.
 
-They need no candidates and no rays, only arithmetic, and what becomes of one does not depend on the others. So they
-wait on a stack of their own, and up to `WIDE` of them are taken from it together: their middles, the light there and
-the verdicts are found in loops without branches, which compilers turn into vector instructions. The numbers are those
-of `weights.weight` and `weights.judged`, operation by operation.
+They need no shadow rays, only arithmetic, and do not depend on one another. So they wait on a stack of their own, and
+up to `WIDE` of them are taken from it together: middles, weights and verdicts are computed in loops without branches,
+which compilers turn into vector instructions. The numbers are those of `weights.weight` and `weights.verdict`,
+operation by operation.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ from datagen.transport.quadrature.weights import AT_ONCE, outside, smeared, verd
 from datagen.transport.visibility.bvh import SMALLEST
 
 WIDE = 64
-"""Elements taken together."""
+"""Elements that are taken from the stack together."""
 MOST_CLEAR = 1 << 12
-"""Elements that come to the stack; those cut from them find room behind."""
+"""Most elements that are put on the stack; halves of them find room behind."""
 CLEAR_ROOM = MOST_CLEAR + 256 * WIDE
 MOST_QUARTERED = 256
-"""Elements up to which more are taken before those whose footprints are to be quartered are looked at."""
+"""Number of elements that wait to be seen from quarters of their footprints, from which on these are looked at first:
+the stack of the kernel has room for no more."""
 # A batch holds of `WIDE` elements, one number after the other: what waits on the stack, which is three vertices with
 # light and path (15), the area, the triangle, the footprint, how many times as large as itself that stands for, and
 # the product of the BRDFs; the triangle's normal, the footprint's place, normal and footprint; a point, and w, R₁ and
@@ -44,17 +45,16 @@ DROPPED, SPREAD, CUT, QUARTERED = 0.0, 1.0, 2.0, 3.0
 
 
 def room_for_clear() -> tuple[Floats, Floats, Floats]:
-    """The stack and two batches."""
+    """Unfilled arrays: the stack, a batch of elements, and a batch of new vertices."""
     return np.empty((CLEAR_ROOM, STACKED)), np.empty(NUMBERS * WIDE), np.empty(NUMBERS * WIDE)
 
 
 @compiled()
 def put_clear(clear, waiting, cell, k, f, q, lit_from, kind2, values2, seen_from):  # type: ignore[no-untyped-def]
-    """Waiting element k, on triangle f and seen from footprint q, as the last on the stack; returns how many wait
-    there.
+    """Put entry k of `cell`, on triangle f and seen from footprint q, on the stack; returns the stack's height.
 
-    As many as before where it is full, one of the path's three surfaces is not diffuse, or an end of it faces away
-    from the device; `lit_from` and `seen_from` are those of `weights.weight`.
+    It is not put there, and the height stays, where the stack is full, a surface of the path is not diffuse, or one
+    of its ends faces away from the device. lit_from, seen_from : as `weights.weight` has them.
     """
     _, n1, to_laser, kind1, values1 = lit_from
     _, n3, to_sensor, kind3, values3 = seen_from
@@ -92,13 +92,13 @@ def light_at_points(batch, count, x, n1, attenuation):  # type: ignore[no-untype
 
 @compiled()
 def _at(batch, row, j):  # type: ignore[no-untyped-def]
-    """Three numbers of element j, from a row on."""
+    """Numbers `row`, `row` + 1 and `row` + 2 of element j of a batch."""
     return (batch[row * WIDE + j], batch[(row + 1) * WIDE + j], batch[(row + 2) * WIDE + j])
 
 
 @compiled()
 def _middles(batch, count):  # type: ignore[no-untyped-def]
-    """The middles of the elements of a batch as its points, and their longest sides."""
+    """Set the points of a batch to the middles of its elements, and their longest sides."""
     for j in range(min(count, WIDE)):
         a, b, c = _at(batch, FIRST, j), _at(batch, SECOND, j), _at(batch, THIRD, j)
         u, v, w = less(b, a), less(c, b), less(a, c)
@@ -112,7 +112,7 @@ def _middles(batch, count):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-untyped-def]
-    """What becomes of the elements of a batch whose light in the middle is known."""
+    """Set the verdicts of a batch whose weights in the middle are known: DROPPED, SPREAD, CUT or QUARTERED."""
     per_metre, attenuation, opens, closes = clock.per_metre, clock.attenuation, clock.opens, clock.closes
     for j in range(min(count, WIDE)):
         z, n3 = _at(batch, SEEN_FROM, j), _at(batch, NORMAL3, j)
@@ -137,7 +137,7 @@ def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-un
 
 @compiled()
 def _tents(batch, count, per_metre, start):  # type: ignore[no-untyped-def]
-    """How the light of the elements of a batch arrives, as if each were spread."""
+    """Set energy and `tent` of each element of a batch."""
     for j in range(min(count, WIDE)):
         wa, wb, wc = batch[3 * WIDE + j], batch[8 * WIDE + j], batch[13 * WIDE + j]
         energy = batch[GAIN * WIDE + j] * batch[AREA * WIDE + j]
@@ -160,7 +160,7 @@ def _tents(batch, count, per_metre, start):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _taken(clear, first, count, batch, normal, p, lit, device, patches):  # type: ignore[no-untyped-def]
-    """Take elements from the stack, `first` and those behind, into a batch."""
+    """Copy `count` elements of the stack, from number `first` on, into a batch."""
     position3, normal3, to_sensor3, across3 = patches.position, patches.normal, patches.to_sensor, patches.across
     weight3, footprint3, size3, leg3, quarters3 = (
         patches.weight, patches.footprint, patches.size, patches.leg, patches.quarters
@@ -185,13 +185,14 @@ def _taken(clear, first, count, batch, normal, p, lit, device, patches):  # type
 
 @compiled(_nrt=False, no_cpython_wrapper=True)
 def spread_clear(room, waiting, scan, lit, p, allowed, histogram, into, free):  # type: ignore[no-untyped-def]
-    """Take `waiting` elements from their stack, cut them and add their light to row `into` of a histogram.
+    """Work off the `waiting` elements of the stack: halve them as often as needed and add their light to row `into`.
 
-    lit : the laser point. p : the row of footprints. allowed : L2 error that an element may make, photons.
+    lit : the laser point. p : the row of footprints. allowed : L2 error that an element may make, photons. free :
+    where lists of possible occluders end.
 
-    Returns how many wait there still, how many elements were spread, the light outside the window, and how many
-    wait now in `room.cell` to be seen from quarters of their footprints, each with its candidates from `free` on:
-    where these are `MOST_QUARTERED`, no more are taken.
+    Returns the number of elements that still wait on this stack, the number whose light was added, the light outside
+    the window of time, and the number of those that now wait in `room.cell` to be seen from quarters of their
+    footprints; after `MOST_QUARTERED` of these, no more elements are taken.
     """
     clear, batch, cuts, tag, cell = room.clear, room.batch, room.cuts, room.tag, room.cell
     x, n1, clock, smallest = lit.x, lit.normal, scan.clock, SMALLEST * scan.tree.extent

@@ -20,9 +20,9 @@ UNLIKE = 0.05
 
 @compiled()
 def is_small(around, at, x, z, most, allowed, attenuation):  # type: ignore[no-untyped-def]
-    """Whether a box is so small and faint that one point may stand for all of it, and how near it comes to z.
+    """Whether a box is so small and faint that one point may stand for all of it; and its distance from z, metres.
 
-    most : photons if all of it were at distance 1 and faced both.
+    most : photons that it would bring at distance 1 m from both ends, facing them. allowed : L2 error, photons.
     """
     centre, radius = ball(around, at)
     near1, near3 = distance(centre, x) - radius, distance(centre, z) - radius
@@ -34,10 +34,10 @@ def is_small(around, at, x, z, most, allowed, attenuation):  # type: ignore[no-u
 
 @compiled()
 def facing_at_most(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-untyped-def]
-    """Product of the cosines at x and at a box's surface on any line between them, at most.
+    """Upper bound of the product of cosines at x and at a box's surface, on any line between them.
 
-    m, radius : of the ball round the box. axis, cosine, sine : the cone of its normals. rise : of the box above the
-    plane through x. Normals within an angle α of the axis have at most |axis · d| + |d × axis| sin α along d.
+    m, radius : bounding sphere of the box. axis, cosine, sine : cone of its normals. rise : height of the box above
+    the surface at x. A normal within an angle α of the axis has at most |axis · d| + |d × axis| sin α along d.
     """
     d = less(m, x)
     square, along = dot(d, d), abs(dot(d, axis))
@@ -50,14 +50,14 @@ def facing_at_most(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-u
 
 @compiled()
 def anywhere(first, last, area_before, corners, word):  # type: ignore[no-untyped-def]
-    """A point drawn uniformly on the triangles first … last, and which it lies on."""
+    """Number of a triangle among first … last, and a point on it, drawn uniformly by area."""
     f = one_of(first, last, area_before, word)
     return f, somewhere(corner(corners, f, 0), corner(corners, f, 1), corner(corners, f, 2), word)
 
 
 @compiled()
 def somewhere(a, b, c, word):  # type: ignore[no-untyped-def]
-    """A point drawn uniformly on a triangle."""
+    """A point drawn uniformly on the triangle a, b, c."""
     u = math.sqrt((np.float64(mix(word, np.uint64(1))) + 0.5) * 2.0**-32)
     v = (np.float64(mix(word, np.uint64(2))) + 0.5) * 2.0**-32
     r, s, t = 1 - u, u * (1 - v), u * v
@@ -66,9 +66,10 @@ def somewhere(a, b, c, word):  # type: ignore[no-untyped-def]
 
 @compiled()
 def side_turned(d, radius, axis, cosine, sine):  # type: ignore[no-untyped-def]
-    """Which side all surface within a ball turns to a point: 1 for that of its normals, −1 for the other, 0 for both.
+    """Side that all surface within a sphere turns to a point: 1 the side of its normals, −1 the other, 0 either.
 
-    d : from the ball's middle to the point. cosine, sine : of the largest angle of a normal with the axis.
+    d : vector from the sphere's middle to the point. cosine, sine : of the largest angle between a normal and the
+    axis.
     """
     free = dot(d, d) - radius * radius
     if not (free > 0.0 and cosine > 0.0):

@@ -1,8 +1,9 @@
-"""A pixel's footprint of wall as a tree: the whole, its quarters, theirs, each by the point in its middle.
+"""Footprint of a pixel on the wall as a tree: the whole, its quarters, their quarters …, each with its middle point.
 
-Where a pixel sees more than one surface, or past an edge, its finest footprints are points of a (0, 2)-net instead,
-one in each: what lies on which side of an edge is then known nearly as well as their number allows, also where the
-edge runs along their rows (Niederreiter, "Random Number Generation and Quasi-Monte Carlo Methods" (1992), ch. 4).
+Where a pixel sees more than one surface, or past an edge, the finest footprints have a point of a (0, 2)-net each
+instead of their middle: areas on both sides of an edge are then right to nearly the inverse of the number of points,
+also where the edge runs along their rows (Niederreiter, "Random Number Generation and Quasi-Monte Carlo Methods"
+(1992), ch. 4).
 """
 
 from __future__ import annotations
@@ -20,11 +21,12 @@ from datagen.transport.sampling import scrambled_sobol, stream_seeds
 from datagen.transport.visibility.raycast import Raycaster
 
 BENT = 0.02
-"""1 − cosine between the normals of a footprint and its quarters from which its middle does not stand for it."""
+"""1 − cosine of the angle between the normals of a footprint and of its quarters from which it counts as uneven."""
 LEAST_SIZE = 1e-9
+"""Least size of a footprint, metres, so that one may divide by it."""
 LOOKS, MOST_LOOKS = range(1, 4), 1 << 16
-"""How often pixels are quartered to see whether they hold an edge: as often as leaves no more than so many lines of
-sight of all of them, for what is small in one of many pixels is little light."""
+"""Times that pixels are quartered to find out whether they hold an edge: as many as need at most this number of lines
+of sight for all pixels, for a small piece in one of many pixels is little light."""
 
 
 class Patches(NamedTuple):
@@ -65,7 +67,7 @@ class Patches(NamedTuple):
     def of(
         cls, caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones, pixels: Ints, levels: int, seed: int
     ) -> Patches:
-        """Those of some pixels, quartered `levels` times at most."""
+        """The footprints of some pixels, quartered at most `levels` times."""
 
         def at(pixels: Ints, finest: Floats) -> Patches:
             places = [*(_middles(level, len(pixels)) for level in range(levels)), finest]
@@ -120,7 +122,7 @@ class Patches(NamedTuple):
 
 
 def at_edges(caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones) -> Bools:
-    """(P,) pixels that see more than one surface, or past one, along the middles of their quarters' quarters."""
+    """(P,) whether a pixel sees more than one surface, or past the edge of one, along a grid of lines of sight."""
     pixels = np.arange(len(sensor.pixels))
     level = max((k for k in LOOKS if len(pixels) * 4**k <= MOST_LOOKS), default=LOOKS[0])
     places = _middles(level, len(pixels))
@@ -141,8 +143,8 @@ def _middles(level: int, pixels: int) -> Floats:
 
 
 def _across(pool: FovPool, corner: Floats, uv: Floats) -> Floats:
-    """(P, Q, 2, 3) how the points of quadrilaterals (P, 4, 3) about the sensor move with uv (P, Q, 2) on the plane of
-    what is seen there; zero where nothing is."""
+    """(P, Q, 2, 3) derivatives, by u and by v, of the place that a line of sight meets, metres; zero where it meets
+    nothing. corner : (P, 4, 3) corners of the pixels from the sensor. uv : (P, Q, 2) of the lines of sight."""
     u, v = uv[..., :1], uv[..., 1:]
     a, b, c, d = (corner[:, None, k] for k in range(4))
     line = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)

@@ -1,4 +1,4 @@
-"""Light of three bounces for pairs of laser point and pixel, with surfaces cut as finely as asked."""
+"""Light of three bounces for pairs of laser point and pixel: the arrays that the kernel reads, and the call to it."""
 
 from __future__ import annotations
 
@@ -26,20 +26,24 @@ from datagen.transport.visibility.occluder_rows import Occluders
 from datagen.units import path_from_time
 
 LEVELS, SIZED, TINY = (2, 5), 64, 1e-4
-"""How often even pixels are quartered, if at all; how many of them are measured for that; and their size, relative to
-the scene and to the narrowest lobe, up to which they are points. With one quartering at least, trials of a pixel
-inside of an open ball agreed with each other in 3 % too little light."""
+"""Fewest and most times that a pixel which sees one flat surface is quartered; number of pixels whose size is
+measured for that; and size, relative to the scene and to the narrowest lobe, up to which a pixel counts as a point
+and is not quartered. With one quartering instead of two, trials of a pixel inside an open ball agreed with each
+other on 3 % too little light."""
 PATCHES_AT_ONCE = 1 << 17
+"""Footprints held in memory at once; half of it takes as long and half the memory."""
 RAY_FOOTPRINT = 0.35
-"""Size of the footprints that rays are connected with, relative to their distance and to the root of the error asked
-of an object's light. With twice as much, a pixel on the facets of a ball about it was 2 % off."""
+"""Largest footprint that is connected with the hit of a ray, relative to its distance from there and to the square
+root of the error asked of an object's light. With twice as much, a pixel on the facets of a ball around it was 2 %
+off."""
 EDGE_LEVELS, MOST_AT_EDGES = range(2, 6), 1 << 14
-"""How often pixels that see more than one surface are quartered: as often as leaves no more than so many footprints
-of all of them, for what one has too much others lack."""
+"""Times that pixels which see more than one surface are quartered: as many as leave at most this number of footprints
+of all such pixels. Errors of one pixel's footprints average out over many pixels, so that many pixels need fewer."""
 
 
 class Lasers(NamedTuple):
-    """Laser points as the loop wants them; the fields of `LaserPoints`, and `power` (L,), what arrives there."""
+    """Laser points as the kernel reads them: fields of `LaserPoints`, and `power` (L,), photons that arrive at
+    each per photon emitted."""
 
     position: Floats
     normal: Floats
@@ -50,17 +54,18 @@ class Lasers(NamedTuple):
 
 
 class Cutting(NamedTuple):
-    """How finely to cut.
+    """How finely surfaces are cut into elements.
 
     Attributes
     ----------
-    error : (K,) L2 error in a histogram, in photons, up to which an element of each part is left as it is.
+    error : (K,) L2 error in a histogram, photons, that one element of each part may make; infinite for parts that are
+        left out.
     sharp : (K,) 1/width² of each part's narrowest lobe, 1 for a matt surface.
-    peak : (K,) largest value of each part's BRDF, 1/sr, but for its cosines.
+    peak : (K,) upper bound of each part's BRDF, 1/sr.
     coarsest : largest element, relative to its distance.
-    rays_on_last_leg : whether it is asked what stands between an element and the pixel.
-    proofs : whether rays are saved where it is proven that nothing can stand in their way.
-    seed : (K,) of the points of each part that stand for clusters of small triangles.
+    rays_on_last_leg : whether shadow rays between elements and the pixel are cast.
+    proofs : whether shadow rays are saved where it is proven that nothing can stand in their way.
+    seed : (K,) seed of the random points on each part.
     """
 
     error: Floats
@@ -73,8 +78,14 @@ class Cutting(NamedTuple):
 
 
 class Clock(NamedTuple):
-    """Path to bins: at = path · per_metre − start; `device` whether the legs of laser and sensor count;
-    `opens` and `closes` the window, metres of path."""
+    """Arrival time in bins from a path in metres: path · per_metre − start.
+
+    Attributes
+    ----------
+    device : whether the legs from the laser and to the sensor belong to the path.
+    attenuation : of the air, 1/m.
+    opens, closes : first and last path within the window of time, metres.
+    """
 
     per_metre: float
     start: float
@@ -85,8 +96,8 @@ class Clock(NamedTuple):
 
 
 class Scan(NamedTuple):
-    """All that the compiled loop reads: surfaces, what hides them, laser points, footprints, (K,) kinds and (K, n)
-    numbers of BRDFs, how finely to cut, and the clock."""
+    """All that the kernel reads: surfaces (`tree`), triangles that can hide something (`occluders`), laser points,
+    footprints (`patches`), BRDFs (`kind` (K,) and `values` (K, n)), how finely to cut, and the clock."""
 
     tree: Hierarchy
     occluders: Occluders
@@ -99,13 +110,13 @@ class Scan(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """All that the compiled loop writes.
+    """All that the kernel writes.
 
     Attributes
     ----------
     row_of_pair, row_of_part : (n,) first row of each pair, to which (K,) is added for each part.
     histogram, overflow : (rows, T) and (rows,) photons within the window and outside.
-    work : (K, 2) elements that were spread and rays that were asked.
+    work : (K, 2) number of elements whose light was added, and of shadow rays.
     """
 
     row_of_pair: Ints
@@ -117,13 +128,13 @@ class Tally(NamedTuple):
 
 @dataclass(frozen=True)
 class Gathered:
-    """What some pairs receive.
+    """The light of three bounces of n pairs of laser point and pixel.
 
     Attributes
     ----------
-    histogram : (n, rows, T) photons of each pair.
-    overflow : (n,) photons outside the window.
-    cells, rays : (K,) how many were spread and asked, part by part.
+    histogram : (n, rows, T) photons per photon emitted.
+    overflow : (n,) photons outside the window of time.
+    cells, rays : (K,) number of elements and of shadow rays of each part.
     """
 
     histogram: Floats
@@ -134,9 +145,9 @@ class Gathered:
 
 @dataclass(frozen=True)
 class Seen:
-    """Pairs whose pixels' footprints are cut alike.
+    """Some pairs, with the footprints of their pixels.
 
-    which : (n,) which of the pairs asked for. pairs : (n, 2) laser point and row of `patches`.
+    which : (n,) index of each among the pairs that were asked for. pairs : (n, 2) laser point and row of `patches`.
     """
 
     which: Ints
@@ -146,7 +157,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Gathering:
-    """A scene and a capture as the compiled loop wants them."""
+    """A scene and a capture in the arrays that the kernel reads."""
 
     task: Problem
     tree: Hierarchy
@@ -157,13 +168,13 @@ class Gathering:
     """(K,) rad, half width of the narrowest lobe of each part."""
     peak: Floats
     at_edge: Bools
-    """(P,) pixels that see more than one surface, or past one."""
+    """(P,) whether a pixel sees more than one surface, or past the edge of one."""
     coarsest: float = COARSEST
     """Largest element, relative to its distance."""
 
     @classmethod
     def of(cls, task: Problem) -> Gathering:
-        """That of a task, with its surfaces in one tree."""
+        """The arrays of a task."""
         points, axis, air = task.points, task.capture.time, task.scene.attenuation_per_m
         lasers = Lasers(
             points.position, points.normal, points.to_laser, points.part, np.exp(-air * np.nan_to_num(points.leg)),
@@ -185,7 +196,8 @@ class Gathering:
 
     @cached_property
     def by_rays(self) -> Bools:
-        """(K,) parts whose light comes by rays: meshes of many triangles, unless some lobe on the path is narrow."""
+        """(K,) whether the light of a part comes by rays (`mesh_rays.py`): that of meshes of many triangles, unless a
+        lobe on the path is narrow."""
         scene, sharp = self.task.scene, 1.0 / self.width**2
         # Any surface but an object may hold a laser point or a pixel.
         ends = np.array([role != "object" for role in scene.roles])
@@ -194,16 +206,16 @@ class Gathering:
 
     @cached_property
     def outlines(self) -> Outlines:
-        """Those of the parts whose light comes by rays."""
+        """Convex hulls of the parts whose light comes by rays."""
         return Outlines.of(self.task.scene, self.by_rays)
 
     @property
     def ray_footprint(self) -> float:
-        """Largest footprint that a ray is connected with, relative to its distance."""
+        """Largest footprint that the hit of a ray is connected with, relative to its distance."""
         return RAY_FOOTPRINT * math.sqrt(self.task.accuracy.each_part)
 
     def ray_levels(self) -> int:
-        """How often even pixels have to be quartered, so that rays find footprints as small as that."""
+        """Times that pixels must be quartered so that they have footprints as small as `ray_footprint`."""
         meshes, even, patches = np.flatnonzero(self.by_rays), ~self.at_edge, self.task.patches
         if not (len(meshes) and even.any()):
             return 0
@@ -221,7 +233,8 @@ class Gathering:
         return bool(self.task.materials.kind.any())
 
     def levels(self) -> int:
-        """How often even pixels are quartered at most: once more than leaves footprints of a bin."""
+        """Most times that pixels which see one flat surface are quartered: once more than makes footprints of one
+        bin."""
         even = np.flatnonzero(~self.at_edge)
         size = float(patches_of(self.task, even[:: len(even) // SIZED + 1], 0).size.max(initial=0.0))
         if size * self.clock.per_metre <= AT_ONCE and size <= TINY * self.tree.extent * self.width.min():
@@ -229,12 +242,15 @@ class Gathering:
         return max(int(np.clip(math.ceil(math.log2(size * self.clock.per_metre)) + 1, *LEVELS)), self.ray_levels())
 
     def edge_levels(self) -> int:
-        """How often pixels at edges are quartered, to begin with."""
+        """Times that pixels at edges are quartered in the first trial."""
         return max((k for k in EDGE_LEVELS if self.at_edge.sum() * 4**k <= MOST_AT_EDGES), default=1)
 
     def seen(self, pairs: Ints, levels: int, edge_levels: int | None = None) -> Iterator[Seen]:
-        """What the pixels of some pairs see: the even ones quartered `levels` times, those at edges `edge_levels`
-        times, or as often as any scene allows; not too many at once."""
+        """Footprints of the pixels of some pairs (n, 2), in batches of at most `PATCHES_AT_ONCE` footprints.
+
+        levels : times that pixels which see one flat surface are quartered. edge_levels : the same for pixels at
+        edges; `self.edge_levels()` if None.
+        """
         at_edge, edge_levels = self.at_edge[pairs[:, 1]], self.edge_levels() if edge_levels is None else edge_levels
         for quartered, some in ((levels, np.flatnonzero(~at_edge)), (edge_levels, np.flatnonzero(at_edge))):
             some = some[np.argsort(pairs[some, 1], kind="stable")]
@@ -249,11 +265,12 @@ class Gathering:
         self, pairs: Ints, seen: Iterable[Seen], error: Floats, row_of_part: Ints, draw: Ints | None = None,
         matt: bool = False,
     ) -> Gathered:  # fmt: skip
-        """The light of some pairs of laser point and pixel, with each part in its row.
+        """The light of some pairs (n, 2) of laser point and pixel, that of part k in row row_of_part[k].
 
-        error : (K,) L2 error that an element of each part may make, photons; infinite for parts to be left out.
-        draw : (K,) number of the draw of each part's random points, zeros if nothing is said.
-        matt : as if every surface followed Lambert's law with its albedo.
+        seen : the pairs in batches, from the method of that name.
+        error : (K,) L2 error that one element of each part may make, photons; infinite for parts to be left out.
+        draw : (K,) number of the draw of each part's random points; zeros if None.
+        matt : whether every surface is taken to follow Lambert's law with its albedo.
         """
         task, parts, rows = self.task, len(error), int(row_of_part.max()) + 1
         histogram = np.zeros((len(pairs) * rows, task.capture.time.bins))
@@ -286,7 +303,7 @@ class Gathering:
 
 
 def patches_of(task: Problem, pixels: Ints, levels: int) -> Patches:
-    """Those of some pixels, quartered `levels` times at most."""
+    """The footprints of some pixels, quartered at most `levels` times."""
     return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
 
 

@@ -1,8 +1,9 @@
-"""What the primary's loop has still to look at: boxes and elements, each with the candidates that may hide it.
+"""The stack of boxes and elements that the three-bounce kernel has still to look at.
 
-A waiting element k is a row of 18 numbers: three vertices, at 0, 5 and 10, each with the light there and the path by
-way of it; its area (15); how many times as large as itself the footprint is that it is for (16); and how much of it
-may be seen though no ray found anything (17). Its tag says what it is, its number, its footprint and its candidates.
+Entry k is a row `tag[k]` of six integers (kind, number of box or triangle, footprint, and three numbers that say
+where the list of its possible occluders is) and a row `cell[k]` of 18 numbers: three vertices, at 0, 5 and 10,
+metres, each with the weight and the path by way of it, metres; the area, m² (15); the number of footprints alike that
+its footprint stands for (16); and the error, relative to its light, that is feared where no ray found any of it (17).
 """
 
 from __future__ import annotations
@@ -14,13 +15,14 @@ from datagen.transport.brdf import dot
 from datagen.transport.geometry import get, less, longest, put
 
 BOX, FRESH, CELL, KEPT = map(np.int64, range(4))
-"""What waits to be looked at: a box, an element, an element whose vertices' light is known, one that needs another
-look. As np.int64, because numba compiles a function anew for each plain int."""
+"""Kinds of entries: a box of the BVH; a triangle whose vertices have no weights yet; an element whose vertices have;
+and one that has been judged clear and comes back to be seen from quarters of its footprint. They are np.int64,
+because numba compiles a function anew for each plain int."""
 
 
 @compiled()
 def push(tag, top, what, at, q, candidates):  # type: ignore[no-untyped-def]
-    """A box or element to be looked at next, with the candidates that may hide it; returns how many wait."""
+    """Put a box or element on the stack, with the list of its possible occluders; returns the new height."""
     tag[top, 0], tag[top, 1], tag[top, 2] = what, at, q
     tag[top, 3], tag[top, 4], tag[top, 5] = candidates
     return top + 1
@@ -28,27 +30,27 @@ def push(tag, top, what, at, q, candidates):  # type: ignore[no-untyped-def]
 
 @compiled()
 def put_vertex(cell, k, vertex, y, w, path):  # type: ignore[no-untyped-def]
-    """Vertex 0, 1 or 2 of waiting element k, and what is known there."""
+    """Set vertex 0, 1 or 2 of entry k, with the weight and path there."""
     put(cell, k, 5 * vertex, y)
     cell[k, 5 * vertex + 3], cell[k, 5 * vertex + 4] = w, path
 
 
 @compiled()
 def vertex_of(cell, k, vertex):  # type: ignore[no-untyped-def]
-    """Vertex 0, 1 or 2 of waiting element k, metres."""
+    """Vertex 0, 1 or 2 of entry k, metres."""
     return get(cell, k, 5 * vertex)
 
 
 @compiled()
 def copy_cell(cell, k, to):  # type: ignore[no-untyped-def]
-    """Row k once more in row `to`."""
+    """Copy the numbers of entry k to entry `to`."""
     for j in range(18):
         cell[to, j] = cell[k, j]
 
 
 @compiled()
 def middle_of(cell, k):  # type: ignore[no-untyped-def]
-    """The middle of waiting element k, the side that is its longest, and that side's length."""
+    """The middle of entry k, which of its sides is longest, and that side's length, metres."""
     a, b, c = vertex_of(cell, k, 0), vertex_of(cell, k, 1), vertex_of(cell, k, 2)
     side, h = longest(a, b, c)
     return ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3), side, h
@@ -56,16 +58,16 @@ def middle_of(cell, k):  # type: ignore[no-untyped-def]
 
 @compiled()
 def highest_above(cell, k, x, n):  # type: ignore[no-untyped-def]
-    """How far the highest vertex of waiting element k lies above the plane through x with normal n."""
+    """Height of the highest vertex of entry k above the plane through x with normal n, metres."""
     a, b, c = less(vertex_of(cell, k, 0), x), less(vertex_of(cell, k, 1), x), less(vertex_of(cell, k, 2), x)
     return max(dot(a, n), dot(b, n), dot(c, n))
 
 
 @compiled()
 def push_halves(room, top, side, vertex, what, at, q, candidates):  # type: ignore[no-untyped-def]
-    """Put the halves of the element at `top` in its place; returns how many wait.
+    """Put the two halves of the element at `top` in its place; returns the new height of the stack.
 
-    side : its longest side, on which it is cut. vertex : place, light and path there.
+    side : number of its longest side, which is cut. vertex : the middle of that side, with weight and path there.
     """
     tag, cell, (y, w, path) = room.tag, room.cell, vertex
     cell[top, 15] *= 0.5
@@ -78,7 +80,7 @@ def push_halves(room, top, side, vertex, what, at, q, candidates):  # type: igno
 
 @compiled()
 def push_boxes(tag, cell, top, both, q, candidates):  # type: ignore[no-untyped-def]
-    """The two boxes within the one at `top`, in its place; returns how many wait."""
+    """Put the two boxes within the box at `top` in its place; returns the new height of the stack."""
     cell[top + 1, 16], cell[top + 1, 17] = cell[top, 16], cell[top, 17]
     top = push(tag, top, BOX, both[1], q, candidates)
     return push(tag, top, BOX, both[0], q, candidates)

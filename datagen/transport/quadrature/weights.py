@@ -1,11 +1,12 @@
-"""What an element gives to one laser point and pixel, how wrong that may be, and how much it is at most.
+"""Throughput of an element for one laser point and pixel, an estimate of its error, and upper bounds.
 
 Flux per hidden area at y, with x the laser point and z the middle of a footprint of the pixel (docs/physics.md):
 
     w(y) = f₁ cosθ₁ cosθ₂ / R₁²  ·  f₂  ·  cosθ₂′ cosθ₃ / (R₂² + a/π)  ·  f₃ W,     arriving at (R₁ + R₂)/c,
 
-a the footprint's area, which bounds what a near element can give it, and W the sensor's share. What air leaves of it,
-exp(−κ (R₁ + R₂)), is put to each point's w: in dense fog nothing else tells a near element from a far one.
+with a the footprint's area, which keeps the light of a near element finite, and W the sensor's share. Each w has the
+transmittance of air in it, exp(−κ (R₁ + R₂)), for in dense fog that is what makes near elements brighter than far
+ones.
 """
 
 from __future__ import annotations
@@ -20,21 +21,25 @@ from datagen.transport.geometry import air, distance, less
 from datagen.transport.quadrature.clusters import UNLIKE
 
 SMEARED = 0.3
-"""Of a footprint, the share that its arrival times spread over."""
+"""Standard deviation of the path over a footprint, relative to the footprint's size: 1/√12 for a path along a
+side."""
 BLURRED = 0.25
-"""Of the error that an element may make, the share that may come of the footprint that sees it, as it does for many
-alike."""
+"""Share of the error that an element may make which may come of its footprint's size; less than half, for that
+error is alike for many elements. Without any limit, errors of large pixels near steps of the signal stay at 1.6 %."""
 AT_ONCE = 0.01
-"""Size of a footprint, in bins, up to which all of it is reached at once."""
+"""Size of a footprint, in bins, up to which its light is taken to arrive at one time."""
 OUTSIDE = 0.01
-"""Error of an element whose light comes outside the window, relative to it, that it may always make: no bin has it,
-and when exactly it comes does not matter."""
+"""Error, relative to its light, that an element outside the window of time may always make: no bin holds that light,
+so that only its energy matters."""
 
 
 @compiled()
 def weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation):  # type: ignore[no-untyped-def]
-    """w(y) but for power and sensor, and R₁ and R₂; `lit_from` and `seen_from` are the other two vertices of the
-    path: a point, its normal, the direction on to the device, and the BRDF's kind and values."""
+    """w(y) without the laser's power and the sensor's share; and the distances R₁ and R₂, metres.
+
+    lit_from, seen_from : the other two vertices of the path, laser point and footprint: position, normal, direction
+    to the device, and kind and values of the BRDF.
+    """
     x, n1, to_laser, kind1, values1 = lit_from
     z, n3, to_sensor, kind3, values3 = seen_from
     d1, d3 = less(y, x), less(y, z)
@@ -59,11 +64,11 @@ def weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation):  
 def weight_at_most(  # type: ignore[no-untyped-def]
     y, n, kind2, values2, lit_from, seen_from, footprint, attenuation, h, size, tilt
 ):  # fmt: skip
-    """The largest w that the BRDFs allow within an element about y that is h long, seen from a footprint of some
-    size.
+    """Upper bound of w over an element around y that is h long, seen from a footprint of some size, as far as BRDFs
+    change over it; the other factors of w are taken at y.
 
-    Lobes that none of the element's points meets may still cross it: the directions to its ends turn by h/R₁ and
-    (h + size)/R₂ over it, and its normals deviate from n by up to `tilt`, rad. All else of w is that of y.
+    A lobe may cross an element between the points where w is known. Over the element, the directions to laser point
+    and footprint turn by up to h/R₁ and (h + size)/R₂, and normals deviate from n by up to `tilt`, rad.
     """
     x, n1, to_laser, kind1, values1 = lit_from
     z, n3, to_sensor, kind3, values3 = seen_from
@@ -90,13 +95,13 @@ def weight_at_most(  # type: ignore[no-untyped-def]
 
 @compiled()
 def outside(paths, middle, legs, size, opens, closes):  # type: ignore[no-untyped-def]
-    """Whether all of an element's light comes before a window or after it.
+    """Whether all of an element's light arrives before or after the window of time.
 
     paths, middle : m by way of its vertices and its middle. legs : to the device, m. size : of the footprint, m.
     opens, closes : the window, m of path.
 
-    Paths are convex: within the triangle none is longer than by way of a vertex, or shorter than three times that of
-    the middle less twice that.
+    The path is a convex function of the place on the element: it is nowhere longer than at a vertex, and nowhere
+    shorter than three times that at the middle minus twice that at the farthest vertex.
     """
     most = max(paths[0], paths[1], paths[2])
     return (most + legs + 2.0 * size < opens) | (3.0 * middle - 2.0 * most + legs - 2.0 * size > closes)
@@ -104,24 +109,24 @@ def outside(paths, middle, legs, size, opens, closes):  # type: ignore[no-untype
 
 @compiled()
 def verdict(paths, light, lengths, view, limits, air_and_bins, unseen):  # type: ignore[no-untyped-def]
-    """What becomes of an element, seen from a footprint.
+    """Whether an element is halved, or its footprint quartered, before its light is added to the histogram.
 
     paths : m by way of its vertices. light : its area, and its largest `weight`. lengths : its longest side, R₁ and
         R₂ by way of its middle, m. view : photons per unit of weight and area, and area, size and whether there are
         quarters of the footprint.
-    limits : largest element, relative to its distance; 1/width² of the narrowest lobe on the path, 1 if all its
-        surfaces are matt; and the L2 error that it may make. What a lobe makes of an element is never more wrong than
-        all its light.
+    limits : largest element, relative to its distance; 1/width² of the narrowest lobe on the path, 1 if all surfaces
+        are matt; and the L2 error that the element may make, photons. An error by a lobe is at most all the light.
     air_and_bins : bins per m of path, and attenuation, 1/m. unseen : whether it is `outside` the window.
 
-    Returns whether it is cut; whether the footprint is quartered first; the L2 error if its light should be missing
-    (infinite where that was not asked); and how far its arrival times are bent.
+    Returns whether the element is halved; whether the footprint is quartered first; the L2 norm of the element's
+    light (infinite where it is too near to be judged); and how much longer the mean of the paths by way of its
+    vertices is than that by way of its middle, metres.
     """
     (at_a, at_b, at_c), (area, w), (h, r1, r3) = paths, light, lengths
     (gain, footprint, size, quarters), (limit, keen, allowed) = view, limits
     per_metre, attenuation = air_and_bins
-    # What the footprint itself cannot tell apart needs no cutting. All is worked out before it is asked, so that
-    # loops over many elements need no branches.
+    # All conditions are computed and then combined, without branches, so that compilers make vector instructions of
+    # loops over many elements. Outside the window times do not matter.
     per_metre = 0.0 if unseen else per_metre
     ratio1, ratio3, ratio_z = h / r1, h / math.sqrt(r3 * r3 + footprint / math.pi), size / r3
     patch_first = (ratio_z > limit) & quarters & (size > 0.5 * h)
@@ -144,7 +149,7 @@ def verdict(paths, light, lengths, view, limits, air_and_bins, unseen):  # type:
 
 @compiled()
 def smear(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
-    """`smeared` by footprint q of row p, whose direction to the sensor counts if `device`."""
+    """Variance of the path over footprint q of row p, m², with the path on to the sensor if `device` (`smeared`)."""
     towards = to_sensor if device else (0.0, 0.0, 0.0)
     sides = (across[p, q, 0, 0], across[p, q, 0, 1], across[p, q, 0, 2])
     others = (across[p, q, 1, 0], across[p, q, 1, 1], across[p, q, 1, 2])
@@ -153,8 +158,8 @@ def smear(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
 
 @compiled()
 def smeared(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
-    """Variance of the path by way of a footprint, from one side of it to the other, m²; d3 from it to the element, R₃
-    long, and what the direction to the sensor adds."""
+    """Variance of the path over a footprint, m². d3 : vector from it to the element, r3 long, metres. to_sensor :
+    direction to the sensor, zeros if that leg does not count. side, other : sides of the footprint, metres."""
     per = 1.0 / r3
     g = (d3[0] * per + to_sensor[0], d3[1] * per + to_sensor[1], d3[2] * per + to_sensor[2])
     one, two = dot(g, side), dot(g, other)
@@ -163,8 +168,9 @@ def smeared(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
 
 @compiled()
 def brightest(m, radius, area, rise, height, x, z, size, attenuation):  # type: ignore[no-untyped-def]
-    """What a box or element about m may bring at most for every photon, BRDF and solid angle of one, if x lights it
-    and something within `size` of z is seen by it; `rise` it has above the plane of x, `height` x above its own."""
+    """Upper bound of the light of a box or element around m, per photon and for BRDFs and a sensor's share of one,
+    lit by x and seen from anywhere within `size` of z. rise : height of the box above the surface at x, metres;
+    height : that of x above the element's plane."""
     far1, far3 = max(distance(m, x) - radius, 0.0), max(distance(m, z) - radius - size, 0.0)
     near1, near3 = max(far1, math.sqrt(area / (2 * math.pi))), max(far3, 0.25 * size)
     area *= air(attenuation, far1 + far3)
