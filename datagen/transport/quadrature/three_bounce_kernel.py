@@ -5,7 +5,7 @@ degree (three quarters of the middle and a quarter of the vertices), its weights
 times too, moved so that their mean is that of second degree.
 
 `gather` goes through all pairs; `_gather_part` takes one box of the BVH or one element after another from a stack,
-decides with the steps below it what becomes of it, and puts what is left of it back.
+decides with the steps below it what becomes of it, and puts parts that need another look back on the stack.
 """
 
 from __future__ import annotations
@@ -58,23 +58,23 @@ from datagen.transport.visibility.bvh import CLUSTER, SMALLEST
 from datagen.transport.visibility.occlusion import LISTED, RING, hidden, lists, narrowed
 
 PARTLY, UNFOUND, MESH = (0.5, 0.05), 0.05, 256
-"""Error of an element that one ray stands for, on a part of up to `MESH` triangles and on one of more, and of an
-element of which three rays found nothing, relative to its light. Of large faces few elements are partly seen, and
-they are found by what is proven clear. Of a mesh nothing is proven, few elements are partly seen all the same, and
-they err to both sides, for rays go to random points: twice the second asks up to a third more rays, half of it about
-as many."""
+"""Expected error of an element, relative to its light: of one judged by a single shadow ray, on a part of up to
+`MESH` triangles and on one of more; and of one that three shadow rays have not found. On large faces few elements
+are partly hidden, for most are proven clear. On meshes hardly anything is proven, few elements are partly hidden
+all the same, and their errors have both signs, since rays go to random points: twice the second number takes up to
+a third more rays, half of it as many."""
 STILL_UNFOUND = 0.5
-"""What the latter is multiplied with for each larger element about it of which no ray found anything either: what
-lies deep behind a mesh cannot be proven hidden, and is not searched as finely as an edge."""
+"""Factor of the last of these numbers for each larger element around, of which no ray found anything either: what
+lies deep behind a mesh cannot be proven hidden, and is not searched as finely as the edge of a shadow."""
 PLACES = 2.0**20
-"""Places along the scene whose elements have random points of their own."""
+"""Steps along the scene's size to which places are rounded to seed the random points of elements there."""
 TURNS, FEWEST = 16, 1 / 64
-"""Light up to which one quarter of a pixel stands for the others: relative to the error that an element may make, and
-to what all of the part might bring."""
+"""Light of an element up to which one quarter of an uneven footprint stands for all four: relative to the error
+that an element may make, and to the upper bound of all the part's light."""
 DROPPED, OPENED, QUARTERED, ONE_POINT, CUT, CLEAR, SPREAD = range(7)
-"""What becomes of a box or element: it brings nothing; what is in the box is looked at; the footprint is quartered;
-one random point stands for the box; the element is halved; it waits with the clear ones;
-its light is spread."""
+"""What becomes of a box or element: it brings no light; what is in the box is put on the stack; it is put on the
+stack once for each quarter of the footprint; one random point stands for the box; the element is halved; it waits
+on the stack of clear elements; its light is added to the histogram."""
 STEP = {"forceinline": True, "_nrt": False, "no_cpython_wrapper": True}
 """How the steps of `_gather_part` are compiled. Calls would cost more than many of them; without `_nrt=False` arrays
 are counted in and out of every function, a third of the time; and wrappers for callers in Python take most of the
@@ -82,7 +82,8 @@ time of compiling."""
 
 
 class Lit(NamedTuple):
-    """A laser point: place, normal, the vertex of the path as `weight` has it, part, power and leg."""
+    """A laser point: position x, metres; normal; these and its BRDF as `weight` has them (`vertex`); part; photons
+    that arrive there per photon emitted (`power`); and distance from the laser, metres (`leg`)."""
 
     x: Vector
     normal: Vector
@@ -93,17 +94,20 @@ class Lit(NamedTuple):
 
 
 class View(NamedTuple):
-    """A footprint q of row p, as one box or element is seen from it.
+    """Footprint q of row p, with what belongs to the light that one box or element sends there.
 
     Attributes
     ----------
-    p, q, z, normal, vertex : where it is; the vertex of the path as `weight` has it.
-    size, area, quarters : how far it reaches, m; its area, m²; and whether it has quarters.
-    gain : photons per unit of `weight` and hidden area.
-    may, alike : L2 error that one element may make, and that may be made if all footprints err alike, photons.
+    p, q, z, normal : row and number; position, metres; unit normal.
+    vertex : position, normal and BRDF as `weight` has them.
+    size, area, quarters : largest extent, metres; area, m²; whether it has quarters.
+    gain : photons per unit of `weight` and of the element's area, m².
+    may, alike : L2 error that one element may make, photons, where errors from different footprints are independent,
+    and
+        where they are alike.
     keen : 1/width² of the narrowest lobe on the path.
-    device : legs to the device, m, if they count.
-    word : of the points that stand for elements, with the place of each.
+    device : length of the legs from laser and to sensor, metres; 0 if they do not count.
+    word : random word of this footprint and part, to which each element adds its place.
     """
 
     p: int
@@ -146,7 +150,7 @@ class Element(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What `gather` works in: tags and rows of what waits, lists of candidates, and `room_for_clear`."""
+    """Arrays that `gather` works in: the stack (`tag`, `cell`), lists of possible occluders, and `room_for_clear`."""
 
     tag: Ints
     cell: Floats
@@ -178,7 +182,7 @@ def gather(pairs, scan, by_rays, tally, room):  # type: ignore[no-untyped-def]
         x, n, k1 = get(lasers.position, i, 0), get(lasers.normal, i, 0), lasers.part[i]
         vertex = (x, n, get(lasers.to_laser, i, 0), scan.kind[k1], scan.values[k1])
         lit = Lit(x, n, vertex, k1, lasers.power[i], lasers.leg[i])
-        # What hides an element from a confocal pixel hides it from its laser point, too.
+        # Where pixel and laser point are one, what hides an element from the one hides it from the other.
         apart = distance(x, corner(patches.position, p, 0)) > scan.occluders.flat
         two_legs = scan.cutting.rays_on_last_leg and apart
         for k in range(len(scan.tree.roots)):
@@ -190,9 +194,10 @@ def gather(pairs, scan, by_rays, tally, room):  # type: ignore[no-untyped-def]
 def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # type: ignore[no-untyped-def]
     """Add the light of part k to the histogram of one pair; p : its row of footprints.
 
-    What may stand between an element and laser point or footprint is among what may stand before all of the box or
-    element that it is cut from: each hands down its candidates, first … middle for the one and middle … last for the
-    other, and where none is left nothing is hidden. Elements hand down their vertices' light, too.
+    Possible occluders of an element are among those of the box or element that contains it. So each entry of the
+    stack has a list of them, `candidates`: first … middle between it and the laser point, middle … last between it
+    and the footprint. Where a list is empty, no shadow ray is needed. Halves take over weights at their parent's
+    vertices, too.
     """
     tree, patches, tag, cell = scan.tree, scan.patches, room.tag, room.cell
     allowed, into = scan.cutting.error[k], tally.row_of_pair[pair] + tally.row_of_part[k]
@@ -204,7 +209,7 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
     top = push(tag, 0, BOX, root, 0, (LISTED, to_z, free if two_legs else to_z))
     while top > 0 or alight > 0:
         if top == 0:
-            # Clear elements wait until there are many, for they are worked off together.
+            # Clear elements are worked off together, so they wait until nothing else is left.
             alight, more, beyond, top = spread_clear(room, alight, scan, lit, p, allowed, tally.histogram, into, free)
             cells, tally.overflow[into] = cells + more, tally.overflow[into] + beyond
             continue
@@ -216,14 +221,14 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
             continue
         share = cell[top, 16]
         if uneven:
-            # Its middle does not stand for the footprint, so no element can be judged from there.
-            at_most, halve, side = _brightest(scan, lit, p, q, what, at, cell, top, k, strongest)
-            if what == BOX and q == 0 and at == root:
+            # An edge runs through the footprint: its middle does not represent it, so no element is judged from
+            there. at_most, halve, side = _brightest(scan, lit, p, q, what, at, cell, top, k, strongest) if what ==
+            BOX and q == 0 and at == root:
                 most = at_most
             if at_most < 0.0:
                 continue
-            # Whatever of the footprint is seen, its light is little: one quarter stands for it, and such elements
-            # take turns, so that what one has too much of its neighbours lack.
+            # Where the light is little whatever the footprint sees, one of its quarters stands for all four. Elements
+            # take turns with the four, so that errors of neighbours cancel.
             few = at_most <= min(TURNS * allowed, most * FEWEST)
             turn += few and share == 1.0
             if few or not halve:
@@ -284,9 +289,9 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
 
 @compiled()
 def _digit(turn, share):  # type: ignore[no-untyped-def]
-    """The next digit of a number to base 4: the one behind those that chose the quarters within quarters up to now.
+    """Which quarter (0–3) element number `turn` takes at this level: digit log₄(share) of `turn` in base 4.
 
-    share : 4 to the power of how many these are.
+    share : number of footprints that the present one stands for, 4 to the power of the levels taken so far.
     """
     while share > 1.0:
         turn >>= 2
@@ -296,12 +301,13 @@ def _digit(turn, share):  # type: ignore[no-untyped-def]
 
 @compiled(**STEP)
 def _view(scan, lit, p, q, k, share, row):  # type: ignore[no-untyped-def]
-    """Footprint q of row p, as an element of part k is seen from it that stands for `share` footprints alike."""
+    """The `View` from footprint q of row p to an element of part k, where the footprint stands for `share` alike."""
     patches, cutting = scan.patches, scan.cutting
     z, n, k3 = corner(patches.position, p, q), corner(patches.normal, p, q), patches.part[p, q]
     vertex = (z, n, corner(patches.to_sensor, p, q), scan.kind[k3], scan.values[k3])
     keen = max(cutting.sharp[lit.part], cutting.sharp[k], cutting.sharp[k3])
-    # What a lobe makes of an element for one footprint it makes for the next, unless chance does.
+    # With lobes, all footprints of a pixel err alike, so that each may make its part of the error only; errors of
+    # shadow rays to random points are independent, and grow as the root of their number.
     of_pixel = share * patches.share[q] if keen > 1.0 else 1.0
     may, alike = cutting.error[k] * math.sqrt(of_pixel), cutting.error[k] * of_pixel
     device = lit.leg + patches.leg[p, q] if scan.clock.device else 0.0
@@ -314,8 +320,8 @@ def _view(scan, lit, p, q, k, share, row):  # type: ignore[no-untyped-def]
 
 @compiled(**STEP)
 def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ignore[no-untyped-def]
-    """Photons that a box or element may bring at most to anything within an uneven footprint, −1 if none; whether it
-    is so large that it is halved before the footprint is quartered; and its longest side."""
+    """Upper bound of the photons from a box or element to any place within an uneven footprint, −1 if there are none;
+    whether it is so large that it is divided before the footprint is quartered; and which of its sides is longest."""
     tree, patches, size, side = scan.tree, scan.patches, scan.patches.size[p, q], 0
     if what == BOX:
         m, h = ball(tree.box, at)
@@ -396,16 +402,17 @@ def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type
 def _light_at_vertices(  # type: ignore[no-untyped-def]
     scan, lit, view, what, f, k, candidates, room, top, alight
 ):  # fmt: skip
-    """What becomes of a triangle, or of a part of one, before it is judged; its vertices' light is put into its row.
+    """DROPPED, CLEAR (put on the stack of clear elements) or SPREAD (to be judged), of the element at `top` on
+    triangle f.
 
-    alight : how many clear ones wait already.
+    A fresh element gets the weights at its vertices. alight : height of the stack of clear elements.
     """
     tree, cell, x, z, flat = scan.tree, room.cell, lit.x, view.z, scan.occluders.flat
     n, a, kind2, values2 = get(tree.normal, f, 0), vertex_of(cell, top, 0), scan.kind[k], scan.values[k]
     if highest_above(cell, top, x, lit.normal) <= 0.0 or highest_above(cell, top, z, view.normal) <= 0.0:
         return DROPPED
     rise1, rise3 = dot(less(x, a), n), dot(less(z, a), n)
-    # Seen from its edge it brings nothing.
+    # The laser point lies in the element's plane and does not light it.
     if abs(rise1) < flat:
         return DROPPED
     if what == FRESH:
@@ -424,7 +431,7 @@ def _light_at_vertices(  # type: ignore[no-untyped-def]
 
 @compiled(**STEP)
 def _as_element(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-def]
-    """The `Element` that waits in row `top`, which lies on triangle f."""
+    """The `Element` at `top` of the stack, which lies on triangle f."""
     n, a, (m, side, h) = get(scan.tree.normal, f, 0), vertex_of(cell, top, 0), middle_of(cell, top)
     w, r1, r3 = weight(
         m, n, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area, scan.clock.attenuation
@@ -435,12 +442,12 @@ def _as_element(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-de
 
 @compiled(**STEP)
 def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-def]
-    """What becomes of an element whatever hides it; the L2 error if its light should be missing, of which little
-    counts outside the window; and how far its arrival times are bent."""
+    """DROPPED, QUARTERED, CUT or SPREAD, as if nothing hid the element; the L2 error if all its light were missing,
+    photons; and the `bend` of its arrival times (`weights.verdict`)."""
     clock, kind2, values2, m, n = scan.clock, scan.kind[k], scan.values[k], element.m, element.n
     bright, size, h, rise3 = element.w, view.size, element.h, element.rise3
     if lit.vertex[3] != LAMBERTIAN or kind2 != LAMBERTIAN or view.vertex[3] != LAMBERTIAN:
-        # A lobe that no point of the element meets may cross it all the same: it is not dark for that.
+        # A lobe may cross the element between the points where its weight is known.
         bright = max(bright, weight_at_most(
             m, n, kind2, values2, lit.vertex, view.vertex, view.area, clock.attenuation, h, size, 0.0
         ))  # fmt: skip
@@ -452,8 +459,8 @@ def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-d
         (scan.cutting.coarsest, view.keen, view.alike), (clock.per_metre, clock.attenuation), unseen,
     )  # fmt: skip
     if element.rise1 * rise3 <= 0.0 or abs(rise3) < scan.occluders.flat:
-        # This side does not light the footprint's middle; it may light parts of it, as it does what lies so far
-        # above it.
+        # The lit side faces away from the footprint's middle. A large footprint may reach above the element's plane:
+        # the light that arrives `size` above the plane bounds what is lost if this is neglected.
         if not (view.quarters and abs(rise3) < size):
             return DROPPED, over, bend
         rise, z = math.copysign(size, element.rise1), view.z
@@ -472,21 +479,22 @@ def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-d
 
 @compiled(**STEP)
 def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top):  # type: ignore[no-untyped-def]
-    """What becomes of an element by what rays find of it, and how many were asked; at_stake : the L2 error if its
-    light should be missing."""
+    """DROPPED, CUT or SPREAD by what shadow rays find of an element, and the number of rays.
+
+    becomes : the verdict as if nothing hid it, CUT or SPREAD. at_stake : L2 error if all its light were missing.
+    """
     first, _, last = candidates
-    if first == last:
+    # Rays to the halves tell more than rays to an element that is halved anyway.
+    if first == last or becomes == CUT:
         return becomes, 0
     tree, cell = scan.tree, room.cell
-    if becomes == CUT:
-        return CUT, 0
     mesh = tree.span[tree.roots[k], 1] - tree.span[tree.roots[k], 0] > MESH
-    # One ray tells enough of what is partly seen, if that makes no larger error than it may.
+    # One ray to a random point is right on average; it is enough where its error is small.
     count = 1 if (PARTLY[1] if mesh else PARTLY[0]) * at_stake <= view.may else 3
     seen, rays = _points_seen(scan, lit, view, element, count, candidates, room, top)
     if count == 1:
         return SPREAD if seen > 0 else DROPPED, rays
-    # What three rays do not find may still be there: it is cut a little less eagerly.
+    # Some of the element may be seen although three rays found nothing: it is halved if that might be too much.
     cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > view.may)
     if seen == 0 and not cut:
         return DROPPED, rays
@@ -496,8 +504,8 @@ def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top)
 
 @compiled(**STEP)
 def _points_seen(scan, lit, view, element, count, candidates, room, top):  # type: ignore[no-untyped-def]
-    """How many random points of an element, one or three, the laser point lights and the footprint sees, as soon as
-    some are and some are not; and how many rays were asked."""
+    """Number of random points of an element that the laser point lights and the footprint sees, out of `count` (1
+    or 3), counted until some are seen and some are not; and the number of points asked."""
     tree, x, z, m, cell = scan.tree, lit.x, view.z, element.m, room.cell
     seen, rays = 0, 0
     word_here = _word_at(view.word, less(m, x), tree.extent)
@@ -506,7 +514,7 @@ def _points_seen(scan, lit, view, element, count, candidates, room, top):  # typ
         if count == 1:
             y = somewhere(vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2), word)
         else:
-            # One in each of the triangles that the middle makes with the sides.
+            # One point in each of the three triangles between the middle and a side, so that they lie apart.
             y = somewhere(m, vertex_of(cell, top, j), vertex_of(cell, top, (j + 1) % 3), word)
         seen += _seen(y, x, z, element.f, candidates, scan.occluders.row, room.listed)
         if 0 < seen <= j:
@@ -516,11 +524,11 @@ def _points_seen(scan, lit, view, element, count, candidates, room, top):  # typ
 
 @compiled()
 def _word_at(word, y, extent):  # type: ignore[no-untyped-def]
-    """The word of a place y beside the laser point: neither where the scene lies nor in which order its triangles are
-    changes it."""
+    """A random word of the place y, a vector from the laser point, metres: it depends neither on where the scene lies
+    nor on the order of its triangles."""
     per = PLACES / extent
     for j in range(3):
-        # Off the middle, as what lies level with the laser point would else be rounded to either side.
+        # Without an offset, places level with the laser point would be rounded up or down by chance.
         word = mix(word, np.uint64(np.int64(math.floor(y[j] * per + 0.382))))
     return word
 
@@ -536,10 +544,12 @@ def _seen(y, x, z, f, candidates, hides, listed):  # type: ignore[no-untyped-def
 
 @compiled(**STEP)
 def _narrow(scan, lit, view, element, candidates, room, top):  # type: ignore[no-untyped-def]
-    """The candidates that may hide some of a triangle that is cut: rays find their way through what may hide the one
-    it is cut from, and it pays to narrow that down for its halves, of which many are then clear."""
+    """Lists of those candidates that may hide some of the element at `top`, for its halves.
+
+    Many halves then have empty lists and need no rays.
+    """
     (first, middle, last), listed, cell, f = candidates, room.listed, room.cell, element.f
-    # Room is left for a ring on either leg.
+    # `narrowed` needs room for a ring of boxes on each leg.
     if not (scan.cutting.proofs and first < last < len(listed) - 4 * RING):
         return candidates
     a, b, c = vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2)
@@ -550,11 +560,12 @@ def _narrow(scan, lit, view, element, candidates, room, top):  # type: ignore[no
 
 @compiled(**STEP)
 def _quarter(scan, room, top, what, at, q, candidates, only):  # type: ignore[no-untyped-def]
-    """Look again from each quarter of a footprint, or from one alone in the place of all; returns how many wait."""
+    """Put the box or element at `top` on the stack once for each quarter of footprint q, or only for quarter
+    `only` ≥ 0, which stands for all; returns the new height of the stack."""
     tag, cell, listed, quarters = room.tag, room.cell, room.listed, scan.patches.quarters
     first, middle, last = candidates
-    # Another point of the wall, before which other things may stand; what may hide the element from the laser point
-    # is what it was.
+    # Seen from another point of the wall, other things may hide the element: the list for that leg starts anew. The
+    # list for the laser point stays.
     for j in range(middle - first):
         listed[last + j] = listed[first + j]
     first, middle = last, last + middle - first
@@ -574,7 +585,7 @@ def _quarter(scan, room, top, what, at, q, candidates, only):  # type: ignore[no
 
 @compiled(**STEP)
 def _open(scan, room, top, at, q, candidates):  # type: ignore[no-untyped-def]
-    """Look at the two boxes within one, or at its triangles; returns how many wait."""
+    """Put the two boxes within box `at`, or its triangles, on the stack; returns the new height."""
     tree, tag, cell = scan.tree, room.tag, room.cell
     start, end = tree.span[at, 0], tree.span[at, 1]
     if end - start > CLUSTER:
@@ -590,7 +601,7 @@ def _open(scan, room, top, at, q, candidates):  # type: ignore[no-untyped-def]
 
 @compiled(**STEP)
 def _spread(scan, view, element, bend, cell, top, histogram, into):  # type: ignore[no-untyped-def]
-    """Add the light of an element to a histogram; returns what is outside the window, photons."""
+    """Add the light of the element at `top` to a histogram; returns the photons outside the window of time."""
     per_metre, wa, wb, wc = scan.clock.per_metre, cell[top, 3], cell[top, 8], cell[top, 13]
     energy = view.gain * cell[top, 15] * (0.75 * element.w + 0.25 * (wa + wb + wc) / 3)
     zero = (view.device - 0.75 * bend) * per_metre - scan.clock.start
@@ -598,7 +609,7 @@ def _spread(scan, view, element, bend, cell, top, histogram, into):  # type: ign
         cell[top, 4] * per_metre + zero, cell[top, 9] * per_metre + zero, cell[top, 14] * per_metre + zero
     )  # fmt: skip
     if view.size * per_metre > AT_ONCE:
-        # The footprint is reached at more than one time.
+        # Light reaches the footprint over a range of times.
         path, across = less(element.m, view.z), scan.patches.across
         variance = smear(path, view.vertex[2], scan.clock.device, across, view.p, view.q) * per_metre * per_metre
         at_a, at_b, at_c = widened(at_a, at_b, at_c, variance)
