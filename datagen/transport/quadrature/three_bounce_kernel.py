@@ -221,9 +221,9 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
             continue
         share = cell[top, 16]
         if uneven:
-            # An edge runs through the footprint: its middle does not represent it, so no element is judged from
-            there. at_most, halve, side = _brightest(scan, lit, p, q, what, at, cell, top, k, strongest) if what ==
-            BOX and q == 0 and at == root:
+            # An edge runs through the footprint: its middle does not represent it, and no element is judged from there.
+            at_most, halve, side = _brightest(scan, lit, p, q, what, at, cell, top, k, strongest)
+            if what == BOX and q == 0 and at == root:
                 most = at_most
             if at_most < 0.0:
                 continue
