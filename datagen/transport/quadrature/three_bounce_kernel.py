@@ -221,7 +221,7 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
             continue
         share = cell[top, 16]
         if uneven:
-            # An edge runs through the footprint: its middle does not represent it, and no element is judged from there.
+            # An edge runs through the footprint: its middle does not represent it, no element is judged there.
             at_most, halve, side = _brightest(scan, lit, p, q, what, at, cell, top, k, strongest)
             if what == BOX and q == 0 and at == root:
                 most = at_most
