@@ -31,6 +31,7 @@ from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface
 from datagen.labels.solids import LARGEST_HOLE_SHARE, open_share
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, TimeAxis, Transient
+from datagen.records.arrays import Floats
 from datagen.records.sample import SCAN_PLACE
 from datagen.scene import check_scene_config, meshes_named
 from datagen.seeding import Purpose, derived_seed
@@ -55,7 +56,7 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
 
 
 def sample_of(
-    config: DatasetConfig, index: int, scene: Scene, capture: Capture, given: NDArray[np.float64] | None = None, *,
+    config: DatasetConfig, index: int, scene: Scene, capture: Capture, given: Floats | None = None, *,
     seconds: dict[str, float] | None = None, planned: TransportConfig | None = None,
 ) -> Sample:  # fmt: skip
     """Sample `index` of a scene and a capture, wherever these come from: light, counts, labels.
@@ -132,7 +133,7 @@ def sample_of(
 
 
 def detector_effects(
-    config: DatasetConfig, total: NDArray[np.float64], time: TimeAxis, spad: Spad, exposure: Exposure
+    config: DatasetConfig, total: Floats, time: TimeAxis, spad: Spad, exposure: Exposure
 ) -> EffectDecisions:
     """The detector's effects that a transient calls for, each with its estimate."""
     return decide_detector_effects(total, time, spad, exposure, config.effects, config.detector.tolerance)
@@ -201,7 +202,7 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start
 
 
-def _geometry(scene: Scene, capture: Capture, transient: Transient) -> dict[str, NDArray[np.float64]]:
+def _geometry(scene: Scene, capture: Capture, transient: Transient) -> dict[str, Floats]:
     bounds = scene.hidden_bounds
     return {
         "laser_points": transient.laser_points,
@@ -214,7 +215,7 @@ def _geometry(scene: Scene, capture: Capture, transient: Transient) -> dict[str,
     }
 
 
-def _vectors(rectangle: Rectangle | None) -> NDArray[np.float64]:
+def _vectors(rectangle: Rectangle | None) -> Floats:
     """(3, 3) rows center, right, up; NaN without a rectangle."""
     if rectangle is None:
         return np.full((3, 3), np.nan)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
@@ -17,6 +16,7 @@ from datagen.errors import InputError
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, ObjectBoxes, make_labels
 from datagen.labels.boxes import classes_in
 from datagen.records import Scene
+from datagen.records.arrays import Floats
 from datagen.report.cutaway import room_faces
 from datagen.report.label_plots import draw_boxes, draw_label
 from datagen.report.room_plots import RoomPicture, draw_opened, draw_plan
@@ -154,7 +154,7 @@ def mark_sight(axes: Axes, scene: Scene) -> None:
     axes.add_collection(PolyCollection(list(fan), **style), autolim=False)  # type: ignore[arg-type]
 
 
-def _plan_walls(scene: Scene, below_m: float) -> NDArray[np.float64]:
+def _plan_walls(scene: Scene, below_m: float) -> Floats:
     """(n, 2, 2) walls and relay wall in plan, lintels left out: the long side of every upright triangle."""
     relay = np.array([name == "relay_wall" for name in scene.part_names])[scene.face_part]
     faces = scene.corners[np.union1d(room_faces(scene)[0], np.flatnonzero(relay))]
@@ -164,7 +164,7 @@ def _plan_walls(scene: Scene, below_m: float) -> NDArray[np.float64]:
     return np.unique(sides[np.arange(len(sides)), longest], axis=0)
 
 
-def _frame(axes: Axes) -> NDArray[np.float64]:
+def _frame(axes: Axes) -> Floats:
     """(4, 2, 2) the border of the picture: in the open, what the device sees ends there."""
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])

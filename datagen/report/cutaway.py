@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from datagen.labels.raster import first_hits, hidden_pixels
 from datagen.records import Scene
+from datagen.records.arrays import Bools, Floats, Ints
 
 Extent = tuple[float, float, float, float]
 """Left, right, bottom, top of a picture, metres."""
 
-Shaded = tuple[NDArray[np.float64], Extent]
+Shaded = tuple[Floats, Extent]
 """A picture (rows, columns, 4), RGBA in 0 … 1, and its extent."""
 
 _SURVEY_PIXELS = 220
@@ -24,7 +25,7 @@ _HORIZONTAL = 0.7
 class Camera:
     """Parallel projection. `axes` (3, 3): unit vectors right, up, and into the scene, as rows."""
 
-    axes: NDArray[np.float64]
+    axes: Floats
 
     @classmethod
     def looking(cls, azimuth_deg: float, elevation_deg: float) -> Camera:
@@ -39,7 +40,7 @@ class Camera:
         """The camera of a plan: x to the right, y up."""
         return cls(np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, -1]]))
 
-    def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def project(self, points: Floats) -> Floats:
         """(..., 3) world → (..., 3): metres right, up and into the picture."""
         return points @ self.axes.T
 
@@ -52,11 +53,11 @@ class Cutaway:
     outlines : (E, 2, 3) edges of walls that were taken away.
     """
 
-    faces: NDArray[np.int64]
-    outlines: NDArray[np.float64]
+    faces: Ints
+    outlines: Floats
 
 
-def normals_of(scene: Scene) -> NDArray[np.float64]:
+def normals_of(scene: Scene) -> Floats:
     """(F, 3) unit normals of all triangles (0 for one without area)."""
     corners = scene.corners
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -64,7 +65,7 @@ def normals_of(scene: Scene) -> NDArray[np.float64]:
     return normal / np.where(length > 0, length, 1.0)
 
 
-def room_faces(scene: Scene) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def room_faces(scene: Scene) -> tuple[Ints, Ints, Ints]:
     """Triangles of the structure as (walls, floor, ceiling): upright, and lying in the lower or upper half."""
     structure = np.array([role == "structure" for role in scene.roles])[scene.face_part]
     lying = structure & (abs(normals_of(scene)[:, 2]) > _HORIZONTAL)
@@ -93,7 +94,7 @@ def cut_open(scene: Scene, camera: Camera) -> Cutaway:
     )
 
 
-def flat_groups(scene: Scene, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[NDArray[np.float64]]]:
+def flat_groups(scene: Scene, faces: Ints) -> tuple[Ints, list[Floats]]:
     """Groups of triangles that touch in one plane: number of each face's group, and the border (E, 2, 3) of each."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -121,13 +122,11 @@ def flat_groups(scene: Scene, faces: NDArray[np.int64]) -> tuple[NDArray[np.int6
     return group, border
 
 
-def _numbered(rows: NDArray[np.generic]) -> NDArray[np.int64]:
+def _numbered(rows: NDArray[np.generic]) -> Ints:
     return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1].ravel(), np.int64)
 
 
-def to_pixels(
-    scene: Scene, camera: Camera, faces: NDArray[np.int64], pixels: int
-) -> tuple[NDArray[np.float64], int, int, Extent]:
+def to_pixels(scene: Scene, camera: Camera, faces: Ints, pixels: int) -> tuple[Floats, int, int, Extent]:
     """Triangles in pixels, picture size, extent (left, right, bottom, top) in metres; longer side about `pixels`."""
     in_view = camera.project(scene.vertices)[scene.triangles[faces]]
     low, high = in_view[..., :2].min(axis=(0, 1)), in_view[..., :2].max(axis=(0, 1))
@@ -142,7 +141,7 @@ def to_pixels(
     return np.stack([column, row, in_view[..., 2]], axis=-1), rows, columns, extent
 
 
-def shaded(scene: Scene, camera: Camera, faces: NDArray[np.int64], colors: dict[str, str], pixels: int) -> Shaded:
+def shaded(scene: Scene, camera: Camera, faces: Ints, colors: dict[str, str], pixels: int) -> Shaded:
     """A picture of the faces in their parts' colours.
 
     Returns (rows, columns, 4) RGBA in 0 … 1, clear where there is nothing, and its extent in metres of the camera.
@@ -165,9 +164,7 @@ def shaded(scene: Scene, camera: Camera, faces: NDArray[np.int64], colors: dict[
     return np.clip(small, 0, 1), extent
 
 
-def _edges(
-    hit: NDArray[np.int64], part: NDArray[np.int32], normal: NDArray[np.float64], depth: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _edges(hit: Ints, part: NDArray[np.int32], normal: Floats, depth: Floats) -> Bools:
     """Pixels beside an outline: another part, a sharp crease, or the border of what there is."""
     edge = np.zeros(hit.shape, np.bool_)
     part = np.where(hit < 0, -1, part)

@@ -11,9 +11,9 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.records import Scalar, Scene, TimeAxis
+from datagen.records.arrays import Floats
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.style import EXPECTED, INK, captioned, empty_note, part_colors
 from datagen.report.time_plots import busy_window, time_label
@@ -158,7 +158,7 @@ def kinds_report(scenes: Sequence[Mapping[str, Scalar]]) -> str:
     return "".join(f"<p>{escape(lines[kind])}</p>{_strip(np.array(of))}" for kind, of in values.items())
 
 
-def _strip(values: NDArray[np.float64]) -> str:
+def _strip(values: Floats) -> str:
     """A histogram over a logarithmic axis from 0.01 to 1000, its bars under `LEAST` in red."""
     counts, _ = np.histogram(np.clip(values, _EDGES[0], _EDGES[-1] * (1 - 1e-9)), _EDGES)
     width, high = 100 / len(counts), max(int(counts.max()), 1)

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.labels import ViewFrame
 from datagen.labels.boxes import classes_in
 from datagen.records import Scene
+from datagen.records.arrays import Floats
 from datagen.report import scan_plots as scans
 from datagen.report.evidence_pictures import stated_significance
 from datagen.report.replay import Replay, StoredScene
@@ -134,7 +134,7 @@ def _scan(again: Replay) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _layers(again: Replay, total: NDArray[np.float64]) -> Mapping[str, NDArray[np.float64]]:
+def _layers(again: Replay, total: Floats) -> Mapping[str, Floats]:
     """Name → (laser, pixel, bin): all light, the light of each of the first five objects, and the rest."""
     chosen = {name: again.transient.parts[name] for name in again.scene.objects if name in again.transient.parts}
     chosen = dict(itertools.islice(chosen.items(), 5))
@@ -144,12 +144,12 @@ def _layers(again: Replay, total: NDArray[np.float64]) -> Mapping[str, NDArray[n
     return {"all light": total, **chosen, "the rest": rest}
 
 
-def _summed(values: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+def _summed(values: Floats, step: int) -> Floats:
     short = -values.shape[-1] % step
     padded = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, short)])
     return np.asarray(padded.reshape(*padded.shape[:-1], -1, step).sum(axis=-1))
 
 
-def _bytes(values: NDArray[np.float64]) -> str:
+def _bytes(values: Floats) -> str:
     """Values in 0 … 1 as one byte each, in base64."""
     return base64.b64encode(np.clip(np.rint(255 * values), 0, 255).astype(np.uint8).tobytes()).decode()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS
 from datagen.labels.frame import scan_place
 from datagen.records import Scene
+from datagen.records.arrays import Floats
 from datagen.report import scan_plots as scans
 from datagen.report import time_plots as times
 from datagen.report.label_plots import draw_label, labels_figure
@@ -198,7 +199,7 @@ def labels_of(stored: StoredScene) -> list[str]:
     return [name for name in names if name in stored.arrays or name == "depth"]
 
 
-def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, NDArray[np.float64]]]:
+def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, Floats]]:
     """(part, (bin,) curve) in stacking order, of one channel or summed over all; parts without light left out."""
     parts = again.transient.parts or {UNDIVIDED: again.transient.total}
     pick = {name: values.sum(axis=(0, 1)) if channel is None else values[channel] for name, values in parts.items()}
@@ -219,7 +220,7 @@ def _way(again: Replay) -> str:
     return f"Light goes from the laser {lit}, around the corner to the objects, back and into the sensor{looks}."
 
 
-def _objects(again: Replay) -> NDArray[np.float64]:
+def _objects(again: Replay) -> Floats:
     """(laser, pixel, bin) light that objects scattered."""
     total = np.zeros(again.capture.shape)
     for name in again.scene.objects:

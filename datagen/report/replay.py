@@ -20,6 +20,7 @@ from datagen.evidence.own import significance_in_time
 from datagen.labels import ViewFrame
 from datagen.pipeline import detector_effects
 from datagen.records import Capture, Scalar, Scene, TimeAxis, Transient
+from datagen.records.arrays import Floats
 from datagen.seeding import Purpose, derived_seed
 from datagen.store import Manifest
 from datagen.store.scenes import Scenes
@@ -68,12 +69,12 @@ class Replay:
     capture: Capture
     transient: Transient
     counts: NDArray[Any]
-    expected: NDArray[np.float64]
+    expected: Floats
     difference: float | None
     moved_m: float = 0.0
     mean_is_exact: bool = True
     is_poisson: bool = True
-    own: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    own: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def frame(self) -> ViewFrame | None:
@@ -137,9 +138,7 @@ def replay(stored: StoredScene) -> Replay:
     return Replay(scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact, is_poisson, own)
 
 
-def _mean(
-    total: NDArray[np.float64], time: TimeAxis, spad: Spad, exposure: Exposure
-) -> tuple[NDArray[np.float64], bool]:
+def _mean(total: Floats, time: TimeAxis, spad: Spad, exposure: Exposure) -> tuple[Floats, bool]:
     """Expected counts, and whether exactly so: the approximate mean where the detector has no exact one."""
     try:
         return expected_histogram(total, time, spad, exposure), True
@@ -147,7 +146,7 @@ def _mean(
         return expected_histogram(total, time, spad, exposure, approximate=True), False
 
 
-def _difference(stored: StoredScene, total: NDArray[np.float64]) -> float | None:
+def _difference(stored: StoredScene, total: Floats) -> float | None:
     kept = stored.arrays.get("transient")
     if kept is None:
         return None
@@ -155,7 +154,7 @@ def _difference(stored: StoredScene, total: NDArray[np.float64]) -> float | None
     return float(np.linalg.norm(total - kept)) / norm if norm > 0 else float(np.linalg.norm(total) > 0)
 
 
-def _moved_m(stored: StoredScene, points: NDArray[np.float64]) -> float:
+def _moved_m(stored: StoredScene, points: Floats) -> float:
     kept = stored.arrays.get("laser_points")
     if kept is None:
         return 0.0

@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.labels import ObjectBoxes, ViewFrame
 from datagen.labels.raster import first_hits
 from datagen.records import Capture, Scene
+from datagen.records.arrays import Floats, Ints
 from datagen.report import cutaway
 from datagen.report.cutaway import Camera, Cutaway, Extent, Shaded, room_faces, shaded
 from datagen.report.style import FIELD_OF_VIEW, INK, LASER, part_colors
@@ -39,7 +39,7 @@ class RoomPicture:
 
     scene: Scene
     capture: Capture | None = None
-    laser_points: NDArray[np.float64] | None = None
+    laser_points: Floats | None = None
     pixels: int = 560
     boxes: ObjectBoxes | None = None
     colors: dict[str, str] | None = None
@@ -59,7 +59,7 @@ class RoomPicture:
         return shaded(self.scene, Camera.from_above(), faces, part_colors(self.scene), self.pixels)
 
     @property
-    def devices(self) -> dict[str, NDArray[np.float64]]:
+    def devices(self) -> dict[str, Floats]:
         """Label → position of laser and sensor, one entry where they stand together."""
         if self.capture is None:
             here = self.scene.device_position
@@ -126,7 +126,7 @@ def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
     return best
 
 
-def _seen_share(scene: Scene, camera: Camera, cut: Cutaway, wanted: NDArray[np.int64]) -> float:
+def _seen_share(scene: Scene, camera: Camera, cut: Cutaway, wanted: Ints) -> float:
     """Sum over the wanted parts of the share of their outline that is not hidden."""
     triangles, rows, columns, _ = cutaway.to_pixels(scene, camera, cut.faces, 200)
     part = scene.face_part[cut.faces]
@@ -173,7 +173,7 @@ def _show(axes: Axes, picture: Shaded) -> None:
     axes.imshow(picture[0], extent=picture[1], interpolation="bilinear", zorder=2)
 
 
-def _lines(axes: Axes, segments: NDArray[np.float64], **style: object) -> None:
+def _lines(axes: Axes, segments: Floats, **style: object) -> None:
     from matplotlib.collections import LineCollection
 
     if len(segments):
@@ -234,7 +234,7 @@ def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera) -> None:
         axes.scatter(here[0], here[1], s=55, marker=_marker(label), **mark)
 
 
-def _dots(axes: Axes, points: NDArray[np.float64], extent: float) -> None:
+def _dots(axes: Axes, points: Floats, extent: float) -> None:
     """Dots that grow with the picture, and leave gaps where points are dense."""
     from matplotlib.collections import EllipseCollection
     from scipy.spatial import KDTree
@@ -249,7 +249,7 @@ def _dots(axes: Axes, points: NDArray[np.float64], extent: float) -> None:
     axes.add_collection(EllipseCollection(size, size, np.zeros(len(places)), **at, **style), autolim=True)  # type: ignore[arg-type]
 
 
-def _mark_axes(axes: Axes, camera: Camera, scene: Scene, picture: NDArray[np.float64], extent: Extent) -> None:
+def _mark_axes(axes: Axes, camera: Camera, scene: Scene, picture: Floats, extent: Extent) -> None:
     """The directions x, y, z, 1 m long (or the power of ten that suits the scene), in the emptier lower corner."""
     size = float(np.ptp(scene.vertices, axis=0).max())
     length = 10.0 ** np.floor(np.log10(max(size, 1e-9) / 3))

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config import DatasetConfig
 from datagen.config.scene_layouts import ImportedCaptures, NoLayout
@@ -119,9 +118,7 @@ def _unit(stored: StoredScene, name: str) -> str:
     return "signal per bin" if imported else "photons per emitted photon and bin"
 
 
-def _draw_curves(
-    axes: Axes, values: NDArray[np.float64], channel: tuple[int, int], stored: StoredScene, unit: str
-) -> None:
+def _draw_curves(axes: Axes, values: Floats, channel: tuple[int, int], stored: StoredScene, unit: str) -> None:
     time = stored.config.capture.time.axis()
     whole, one = values.sum(axis=(0, 1)), values[channel]
     axes.set(xlabel=time_label(time), ylabel=unit, title="Over time")
@@ -139,7 +136,7 @@ def _draw_curves(
 
 
 def _draw_places(
-    axes: Axes, capture: Capture, raster: scans.Raster | None, total: NDArray[np.float64], frame: ViewFrame | None
+    axes: Axes, capture: Capture, raster: scans.Raster | None, total: Floats, frame: ViewFrame | None
 ) -> None:
     """The sum over time as a picture of the wall, or as points on it where they make no grid."""
     axes.set_title("Sum over time, on the relay wall")
@@ -150,7 +147,7 @@ def _draw_places(
     scans.draw_places(axes, points, frame, values=total.ravel() if total.size == len(points) else None)
 
 
-def _listed(values: NDArray[np.float64]) -> tuple[str, NDArray[np.float64]]:
+def _listed(values: Floats) -> tuple[str, Floats]:
     """Name of the channels of a scan without a grid, "laser point" or "pixel", and their (1, N, bin) histograms."""
     if len(values) > 1 or values.shape[1] == 1:
         return "laser point", values.sum(axis=1)[None]

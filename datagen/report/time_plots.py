@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Scene, TimeAxis, Transient
+from datagen.records.arrays import Floats
 from datagen.report.style import EXPECTED, INK, empty_note, part_colors
 from datagen.units import path_from_time
 
@@ -38,7 +39,7 @@ def clear_channel(scene: Scene, transient: Transient) -> tuple[int, int]:
     return int(laser), int(pixel)
 
 
-def busy_window(curves: NDArray[np.float64], axis: TimeAxis, share: float = 0.9995) -> tuple[float, float]:
+def busy_window(curves: Floats, axis: TimeAxis, share: float = 0.9995) -> tuple[float, float]:
     """Nanoseconds from a little before the first light to a little after `share` of all has come."""
     total = np.atleast_2d(curves).sum(axis=0)
     reached = np.cumsum(total)
@@ -52,7 +53,7 @@ def busy_window(curves: NDArray[np.float64], axis: TimeAxis, share: float = 0.99
     return float(edges[low]), float(edges[high])
 
 
-def draw_stack(axes: Axes, scene: Scene, parts: Sequence[tuple[str, NDArray[np.float64]]], time: TimeAxis) -> None:
+def draw_stack(axes: Axes, scene: Scene, parts: Sequence[tuple[str, Floats]], time: TimeAxis) -> None:
     """Stack (part name, (bin,) curve) pairs, objects lowest, on a logarithmic axis."""
     # What is no part is light that is not split.
     colors = defaultdict(lambda: "#8FA3B5", part_colors(scene))
@@ -89,7 +90,7 @@ def stacking_order(scene: Scene) -> list[str]:
 
 
 def draw_counts(
-    axes: Axes, counts: NDArray[Any], expected: NDArray[np.float64], time: TimeAxis, *, mean: str = "exact mean"
+    axes: Axes, counts: NDArray[Any], expected: Floats, time: TimeAxis, *, mean: str = "exact mean"
 ) -> None:
     """(bin,) counts as bars, (bin,) expectation as a line; logarithmic when the peak is 30 times the median bin.
 
@@ -113,7 +114,7 @@ def draw_counts(
 
 
 def draw_residuals(
-    axes: Axes, counts: NDArray[Any], expected: NDArray[np.float64], time: TimeAxis, *, is_poisson: bool = True
+    axes: Axes, counts: NDArray[Any], expected: Floats, time: TimeAxis, *, is_poisson: bool = True
 ) -> None:
     """Residuals in units of the Poisson spread; for Poisson counts the band that holds 95 % of them where many."""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -128,7 +129,7 @@ def draw_residuals(
     axes.set(xlabel=time_label(time), ylabel="(counts − expectation)\n/ √expectation", ylim=(-reach, reach))
 
 
-def mean_square_residual(counts: NDArray[Any], expected: NDArray[np.float64]) -> tuple[float, float, int] | None:
+def mean_square_residual(counts: NDArray[Any], expected: Floats) -> tuple[float, float, int] | None:
     """Mean of (n − μ)²/μ over all bins with μ > 0, its standard error for Poisson counts, and how many bins.
 
     For Poisson counts (n − μ)²/μ has mean 1 and variance 2 + 1/μ. None when nothing is expected.
