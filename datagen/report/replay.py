@@ -1,4 +1,4 @@
-"""A stored scene, and the same scene simulated again for what was not stored: its geometry, the split by part."""
+"""A stored scene, and the same scene simulated again for what is not stored: its geometry and the light by part."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ SAME_PLACE_M = 1e-6
 class StoredScene:
     """What a dataset holds of one scene.
 
-    arrays : field → values of the scene. parameters : what was drawn for it. classes : what the numbers of
-    `object_class` stand for. meshes : whether the mesh files it was made with are there.
+    arrays : field → values. parameters : drawn numbers and others, by name. classes : names of the numbers in
+    `object_class`. meshes : whether the mesh files of its objects are still there.
     """
 
     config: DatasetConfig
@@ -48,7 +48,7 @@ class StoredScene:
 
     @property
     def title(self) -> str:
-        """The heading of its pictures: dataset and scene."""
+        """Heading of its pictures: dataset and scene."""
         return f"{self.config.name}, scene {self.index}"
 
 
@@ -61,8 +61,8 @@ class Replay:
     mean_is_exact : whether that mean is exact, or the detector's approximate one.
     is_poisson : whether all counts are independent Poisson numbers of that mean.
     difference : relative L2 distance of the new transient from the stored one; None where none is stored.
-    moved_m : how far the farthest laser point now lies from where it is stored, metres.
-    own : object → (bin,) its own light over the noise, √Σ s²/b over the scan; none where light is not split by part.
+    moved_m : largest distance of a laser point from its stored place, metres.
+    own : object → (bin,) its own light over the noise, √Σ s²/b over the scan; empty where light is not split by part.
     """
 
     scene: Scene
@@ -78,12 +78,12 @@ class Replay:
 
     @property
     def frame(self) -> ViewFrame | None:
-        """The frame of the label images, in which pictures give places on the wall, too."""
+        """The frame of the label images, in which pictures show places on the wall, too."""
         return None if self.scene.hidden_view is None else ViewFrame.of(self.scene)
 
     @property
     def reproduced(self) -> bool:
-        """Whether the simulated scene agrees with all that is stored of it."""
+        """Whether the simulation agrees with everything that is stored."""
         return self.moved_m <= SAME_PLACE_M and (self.difference is None or self.difference <= REPRODUCED)
 
 
@@ -109,7 +109,7 @@ def config_of(manifest: Manifest) -> tuple[DatasetConfig, bool]:
     try:
         return manifest.parsed_config(), True
     except InputError:
-        # Either a mesh file is gone, or this fails in the same way.
+        # Without a look at mesh files; where those were not the cause, this raises the same error.
         return manifest.parsed_config(meshes=False), False
 
 
@@ -139,7 +139,7 @@ def replay(stored: StoredScene) -> Replay:
 
 
 def _mean(total: Floats, time: TimeAxis, spad: Spad, exposure: Exposure) -> tuple[Floats, bool]:
-    """Expected counts, and whether exactly so: the approximate mean where the detector has no exact one."""
+    """Expected counts, and whether they are exact: the approximate mean where the detector has no exact one."""
     try:
         return expected_histogram(total, time, spad, exposure), True
     except InputError:

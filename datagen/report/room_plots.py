@@ -29,10 +29,10 @@ HIDDEN_VIEW = "#117733"
 
 @dataclass(frozen=True)
 class RoomPicture:
-    """What the pictures of a room show besides the room.
+    """A room, and what its pictures show besides it.
 
     laser_points : (L, 3) where the laser rays met the scene; NaN where they met nothing.
-    pixels : about how wide the shaded pictures are.
+    pixels : about the width of the shaded pictures.
     boxes : of the objects, outlined in the plan.
     colors : of all parts; left out: those of `part_colors`.
     """
@@ -81,7 +81,7 @@ def draw_plan(axes: Axes, room: RoomPicture) -> None:
     if "relay_wall" in scene.roles:
         name = scene.part_names[scene.roles.index("relay_wall")]
         edges = scene.corners[scene.faces_of(name)][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
-        # A flat wall is a broad line; the profile of an uneven one needs a fine pen.
+        # A flat wall is a broad line; a broad line would hide the profile of an uneven one.
         width = 4.5 if len(edges) < 60 else 0.8
         _lines(axes, edges[..., :2], color=part_colors(scene)[name], linewidth=width, zorder=4)
     _mark_hidden_view(axes, scene, camera)
@@ -110,7 +110,7 @@ def draw_opened(axes: Axes, room: RoomPicture, arrows: bool = True) -> None:
 
 
 def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
-    """Camera and cut-open room: of a few directions before the relay wall, the one that shows most of the objects and
+    """Camera and opened room: from the direction, of a few before the relay wall, that shows most of the objects and
     of that wall."""
     normal = np.array([-1.0, 0.0, 0.0]) if scene.relay_wall is None else scene.relay_wall.normal
     front = float(np.degrees(np.arctan2(normal[1], normal[0])))

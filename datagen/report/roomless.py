@@ -1,6 +1,6 @@
 """The pictures of a scene whose room cannot be drawn: made in Python, captured elsewhere, or without its mesh files.
 
-They show what is stored, and nothing else.
+They show stored values only.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def why_roomless(config: DatasetConfig, meshes: bool) -> str | None:
 def roomless_pages(stored: StoredScene) -> Iterator[tuple[str, Figure]]:
     """(name, figure) of each stored measurement, `histogram` and `transient`, and of the stored `labels`.
 
-    To be used within `house_style()`. Raises `InputError` where nothing of it is stored.
+    To be used within `house_style()`. Raises `InputError` where none of them is stored.
     """
     there = [name for name in QUANTITIES if name in stored.arrays]
     images = [name for name in (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS) if name in stored.arrays]
@@ -86,13 +86,13 @@ def _measured_page(stored: StoredScene, name: str) -> Figure:
         )
     heights = [4.4] if raster is None else [4.4, 3.4]
     figure, grid = captioned(15, heights, text, f"{stored.title}: {name}")
-    # Subfigures, so that one row's columns are not another's.
+    # Subfigures, so that the rows may have different columns.
     above = figure.add_subfigure(grid[0, 0])
     places, sliced, curves = (above.add_subplot(1, 3, k) for k in (1, 2, 3))
     unit = _unit(stored, name)
     counted, listed = _listed(values)
     scan = listed if raster is None else scans.scan_of(values, raster)
-    shown = raster or scans.numbered(scan.shape[1])
+    shown = raster or scans.numbered_raster(scan.shape[1])
     _draw_places(places, capture, raster, scan.sum(axis=-1), frame)
     row = scans.clear_row(scan)
     limits = busy_window(scan.reshape(-1, time.bins), time, 0.98)
@@ -160,13 +160,13 @@ def _rectangle(stored: StoredScene, name: str) -> Rectangle | None:
 
 
 def _frame(stored: StoredScene) -> ViewFrame | None:
-    """The frame in which pictures give places: that of the labels, or else of the relay wall."""
+    """The frame for places in pictures: that of the labels, or else of the relay wall; None without either."""
     found = _rectangle(stored, "hidden_view") or _rectangle(stored, "relay_wall")
     return None if found is None else ViewFrame.about(found)
 
 
 def _capture(stored: StoredScene) -> Capture:
-    """The stored capture; a device without a stored place, which no picture here shows, gets some place."""
+    """The stored capture. A device without a stored place gets an arbitrary one, which no picture here shows."""
     arrays, settings = stored.arrays, stored.config.capture
     lit, pixels = np.asarray(arrays["laser_points"], np.float64), np.asarray(arrays["sensor_pixels"], np.float64)
     middle = pixels.mean(axis=(0, 1))
@@ -181,7 +181,7 @@ def _capture(stored: StoredScene) -> Capture:
 
 
 def _as_labelled(stored: StoredScene) -> Scene:
-    """A scene that stands for the unknown one where labels are drawn: their window, and a pane in it for a part."""
+    """A stand-in for the unknown scene in pictures of labels: the window, and for each part a pane in it."""
     import trimesh
 
     view = _rectangle(stored, "hidden_view")

@@ -20,15 +20,16 @@ if TYPE_CHECKING:
 _COLORS = "magma"
 _DECADES = 3.5
 _NUMBERED = 40
-"""Up to so many laser points carry their number in the picture."""
+"""Largest number of laser points that are numbered in the picture. More numbers would cover one another."""
 
 
 @dataclass(frozen=True)
 class Raster:
     """Channels that lie on a grid on the wall.
 
-    channels : (row, column, 2) laser and pixel number of each. x_m, z_m : (column,) and (row,) metres right and up in
-    the frame of the labels; without one from the grid's middle. what : "laser points" or "pixels".
+    channels : (row, column, 2) laser and pixel number of each channel. x_m, z_m : (column,) and (row,) metres right
+    and up in the frame of the labels; without such a frame, from the grid's middle. what : "laser points" or
+    "pixels".
     """
 
     channels: Ints
@@ -38,10 +39,9 @@ class Raster:
 
 
 def raster_of(capture: Capture, channel: tuple[int, int], frame: ViewFrame | None = None) -> Raster | None:
-    """The grid that the scan's laser points make; else that of the pixels, for the laser point of `channel`.
+    """The grid of the scan's laser points; else that of the pixels, for the laser point of `channel`; else None.
 
-    A grid is recognised by its places: rows of equally many points at equal steps. None when there is none with at
-    least two points in a row.
+    A grid is recognised by its places: rows of equally many points, at least two, at equal steps.
     """
     lasers, pixels, _ = capture.shape
     for count, places, what in (
@@ -62,13 +62,13 @@ def raster_of(capture: Capture, channel: tuple[int, int], frame: ViewFrame | Non
     return None
 
 
-def numbered(count: int) -> Raster:
-    """One row of so many channels without a place, in the order of their numbers."""
+def numbered_raster(count: int) -> Raster:
+    """A row of `count` channels without known places, in the order of their numbers."""
     return Raster(np.zeros((1, count, 2), np.int64), np.arange(count, dtype=np.float64), np.zeros(1), "laser points")
 
 
 def _columns(places: Floats) -> int | None:
-    """Length of the rows of a regular grid listed row by row, or None."""
+    """Length of the rows of a regular grid that is listed row by row; None for other places."""
     steps = np.diff(places, axis=0)
     if (np.linalg.norm(steps, axis=1) == 0).any():
         return None
@@ -128,7 +128,7 @@ def draw_moment(axes: Axes, scan: Floats, bins: slice, raster: Raster) -> None:
 
 
 def moments(objects: Floats, count: int) -> list[slice]:
-    """Groups of bins in which the objects' light moves over the wall, early to late: equal shares of its energy."""
+    """Groups of bins, early to late, about the middles of `count` equal shares of the objects' light."""
     curve = objects.sum(axis=(0, 1))
     if not curve.any():
         return []
@@ -140,7 +140,7 @@ def moments(objects: Floats, count: int) -> list[slice]:
 
 
 def clear_row(objects: Floats) -> int:
-    """The row that gets the most of the objects' light."""
+    """The row with most of the objects' light."""
     return int(np.argmax(objects.sum(axis=(1, 2))))
 
 
@@ -164,8 +164,8 @@ def listed_page(
 ) -> Figure:  # fmt: skip
     """The laser points on the wall, and the transient of each in the scan's order.
 
-    whole, objects : (laser, pixel, bin) all light, and what objects scattered. note : ends the caption. frame : of
-    the labels, in which places are given; left out, the wall's.
+    whole, objects : (laser, pixel, bin) all light, and light that objects scattered. note : end of the caption.
+    frame : of the labels, for places; left out, that of the wall.
     """
     count = len(capture.laser.targets)
     text = (
@@ -177,7 +177,7 @@ def listed_page(
     places = figure.add_subplot(grid[0, 0])
     draw_places(places, capture.laser.targets, frame or ViewFrame.about(wall), wall)
     places.set_title("Laser points on the relay wall")
-    raster = numbered(count)
+    raster = numbered_raster(count)
     scans = [values.sum(axis=1)[None] for values in (whole, objects)]
     limits = time_limits(scans[0], scans[1], capture.time)
     for column, (what, scan) in enumerate(zip(("all light", "objects only"), scans, strict=True)):
@@ -191,8 +191,8 @@ def draw_places(
     axes: Axes, places: Floats, frame: ViewFrame | None, outline: Rectangle | None = None,
     values: Floats | None = None,
 ) -> None:  # fmt: skip
-    """Places on the wall, (n, 3), in the labels' frame or about their middle: in order and numbered where they are
-    few, or coloured by (n,) `values`; with the `outline` of what the device sees of the wall."""
+    """Draw places on the wall, (n, 3), in the frame of the labels or about their middle: coloured by (n,) `values`;
+    or, with the `outline` of the wall's visible part, joined in their order and numbered if they are few."""
 
     def on_wall(points: Floats) -> Floats:
         return (points - places.mean(axis=0) if frame is None else frame.to_view(points))[:, :2].T
