@@ -27,8 +27,8 @@ class Contender:
     """One way to compute a case.
 
     run : (samples, seed) → (row, pixel, bin): the total and, where the case wants objects and the contender knows
-        them, each object's own light. asks : whether the contender takes an error instead of a number of samples;
-        `samples` then is its reciprocal.
+        them, each object's own light. takes_error : whether the contender takes an error instead of a number of
+        samples; `samples` then is its reciprocal.
     """
 
     name: str
@@ -36,11 +36,11 @@ class Contender:
     run: Callable[[int, int], Floats]
     samples: tuple[int, ...]
     truth: Floats
-    asks: bool = False
+    takes_error: bool = False
 
-    def asked(self, samples: int) -> str:
+    def effort(self, samples: int) -> str:
         """The number of samples, or the error asked for, in words."""
-        return f"to {percent(1 / samples)}" if self.asks else f"{samples} {self.unit}"
+        return f"to {percent(1 / samples)}" if self.takes_error else f"{samples} {self.unit}"
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
     capture = others.point_capture(scan, points, device, points, axis, confocal=True)
     truth = quadrature(reference_knots, 0)
     contenders = [
-        Contender("ours, cells", "", to_target(scene, capture, 3), (10, 50, 100, 200), truth, asks=True),
+        Contender("ours, cells", "", to_target(scene, capture, 3), (10, 50, 100, 200), truth, takes_error=True),
         Contender("ours, walk", "lookins a point", by_walk(scene, capture, 3), (1 << 11, 1 << 13, 1 << 15), truth),
         Contender("plain quadrature (numba)", "knots a side", quadrature, (32, 64, 128, 192), truth),
     ]
@@ -130,7 +130,7 @@ def in_room(
     many traced paths. counts : as `COUNTS`. most : as for `Case`.
     """
     axis, sides = axis or path_axis(512, 0.03, 0.0), (points_a_side, points_a_side)
-    asked, walks, paths = counts
+    errors, walks, paths = counts
     points = grid_points(WALL, *sides)
     lit = points if lasers is None else lasers
     capture = others.point_capture(WALL, points, DEVICE, lit, axis, confocal=lasers is None)
@@ -142,7 +142,8 @@ def in_room(
         known = f"{reference} walks of ours, uncertain by {percent(uncertain)}"
     else:
         truth, known = cells(reference, 1000), f"cells to 1/{reference}"
-    contenders = [Contender("ours, by target" if by_walks else "ours, cells", "", cells, asked, truth, asks=True)]
+    name = "ours, by target" if by_walks else "ours, cells"
+    contenders = [Contender(name, "", cells, errors, truth, takes_error=True)]
     if walks:
         contenders.append(Contender("ours, walk", "lookins a laser point", walk, walks, truth))
     if missing_for_mitransient() is None:

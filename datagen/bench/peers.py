@@ -92,7 +92,7 @@ def seconds_at(rows: Sequence[tuple[float, float]], target: float) -> tuple[floa
 def seconds_to_target(contender: Contender, runs: Sequence[Run], target: float) -> tuple[float, bool]:
     """`seconds_at` of a contender in one turn; one that takes an error is judged by its run to the target."""
     rows = [(run.seconds, run.error) for run in runs]
-    if contender.asks:
+    if contender.takes_error:
         rows = [row for row, one_in in zip(rows, contender.samples, strict=True) if one_in * target >= 1] or rows
     return seconds_at(rows, target)
 
@@ -120,7 +120,7 @@ def report(case: Case, turns: Sequence[Turn]) -> str:
                 percent(statistics.median(run.errors[name] for run in runs)) if name in runs[0].errors else "–"
                 for name in names
             ]
-            cells.append([contender.name, contender.asked(samples), f"{lines[contender.name][k][0]:.3f}", *errors])
+            cells.append([contender.name, contender.effort(samples), f"{lines[contender.name][k][0]:.3f}", *errors])
         taken = [seconds_to_target(contender, turn[contender.name], case.target) for turn in turns]
         against = [seconds_to_target(first, turn[first.name], case.target)[0] for turn in turns]
         ratio = statistics.median(s / ours for (s, _), ours in zip(taken, against, strict=True))

@@ -242,8 +242,3 @@ def test_bad_folders_are_refused(tmp_path: Path) -> None:
     (folder / "block" / "one.ply").write_text("")
     with pytest.raises(InputError, match=r"scene\.contents\[0\]\.path = 'zoo/block/one.ply': is empty"):
         check_scene_config(contents({"kind": "mesh_folder", "path": "zoo"}, base=tmp_path))
-
-
-def test_unknown_classes_are_refused_with_the_nearest() -> None:
-    with pytest.raises(InputError, match=r"scene\.contents\[0\]\.classes: 'chiar' is no class.*did you mean 'chair'"):
-        contents({"kind": "library", "classes": ["chiar"]})
