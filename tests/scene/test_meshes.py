@@ -213,9 +213,9 @@ BAD_FILES = {
 def test_bad_files_are_refused_in_one_line(tmp_path: Path, name: str) -> None:
     content, reason = BAD_FILES[name]
     _write(tmp_path, name, content)
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as caught:
         check_scene_config(spec_with(name, tmp_path).scene)
-    message = str(told.value)
+    message = str(caught.value)
     assert message.startswith(f"scene.contents[0].path = '{name}': ")
     assert reason in message
     assert "\n" not in message
@@ -286,10 +286,10 @@ def test_missing_open3d_names_the_system_packages(tmp_path: Path, monkeypatch: p
 
     trimesh.creation.icosphere(subdivisions=3).export(tmp_path / "ball.ply")
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(InputError, match=r"docker/system-packages\.txt") as told:
+    with pytest.raises(InputError, match=r"docker/system-packages\.txt") as caught:
         check_scene_config(spec_with("ball.ply", tmp_path, max_triangles=100).scene)
     packages = (Path(__file__).parents[2] / "docker" / "system-packages.txt").read_text().split()
-    assert all(package in str(told.value) for package in packages)
+    assert all(package in str(caught.value) for package in packages)
 
 
 def test_paths_survive_dumping_and_pickling(tmp_path: Path) -> None:
