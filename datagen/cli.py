@@ -77,7 +77,7 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
     with closing(Progress(not quiet)) as progress:
         # Imports take seconds.
         progress.doing("starting")
-        # Not before the configuration can be read, and beside the imports of this process.
+        # Workers import beside this process, and only once the configuration has been found to be readable.
         if options["engine"] == "local":
             start_imports("datagen.building.build", "datagen.pipeline")
         from datagen.building.build import build as build_dataset
@@ -208,9 +208,9 @@ def suite(name: str | None, out: str | None, workers: int, quiet: bool) -> None:
 @click.argument("suite")
 @click.argument("predictions")
 @click.option("--split", default="test", show_default=True, help="Scenes that are scored.")
-@click.option("--json", "as_json", is_flag=True, help="For programs.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
 def score(suite: str, predictions: str, split: str, as_json: bool) -> None:
-    """Hold PREDICTIONS, an .npz file or a Zarr group, against the labels of SUITE, the folder of a benchmark set."""
+    """Compare PREDICTIONS, an .npz file or a Zarr group, with the labels of SUITE, the folder of a benchmark set."""
     from datagen.scoring.scores import score as scored
 
     scores = scored(suite, predictions, split)
@@ -222,7 +222,7 @@ def score(suite: str, predictions: str, split: str, as_json: bool) -> None:
 @click.argument("suite")
 @click.argument("out")
 @click.option("--split", default="test", show_default=True, help="Scenes that are predicted.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the training.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the training.")
 def baseline(method: str, suite: str, out: str, split: str, seed: int) -> None:
     """Predict SUITE by METHOD (mean, backprojection or network) into the file OUT, which `datagen score` reads."""
     from datagen.baselines import write_baseline
@@ -235,7 +235,9 @@ def baseline(method: str, suite: str, out: str, split: str, seed: int) -> None:
 @click.argument("out")
 @click.option("--format", "form", required=True, help="tal (y-tal), mat (MATLAB), npz, h5, glb or hub.")
 @click.option("--scenes", help="Only these, such as 0,3-5; left out: all.")
-@click.option("--field", help="Of tal and mat: histogram, transient, background_…; left out: the first there is.")
+@click.option(
+    "--field", help="Field of tal and mat files: histogram, transient, background_…; left out: the first stored."
+)
 def export(dataset: str, out: str, form: str, scenes: str | None, field: str | None) -> None:
     """Write scenes of DATASET into the folder OUT as files that other programs read."""
     from datagen.export import export as write
@@ -250,11 +252,11 @@ def export(dataset: str, out: str, form: str, scenes: str | None, field: str | N
 @click.option("--format", "form", help="tal (y-tal) or mat (MATLAB); left out: by each file's suffix.")
 @click.option("--bin", "bin_width", help="Width of a time bin where a file does not say it, such as 4ps.")
 @click.option("--wall", help="Size of the scanned grid where a file does not say it: 2m, or 2m x 150cm.")
-@click.option("--tof", help="File with tofgrid for meas without it; none: it has been taken off.")
+@click.option("--tof", help="File with tofgrid for a meas file without it; none: it has been subtracted.")
 @click.option("--axes", help="Order of the axes of a MATLAB grid, such as txy.")
 @click.option("--bins", type=int, help="Keep so many of the first time bins.")
 @click.option("--field", help="histogram or transient; left out: histogram where all values are whole.")
-@click.option("--name", default="imported", show_default=True, help="Of the dataset, on its cards.")
+@click.option("--name", default="imported", show_default=True, help="Name of the dataset, on its cards.")
 @click.option("--description", default="", help="What was measured, and how.")
 @click.option("--license", default="", help="What others may do with it: an SPDX name, or an address.")
 @click.option("--quiet", is_flag=True, help="No progress.")
@@ -273,7 +275,7 @@ class _Benches(click.Group):
         "accuracy": "What accuracy costs in time: error against seconds for everything that can be chosen.",
         "peers": "Error against processor seconds, beside mitransient and plain quadrature.",
         "stages": "Where a build's time goes, and scenes per second on 1 and 2 workers.",
-        "promise": "Scenes simulated to their targets, held against the truth, object by object.",
+        "promise": "Scenes simulated to their targets, compared with the truth, object by object.",
     }
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -285,7 +287,7 @@ class _Benches(click.Group):
         return cast(click.Command, importlib.import_module(f"datagen.bench.{cmd_name}").main)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        # The summaries stand here, so that listing them imports nothing.
+        # From `MODULES`, so that the list imports no bench.
         with formatter.section("Commands"):
             formatter.write_dl(list(self.MODULES.items()))
 

@@ -17,18 +17,18 @@ def compiled(**options: Any) -> Callable[[F], Dispatcher[F]]:
     Without an error model of its own a kernel would take over that of whichever kernel called it first. A wrapper for
     callers in C is left out: nobody calls kernels from there, and it takes a tenth of the time of compiling.
     """
-    # Its annotations lack what leaves the wrapper out.
+    # numba's type annotations do not know `no_cfunc_wrapper`.
     njit: Any = numba.njit
-    own = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    return cast("Callable[[F], Dispatcher[F]]", njit(**own | options))
+    shared = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    return cast("Callable[[F], Dispatcher[F]]", njit(**shared | options))
 
 
 @compiled()
-def _least(x):  # type: ignore[no-untyped-def]
+def _smallest_kernel(x):  # type: ignore[no-untyped-def]
     return x
 
 
 def first_use() -> bool:
-    """Whether no process has compiled kernels since the installation: not even the least one is cached."""
-    _least(0)
-    return bool(_least.stats.cache_misses)
+    """Whether no process has compiled kernels since the installation: not even the smallest one is cached."""
+    _smallest_kernel(0)
+    return bool(_smallest_kernel.stats.cache_misses)

@@ -1,4 +1,4 @@
-"""What goes wrong, told to the person who can mend it."""
+"""Errors and warnings for users: each message is one line that says what to do."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ class InputWarning(UserWarning):
 
 
 class CheckError(RuntimeError):
-    """A check that was asked for did not pass (exit status 1): a corrupt dataset, scenes that failed."""
+    """A check did not pass (exit status 1): a corrupt dataset, scenes that failed."""
 
 
 def printable(text: str) -> str:
-    """Text with control characters written as escapes, but for the ends of its lines: it may come from anywhere, and
-    goes to terminals."""
+    """`text` with its control characters, except line ends, as escapes: text from files must not steer a terminal."""
     return "".join(c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in text)

@@ -16,6 +16,7 @@ import click
 from datagen.errors import CheckError, InputError, InputWarning, printable
 
 WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+"""Signal → what the last line of the process calls it."""
 AGAIN_S = 0.1
 """Seconds after which `Ended` is raised again where a library swallowed it. Half as many would gain nothing."""
 
@@ -25,85 +26,84 @@ class Ended(SystemExit):
 
 
 def exit_with(command: Callable[[], int]) -> NoReturn:
-    """Run a command as all that this process does, and exit with its status. Ctrl-C and SIGTERM end it with one
-    line."""
-    came = list[int]()
+    """Run a command as all that this process does, and exit with its status. Ctrl-C and SIGTERM end the process with
+    one line."""
+    received = list[int]()
 
     def end(number: int, _: object) -> None:
-        came.append(number)
-        # Libraries that are being imported swallow what is raised in them, or make errors of their own of it.
+        received.append(number)
+        # Libraries that are being imported swallow what is raised in them, or raise errors of their own instead.
         signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
         if not _is_clearing_up():
-            raise Ended(128 + came[0])
+            raise Ended(128 + received[0])
 
-    # Not as a KeyboardInterrupt: after one that came during an import Python may kill itself in place of a status.
-    # Shells let what runs in the background ignore Ctrl-C.
-    ours = [number for number in (*WORDS, signal.SIGALRM) if signal.getsignal(number) != signal.SIG_IGN]
-    for number in ours:
+    # Not as a KeyboardInterrupt: after one during an import Python may kill itself instead of returning a status.
+    # A shell makes its background processes ignore Ctrl-C, and that stays so.
+    handled = [number for number in (*WORDS, signal.SIGALRM) if signal.getsignal(number) != signal.SIG_IGN]
+    for number in handled:
         signal.signal(number, end)
     sys.unraisablehook = _unraisable
     status = 0
     try:
         status = command()
     except BaseException:
-        if not came:
+        if not received:
             raise
     finally:
-        # Another signal would print a traceback of Python's own end.
-        for number in ours:
+        # One more signal, while Python ends, would print a traceback.
+        for number in handled:
             signal.signal(number, signal.SIG_IGN)
-    if came:
-        status = 128 + came[0]
+    if received:
+        status = 128 + received[0]
         # A terminal has printed ^C.
         print(end="\n" if sys.stderr.isatty() else "", file=sys.stderr)
-        _complain(f"{WORDS[came[0]]}; what is committed stays, run the same command again to go on", status)
+        _complain(f"{WORDS[received[0]]}; what is committed stays, run the same command again to go on", status)
     sys.exit(status)
 
 
 def _is_clearing_up() -> bool:
-    """Whether this thread is in the handler of an `Ended`, which another signal must not cut short."""
+    """Whether this thread is handling an `Ended` already: another signal must not cut that short."""
     error = sys.exception()
     while error is not None and not isinstance(error, Ended):
         error = error.__context__
     return error is not None
 
 
-def _unraisable(given: sys.UnraisableHookArgs) -> None:
-    # One that hit a destructor comes again.
-    if not isinstance(given.exc_value, Ended):
-        sys.__unraisablehook__(given)
+def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
+    # An `Ended` that was raised in a destructor is lost there, and will be raised again.
+    if not isinstance(unraisable.exc_value, Ended):
+        sys.__unraisablehook__(unraisable)
 
 
 def guarded(command: click.Command, arguments: Sequence[str] | None = None, name: str | None = None) -> int:
     """The exit status of a click command, which is run; errors and warnings for the user become one line each on
     standard error."""
-    otherwise = warnings.showwarning
+    show_others = warnings.showwarning
 
-    def told(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, InputWarning):
             _complain(f"warning: {message}", 0)
         else:
-            otherwise(message, category, *where, **more)
+            show_others(message, category, *where, **more)
 
-    warnings.showwarning = told
+    warnings.showwarning = show
     try:
         status = command.main(arguments, prog_name=name, standalone_mode=False)
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except click.ClickException as error:
         return _complain(_one_line(error), 2)
-    except InputError as error:
-        return _complain(str(error), 2)
-    except CheckError as error:
-        return _complain(str(error), 1)
+    except (InputError, CheckError) as error:
+        return _complain(str(error), 2 if isinstance(error, InputError) else 1)
     except BrokenPipeError:
         # The reader of our output (such as `head`) has closed it. Nothing more may be written, not even at exit.
-        _silence(sys.stdout)
+        with suppress(OSError, ValueError, AttributeError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
         return _complain(f"{error.filename or 'input/output'}: {error.strerror or error}", 2)
     finally:
-        warnings.showwarning = otherwise
+        warnings.showwarning = show_others
 
 
 def _one_line(error: click.ClickException) -> str:
@@ -113,11 +113,7 @@ def _one_line(error: click.ClickException) -> str:
 
 
 def _complain(message: str, status: int) -> int:
+    """`status`, after a line on standard error."""
     with suppress(BrokenPipeError):
         print(f"datagen: {printable(' '.join(message.split()))}", file=sys.stderr, flush=True)
     return status
-
-
-def _silence(stream: object) -> None:
-    with suppress(OSError, ValueError, AttributeError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # type: ignore[attr-defined]

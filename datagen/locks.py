@@ -9,9 +9,8 @@ except ImportError:  # Windows.
 
 
 def locked(handle: int, otherwise: bool) -> bool:
-    """Whether this process now has the lock of an open file, until that is closed or the process ends; `otherwise`
-    where the file system has no locks.
-    """
+    """True if this process now has the lock of an open file, until the file is closed or the process ends; False if
+    another process has it; `otherwise` where the file system has no locks."""
     if fcntl is None:
         return otherwise
     try:

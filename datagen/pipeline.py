@@ -31,6 +31,7 @@ from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface
 from datagen.labels.solids import LARGEST_HOLE_SHARE, open_share
 from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, TimeAxis, Transient
+from datagen.records.arrays import Floats
 from datagen.records.sample import SCAN_PLACE
 from datagen.scene import check_scene_config, meshes_named
 from datagen.seeding import Purpose, derived_seed
@@ -44,8 +45,8 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
 
     A function of its arguments alone: every random stream is keyed by (`config.seed`, index, purpose).
 
-    planned : the accuracy for which the transport's effects are decided, if it is not that of `config`: a trial with
-        fewer samples is to follow the same light as the scene that it stands for.
+    planned : the accuracy for which the transport's effects are decided; left out: that of `config`. A pilot with
+        fewer samples needs it, so that it follows the same light as the scene that it stands for.
     """
     seconds = dict[str, float]()
     with _timed(seconds, "scene"):
@@ -55,20 +56,21 @@ def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig 
 
 
 def sample_of(
-    config: DatasetConfig, index: int, scene: Scene, capture: Capture, given: NDArray[np.float64] | None = None, *,
+    config: DatasetConfig, index: int, scene: Scene, capture: Capture, given: Floats | None = None, *,
     seconds: dict[str, float] | None = None, planned: TransportConfig | None = None,
 ) -> Sample:  # fmt: skip
-    """Sample `index` of a scene and a capture, however they came about: light, counts, labels.
+    """Sample `index` of a scene and a capture, wherever these come from: light, counts, labels.
 
-    given : (L, P, T) the transient, where another simulator made it; `seconds` spent so far, by stage.
+    given : (L, P, T) transient of another simulator, in place of ours. seconds : wall-clock seconds by stage so far,
+    to which those of the stages here are added. planned : as for `simulate_sample`.
     """
     seed, seconds = config.seed, dict[str, float]() if seconds is None else seconds
     with _timed(seconds, "effects"):
         caster = Raycaster(scene)
-        whole = config if planned is None else config.model_copy(update={"transport": planned})
+        decided_for = config if planned is None else config.model_copy(update={"transport": planned})
         effects = EffectDecisions((), 0.0)
         if given is None:
-            effects = transport_effects(whole, scene, capture, index, caster)
+            effects = transport_effects(decided_for, scene, capture, index, caster)
     spad, exposure = detector_for(config.detector, seed, index, capture.time)
     with _timed(seconds, "transport"):
         if given is None:
@@ -77,33 +79,33 @@ def sample_of(
             if np.isnan(transient.laser_points).all():
                 raise InputError("laser: its rays meet no surface of the scene; aim Laser.targets at the relay wall")
         else:
-            unknown, nowhere = np.full(given.shape, np.nan), np.zeros(given.shape[:2])
-            transient = Transient(capture.time, {"given": given}, {}, unknown, nowhere, capture.laser.targets)
+            stderr, overflow = np.full(given.shape, np.nan), np.zeros(given.shape[:2])
+            transient = Transient(capture.time, {"given": given}, {}, stderr, overflow, capture.laser.targets)
     total = transient.total
     with _timed(seconds, "effects"):
         effects += detector_effects(config, total, transient.time, spad, exposure)
     with _timed(seconds, "detector"):
         used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
-        counted = partial(
+        detect_counts = partial(
             detect_and_choice, time=capture.time, spad=used, exposure=conditions, tolerance=tolerance,
             approximate=config.detector.approximate,
         )  # fmt: skip
-        counts, sampler = counted(total, seed=derived_seed(seed, index, Purpose.DETECTOR))
+        counts, sampler = detect_counts(total, seed=derived_seed(seed, index, Purpose.DETECTOR))
     measured = {"histogram": counts, "transient": total, "transient_stderr": transient.stderr}
     if given is None and any(field in BACKGROUND_FIELDS for field in config.store.fields):
         with _timed(seconds, "background"):
             empty = light.background().total
-            drawn, _ = counted(empty, seed=derived_seed(seed, index, Purpose.BACKGROUND))
-        measured |= {"background_histogram": drawn, "background_transient": empty}
-    faded = "evidence" in config.store.fields
+            empty_counts, _ = detect_counts(empty, seed=derived_seed(seed, index, Purpose.BACKGROUND))
+        measured |= {"background_histogram": empty_counts, "background_transient": empty}
+    has_evidence_image = "evidence" in config.store.fields
     with _timed(seconds, "labels"):
-        surface = hidden_surface(scene, config.labels.rows, config.labels.columns) if faded else None
+        surface = hidden_surface(scene, config.labels.rows, config.labels.columns) if has_evidence_image else None
     with _timed(seconds, "evidence"):
         # A transient that another simulator made is not split by object.
         parts = scene.objects if given is None else ()
-        scan_pairs = representative_pairs(caster, scene, capture) if faded else None
-        plain = light_in_sight(light.scene, capture, light.accuracy, light.seed, caster) if parts else {}
-        evidence, gain = evidence_and_gain(transient, used, conditions, parts, scan_pairs, plain)
+        scan_pairs = representative_pairs(caster, scene, capture) if has_evidence_image else None
+        in_sight = light_in_sight(light.scene, capture, light.accuracy, light.seed, caster) if parts else {}
+        evidence, gain = evidence_and_gain(transient, used, conditions, parts, scan_pairs, in_sight)
         evidence = evidence if given is None else dict.fromkeys(scene.objects, UNKNOWN)
         image = {} if surface is None else {"evidence": evidence_image(caster, surface, capture, scan_pairs, gain)}
     presence = dict[str, Presence]()
@@ -111,8 +113,9 @@ def sample_of(
         with _timed(seconds, "presence"):
             presence = dict.fromkeys(scene.objects, PRESENCE_UNKNOWN)
             if given is None:
-                seen = (light.scene, capture, light.accuracy, used, conditions)
-                presence = presence_evidence(*seen, seed=light.seed, transient=transient)
+                presence = presence_evidence(
+                    light.scene, capture, light.accuracy, used, conditions, seed=light.seed, transient=transient
+                )
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
         slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
@@ -130,24 +133,23 @@ def sample_of(
 
 
 def detector_effects(
-    config: DatasetConfig, total: NDArray[np.float64], time: TimeAxis, spad: Spad, exposure: Exposure
+    config: DatasetConfig, total: Floats, time: TimeAxis, spad: Spad, exposure: Exposure
 ) -> EffectDecisions:
     """The detector's effects that a transient calls for, each with its estimate."""
-    seen = (total, time, spad, exposure)
-    return decide_detector_effects(*seen, config.effects, config.detector.tolerance)
+    return decide_detector_effects(total, time, spad, exposure, config.effects, config.detector.tolerance)
 
 
 SCENES_TRIED = 16
 """Scenes that are generated before a build, without light, to find a configuration that cannot be simulated. With
 half as many, one that fails in one scene of ten would pass 43 % of the time instead of 19 %."""
 LIT_SCENES_TRIED = 4
-"""The same where scenes are accepted by their light, which takes seconds each."""
+"""The same where scenes are accepted by their light, which takes seconds for each: half as many find less, sooner."""
 
 
 def check_inputs(config: DatasetConfig) -> None:
-    """Raise `InputError` for whatever can be found wrong before a dataset is begun: mesh files, a room that cannot
-    be furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
-    detector. What is possible and hardly meant is warned of: no objects, and volumes of meshes that are not closed.
+    """Raise `InputError` for what can be found wrong before a dataset is begun: mesh files, a room that cannot be
+    furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
+    detector. Warn of what is possible but most likely not meant: no objects, and volumes of meshes with holes.
     """
     check_scene_config(config.scene)
     capture = _tried_capture(config, 0)
@@ -156,14 +158,15 @@ def check_inputs(config: DatasetConfig) -> None:
         _tried_capture(config, index)
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
     dark = np.zeros((1, *capture.shape[1:]))
-    given = config.detector
-    choose_sampler(dark, capture.time, spad, exposure, tolerance=given.tolerance, approximate=given.approximate)
-    for told in _hardly_meant(config):
-        warn(told, InputWarning, stacklevel=3)
+    tolerance, approximate = config.detector.tolerance, config.detector.approximate
+    choose_sampler(dark, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
+    for warning in _most_likely_not_meant(config):
+        warn(warning, InputWarning, stacklevel=3)
 
 
-def _hardly_meant(config: DatasetConfig) -> Iterator[str]:
-    """A line for each thing that is possible and most likely not meant: no objects; volumes of meshes with holes."""
+def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
+    """A warning for each thing that is possible and most likely not meant: no objects; volumes of meshes with
+    holes."""
     if not any(largest_count(item.count) for item in config.scene.contents):
         yield (
             "scene.contents: no scene has an object, so nothing is hidden and labels are empty; list some, or leave "
@@ -181,6 +184,7 @@ def _hardly_meant(config: DatasetConfig) -> Iterator[str]:
 
 
 def _tried_capture(config: DatasetConfig, index: int) -> Capture:
+    """The capture of scene `index`, generated without light; an `InputError` names any scene but the first."""
     scene = scene_for(config, index)
     try:
         return capture_for(config, scene, config.seed, index)
@@ -192,12 +196,13 @@ def _tried_capture(config: DatasetConfig, index: int) -> Capture:
 
 @contextmanager
 def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    """Add the wall-clock seconds of the `with` block to those of a stage."""
     start = time.perf_counter()
     yield
     seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start
 
 
-def _geometry(scene: Scene, capture: Capture, transient: Transient) -> dict[str, NDArray[np.float64]]:
+def _geometry(scene: Scene, capture: Capture, transient: Transient) -> dict[str, Floats]:
     bounds = scene.hidden_bounds
     return {
         "laser_points": transient.laser_points,
@@ -210,7 +215,8 @@ def _geometry(scene: Scene, capture: Capture, transient: Transient) -> dict[str,
     }
 
 
-def _vectors(rectangle: Rectangle | None) -> NDArray[np.float64]:
+def _vectors(rectangle: Rectangle | None) -> Floats:
+    """(3, 3) rows center, right, up; NaN without a rectangle."""
     if rectangle is None:
         return np.full((3, 3), np.nan)
     return np.stack([rectangle.center, rectangle.right, rectangle.up])
@@ -242,9 +248,10 @@ def _parameters(
 
 def _label_place(scene: Scene, transient: Transient) -> dict[str, Scalar]:
     """The position of the scan on the label images; empty for a scene without `hidden_view`."""
-    found = None if scene.hidden_view is None else scan_place(scene.hidden_view, transient.laser_points)
-    return {} if found is None else dict(zip(SCAN_PLACE, found, strict=True))
+    place = None if scene.hidden_view is None else scan_place(scene.hidden_view, transient.laser_points)
+    return {} if place is None else dict(zip(SCAN_PLACE, place, strict=True))
 
 
 def _scalars(prefix: str, values: Mapping[str, object]) -> dict[str, Scalar]:
+    """Those values that a table can hold, by dotted name."""
     return {f"{prefix}.{name}": value for name, value in values.items() if isinstance(value, Scalar)}

@@ -1,4 +1,4 @@
-"""Random streams: (dataset seed, scene index, purpose) → numpy Generator, and nothing else.
+"""Random streams: a numpy `Generator` is a function of (dataset seed, scene index, purpose) alone.
 
 No stream depends on a worker, an order or the time, so a sample is the same whoever computes it and when.
 """
@@ -28,11 +28,12 @@ class Purpose(IntEnum):
 
 
 class LightStream(IntEnum):
-    """What the random numbers of the transport are for, within `Purpose.TRANSPORT` of a scene; with the seed and the
-    numbers of laser point, pixel and replicate they give the seed of a quasi-random sequence.
+    """What the random numbers of the transport are for, within `Purpose.TRANSPORT` of a scene. The seed of a
+    quasi-random sequence is a hash of this number, the scene's seed, and further numbers such as those of laser
+    point, pixel and replicate.
 
-    Like purposes they are part of every dataset's identity. Names of one number never draw under the same further
-    numbers, or are meant to draw alike.
+    The values are part of every dataset's identity, as those of `Purpose` are. Two names may share a value only where
+    their further numbers always differ, or where they are meant to draw alike.
     """
 
     TRIAL = 0
@@ -48,12 +49,12 @@ class LightStream(IntEnum):
     FACTORISED_WALKS = 36
     TARGET_HALVES = 48
     CLUSTERS = 64
-    # The same number as `CLUSTERS`, which adds two further numbers to the hash.
+    # The value of `CLUSTERS`, which adds two further numbers to the hash.
     SURROUNDINGS = 64
     PATCHES = 65
     PAIR_CLUSTERS = 66
     SAMPLED_PATHS = 96
-    # The same number as `SAMPLED_PATHS`, which adds one number to the hash, not two.
+    # The value of `SAMPLED_PATHS`, which adds one number to the hash, not two.
     REFERENCE = 96
     LATER_PATHS = 97
     SECOND_OPINION = 98
@@ -63,7 +64,7 @@ class LightStream(IntEnum):
 def seed_sequence(
     dataset_seed: int, scene_index: int, purpose: Purpose, attempt: int = 0, part: int = 0
 ) -> np.random.SeedSequence:
-    """The seed sequence of one purpose of one scene (numpy's `SeedSequence`, spawn key as path)."""
+    """numpy's `SeedSequence` of one purpose of one scene; its spawn key is (purpose, scene, attempt, part)."""
     for name, value in (("seed", dataset_seed), ("index", scene_index)):
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 0:
             raise InputError(f"{name} = {value!r}: must be an integer ≥ 0")
@@ -73,10 +74,10 @@ def seed_sequence(
 def generator(
     dataset_seed: int, scene_index: int, purpose: Purpose, attempt: int = 0, part: int = 0
 ) -> np.random.Generator:
-    """A Philox generator for one purpose of one scene; `attempt` and `part` split it further."""
+    """A Philox generator for one purpose of one scene; each `attempt` and `part` has a stream of its own."""
     return np.random.Generator(np.random.Philox(seed_sequence(dataset_seed, scene_index, purpose, attempt, part)))
 
 
 def derived_seed(dataset_seed: int, scene_index: int, purpose: Purpose) -> int:
-    """A 64-bit seed for functions that take `seed=`, drawn from the stream of that purpose."""
+    """A 64-bit seed for functions that take `seed=`, from the stream of one purpose of one scene."""
     return int(seed_sequence(dataset_seed, scene_index, purpose).generate_state(1, np.uint64)[0])

@@ -1,4 +1,4 @@
-"""The speed of light, and what follows from it: path length ↔ time."""
+"""The speed of light, and the conversion between path length and time."""
 
 from __future__ import annotations
 

@@ -12,13 +12,14 @@ import time
 from pathlib import Path
 
 import numpy as np
+from datasets import write_dataset
 from numpy.typing import NDArray
 
 import datagen as dg
 from datagen.config import config_from_mapping
 from datagen.pipeline import sample_of
 from datagen.records import Sample
-from datagen.store import committed, finish, prepare, verify, write_shard
+from datagen.store import verify
 from datagen.transport.reference import reference
 
 CONFIG = {
@@ -33,7 +34,7 @@ CONFIG = {
 }
 FIELDS = ("histogram", "transient", "depth")
 SAMPLES = 1024
-"""Paths of each laser point and pixel; with half as many the histograms would still not be empty."""
+"""Paths for each laser point and pixel; with half as many the histograms would still not be empty."""
 
 
 def simulated(config: dg.DatasetConfig, index: int) -> Sample:
@@ -58,10 +59,7 @@ def main() -> int:
     samples = [simulated(config, index) for index in range(config.scenes)]
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "smoke.zarr"
-        manifest = prepare(root, config)
-        for shard, sample in enumerate(samples):
-            write_shard(root, manifest.schema, shard, manifest.fingerprint, [(shard, sample)])
-        finish(root, manifest, committed(root, manifest))
+        write_dataset(config, root, lambda _, index: samples[index])
         problems = list(verify(root, deep=True).problems)
         items = loaded(root)
     for index, (sample, item) in enumerate(zip(samples, items, strict=True)):

@@ -236,9 +236,9 @@ def test_it_is_refused_in_one_line_that_names_the_argument(what: str) -> None:
     name, call = BAD[what]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with pytest.raises(dg.InputError) as told:
+        with pytest.raises(dg.InputError) as caught:
             call()
-    message = str(told.value)
+    message = str(caught.value)
     assert name in message and "\n" not in message and len(message) < 300, message
 
 
@@ -275,15 +275,15 @@ ABSURD: dict[str, tuple[str, Callable[[], object]]] = {
 @pytest.mark.parametrize("what", ABSURD)
 def test_what_is_legal_and_absurd_is_warned_of(what: str) -> None:
     name, call = ABSURD[what]
-    with pytest.warns(dg.InputWarning, match=name) as told:
+    with pytest.warns(dg.InputWarning, match=name) as caught:
         call()
-    assert len(told) == 1 and told[0].filename == __file__
+    assert len(caught) == 1 and caught[0].filename == __file__
 
 
 def test_a_keyword_that_was_renamed_is_read() -> None:
-    with pytest.warns(DeprecationWarning, match="now called columns") as told:
+    with pytest.warns(DeprecationWarning, match="now called columns") as caught:
         former = dg.Sensor.grid(EYE, (0, 0.2, 1), (0, 0.1, 0), (0, 0, 0.1), rows=1, cols=2)
-    assert np.array_equal(former.pixels, SENSOR.pixels) and told[0].filename == __file__
+    assert np.array_equal(former.pixels, SENSOR.pixels) and caught[0].filename == __file__
 
 
 def test_what_is_usual_is_not() -> None:

@@ -31,9 +31,9 @@ def test_examples_give_what_they_say(name: str, monkeypatch: pytest.MonkeyPatch)
     """From the repository's root, as a reader would; what they write is in temporary folders."""
     monkeypatch.chdir(Path(__file__).parents[1])
     for test in EXAMPLES[name]:
-        told: list[str] = []
+        printed: list[str] = []
         runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
-        assert runner.run(test, out=told.append).failed == 0, "".join(told)
+        assert runner.run(test, out=printed.append).failed == 0, "".join(printed)
 
 
 def test_many_public_names_have_an_example() -> None:

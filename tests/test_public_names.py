@@ -110,6 +110,6 @@ def test_a_transient_is_printed_in_a_line() -> None:
     assert repr(plain) == (
         "<Transient of 2 laser points × 3 pixels × 4 bins: components primary; parts ball; relative error 0.01>"
     )
-    told = repr(dataclasses.replace(plain, parts={}, error_bound=0.25, met_target=False))
-    assert told.endswith("parts none; relative error 0.25, target not met>")
+    printed = repr(dataclasses.replace(plain, parts={}, error_bound=0.25, met_target=False))
+    assert printed.endswith("parts none; relative error 0.25, target not met>")
     assert "no error known" in repr(dataclasses.replace(plain, stderr=np.nan * light))

@@ -1,10 +1,10 @@
 """What accuracy costs in time: the true relative L2 error of one scene's transient against processor seconds.
 
-One quantity is swept at a time about a base setting: lookins, FoV points, bounce orders, target, observed points, k
-strongest secondary paths. The truth is a long run with other seeds, in two halves. The difference of the halves is
-the truth's own error, which is subtracted. The truth holds all paths of as many bounces as the configuration asks for
-(four at least, so that there is a secondary). For the sweep of bounce orders it holds all orders, so that the cost of
-leaving some out is seen as a bias.
+One quantity is swept at a time about a base setting: hidden vertices (`lookins`), FoV points, bounce orders, target,
+second hidden vertices (`observed`), k strongest secondary paths. The truth is a long run with other seeds, in two
+halves; half of their difference is its own error, which is subtracted. The truth has all paths of as many bounces as
+the configuration (at least four, so that there is a secondary); for the sweep of bounce orders it has all paths, so
+that those left out show as a bias.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.bench.measuring import machine, markdown, percent, processor_seconds
 from datagen.capture import capture_for
@@ -27,6 +26,7 @@ from datagen.config import DatasetConfig, load_config
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture
+from datagen.records.arrays import Floats
 from datagen.report.style import INK, house_style, new_figure, save_png
 from datagen.store.files import check_writable
 from datagen.transport import simulate
@@ -34,22 +34,22 @@ from datagen.transport import simulate
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Floats = NDArray[np.float64]
 Run = Callable[[Accuracy, int], tuple[Floats, float]]
 """Accuracy and seed → (laser, pixel, bin) transient, and processor seconds."""
 
 GOALS = (0.10, 0.05, 0.02, 0.01)
-"""Errors for which the report says what to choose."""
+"""Errors for which the report recommends settings."""
 RUNS_IN_BUDGET = 250
-"""So many runs of the base setting should fit into the budget; its lookins are halved until they do."""
+"""How many runs of the base setting fit into the budget; its lookins are halved until they do. With half as many
+there is no time left for the slow ends of the sweeps."""
 SHARE_OF_REFERENCE = 0.25
 """Share of the budget for each of the two truths. Halved, the truths' own errors are 1.4 times as large."""
 SLOWEST_SHARE = 0.04
-"""A setting of which one run takes more than this share of the budget ends its sweep."""
+"""Share of the budget above which one run of a setting ends its sweep. Halved, small errors are not reached."""
 REFERENCE_SEED = 1 << 40
 FEWEST_LOOKINS, SMALLEST_SWEPT = 64, 16
 OBSERVED = 1024
-"""Observed points of the factorised secondary where they are not what is swept."""
+"""Second hidden vertices of the factorised secondary in the other sweeps."""
 ALL_LOOKINS = "lookins, all bounces"
 _LOOKS = {
     "lookins": ("#000000", "o"), "FoV points": ("#009E73", "^"), "observed points": ("#0072B2", "s"),
@@ -60,7 +60,7 @@ _LOOKS = {
 
 
 class Setting(NamedTuple):
-    """One point of a sweep: what is swept, its value here, and whether its truth is all bounce orders."""
+    """One point of a sweep: the swept quantity, its value, and whether its truth has all bounce orders."""
 
     quantity: str
     value: str
@@ -69,7 +69,7 @@ class Setting(NamedTuple):
 
     @property
     def configured(self) -> str:
-        """How a configuration says so, keys of its section `transport`."""
+        """The setting as keys of a configuration's section `transport`."""
         accuracy = self.accuracy
         orders = f"max_bounces: {'null' if accuracy.max_bounces is None else accuracy.max_bounces}"
         if accuracy.target is not None:
@@ -88,10 +88,10 @@ class Row:
     ----------
     seconds : processor seconds of a run.
     error : relative L2 error against the truth.
-    noise : its random part, relative to what the setting converges to.
-    bias : its systematic part, which more samples do not mend; 0 where it is not above what noise leaves uncertain.
-    complete : whether the truth is all bounce orders, or those of the base setting.
-    front : on the Pareto front of its truth: nothing quicker has less error.
+    noise : its random part, relative to the mean of the runs.
+    bias : its systematic part, which more samples do not reduce; 0 where it is within the noise.
+    complete : whether the truth has all bounce orders, or those of the base setting.
+    front : on the Pareto front of its truth: no quicker setting has less error.
     """
 
     quantity: str
@@ -107,8 +107,8 @@ class Row:
 
 
 def sweeps(base: Accuracy) -> list[list[Setting]]:
-    """Every sweep about a base setting, cheapest setting first, and first what most users change: should the budget
-    be spent, what comes last is left out."""
+    """All sweeps about a base setting, each from its cheapest setting on. What most users change comes first, since
+    the last sweeps are left out when the budget is spent."""
     lookins = [n for n in (base.lookins * 4**k // 64 for k in range(6)) if n >= SMALLEST_SWEPT]
     factorised, everything = replace(base, observed=OBSERVED), replace(base, max_bounces=None)
     target = Accuracy(max_bounces=base.max_bounces, direct=base.direct, target=1.0)
@@ -136,7 +136,7 @@ def fewer_laser_points(capture: Capture, most: int | None) -> Capture:
 class Truth:
     """The converged transient.
 
-    value : mean of two halves. square_error : of it, ‖half₁ − half₂‖²/4. square : ‖truth‖², freed of that.
+    value : mean of two halves. square_error : its squared error ‖half₁ − half₂‖²/4. square : ‖truth‖² without noise.
     """
 
     value: Floats
@@ -164,7 +164,7 @@ class Truth:
 def measured(
     config: DatasetConfig, scene: int, laser_points: int | None, seconds: float, repeats: int
 ) -> tuple[str, list[Row]]:
-    """The report of a scene, in Markdown, and the rows of its sweeps, within about `seconds` processor seconds.
+    """The report of a scene in Markdown, and the rows of its sweeps, made in about `seconds` processor seconds.
 
     Raises
     ------
@@ -186,7 +186,7 @@ def measured(
     every = own if orders is None else converge(run, replace(base, max_bounces=None), SHARE_OF_REFERENCE * seconds)
     rows, left_out, spent = list[Row](), list[str](), 0.0
     for sweep in sweeps(base):
-        # Once, so that no compilation is timed; that it cannot be run is found again below.
+        # Once, so that no compilation is timed; a setting that cannot be run is reported below.
         with suppress(InputError):
             run(sweep[0].accuracy, 0)
         for k, setting in enumerate(sweep):
@@ -223,7 +223,7 @@ def measured(
 
 
 def _affordable(base: Accuracy, run: Run, seconds: float) -> Accuracy:
-    """The base setting with as many lookins, up to its own, as take at most `seconds` processor seconds."""
+    """The base setting with fewer lookins, if need be, so that a run takes at most `seconds` processor seconds."""
     tried = replace(base, lookins=FEWEST_LOOKINS)
     run(tried, 2)
     while 2 * tried.lookins <= base.lookins and run(tried, 2)[1] < seconds / 2:
@@ -232,7 +232,7 @@ def _affordable(base: Accuracy, run: Run, seconds: float) -> Accuracy:
 
 
 def converge(run: Run, accuracy: Accuracy, budget_s: float) -> Truth:
-    """A long run in two halves, its lookins doubled until a further run would not fit into the budget.
+    """The truth, in two halves whose lookins are doubled until a longer run would not fit into the budget.
 
     Raises
     ------
@@ -254,7 +254,8 @@ def converge(run: Run, accuracy: Accuracy, budget_s: float) -> Truth:
 
 
 def measure(setting: Setting, run: Run, truth: Truth, repeats: int, slowest_s: float) -> Row:
-    """Run a setting `repeats` times with different seeds; twice only if a run takes longer than `slowest_s`."""
+    """The row of a setting, run `repeats` times with different seeds, or twice if a run takes longer than
+    `slowest_s`."""
     runs = list[tuple[Floats, float]]()
     while len(runs) < repeats and (len(runs) < 2 or runs[0][1] <= slowest_s):
         runs.append(run(setting.accuracy, 1 + len(runs)))
@@ -268,18 +269,18 @@ def measure(setting: Setting, run: Run, truth: Truth, repeats: int, slowest_s: f
 
 def noise_and_bias(runs: Floats, truth: Truth) -> tuple[float, float]:
     """Random part of the error of (run, …) transients, relative to their mean; and systematic part, relative to the
-    truth, 0 where it is not above what the noise leaves uncertain."""
+    truth, 0 where it is within the noise."""
     mean, count = runs.mean(axis=0), len(runs)
     variance = float(np.sum((runs - mean) ** 2)) / (count - 1)
     uncertain = variance / count + truth.square_error
     apart = float(np.sum((mean - truth.value) ** 2)) - uncertain
     noise = math.sqrt(variance / max(float(np.sum(mean**2)) - variance / count, 1e-300))
-    # Few bright bins decide, so the squared distance fluctuates by about as much as chance alone makes it.
+    # A few bright bins dominate, so by chance alone the squared distance fluctuates by about its own mean.
     return noise, math.sqrt(apart / truth.square) if apart > uncertain else 0.0
 
 
 def with_front(rows: Sequence[Row]) -> list[Row]:
-    """The rows with the Pareto front of each truth marked: nothing quicker has as little error."""
+    """The rows, with those marked that are on the Pareto front of their truth: no quicker one has as little error."""
 
     def is_front(row: Row) -> bool:
         quicker = (other for other in rows if other.complete == row.complete and other.seconds < row.seconds)
@@ -293,7 +294,7 @@ def table(rows: Sequence[Row]) -> str:
     head = ["swept", "value", "processor s", "error", "of it noise", "of it bias", "front"]
     cells = []
     for row in rows:
-        # What is not above rounding is the error of a method without noise, or without bias.
+        # Errors at the level of rounding are no noise, or no bias.
         parts = [percent(error) if error > 1e-9 else "–" for error in (row.noise, row.bias)]
         cells.append(
             [row.quantity, row.value, f"{row.seconds:.3g}", percent(row.error), *parts, "●" if row.front else ""]
@@ -302,13 +303,14 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def advice(rows: Sequence[Row]) -> list[str]:
-    """What to choose, computed: the cheapest setting for each goal, and where a bias sets the floor."""
+    """Recommendations from the rows: the cheapest setting for each goal, and the biases that samples do not
+    reduce."""
     title = f"What to choose for {_light_of(rows)} (processor seconds a scene, error found):"
     return [title, "", *(_for_goal(rows, goal) for goal in GOALS), *_floors(rows)]
 
 
 def _light_of(rows: Sequence[Row]) -> str:
-    """The light that most sweeps have as their truth, in words."""
+    """The light in the truth of most sweeps, in words."""
     orders = {row.configured.rpartition("max_bounces: ")[2] for row in rows if row.quantity == "lookins"}
     return "light of all bounces" if orders in (set(), {"null"}) else f"light of up to {orders.pop()} bounces"
 
@@ -335,7 +337,7 @@ def _by_the_trend(rows: Sequence[Row], goal: float) -> str:
 
 
 def _floors(rows: Sequence[Row]) -> Iterator[str]:
-    """Sentences about errors that no number of samples mends."""
+    """Sentences about errors that no number of samples reduces."""
     for quantity, what, label in (
         ("bounce orders", "Of the light of all bounces is left out, however many samples are taken", "{} bounces"),
         ("k strongest paths", "Keeping the k strongest secondary paths of each lookin loses", "k = {}"),
@@ -365,7 +367,7 @@ def _draw(axes: Axes, rows: Sequence[Row], title: str) -> None:
 
     shown = [row for row in rows if row.error > 0]
     if not shown:
-        # Axes in decades have no place for nothing.
+        # Logarithmic axes cannot be empty.
         axes.set_axis_off()
         axes.set_title(f"{title}: the time left room for no run")
         return

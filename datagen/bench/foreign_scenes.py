@@ -1,10 +1,9 @@
 """Scenes that no configuration would draw: shapes of trimesh and meshes of others, any BRDF, any device and scan.
 
-`foreign_scene(index)` is a function of its number alone (and of the meshes in a folder, if one is named): the wall at
-x = 0, seen from a device anywhere in front of it; one to three shapes, turned at random, that may touch or run
-through each other; an open space, an open space with a floor, or a closed room; every BRDF over its whole allowed
-range on objects, sometimes on the wall or the room; pixels of 2 mm to 20 cm, bins of 20 to 300 ps, three or four
-bounces.
+`foreign_scene(index)` is a function of its number (and of the meshes in a folder, if one is named): a wall at x = 0,
+seen from a device anywhere in front of it; one to three shapes, turned at random, that may touch or cut each other;
+an open space, an open space with a floor, or a closed room; any BRDF over its whole allowed range on objects,
+sometimes on the wall or the room; pixels of 2 mm to 20 cm, bins of 20 to 300 ps, three or four bounces.
 """
 
 from __future__ import annotations
@@ -28,21 +27,22 @@ from datagen.units import SPEED_OF_LIGHT_M_PER_S
 FOREIGN_STREAM = 7301
 MOST_BINS = 4096
 LONGEST_PATHS = 3.0
-"""The window, in diagonals of the scene: three and four bounces seldom take longer."""
+"""Length of the time window, in diagonals of the scene: light of three and four bounces seldom comes later."""
 OF_OTHERS = 0.5
-"""Share of objects that are meshes of a folder, where one is named."""
+"""Share of objects that are meshes of the folder, where one is named."""
 SIZES_M = (0.2, 0.8)
+"""Smallest and largest longest side of an object."""
 Generator = np.random.Generator
 
 
 @dataclass(frozen=True)
 class ForeignScene:
-    """A scene, how it is looked at, and what it is made of, for reports.
+    """A scene, its capture, and its ingredients in words, for reports.
 
     Attributes
     ----------
     max_bounces : 3 or 4.
-    shapes, brdfs : object part → what it is, and the name of its BRDF.
+    shapes, brdfs : object part → name of its shape, and of its BRDF.
     surroundings : "open", "floor" or "room".
     scan : "confocal", "exhaustive" or "array".
     """
@@ -107,7 +107,8 @@ def _rectangle(center: Floats, right: Floats, up: Floats) -> trimesh.Trimesh:
 
 
 def _surroundings(rng: Generator, size: Floats, kind: str) -> list[Part]:
-    """The wall, and what else stands about: mostly matt, in one scene of five not."""
+    """The wall, and floor, walls and ceiling if there are any: one surface in five has any BRDF, the others are
+    matt."""
     middle, (x, y, z) = np.array([size[0] / 2, 0.0, size[2] / 2]), np.diag(size * [0.5, 0.5, 0.5])
 
     def matt() -> Material:
@@ -146,7 +147,7 @@ def _half(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _shape(rng: Generator, folder: Path | None) -> tuple[str, trimesh.Trimesh]:
-    """Name and mesh, its longest side `SIZES_M`, turned at random about the origin."""
+    """Name and mesh, its longest side within `SIZES_M`, turned at random about the origin."""
     foreign = folder is not None and rng.random() < OF_OTHERS
     names = sorted(SHAPES) if not foreign else [path.name for path in mesh_files(folder)]  # type: ignore[arg-type]
     name = str(rng.choice(names))
@@ -176,7 +177,7 @@ def _read(path: Path) -> trimesh.Trimesh:
 
 
 def _place(rng: Generator, mesh: trimesh.Trimesh, size: Floats) -> Floats:
-    """Move a mesh somewhere in front of the wall, one of four onto the floor; its middle."""
+    """The middle of a mesh after it is moved to a place in front of the wall; one in four stands on the floor."""
     half = np.ptp(mesh.vertices, axis=0) / 2
     low, high = np.array([0.0, -size[1] / 2, 0.0]) + half + 1e-3, np.array([size[0], size[1] / 2, size[2]]) - half
     center = np.where(high > low, rng.uniform(low, np.maximum(high, low)), (low + high) / 2)
@@ -187,7 +188,7 @@ def _place(rng: Generator, mesh: trimesh.Trimesh, size: Floats) -> Floats:
 
 
 def _device(rng: Generator, size: Floats, spheres: list[tuple[Floats, float]]) -> Floats:
-    """Anywhere in front of the wall, and outside of what stands there if a hundred trials find a place."""
+    """A place in front of the wall; outside of all objects, unless a hundred trials do not find one."""
     for _ in range(100):
         place = rng.uniform([0.2, -size[1] / 2 + 0.05, 0.05], [size[0] - 0.05, size[1] / 2 - 0.05, size[2] - 0.05])
         if all(np.linalg.norm(place - center) > radius for center, radius in spheres):
@@ -196,7 +197,7 @@ def _device(rng: Generator, size: Floats, spheres: list[tuple[Floats, float]]) -
 
 
 def _capture(rng: Generator, size: Floats, device: Floats, scan: str, diagonal_m: float) -> Capture:
-    """A scan of the wall, or of what stands before it."""
+    """A scan of the wall, or of objects that stand before it."""
     half = _log_uniform(rng, 1e-3, 0.1)
     room = np.array([size[1] / 2, size[2] / 2]) - half
 

@@ -24,7 +24,8 @@ def machine() -> str:
 
 
 def processor_seconds(call: Callable[[], T]) -> tuple[T, float]:
-    """(result, processor seconds) of a call, all threads together: a busy machine does not change them."""
+    """(result, processor seconds) of a call, all threads together, which depend little on other work of the
+    machine."""
     began = time.process_time()
     result = call()
     return result, time.process_time() - began
@@ -48,14 +49,16 @@ def continued(
     measure: Callable[[list[Key]], list[T]],
     jobs: Iterable[Sequence[Key]],
 ) -> list[T]:
-    """All cases of a benchmark: those that a JSON file keeps, and those that it has not yet.
+    """All cases of a benchmark: those in a JSON file, and those that are missing there, which are measured.
 
-    kind : the record of a case. key : what tells cases apart. jobs : keys that are measured together; of each job
-    `measure` gets those that are missing. Cases are kept as soon as they are known, so that a benchmark can be
-    stopped and go on.
+    kind : the record of a case. key : identity of a case. jobs : keys that are measured together; `measure` gets
+    those of a job that are missing. Each job's cases are written at once, so that a benchmark can be stopped and
+    continued.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
-    found = [kind(**one) for one in json.loads(file.read_text())] if file.exists() else []
+    stored: list[dict[str, Any]] = json.loads(file.read_text()) if file.exists() else []
+    # Files of older versions have more fields.
+    found = [kind(**{name: one[name] for name in kind.__dataclass_fields__}) for one in stored]  # type: ignore[attr-defined]
     done = {key(one) for one in found}
     for keys in jobs:
         missing = [one for one in keys if one not in done]
@@ -71,8 +74,8 @@ KEPT = ("within", "exact 95 % interval", "true / asked: median", "95th", "worst"
 
 
 def promises_kept(shares: Sequence[float], within: Sequence[bool]) -> list[str]:
-    """Cells of a table: the share of cases whose error is within what was asked, with Clopper and Pearson's interval,
-    and median, 95th percentile and maximum of true over asked error."""
+    """Cells of a table: the share of cases whose error is within the one asked for, with Clopper and Pearson's
+    interval; median, 95th percentile and maximum of the true error over the one asked for."""
     interval = stats.binomtest(sum(within), len(within)).proportion_ci(0.95, "exact")
     spread = np.median(shares), np.quantile(shares, 0.95), np.max(shares)
     kept = f"{sum(within) / len(within):.1%}", f"{interval.low:.1%} … {interval.high:.1%}"

@@ -1,12 +1,12 @@
-"""What ours is held against: mitransient, a path tracer, and a plain quadrature of an unoccluded plate.
+"""Other renderers to compare with: mitransient, a path tracer, and plain quadrature of an unoccluded plate.
 
 mitransient (Royo et al., "Non-line-of-sight transient rendering", Computers & Graphics 107 (2022); PyPI) is an
 optional extra: `pip install '.[peers]'` and an LLVM of version 16 or later (Debian: libllvm19).
 
-Both answer with the radiance that leaves points of the relay wall towards the sensor, per emitted photon: what
-`photons_to_radiance` makes of our transient for pixels as small as points; and both put a path into the bin that it
-falls in. mitransient's laser is a lamp of unit intensity, so its answer carries the irradiance cosθ/d² of the laser
-point, which is divided out.
+Both give the radiance that leaves points of the relay wall towards the sensor, per emitted photon; for pixels as
+small as points `photons_to_radiance` converts our transients to it. Both put the energy of a path into the bin of its
+arrival time. mitransient's laser is a lamp of unit intensity, so its radiance contains the irradiance cosθ/d² of the
+laser point, by which it is divided.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ import re
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records import Capture, Lambertian, Laser, Rectangle, Scene, Sensor, TimeAxis
+from datagen.records.arrays import Floats
 from datagen.transport.binning import put
 from datagen.units import path_from_time
 
@@ -45,7 +46,7 @@ def missing_for_mitransient() -> str | None:
 
 
 def _newest_llvm() -> str | None:
-    """The newest LLVM library of the system that drjit can use."""
+    """Path of the newest LLVM library that drjit can use; None without one."""
     folders = ("/usr/lib/*", "/usr/lib", "/usr/local/lib", "/usr/lib/llvm-*/lib", "/opt/homebrew/opt/llvm/lib")
     paths = [path for folder in folders for path in glob.glob(f"{folder}/libLLVM*")]
     versions = [(re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path), path) for path in paths]
@@ -71,7 +72,7 @@ def _mitsuba() -> Any:
     return mitsuba
 
 
-def grid_points(wall: Rectangle, columns: int, rows: int) -> NDArray[np.float64]:
+def grid_points(wall: Rectangle, columns: int, rows: int) -> Floats:
     """(rows · columns, 3) centres of a grid of cells on the wall, row by row from −up, each row from −right."""
     u = (np.arange(columns) + 0.5) / columns * 2 - 1
     v = (np.arange(rows) + 0.5) / rows * 2 - 1
@@ -81,9 +82,9 @@ def grid_points(wall: Rectangle, columns: int, rows: int) -> NDArray[np.float64]
 
 def point_capture(
     wall: Rectangle,
-    points: NDArray[np.float64],
+    points: Floats,
     device: ArrayLike,
-    laser_points: NDArray[np.float64],
+    laser_points: Floats,
     axis: TimeAxis,
     confocal: bool = False,
 ) -> Capture:
@@ -94,7 +95,7 @@ def point_capture(
     return Capture(Laser(device, laser_points), Sensor(device, corners), axis, pairing)  # type: ignore[arg-type]
 
 
-def photons_to_radiance(photons: NDArray[np.float64], capture: Capture) -> NDArray[np.float64]:
+def photons_to_radiance(photons: Floats, capture: Capture) -> Floats:
     """Photons L (laser, pixel, bin) of a transient → L / (A Ω), 1/(m² sr), for pixels small enough to be points."""
     a, b, d = (capture.sensor.pixels[:, k] for k in (0, 1, 3))
     centre = capture.sensor.pixels.mean(axis=1)
@@ -114,11 +115,11 @@ class MitransientPeer:
     device : (3,) laser and sensor. laser_point : (3,) on the wall; None for a confocal scan.
     columns, rows : the grid of points on the wall, powers of two (its grid lookup rounds in single precision).
     axis : of origin `wall`. bounces : highest order followed, ≥ 3; the lowest is 3 as long as the wall is flat.
-    aim_at_hidden : its hidden-geometry sampling. Only for scenes where nothing stands in front of anything: it
-        divides by the density of the one point it aimed at, so a surface before that point is counted twice. It
-        aims at front faces only, whatever the material.
+    aim_at_hidden : use its hidden-geometry sampling. Only for scenes without occlusion: mitransient divides by the
+        density of the one point it aimed at, so a surface before that point is counted twice. It aims at front
+        faces only, whatever the material.
 
-    Raises `InputError` when mitransient cannot run, or for what it cannot render the way ours does.
+    Raises `InputError` when mitransient cannot run, and for scenes that it cannot render as ours does.
     """
 
     def __init__(
@@ -197,14 +198,14 @@ class MitransientPeer:
         values.update()
         return mesh
 
-    def render(self, samples: int, seed: int) -> NDArray[np.float64]:
+    def render(self, samples: int, seed: int) -> Floats:
         """(pixel, bin) radiance of the points, 1/(m² sr), from `samples` paths a point."""
         _, image = self._scene.integrator().render(self._scene, seed=seed, spp=samples)
         film = np.array(image, np.float64)[..., 0].reshape(len(self.points), -1)
         return np.asarray(film / self._irradiance[:, None])
 
 
-def _frame(wall: Rectangle) -> NDArray[np.float64]:
+def _frame(wall: Rectangle) -> Floats:
     """The 4 × 4 matrix that takes the square ±1 in x and y, facing z, to the wall."""
     matrix = np.eye(4)
     matrix[:3] = np.stack([wall.right, wall.up, wall.normal, wall.center], axis=1)
@@ -212,13 +213,13 @@ def _frame(wall: Rectangle) -> NDArray[np.float64]:
 
 
 def plate_quadrature(
-    points: NDArray[np.float64],
-    wall_normal: NDArray[np.float64],
+    points: Floats,
+    wall_normal: Floats,
     plate: Rectangle,
     albedos: tuple[float, float],
     axis: TimeAxis,
     knots: int,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Three-bounce radiance of confocal points (P, 3) from an unoccluded plate, by the midpoint rule.
 
         L = ρ₁²ρ₂/π³ ∫ (cosθ₁ cosθ₂)²/R⁴ dA₂   (wall albedo ρ₁, plate albedo ρ₂)

@@ -1,4 +1,4 @@
-"""What `datagen bench peers` computes: rooms and captures, the ways to compute them, and the truth."""
+"""The cases of `datagen bench peers`: rooms and captures, the contenders that compute them, and the truth."""
 
 from __future__ import annotations
 
@@ -6,18 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.bench import other_renderers as others
 from datagen.bench.measuring import percent
 from datagen.bench.other_renderers import MitransientPeer, grid_points, missing_for_mitransient
 from datagen.bench.problems import DEVICE, WALL, furnished_room, lump, rectangle
 from datagen.records import Accuracy, Capture, Rectangle, Scene, TimeAxis
-from datagen.records.arrays import l2_norm
+from datagen.records.arrays import Floats, l2_norm
 from datagen.transport import simulate
 from datagen.units import path_from_time, time_from_path
 
-Array = NDArray[np.float64]
 LATE_S = 10e-9
 """Light after this has mostly bounced four times."""
 OBJECTS, LATE = "worst object", "after 10 ns"
@@ -28,26 +26,27 @@ PEER = "mitransient"
 class Contender:
     """One way to compute a case.
 
-    run : (samples, seed) → (row, pixel, bin): the total and, where the case asks for objects and the way knows them,
-        each object's own light. asks : whether `samples` is the error asked for, as one in so many.
+    run : (samples, seed) → (row, pixel, bin): the total and, where the case wants objects and the contender knows
+        them, each object's own light. takes_error : whether the contender takes an error instead of a number of
+        samples; `samples` then is its reciprocal.
     """
 
     name: str
     unit: str
-    run: Callable[[int, int], Array]
+    run: Callable[[int, int], Floats]
     samples: tuple[int, ...]
-    truth: Array
-    asks: bool = False
+    truth: Floats
+    takes_error: bool = False
 
-    def asked(self, samples: int) -> str:
-        """Its number of samples, or the error asked of it, in words."""
-        return f"to {percent(1 / samples)}" if self.asks else f"{samples} {self.unit}"
+    def effort(self, samples: int) -> str:
+        """The number of samples, or the error asked for, in words."""
+        return f"to {percent(1 / samples)}" if self.takes_error else f"{samples} {self.unit}"
 
 
 @dataclass(frozen=True)
 class Case:
-    """title : what is computed. norm : 1 or 2, of the relative error. target : the error to compare at.
-    late : first bin of what else is looked at, or nothing. most : runs behind each median at most."""
+    """title : what is computed. norm : 1 or 2, for an L1 or L2 error. target : the error at which times are compared.
+    late : first bin of the late light whose error is shown, too. most : largest number of runs behind each median."""
 
     title: str
     norm: int
@@ -56,8 +55,8 @@ class Case:
     late: int | None = None
     most: int = 100
 
-    def errors(self, result: Array, truth: Array) -> dict[str, float]:
-        """Relative error of the whole and, where asked for and known, of the worst object and of late light."""
+    def errors(self, result: Floats, truth: Floats) -> dict[str, float]:
+        """Relative error of the whole and, where wanted and known, of the worst object and of late light."""
         found = {f"relative L{self.norm} error": self._error(result[0], truth[0])}
         if len(result) > 1:
             found[OBJECTS] = max(self._error(a, b) for a, b in zip(result[1:], truth[1:], strict=True))
@@ -65,31 +64,31 @@ class Case:
             found[LATE] = self._error(result[0, :, self.late :], truth[0, :, self.late :])
         return found
 
-    def _error(self, result: Array, truth: Array) -> float:
+    def _error(self, result: Floats, truth: Floats) -> float:
         # The threads of numpy's BLAS would take processor time of whatever is measured next.
         norm = l2_norm if self.norm == 2 else lambda values: float(np.abs(values).sum())
         return norm(result - truth) / norm(truth)
 
 
-def ours(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, objects: bool = False) -> Array:
-    """(row, pixel, bin) radiance: the total, and each object's own light if asked for."""
+def ours(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, objects: bool = False) -> Floats:
+    """(row, pixel, bin) radiance of our transient: the total and, with `objects`, each object's own light."""
     found = simulate(scene, capture, accuracy, seed, split_parts=objects)
     rows = [found.total, *(found.parts[name] for name in scene.objects if objects)]
     return np.stack([others.photons_to_radiance(row, capture).reshape(-1, capture.time.bins) for row in rows])
 
 
-def to_target(scene: Scene, capture: Capture, bounces: int, objects: bool = False) -> Callable[[int, int], Array]:
-    """Ours as a user asks for it, to an error of one in so many."""
+def to_target(scene: Scene, capture: Capture, bounces: int, objects: bool = False) -> Callable[[int, int], Floats]:
+    """A function (n, seed) that runs ours as users do, to an error of 1/n."""
     return lambda one_in, seed: ours(scene, capture, Accuracy(target=1 / one_in, max_bounces=bounces), seed, objects)
 
 
-def by_walk(scene: Scene, capture: Capture, bounces: int) -> Callable[[int, int], Array]:
-    """A call that runs ours by path tracing with so many lookins."""
+def by_walk(scene: Scene, capture: Capture, bounces: int) -> Callable[[int, int], Floats]:
+    """A function (n, seed) that runs ours by path tracing with n hidden vertices."""
     return lambda lookins, seed: ours(scene, capture, Accuracy(lookins, 1, bounces, replicates=1), seed)
 
 
 COUNTS = (10, 50, 200), (), (1 << 12, 1 << 14, 1 << 16)
-"""Errors asked of ours (one in so many), lookins of our walk, and paths of mitransient."""
+"""Reciprocal errors for ours, hidden vertices of our path tracing, and paths of mitransient."""
 
 
 def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
@@ -101,13 +100,13 @@ def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
     points = grid_points(scan, points_a_side, points_a_side)
     scene = Scene.from_parts([rectangle("wall", scan, albedos[0]), rectangle("plate", plate, albedos[1], "object")])
 
-    def quadrature(knots: int, _: int) -> Array:
+    def quadrature(knots: int, _: int) -> Floats:
         return others.plate_quadrature(points, scan.normal, plate, albedos, axis, knots)[None]
 
     capture = others.point_capture(scan, points, device, points, axis, confocal=True)
     truth = quadrature(reference_knots, 0)
     contenders = [
-        Contender("ours, cells", "", to_target(scene, capture, 3), (10, 50, 100, 200), truth, asks=True),
+        Contender("ours, cells", "", to_target(scene, capture, 3), (10, 50, 100, 200), truth, takes_error=True),
         Contender("ours, walk", "lookins a point", by_walk(scene, capture, 3), (1 << 11, 1 << 13, 1 << 15), truth),
         Contender("plain quadrature (numba)", "knots a side", quadrature, (32, 64, 128, 192), truth),
     ]
@@ -121,17 +120,17 @@ def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
 
 
 def in_room(
-    what: str, scene: Scene, points_a_side: int = 16, lasers: Array | None = None, bounces: int = 3, *,
+    what: str, scene: Scene, points_a_side: int = 16, lasers: Floats | None = None, bounces: int = 3, *,
     axis: TimeAxis | None = None, reference: int = 1000, by_walks: bool = False, objects: bool = False,
     counts: tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]] = COUNTS, most: int = 100,
 ) -> Case:  # fmt: skip
     """A square grid of points on the wall of a room: a confocal scan, or each seen from every laser point.
 
-    axis : 512 bins of 3 cm if left out. reference : the truth is ours to an error of one in so many; `by_walks`: of
-    so many walks. counts : of ours to a target (one in so many), of ours by the walk, and of mitransient.
+    axis : left out: 512 bins of 3 cm. reference : the truth is ours to an error of 1/reference or, `by_walks`, of so
+    many traced paths. counts : as `COUNTS`. most : as for `Case`.
     """
     axis, sides = axis or path_axis(512, 0.03, 0.0), (points_a_side, points_a_side)
-    asked, walks, paths = counts
+    errors, walks, paths = counts
     points = grid_points(WALL, *sides)
     lit = points if lasers is None else lasers
     capture = others.point_capture(WALL, points, DEVICE, lit, axis, confocal=lasers is None)
@@ -143,14 +142,15 @@ def in_room(
         known = f"{reference} walks of ours, uncertain by {percent(uncertain)}"
     else:
         truth, known = cells(reference, 1000), f"cells to 1/{reference}"
-    contenders = [Contender("ours, by target" if by_walks else "ours, cells", "", cells, asked, truth, asks=True)]
+    name = "ours, by target" if by_walks else "ours, cells"
+    contenders = [Contender(name, "", cells, errors, truth, takes_error=True)]
     if walks:
         contenders.append(Contender("ours, walk", "lookins a laser point", walk, walks, truth))
     if missing_for_mitransient() is None:
         each = [None] if lasers is None else list(lasers)
         peers = [MitransientPeer(scene, "relay_wall", WALL, DEVICE, at, *sides, axis, bounces=bounces) for at in each]
 
-        def render(count: int, seed: int) -> Array:
+        def render(count: int, seed: int) -> Floats:
             return np.concatenate([peer.render(count, seed * len(peers) + k) for k, peer in enumerate(peers)])[None]
 
         contenders.append(Contender(PEER, "paths a point", render, paths, truth))

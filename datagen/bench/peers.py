@@ -4,13 +4,13 @@
   against quadrature. Ours, mitransient at its best there (hidden-geometry sampling), and plain quadrature, which
   knows that there is nothing else in the scene.
 - *Scans* of a closed room with a box and a pillar, and of the same with meshes in it; relative L2 error of the whole,
-  of the worst object, and of what arrives after 10 ns, against much finer cells. The mean of mitransient's longest
-  runs is held against that reference.
-- *One laser point*, three and four bounces; relative L2 error per 0.1 m bin against a long walk.
+  of the worst object, and of light after 10 ns, against ours to a much smaller error. The mean of mitransient's
+  longest runs is compared with that reference.
+- *One laser point*, three and four bounces; relative L2 error per 0.1 m bin against much path tracing.
 
-Ours is timed as a user calls it, `simulate` with all its preparation; the others after theirs (mitransient's scene
-and kernels are built before the clock starts). Runs take turns, so that a busy machine disturbs all alike, and ratios
-are formed turn by turn. mitransient runs when it is installed (`other_renderers.py`).
+Ours is timed as a user calls it, `simulate` with all its preparation; the others after their preparation
+(mitransient's scene and kernels are built before the clock starts). Runs take turns, so that a busy machine disturbs
+all alike, and ratios are formed turn by turn. mitransient runs when it is installed (`other_renderers.py`).
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ import numpy as np
 
 from datagen.bench.measuring import machine, markdown, percent, processor_seconds
 from datagen.bench.other_renderers import missing_for_mitransient
-from datagen.bench.peer_cases import CASES, DEAR, PEER, Array, Case, Contender
+from datagen.bench.peer_cases import CASES, DEAR, PEER, Case, Contender
 from datagen.errors import InputError
+from datagen.records.arrays import Floats
 from datagen.report.style import INK, house_style, new_figure, save_png
 from datagen.store.files import check_writable
 
@@ -41,7 +42,7 @@ class Run:
 
     seconds: float
     errors: dict[str, float]
-    result: Array
+    result: Floats
 
     @property
     def error(self) -> float:
@@ -52,7 +53,7 @@ class Run:
 LOOKS = (("#D55E00", "o"), ("#000000", "s"), ("#0072B2", "^"), ("#CC79A7", "v"))
 """Colour and marker of each contender, ours first."""
 RESTING_S = 0.2
-"""Before each run: threads of the one before turn idly for a while, and their processor time would be counted."""
+"""Pause before each run: threads of the run before spin idly for a while, and would cost processor time."""
 Turn = dict[str, list[Run]]
 """Contender → a run for each of its numbers of samples."""
 
@@ -75,10 +76,10 @@ def measured(case: Case, repeats: int) -> list[Turn]:
 
 
 def seconds_at(rows: Sequence[tuple[float, float]], target: float) -> tuple[float, bool]:
-    """Processor seconds to reach an error, and whether that was measured (else it lies beyond the last row).
+    """Processor seconds to reach an error, and whether rows enclose it (else it is extrapolated beyond the last one).
 
-    rows : (seconds, error). Between two of them along the straight line of their logarithms; beyond the last with
-    error ∝ 1/√seconds, which is how independent paths converge, so a floor that stays is not seen.
+    rows : (seconds, error). Between two rows their logarithms are joined by a straight line; beyond the last one the
+    error falls as 1/√seconds, as with independent paths, so an error that no longer falls is overlooked.
     """
     if rows[0][1] <= target:
         return rows[0][0], True
@@ -89,9 +90,9 @@ def seconds_at(rows: Sequence[tuple[float, float]], target: float) -> tuple[floa
 
 
 def seconds_to_target(contender: Contender, runs: Sequence[Run], target: float) -> tuple[float, bool]:
-    """`seconds_at` of a contender in one turn; of one that is asked for an error, by the run asked for the target."""
+    """`seconds_at` of a contender in one turn; one that takes an error is judged by its run to the target."""
     rows = [(run.seconds, run.error) for run in runs]
-    if contender.asks:
+    if contender.takes_error:
         rows = [row for row, one_in in zip(rows, contender.samples, strict=True) if one_in * target >= 1] or rows
     return seconds_at(rows, target)
 
@@ -107,8 +108,8 @@ def lines_of(case: Case, turns: Sequence[Turn]) -> dict[str, list[tuple[float, f
 
 
 def report(case: Case, turns: Sequence[Turn]) -> str:
-    """Markdown: error and seconds of every contender, the seconds to the target error beside ours, and how far the
-    peer's mean is from the reference."""
+    """Markdown: error and seconds of every contender, its seconds to the target error over ours, and the distance of
+    mitransient's mean from the reference."""
     first, lines = case.contenders[0], lines_of(case, turns)
     names = list(turns[0][first.name][0].errors)
     cells, ends = list[list[str]](), list[str]()
@@ -119,7 +120,7 @@ def report(case: Case, turns: Sequence[Turn]) -> str:
                 percent(statistics.median(run.errors[name] for run in runs)) if name in runs[0].errors else "–"
                 for name in names
             ]
-            cells.append([contender.name, contender.asked(samples), f"{lines[contender.name][k][0]:.3f}", *errors])
+            cells.append([contender.name, contender.effort(samples), f"{lines[contender.name][k][0]:.3f}", *errors])
         taken = [seconds_to_target(contender, turn[contender.name], case.target) for turn in turns]
         against = [seconds_to_target(first, turn[first.name], case.target)[0] for turn in turns]
         ratio = statistics.median(s / ours for (s, _), ours in zip(taken, against, strict=True))
@@ -157,8 +158,8 @@ def picture(
         return save_png(figure, path)
 
 
-def agreement(peer: Contender, runs: Sequence[Array]) -> str:
-    """How far the mean of a peer's runs is from the reference, beside its own standard error; and in energy."""
+def agreement(peer: Contender, runs: Sequence[Floats]) -> str:
+    """A line on the mean of a peer's runs: distance from the reference, standard error, and ratio of the energies."""
     values, truth = np.array(runs), peer.truth[0]
     norm, count = float(np.linalg.norm(truth)), len(values)
     apart = float(np.linalg.norm(values.mean(axis=0) - truth)) / norm

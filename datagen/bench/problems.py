@@ -1,4 +1,5 @@
-"""The furnished room that benches share: closed, 4 × 3 × 2.5 m, with a box and a pillar; meshes of any size in it."""
+"""The furnished room of several benches: closed, 4 × 3 × 2.5 m, with a box and a pillar; and lumps of any size for
+it."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ def rectangle(name: str, surface: Rectangle, albedo: float, role: Role = "struct
 
 
 def furnished_room(subdivisions: int = 0, more: Sequence[Part] = ()) -> Scene:
-    """The room, of 36 triangles, each cut into four `subdivisions` times, and more that stands in it."""
+    """The room, of 36 triangles, each cut into four `subdivisions` times, with `more` parts in it."""
     shell = trimesh.creation.box((4, 3, 2.5))
     shell.apply_translation((2, 0, 1.25))
     others = shell.submesh([np.flatnonzero(shell.triangles_center[:, 0] > 1e-6)], append=True)
@@ -42,7 +43,8 @@ def furnished_room(subdivisions: int = 0, more: Sequence[Part] = ()) -> Scene:
 
 
 def lump(name: str, center: tuple[float, float, float], radius_m: float, quads: int) -> Part:
-    """A ball with bumps of a tenth of its radius, 12 quads² triangles: a cube's faces blown up to a sphere."""
+    """A sphere with bumps of a tenth of its radius, of 12 quads² triangles: the faces of a cube, projected
+    outwards."""
     side = np.linspace(-1, 1, quads + 1)
     u, v = (x.ravel() for x in np.meshgrid(side, side, indexing="ij"))
     low = (np.arange(quads)[:, None] * (quads + 1) + np.arange(quads)).ravel()

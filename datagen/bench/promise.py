@@ -1,13 +1,13 @@
 """`datagen bench promise`: scenes of configurations, simulated to their targets and compared with the truth.
 
 For each scene some laser points of its scan (pixels, where one laser point has many) are taken at random and
-simulated to a target, as a build would. The error of the whole and of every object's own light is then measured at
-some of them, drawn by their light and weighted with how many each stands for, so that it is an estimate of the error
-over all.
+simulated to a target, as in a build. The error of the whole and of every object's own light is measured at `HELD` of
+them, drawn with probability by their light and weighted with its inverse, which estimates the error over all of them.
 
-*Truth*: the same light to `FINER` times the target with another seed, which draws cells, patches and trials anew.
-*Independent truth*: the walk, which knows of no cells. From two runs of it, A and B, with errors of their own,
-Σ (truth − A)(truth − B) has the mean ‖truth − true‖², whatever their noise: noisy walks tell of small errors.
+*Truth*: the same light to 1/`FINER` of the target with another seed, which draws all surface elements and samples
+anew. *Independent truth*: path tracing, which has no surface elements. For two runs of it, A and B, with independent
+noise, Σ (truth − A)(truth − B) has the mean ‖truth − true‖², so that even noisy runs measure small errors of the
+truth.
 """
 
 from __future__ import annotations
@@ -34,8 +34,11 @@ from datagen.transport.error_control.refinement import by_light
 
 TARGETS = (0.02, 0.05)
 POINTS, HELD, FINER = 64, 16, 3
+"""Points simulated, points at which errors are measured, and how many times more accurate the truth is. With half of
+`HELD` the measured errors scatter 1.4 times as much; with half of `FINER` the truth is nearly as wrong as the run."""
 WALKED, WALKED_FOV = 1 << 13, 4
-"""Lookins of each of two walks, and their FoV points."""
+"""Hidden vertices of each of two runs by path tracing, and their FoV points. With half, the truth's error is known
+half as well."""
 WHOLE = "whole"
 
 
@@ -45,9 +48,9 @@ class Check:
 
     Attributes
     ----------
-    error, claimed, asked : true relative L2 error, what was claimed, and what was asked.
-    truth_claimed : what the truth says of itself.
-    truth_off, known : its squared relative error as found by walks, and one standard deviation of that.
+    error, claimed, asked : relative L2 error as measured, as claimed by the run, and as asked for.
+    truth_claimed : error that the truth claims for itself.
+    truth_off, known : squared relative error of the truth as measured by path tracing, and its standard error.
     seconds : processor seconds of the run.
     """
 
@@ -65,17 +68,17 @@ class Check:
 
     @property
     def promised(self) -> bool:
-        """Whether the run said that its target is met."""
+        """Whether the run claimed an error within the one asked for."""
         return self.claimed <= self.asked
 
     @property
     def disputed(self) -> bool:
-        """Whether walks find the truth to be off by more than a third of what was asked, at four σ."""
+        """Whether, by path tracing, the truth is off by more than a third of the error asked for, at four σ."""
         return self.truth_off - 4 * self.known > (self.asked / 3) ** 2
 
     @property
     def within(self) -> bool:
-        """Whether the true error is at most what was asked."""
+        """Whether the measured error is at most the one asked for."""
         return self.error <= self.asked
 
 
@@ -159,7 +162,7 @@ def table(found: Sequence[Check]) -> str:
 
 
 def _line(one: Check) -> str:
-    """A case in one line."""
+    """One check in a line."""
     return (
         f"{one.config} scene {one.scene}, target {one.target:g}, {one.what}: true {one.error:.4f}, claimed "
         f"{one.claimed:.4f}; the truth claims {one.truth_claimed:.4f} of itself, walks {one.truth_off:.1e} ± "

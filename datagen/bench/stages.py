@@ -1,8 +1,9 @@
 """Where a build's time goes: seconds per scene by stage, and scenes per second, from the records of small builds.
 
-A worker's first scenes pay for loading and compiling the kernels: a first build, not counted, leaves the compiled
-kernels on disk, and each worker's first shard is left out of the rates. What a million scenes would take is told from
-the processor seconds of some, made one after the other, which a busy machine does not change.
+A worker's first scenes include loading and compiling the kernels: a first build, which is not counted, leaves
+compiled kernels on disk, and each worker's first shard is left out of the rates. The time of a million scenes is
+extrapolated from the processor seconds of a few, made one after the other, which depend little on other work of the
+machine.
 """
 
 from __future__ import annotations
@@ -24,15 +25,16 @@ from datagen.store import ShardRecord, committed, prepare, read_manifest, schema
 from datagen.store.info import STAGES, seconds_by_stage
 
 LEAST_SHARDS = 4
-"""Of a build, so that rates have some that were made by warm workers."""
+"""Fewest shards of a build. With half as many, two workers would leave none for the rates after their first
+shards."""
 SIMULATION = ("scene", "transport", "detector")
-"""Stages without which there is no sample; all others are what a build adds."""
+"""Stages that make a sample; all others count as overhead."""
 CORES = 16
-"""Of the machine for which a million scenes are told."""
+"""Cores of the machine for which a million scenes are extrapolated."""
 
 
 def shard_size(config: DatasetConfig, scenes: int) -> int:
-    """Scenes in a shard of a dataset of so many scenes, fewer where it would have less than `LEAST_SHARDS` shards."""
+    """Scenes in a shard: as many as a dataset of `scenes` scenes has, or fewer for at least `LEAST_SHARDS` shards."""
     return min(
         schema_of(config.with_scenes(scenes)).scenes_per_shard, 1 << ((scenes // LEAST_SHARDS).bit_length() - 1)
     )
@@ -76,7 +78,8 @@ def scanned(config: DatasetConfig, scan: str) -> DatasetConfig:
 
 
 def processor_seconds_of_scenes(config: DatasetConfig, scenes: int) -> list[float]:
-    """Processor seconds of each of `scenes` scenes, from seed to shard, but for a first one, which compiles."""
+    """Processor seconds of each of `scenes` scenes, from seed to shard, after a first one, which compiles the
+    kernels."""
     alone = config.store.model_copy(update={"scenes_per_shard": 1})
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "set"
@@ -90,7 +93,7 @@ def processor_seconds_of_scenes(config: DatasetConfig, scenes: int) -> list[floa
 
 
 def a_million(config: DatasetConfig, seconds: Sequence[float]) -> str:
-    """What 10⁶ scenes would take on `CORES` cores, in one line."""
+    """One line: the time of 10⁶ scenes on `CORES` cores."""
     mean = statistics.mean(seconds)
     spread = f"{min(seconds):.2g} … {max(seconds):.2g}"
     days = 1e6 * mean / CORES / 86400

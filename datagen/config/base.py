@@ -14,14 +14,14 @@ from datagen.errors import InputError
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
 else:
-    # Its own name is pydantic's affair.
+    # The name of pydantic's metaclass is private; at run time it is the type of any model.
     ModelMetaclass = type(BaseModel)
 
 
 class _OneLineErrors(ModelMetaclass):
     """Makes models that are wrong in Python raise the same one-line error as models read from a file.
 
-    A model within another one is made by pydantic itself, and its errors belong to the outer one.
+    A model within another one is made by pydantic itself, and its errors become errors of the outer one.
     """
 
     def __call__(cls, *values: Any, **named: Any) -> Any:
@@ -47,11 +47,11 @@ class Settings(BaseModel, metaclass=_OneLineErrors):
     )  # fmt: skip
 
     is_offered: ClassVar[bool] = True
-    """Whether messages name its kind as one to choose; datagen alone writes the others."""
+    """Whether error messages list this kind among those to choose from; False for kinds that only datagen writes."""
 
     def unwritten(self) -> Collection[str]:
-        """Keys that are left out where the model is written: nobody asked for them, and reading them would fail or
-        change a fingerprint."""
+        """Keys to leave out when the model is written: nobody gave them, and with them it could not be read again or
+        would have another fingerprint."""
         return ()
 
     @model_serializer(mode="wrap")
@@ -98,7 +98,7 @@ def _explain(detail: Any, model: type[BaseModel]) -> str:
 
 
 def near_hint(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """`did you mean '…'? `, or nothing where none of the known names is like it."""
+    """`did you mean '…'? ` with the known name that is most alike; empty where none is."""
     near = difflib.get_close_matches(name, [*known], n=1, cutoff=cutoff)
     return f"did you mean {near[0]!r}? " if near else ""
 

@@ -12,7 +12,8 @@ from datagen.records import TimeAxis
 
 Point = tuple[Coordinate, Coordinate, Coordinate]
 LARGEST_FLOOD = 2**28
-"""Values of the transients that a flood's points have before they are summed."""
+"""Largest number of values (points × pixels × bins) of a flood before its points are summed: 2 GiB. Half of it would
+refuse a flood of 64 × 64 points, 8 × 8 pixels and 1024 bins."""
 
 
 class FieldOfView(Settings):

@@ -26,7 +26,7 @@ from datagen.records.checks import check_kind
 
 MOST_SCENES = 100_000_000
 WITHOUT_EFFECT = ("name", "description", "license", "scenes", "splits")
-"""Settings that no sample depends on: a dataset may have others when it is taken up again."""
+"""Settings that no sample depends on: a build that is resumed may change them."""
 
 
 class DatasetConfig(Settings):
@@ -72,7 +72,7 @@ class DatasetConfig(Settings):
 
 
 def fingerprint_of(settings: dict[str, Any], mesh_digests: dict[str, str]) -> str:
-    """The fingerprint of a configuration given as plain values, such as a dataset keeps of its own."""
+    """The fingerprint of a configuration given as plain values, as a dataset stores its own."""
     kept = {key: value for key, value in settings.items() if key not in WITHOUT_EFFECT}
     text = json.dumps(kept | {"mesh_digests": mesh_digests}, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -105,8 +105,8 @@ def load_config(path: str | Path) -> DatasetConfig:
 def config_from_mapping(
     values: dict[str, Any], source: str = "configuration", base_directory: str | Path | None = "."
 ) -> DatasetConfig:
-    """The configuration that plain values describe; `base_directory` is where relative mesh paths start, None where
-    no mesh file need be there."""
+    """The configuration that plain values describe. `base_directory` is the folder in which relative mesh paths
+    start; None: mesh files are not looked for."""
     try:
         # JSON mode: strict about types, yet a list may stand for a tuple.
         text = json.dumps(values)

@@ -32,12 +32,12 @@ class GateConfig(Settings):
 
 
 class ExposureFor(Settings):
-    """How far objects are to stand out of the noise: the exposure is the shortest with which they do."""
+    """How significant objects must be in the data: the exposure is the shortest with which they are."""
 
     evidence: Annotated[float, Field(gt=0, le=1e6)]
     """Significance of an object's own light, standard deviations of a matched filter."""
     quantile: Annotated[float, Field(ge=0, lt=1)] = 0.5
-    """Share of the objects that may have less: 0.5 asks it of the median, 0.1 of nine in ten."""
+    """Share of the objects that may have less: with 0.5 half of the objects reach it, with 0.1 nine in ten."""
     longest_s: Annotated[float, Field(gt=0, le=1e6)] = 10.0
     """Longest exposure of one histogram, seconds; where it is not enough, the configuration is refused."""
 
@@ -88,7 +88,7 @@ class DetectorConfig(Settings):
     exposure_for: ExposureFor | None = None
     """Instead of `cycles`: one number of cycles for the whole dataset, found by pilot scenes."""
     found_for: ExposureFor | None = None
-    """What `cycles` was found for. Written into a dataset's own configuration; ask with `exposure_for`."""
+    """The `exposure_for` for which `cycles` was found. Written by datagen into a dataset's own configuration."""
     photons_per_pulse: NotNegative = 1e7
     """Photons that leave the laser in one pulse; the default, 4 pJ in the green, fills 16-bit bins of a confocal scan
     of a room to some percent of their range."""
@@ -112,6 +112,6 @@ class DetectorConfig(Settings):
         return self
 
     def unwritten(self) -> list[str]:
-        """What was not asked for of the keys that exclude each other."""
+        """Those of the keys that exclude each other that were not given."""
         absent = [name for name in ("exposure_for", "found_for") if getattr(self, name) is None]
         return absent if self.exposure_for is None else [*absent, "cycles"]

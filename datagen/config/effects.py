@@ -37,8 +37,8 @@ class EffectsConfig(Settings):
     secondary_bounce: Annotated[
         Literal["auto", "on", "off", "strongest"] | Annotated[int, Field(ge=1)], BeforeValidator(_as_word)
     ] = "auto"
-    """Four bounces. A number k, or `strongest` (k = 1): only the k strongest arriving paths of each lookin, which
-    needs `transport.observed`."""
+    """Four bounces. A number k, or `strongest` (k = 1): only the k strongest arriving paths of each hidden
+    vertex, which needs `transport.observed`."""
     higher_bounces: Switch = "auto"
     """Five bounces and more, as far as `transport.max_bounces` goes."""
     brdf: Switch = "auto"
@@ -46,7 +46,7 @@ class EffectsConfig(Settings):
     attenuation: Switch = "auto"
     """Absorption and scattering by the air."""
     extended_surfaces: Switch = "auto"
-    """Light by way of walls, floor and ceiling; left out, only objects scatter light back to the relay wall."""
+    """Light that walls, floor and ceiling scatter; left out, only objects scatter light back to the relay wall."""
     timing_response: Switch = "auto"
     """Laser pulse, carrier diffusion and jitter (the IRF)."""
     ambient_light: Switch = "auto"
@@ -78,7 +78,8 @@ class EffectsConfig(Settings):
         return self
 
     def of(self, effect: str) -> str | int:
-        """The setting of an effect by its name in the table; who wants a dead time across cycles wants it in each."""
+        """The setting of an effect by its name in the table. A dead time across cycles that is on turns pile-up
+        on."""
         setting: str | int = getattr(self, effect)
         together = effect == "pile_up" and setting == "auto" and self.dead_time_across_cycles == "on"
         return "on" if together else setting

@@ -1,4 +1,4 @@
-"""What is stated of an imported dataset: which files it was read from, and what was said of them."""
+"""The origin of an imported dataset: its files, and what the options of `datagen import` state about them."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ class ImportedFile(Settings):
     """One file that was read."""
 
     name: Annotated[str, Field(min_length=1, max_length=1000)]
-    """Without its folder."""
+    """Name of the file, without its folder."""
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     format: Literal["tal", "mat"]
 
 
 class ImportOptions(Settings):
-    """What the options of `datagen import` said where a file did not, or of which part of it is kept."""
+    """What the options of `datagen import` state where a file does not, and how much of a file is kept."""
 
     bin_width_ps: Annotated[float, Field(gt=0, le=1e9)] | None = None
-    """Width of a time bin, of files that do not say it."""
+    """Width of a time bin, for files that do not state it."""
     wall_m: tuple[Metres, Metres] | None = None
-    """Width and height of a grid from its first to its last point, of files that do not say it."""
+    """Width and height of a grid from its first to its last point, for files that do not state them."""
     axes: Literal["xyt", "yxt", "txy", "tyx"] | None = None
     """Order of the axes of a grid in a MATLAB file, where it is another than its variable's usual one."""
     delays: ImportedFile | Literal["none"] | None = None
-    """Where `tofgrid` is, the light's way to the wall and back at each point; `none`: there is none to take off."""
+    """The file with `tofgrid`, the time from the laser to each point and back to the sensor; `none`: times do not
+    include it."""
     bins: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
-    """Keep so many of the first time bins."""
+    """How many of the first time bins are kept; left out: all."""

@@ -18,7 +18,7 @@ in the room."""
 
 
 def _kind_required(schema: dict[str, Any]) -> None:
-    # Only a grid may leave `kind` out, which its default alone would not tell an editor.
+    # A key with a default is optional in JSON Schema, and of all scans only a grid may leave out `kind`.
     schema["required"] = ["kind", *schema.get("required", [])]
 
 
@@ -26,12 +26,13 @@ class _Spread(Settings):
     """Scans that fill a rectangle on the relay wall."""
 
     width_m: Metres | None = None
-    """Width of the rectangle, for a grid from its first to its last column; left out: 80 % of the visible width, of
-    what is left of it around a `center_m`."""
+    """Width of the rectangle, for a grid from its first to its last column; left out: 80 % of the visible width, or
+    of the largest visible width about `center_m`."""
     height_m: Metres | None = None
-    """Its height, likewise."""
+    """Height of the rectangle, likewise."""
     center_m: Place | None = None
-    """Its middle: (right, up) from the middle of the visible relay wall, or (x, y, z) on it; left out: that one."""
+    """Middle of the rectangle: (right, up) from the middle of the visible relay wall, or (x, y, z) on it; left out:
+    the middle of the visible relay wall."""
 
 
 class GridScan(_Spread):
@@ -61,7 +62,7 @@ class PointsScan(Settings):
 
     kind: Literal["points"] = "points"
     points_m: Annotated[tuple[Place, ...], Field(min_length=1, max_length=LARGEST_SCAN)]
-    """Each either (right, up) from the middle of the visible relay wall, or (x, y, z), on any surface the laser
+    """Each point: (right, up) from the middle of the visible relay wall, or (x, y, z) on any surface that the laser
     reaches."""
 
     @property
@@ -71,7 +72,7 @@ class PointsScan(Settings):
 
 
 class _CountedScan(Settings):
-    """Scans of which the number of laser points is said."""
+    """Scans with a key for the number of laser points."""
 
     model_config = ConfigDict(json_schema_extra=_kind_required)
 
@@ -89,11 +90,12 @@ class CircleScan(_CountedScan):
 
     kind: Literal["circle"] = "circle"
     radius_m: Metres | None = None
-    """Left out: 80 % of the largest circle on the visible relay wall."""
+    """Radius of the circle; left out: 80 % of the largest circle on the visible relay wall."""
     center_m: Place | None = None
-    """(right, up) from the middle of the visible relay wall, or (x, y, z) on it. Left out: that middle."""
+    """Middle of the circle: (right, up) from the middle of the visible relay wall, or (x, y, z) on it. Left out: that
+    middle."""
     start_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
-    """Where the first stands: 0 to the right, 90 at the top."""
+    """Direction of the first point from the middle: 0 to the right, 90 at the top."""
 
 
 class RandomScan(_Spread, _CountedScan):
@@ -124,8 +126,8 @@ class SubsetScan(_Spread, _CountedScan):
 
 
 class ImportedScan(_CountedScan):
-    """Laser points wherever the files of an import have them: a dataset holds them scene by scene. Written by
-    `datagen import`, and no scan to build with."""
+    """Laser points that an imported dataset holds scene by scene, as its files have them. Written by `datagen
+    import`; no dataset can be built with it."""
 
     is_offered = False
 

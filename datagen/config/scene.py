@@ -58,7 +58,7 @@ class SceneConfig(Settings):
 
     @property
     def asks_for_evidence(self) -> bool:
-        """Whether light decides which of its scenes are accepted (`evidence_at_least`)."""
+        """Whether a scene is accepted only if its light has enough evidence of an object (`evidence_at_least`)."""
         return any(item.evidence_at_least is not None for item in self.contents)
 
     def object_classes(self) -> tuple[str, ...]:
@@ -89,7 +89,7 @@ class SceneConfig(Settings):
 
 
 def _fits(sides: tuple[float, float], room: tuple[float, float], clearance_m: float) -> bool:
-    """Whether a rectangle can lie in another, rotated as need be (necessary condition)."""
+    """False if a rectangle cannot lie in another one at any rotation (a necessary condition for fitting)."""
     gap = 2 * clearance_m
     short, long = sorted(room)
     return sides[0] + gap <= short and sides[1] + gap <= float(np.hypot(short, long))

@@ -30,7 +30,7 @@ def resolved(path: str, info: ValidationInfo) -> Path:
 
 
 def is_placed(info: ValidationInfo) -> bool:
-    """Whether there is a folder to start from: when an old dataset's settings are read, no file need be there."""
+    """Whether files are looked for: the settings of an old dataset are read even where its files are gone."""
     return (info.context or {}).get("base_directory") is not None
 
 
@@ -58,7 +58,8 @@ Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 
 
 def classed_files(folder: Path) -> dict[str, tuple[Path, ...]]:
-    """Class → mesh files: the first sub-folder on the way to a file, or its own name when there is none."""
+    """Class → mesh files. The class is the first sub-folder on the way to a file; without one, the file's own
+    name."""
     found: dict[str, list[Path]] = {}
     for file in sorted(folder.rglob("*")):
         if file.suffix.lower() in SUFFIXES and file.is_file():
@@ -89,13 +90,13 @@ class Item(SurfaceMaterial):
     distance_m: Length | None = None
     """Distance of the centre from the relay wall's plane, in place of `along`."""
     offset_m: Annotated[Distribution, within(-1000, 1000)] | None = None
-    """How far the centre lies to the right of the middle of the relay wall, of that part which the device sees, for
-    somebody who faces it, in place of `across`."""
+    """Distance of the centre to the right of the middle of the relay wall's visible part, for somebody who faces the
+    wall, in place of `across`."""
     rotation_deg: Angle = ANY_ANGLE
     """Rotation about the vertical."""
     evidence_at_least: Annotated[float, Field(gt=0, le=1e4)] | None = None
-    """Significance that each of these objects is to have, standard deviations: all objects of a scene are placed anew
-    until they do, which makes what is near, large and bright more frequent. Left out: whatever they have."""
+    """Least significance of each of these objects, standard deviations: all objects of a scene are placed anew until
+    they have it, which makes near, large and bright objects more frequent. Left out: no limit."""
 
     sizes: ClassVar[tuple[str, ...]] = ()
     """Names of the keys that set the object's size, in the order they are drawn."""
@@ -107,13 +108,13 @@ class Item(SurfaceMaterial):
         return self
 
     def unwritten(self) -> list[str]:
-        """Keys younger than the first datasets, where nobody gives them: these keep their fingerprints."""
+        """Keys that came after the first datasets, unless given: so the fingerprints of those stay the same."""
         return [key for key in ("evidence_at_least", "distance_m", "offset_m") if getattr(self, key) is None]
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
         for share, metres in (("along", "distance_m"), ("across", "offset_m")):
-            # A configuration that was read back has all keys: what is given is what is not the default.
+            # A stored configuration has all keys, so a key counts as given where it differs from its default.
             given = getattr(self, share) != type(self).model_fields[share].default
             if getattr(self, metres) is not None and given:
                 raise ValueError(f"{share} and {metres}: both say where the object stands; leave one of them out")
@@ -121,12 +122,12 @@ class Item(SurfaceMaterial):
 
     @property
     def part_name(self) -> str:
-        """The name that its parts get."""
+        """Name of its part in the scene."""
         return self.name or str(getattr(self, "kind", "object"))
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """The classes of object that this item can give."""
+        """The classes of object that can be drawn."""
         return (self.part_name,)
 
     def smallest_footprint_m(self) -> tuple[float, float] | None:
@@ -152,7 +153,7 @@ class Item(SurfaceMaterial):
 
 
 class Standing(Item):
-    """An object that stands on the floor, with its back to a wall, or hangs from the ceiling."""
+    """Objects that stand on the floor, stand with their back to a wall, or hang from the ceiling."""
 
     placement: Literal["floor", "wall", "hanging"] = "floor"
     """`floor`: anywhere, rotated by `rotation_deg`. `wall`: back to a wall of the hidden part; `along`, `across` and
@@ -218,8 +219,8 @@ class MeshItem(Standing):
     up: Axis = "z"
     """The axis of the file that points up."""
     front: Axis | None = None
-    """The axis of the file that the object's front looks along, across `up`; its width, depth and box follow from it.
-    Left out: -y of a file that is z up, z of one that is y up."""
+    """The axis of the file along which the object's front looks, at right angles to `up`; width, depth and box of the
+    object follow from it. Left out: -y with up = z, z with up = y."""
     max_triangles: Annotated[int, Field(ge=4)] | None = None
     """Simplify to at most this many triangles; left out: never."""
     sizes = ("height_m",)
@@ -252,7 +253,7 @@ class Mesh(MeshItem):
 
     @property
     def part_name(self) -> str:
-        """The name that its parts get; left out: that of the file."""
+        """Name of its part in the scene; left out: that of the file."""
         return self.name or label_of(self.path)
 
     def digest(self) -> str:
@@ -284,7 +285,7 @@ class MeshFolder(MeshItem):
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """The classes that it holds, of those wanted."""
+        """The classes in the folder, of those wanted."""
         return tuple(self.files())
 
     def files(self) -> dict[str, tuple[Path, ...]]:
@@ -295,7 +296,7 @@ class MeshFolder(MeshItem):
         return self._found
 
     def shown(self, file: Path) -> str:
-        """One of its files as messages and parameters name it: `path`, and the way from there."""
+        """A file of the folder as messages and parameters show it: `path`, and the way from there."""
         return f"{self.path}/{file.relative_to(self._folder).as_posix()}"
 
     def digest(self) -> str:

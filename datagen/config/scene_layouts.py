@@ -47,16 +47,16 @@ class Layout(Settings):
 
     @property
     def plan(self) -> str:
-        """Its floor plan's name in `scene_library.layouts.PLANS`."""
+        """Name of the floor plan in `scene_library.layouts.PLANS`."""
         return str(getattr(self, "kind", ""))
 
     limits: ClassVar[tuple[tuple[str, str, str], ...]] = ()
-    """(smaller, larger, reason): pairs of dimensions of which the first has to be below the second."""
+    """(smaller, larger, reason): the first dimension must be below the second."""
     hidden_m: ClassVar[tuple[str, tuple[str, ...]]]
-    """The dimension that limits the hidden part along x, and those of which the largest limits it across."""
+    """The dimension that limits the hidden part along x, and the dimensions whose largest limits it along y."""
 
     def largest_hidden_m(self) -> tuple[float, float]:
-        """Largest extents of the hidden part, along x and across, metres."""
+        """Largest extents of the hidden part along x and y, metres."""
         along, across = self.hidden_m
         return self._largest(along), max(self._largest(name) for name in across)
 
@@ -193,10 +193,10 @@ class DoorwayRoom(Closed):
 
 
 NEAR_THE_WALL = Uniform(uniform=(0.3, 0.5))
-"""How far from the relay wall's plane a device stands that has objects before the wall farther away than itself."""
+"""Default distance of the device from the relay wall's plane with place `in_front`: nearer than the objects."""
 BESIDE_ONLY = ("device_offset", "screen_to_wall_m", "screen_offset_m", "space_width_m")
 IN_FRONT_ONLY = ("beside_m", "space_depth_m")
-"""Keys that mean something with one `place` alone; they are no part of a configuration with the other."""
+"""Keys that have a meaning with one `place` only; a configuration with the other place does not have them."""
 
 
 class IsolatedWall(Layout):
@@ -240,7 +240,7 @@ class IsolatedWall(Layout):
             super()._check_limits()
             return
         if "relay_distance_m" not in self.model_fields_set:
-            # A default that follows from another key; the model is not handed out yet.
+            # A default that follows from another key. The frozen model may still change, since nobody has it yet.
             object.__setattr__(self, "relay_distance_m", NEAR_THE_WALL)
         least, most = support(self.relay_distance_m)[0], self._largest("space_depth_m")
         if least >= most:
@@ -281,19 +281,19 @@ class IsolatedWall(Layout):
 
 
 class NoLayout(Layout):
-    """Scenes that are there, and no rooms to draw: written into a dataset by what made it, and not to build from."""
+    """Layouts of datasets whose rooms cannot be drawn. What makes such a dataset writes them; no user gives them."""
 
     is_offered = False
     why: ClassVar[str]
     """Why there is no room to draw, as a whole clause."""
 
     def largest_hidden_m(self) -> tuple[float, float]:
-        """Unknown, and nothing has to fit."""
+        """Unknown, so any object fits."""
         return float("inf"), float("inf")
 
 
 class GivenScenes(NoLayout):
-    """No rooms to draw: the scenes were made in Python. Written by `build_from`, and no layout to build from."""
+    """Scenes that were made in Python. Written by `build_from`; no dataset can be built with it."""
 
     why = "these scenes were made in Python, and cannot be drawn again here"
 
@@ -301,14 +301,14 @@ class GivenScenes(NoLayout):
     digest: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     """SHA-256 of the scenes and captures."""
     classes: tuple[str, ...] = ()
-    """Of all their objects, sorted."""
+    """Classes of all objects, sorted."""
     most_objects: Annotated[int, Field(ge=1, le=10_000)] = 1
-    """In one scene."""
+    """Largest number of objects in one scene."""
 
 
 class ImportedCaptures(NoLayout):
-    """No rooms: captures of another program or of a laboratory. Written by `datagen import`, and no layout to build
-    from."""
+    """Captures of another program or of a laboratory. Written by `datagen import`; no dataset can be built with
+    it."""
 
     why = "these captures were imported, and have no room to draw"
     classes: ClassVar[tuple[str, ...]] = ()
@@ -316,11 +316,11 @@ class ImportedCaptures(NoLayout):
 
     kind: Literal["imported"] = "imported"
     files: Annotated[tuple[ImportedFile, ...], Field(min_length=1)]
-    """One for each scene, in its order."""
+    """One file for each scene, in the order of the scenes."""
     options: ImportOptions = ImportOptions()
-    """What was said of them where they do not say it themselves."""
+    """What the options of `datagen import` state where the files do not."""
     detector_is_known: bool = False
-    """Whether the section `detector` is of these captures, and not what is taken where nothing is said."""
+    """Whether the section `detector` describes the detector of these captures; False: it holds defaults."""
 
 
 AnyLayout = Annotated[

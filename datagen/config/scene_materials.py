@@ -1,4 +1,4 @@
-"""What surfaces are made of: an albedo of one's own, or materials of the catalogue."""
+"""What surfaces are made of: an albedo given by number, or materials of the catalogue."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class SurfaceMaterial(Settings):
         return self
 
     def draw_material(self, wavelength_nm: float, rng: np.random.Generator) -> tuple[Material, str | None]:
-        """A material, and its name in the catalogue, if it has one."""
+        """A drawn material, and its name in the catalogue; None for an albedo given by number."""
         name = self.material[int(rng.integers(len(self.material)))] if self.material else None
         if name is None:
             albedo = draw(self.albedo, rng)

@@ -1,4 +1,4 @@
-"""The section `splits`: which scenes are to train, validate and test with, which are held out by what they show."""
+"""The section `splits`: scenes for training, validation and test, and scenes held out by what they show."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from datagen.config.scene_contents import Name
 from datagen.errors import InputError
 
 BY_SHARE = ("train", "val", "test")
-"""Splits that scenes are dealt out to by share."""
+"""Splits that get scenes at random, each its share."""
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Names = tuple[Annotated[str, Field(min_length=1)], ...]
@@ -19,7 +19,7 @@ Range = tuple[Share, Share] | None
 
 
 class HeldOut(Settings):
-    """A split of all scenes that show something, and that no other split has: every key given must be met."""
+    """A split with all scenes that meet every key given; no other split has them."""
 
     name: Name
     """The split's name."""
@@ -30,11 +30,11 @@ class HeldOut(Settings):
     materials: Names = ()
     """Materials of the catalogue, on any surface."""
     files: Names = ()
-    """Mesh files, as `path` names them; of a folder, the way from there follows."""
+    """Mesh files, as `path` names them; for a file of a folder, followed by the way from there."""
     along: Range = None
-    """An object's centre lies here: shares of the hidden part, as `along` of an object."""
+    """Range of an object's `along`: its place in the hidden part."""
     across: Range = None
-    """The same across the hidden part; with `along`, one object must be in both."""
+    """Range of an object's `across`; with `along`, one object must lie in both ranges."""
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:
@@ -49,14 +49,14 @@ class HeldOut(Settings):
 
 
 class SplitsConfig(Settings):
-    """How scenes are dealt out. May be changed at any time: no sample depends on it."""
+    """Which scenes are in which split. May be changed at any time: no sample depends on it."""
 
     train: Share = 0.8
-    """Share of the rooms, of those that are not held out."""
+    """Share of the scenes that are not held out."""
     val: Share = 0.1
     test: Share = 0.1
     held_out: Annotated[tuple[HeldOut, ...], Field(max_length=100)] = ()
-    """Splits by what a scene shows; a scene belongs to the first that it meets."""
+    """Splits by what a scene shows; a scene belongs to the first split whose keys it meets."""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -68,10 +68,10 @@ class SplitsConfig(Settings):
         return self
 
     def with_shares(self, shares: tuple[float, float, float]) -> SplitsConfig:
-        """The same with other shares of train, val and test. Raises `InputError` for what are none."""
+        """These splits with other shares of train, val and test. Raises `InputError` unless they add up to 1."""
         try:
-            dealt = dict(zip(BY_SHARE, map(float, shares), strict=True))
-            return type(self).model_validate(self.model_dump() | dealt)
+            by_name = dict(zip(BY_SHARE, map(float, shares), strict=True))
+            return type(self).model_validate(self.model_dump() | by_name)
         except (TypeError, ValueError):
             raise InputError(
                 f"fractions = {shares}: must be three numbers ≥ 0 (train, val, test) that add up to 1"
@@ -84,7 +84,7 @@ class SplitsConfig(Settings):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All splits."""
+        """Names of all splits."""
         return (*BY_SHARE, *(rule.name for rule in self.held_out))
 
     def check_classes(self, known: tuple[str, ...]) -> None:

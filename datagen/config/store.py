@@ -18,13 +18,13 @@ class StoreConfig(Settings):
     """What is written. Small fields (laser points, pixels, parameters) are always there."""
 
     fields: Annotated[tuple[StoredField, ...], Field(min_length=1)] = ("histogram", "transient", "depth")
-    """The fields to store. `objects` stands for the tables of object classes, poses, boxes and evidence; `evidence`
-    for the image of expected detections from each label pixel; `background_histogram` and `background_transient` for
-    counts and light of the same room without its objects, a simulation more; `presence` for the evidence of each
-    object by the scene with it against the scene without it, a simulation more for each object."""
+    """The fields to store. `objects`: tables of object classes, poses, boxes and evidence. `evidence`: the image of
+    expected detections from each label pixel. `background_histogram` and `background_transient`: counts and light of
+    the same room without its objects, which takes one more simulation. `presence`: the significance of the difference
+    between the scene with an object and without it, which takes one more simulation for each object."""
     scenes_per_shard: Annotated[int, Field(ge=1, le=256)] | None = None
-    """A power of two; left out: chosen from the size of a sample and the number of scenes (8 to 256, shards of at
-    most 256 MiB)."""
+    """A power of two; left out: chosen by the size of a sample and the number of scenes (8 to 256, shards of at most
+    256 MiB)."""
     histogram_dtype: Literal["uint8", "uint16", "uint32"] = "uint16"
     """Counts above its range are an error, never wrapped."""
 

@@ -1,4 +1,4 @@
-"""The section `transport`: how finely the light is followed, and which of it."""
+"""The section `transport`: which light is simulated, and how accurately."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from datagen.records.accuracy import CHOSEN_BY_TARGET, LIMITS, TARGETS, chosen_b
 
 
 def _within(name: str) -> Any:
-    """The limits of a number of `Accuracy`, as pydantic takes them."""
+    """pydantic's form of the limits of a number of `Accuracy`."""
     low, high = LIMITS.get(name, TARGETS)
     return Field(ge=low, le=high)
 
@@ -22,25 +22,28 @@ class TransportConfig(Settings):
     """Sample counts and effects; see `datagen.Accuracy`."""
 
     lookins: Annotated[int, _within("lookins")] = int(Accuracy.lookins)
-    """Rays from each laser point into the scene."""
+    """Rays from each laser point into the scene: the number of hidden vertices."""
     fov_samples: Annotated[int, _within("fov_samples")] = int(Accuracy.fov_samples)
     """FoV points that each vertex of a light path connects to, per pixel."""
     max_bounces: Annotated[int, _within("max_bounces")] | None = Accuracy.max_bounces
-    """Highest bounce order followed; 3 is the primary, 4 adds the secondary; null follows all orders."""
+    """Highest number of bounces; 3 is the primary, 4 adds the secondary; null: all."""
     replicates: Annotated[int, _within("replicates")] = int(Accuracy.replicates)
     """Independent randomisations, from which the standard error comes."""
     observed: Annotated[int, _within("observed")] | None = None
-    """Observed points of each lookin: the secondary in the factorised form; left out: by the walk."""
+    """Second hidden vertices for each hidden vertex: the secondary in the factorised form; left out: by path
+    tracing."""
     secondary: Literal["all", "none", "strongest"] | Annotated[int, Field(ge=1)] = "all"
-    """All secondary paths, none, or only the strongest (or k strongest) of each lookin, which needs `observed`."""
+    """All secondary paths, none, or only the strongest (or k strongest) of each hidden vertex, which needs
+    `observed`."""
     direct: bool = False
-    """Also the direct return (1 and 2 bounces), which a gated measurement keeps out."""
+    """Also simulate the direct return (1 and 2 bounces), which a gated measurement keeps out."""
     target: Annotated[float, _within("target")] | None = None
-    """Relative L2 error of each transient to be met: then the sample counts are chosen, and may not be given."""
+    """Largest relative L2 error of each transient: then the sample counts are chosen, and may not be given."""
     part_target: Annotated[float, _within("part_target")] | None = None
-    """With `target`: relative L2 error of each object's own primary; left out: 2.5 times the target, at most 1."""
+    """With `target`: largest relative L2 error of each object's own primary; left out: 2.5 times the target, at most
+    1."""
     max_lookins: Annotated[int, _within("max_lookins")] = Accuracy.max_lookins
-    """With `target`: give up before more rays than this leave each laser point, on average, in all."""
+    """With `target`: give up before more rays than this, over all components, leave the average laser point."""
 
     def accuracy(self) -> Accuracy:
         """The record of this section that `simulate` takes."""

@@ -12,7 +12,7 @@ from datagen.errors import InputError
 
 MOST_CHARACTERS = 2**18
 MOST_NODES = 100_000
-"""Keys and values of a configuration."""
+"""Largest number of keys and values of a configuration, aliases written out."""
 
 _Loader: Any = type("_Loader", (yaml.SafeLoader,), {})
 _Loader.add_implicit_resolver(
@@ -20,7 +20,7 @@ _Loader.add_implicit_resolver(
     re.compile(r"^[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
     list("-+0123456789."),
 )
-# A date is no number we know; without its resolver it stays text and is refused as such.
+# No key takes a date; without YAML's resolver of dates it stays text, and is refused with the message for text.
 _Loader.yaml_implicit_resolvers = {
     first: [(t, r) for t, r in resolvers if t != "tag:yaml.org,2002:timestamp"]
     for first, resolvers in _Loader.yaml_implicit_resolvers.items()
@@ -47,7 +47,7 @@ def _mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[str, Any]:
 
 
 def _merged(loader: yaml.SafeLoader, node: yaml.Node) -> dict[str, Any]:
-    """What `<<` stands for: a mapping, or several of which the first has precedence; own keys go before all."""
+    """The mapping that `<<` stands for; of a list of mappings the first has precedence."""
     values = loader.construct_object(node, deep=True)
     merged: dict[str, Any] = {}
     for value in reversed(values) if isinstance(values, list) else [values]:
@@ -63,7 +63,7 @@ _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping
 
 
 def _count(node: Any, source: str) -> None:
-    """Refuse a document that aliases make larger than any configuration, or endless, before they are expanded."""
+    """Refuse a document whose aliases would make it larger than any configuration, or endless, once expanded."""
     sizes: dict[int, int] = {}
 
     def size(node: Any) -> int:
@@ -99,7 +99,7 @@ def parse_yaml(text: str, source: str) -> dict[str, Any]:
     except InputError:
         raise
     except (yaml.YAMLError, ValueError) as error:
-        # A number of thousands of digits is a `ValueError`.
+        # Python refuses whole numbers of thousands of digits with a `ValueError`.
         raise InputError(f"{source}: broken YAML: {str(error).splitlines()[0]}") from None
     if not isinstance(values, dict):
         what = "nothing" if values is None else f"a {type(values).__name__}"

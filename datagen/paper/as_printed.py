@@ -11,28 +11,27 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.paper.printed_paths import Grid, Lighting, PrintedRoom, arriving, half_cube, leaving, lighting, ray_grid
 from datagen.records import Capture, Scene, Transient
+from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import check_choice, check_integer, check_kind, check_number
 from datagen.transport.binning import put
 from datagen.transport.factorised.convolution import Paths, Sums, double_sum, keep_strongest
 
-Array = NDArray[np.float64]
 Secondary = Literal["all", "strongest", "none"]
 Conserved = Literal["room", "lookin", "rays"]
 
 POINTS_AT_ONCE = 1 << 18
-"""Observed points held at once: what bounds the memory."""
+"""Observed points in memory at once. Half as many take half of the memory and as much time."""
 MAX_RAYS, MAX_PIXELS = 1024, 1024
 
 
 @dataclass(frozen=True)
 class AsPrinted:
-    """Sample counts of the paper's estimator, and what its text leaves open.
+    """Sample counts of the paper's estimator, and choices that its text leaves open.
 
     Attributes
     ----------
@@ -44,9 +43,9 @@ class AsPrinted:
     secondary : `"all"` paths of Eq. 8; `"strongest"`: only the strongest arriving path of each lookin, by amplitude
         (sec. 4, the optimised scheme); `"none"`.
     grid : how the rays fill the hemisphere, `"angles"` or `"solid_angle"` (`ray_grid`).
-    conserved : over what α₁B₁ of Eq. 8 sums to one: `"room"`, all lit observed points of all lookins, which conserves
-        energy as the text asks of α₁; `"lookin"`, those of each lookin, the set that k runs over; `"rays"`: the α₁ of
-        Eq. 6, one symbol, one constant.
+    conserved : the set over which α₁B₁ of Eq. 8 sums to one: `"room"`, all lit observed points of all lookins, which
+        conserves energy as the text demands of α₁; `"lookin"`, those of each lookin, the set that k runs over;
+        `"rays"`: the α₁ of Eq. 6, one symbol, one constant.
     """
 
     rays: int = 10
@@ -148,7 +147,7 @@ def simulate_as_printed(scene: Scene, capture: Capture, settings: AsPrinted | No
 
 
 def _add_laser_point(
-    room: PrintedRoom, settings: AsPrinted, laser: int, parts: Array, secondary: Array, overflow: Array,
+    room: PrintedRoom, settings: AsPrinted, laser: int, parts: Floats, secondary: Floats, overflow: Floats,
     seconds: dict[str, float],
 ) -> None:  # fmt: skip
     """Add the light of one laser point, without the aperture, to parts (K, P, T), secondary (P, T), overflow (P,)."""
@@ -202,7 +201,7 @@ def _present(paths: Paths) -> Paths:
 
 @compiled()
 def _add_primary(
-    amplitude: Array, position: Array, part: NDArray[np.int64], out: Paths, parts: Array, overflow: Array
+    amplitude: Floats, position: Floats, part: Ints, out: Paths, parts: Floats, overflow: Floats
 ) -> None:
     """Add A₁ · A₂A₃ for every lookin and each path out of it (Eq. 6)."""
     pixels = parts.shape[1]

@@ -14,6 +14,7 @@ from datagen.detector.irf import FWHM_PER_SIGMA
 from datagen.paper.printed_paths import PrintedLookins, PrintedRoom, half_cube, leaving, lighting, ray_grid
 from datagen.paper.runs import PEAKS_NS, SECONDARY, TIME_LABEL, Runs, Scheme, Simulation, colors_of, curve_window
 from datagen.records import Scene, SinLobe
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.report.cutaway import normals_of
 from datagen.report.room_plots import RoomPicture, draw_opened
 from datagen.report.style import FIELD_OF_VIEW, captioned, house_style
@@ -22,11 +23,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 UNIT_M = 1e-3
 _PANEL_IN = 3.4
 _DECADES, _MOST_DECADES, _MARGIN_BELOW = 3.0, 12.0, 100.0
-"""Of the colours of points; most of an axis of envelopes, which ends this factor below the lowest peak shown."""
+"""Decades of the colours of points; most decades of an axis of envelopes; factor between its end and the lowest
+peak."""
 _MOST_POINTS = 60_000
 _UPRIGHT = 0.5
 """Largest vertical part of the normal of a wall."""
@@ -37,9 +38,9 @@ class Points:
     """Observed points over the opened room: (n, 3) places, (n,) the triangle that each lies on, and (estimator, what,
     value of each) for every panel, row by row."""
 
-    position: Array
+    position: Floats
     face: NDArray[np.int32]
-    panels: list[tuple[str, str, Array]]
+    panels: list[tuple[str, str, Floats]]
 
 
 def light_figure(runs: Runs) -> Figure:
@@ -114,8 +115,8 @@ def lookins_figure(runs: Runs) -> Figure:
 
 
 def _example(
-    runs: Runs, scene: Scene, wanted: Callable[[PrintedLookins], NDArray[np.bool_]]
-) -> tuple[Array, Points, NDArray[np.int64]] | None:
+    runs: Runs, scene: Scene, wanted: Callable[[PrintedLookins], Bools]
+) -> tuple[Floats, Points, Ints] | None:
     """The wanted lookin nearest to the laser point that sends light into the field of view, of the sparse grid's,
     else of the dense grid's: its place, what it sends to its observed points, and which of them are in view."""
     room, camera = PrintedRoom.of(scene, runs.capture, UNIT_M), half_cube(runs.sizes.pixels)
@@ -130,7 +131,7 @@ def _example(
     return None
 
 
-def _sent(room: PrintedRoom, lookin: PrintedLookins, camera: Array) -> tuple[Points, NDArray[np.int64]]:
+def _sent(room: PrintedRoom, lookin: PrintedLookins, camera: Floats) -> tuple[Points, Ints]:
     """What one lookin sends: without and with 1/R², and, for the points in view alone, with the last bounce."""
     seen = room.observed(lookin, camera)
     paths, point = leaving(room, lookin, seen, np.array([0]))
@@ -161,8 +162,8 @@ def _backdrop(runs: Runs) -> RoomPicture:
 
 
 def _paint(
-    figure: Figure, axes: Axes, backdrop: RoomPicture, position: Array, face: NDArray[np.int32], values: Array,
-    linear: bool, lookin: Array | None = None,
+    figure: Figure, axes: Axes, backdrop: RoomPicture, position: Floats, face: NDArray[np.int32], values: Floats,
+    linear: bool, lookin: Floats | None = None,
 ) -> None:  # fmt: skip
     """Points over the opened room, coloured by value relative to the highest; those on removed walls left out."""
     draw_opened(axes, backdrop, arrows=False)
@@ -181,7 +182,7 @@ def _paint(
         axes.scatter(x, y, s=60, marker="^", color="#9A9A9A", edgecolors="black", linewidths=0.7, zorder=13)
 
 
-def _close_up(figure: Figure, axes: Axes, runs: Runs, position: Array, values: Array) -> None:
+def _close_up(figure: Figure, axes: Axes, runs: Runs, position: Floats, values: Floats) -> None:
     """The field of view in its own plane, seen from the sensor."""
     corners = runs.capture.sensor.pixels[0]
     right, up = corners[1] - corners[0], corners[3] - corners[0]
@@ -199,7 +200,7 @@ def _close_up(figure: Figure, axes: Axes, runs: Runs, position: Array, values: A
     axes.set(xlabel="right (m)", ylabel="up (m)")
 
 
-def _scatter(figure: Figure, axes: Axes, at: Array, relative: Array, linear: bool, **style: Any) -> None:
+def _scatter(figure: Figure, axes: Axes, at: Floats, relative: Floats, linear: bool, **style: Any) -> None:
     """Points coloured by value, as it is or over the decades below the brightest, with a colour bar."""
     color = np.clip(relative, 0, 1) if linear else np.clip(np.log10(np.maximum(relative, 1e-300)), -_DECADES, 0)
     low, high = (0.0, 1.0) if linear else (-_DECADES, 0.0)
@@ -245,7 +246,7 @@ def envelope_figure(runs: Runs, scheme: Scheme, number: str) -> Figure:
     return figure
 
 
-def _curves(case: Simulation) -> dict[str, Array]:
+def _curves(case: Simulation) -> dict[str, Floats]:
     parts, secondary = case.curves.parts, case.curves.orders["secondary"]
     return {"total": np.sum([*parts.values(), secondary], axis=0), **parts, "secondary bounce": secondary}
 

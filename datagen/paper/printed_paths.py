@@ -1,8 +1,8 @@
 """The paths of the paper's Eq. 6 and Eq. 8: to the lookins, out of them to the sensor, and into them by a detour.
 
 Scholes & Leach, Sensors 24, 6522 (2024), sec. 3 and 4. Samples are a grid of rays from the laser point and a half
-cube of camera pixels at each lookin; every ray and pixel counts alike there, whatever solid angle it stands for. What
-the text leaves open is chosen here and said where it is.
+cube of camera pixels at each lookin; every ray and pixel has the same weight, whatever its solid angle. Choices that
+the text leaves open are named where they are made.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records import Capture, Lambertian, Scene, SinLobe
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import Vector
 from datagen.transport.brdf.sin_lobe import azimuth_sine
 from datagen.transport.factorised.convolution import Paths
@@ -27,7 +28,6 @@ from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import path_from_time
 
 Grid = Literal["angles", "solid_angle"]
-Array = NDArray[np.float64]
 
 HEMISPHERE_OF_COSINE = math.pi
 """∫ cosφ dω over the hemisphere."""
@@ -35,7 +35,7 @@ HEMISPHERE_OF_SINE = 4.0
 """∫ |sinθ| dω over the hemisphere, θ the azimuth."""
 
 
-def ray_grid(count: int, grid: Grid) -> Array:
+def ray_grid(count: int, grid: Grid) -> Floats:
     """(count², 3) unit directions of a count × count grid over the hemisphere, as (right, up, along the normal).
 
     The paper says "a 10 × 10 grid of rays" and that θ spans 2π and φ spans 0 … π/2 (sec. 3.1, Fig. 2b), no more:
@@ -48,7 +48,7 @@ def ray_grid(count: int, grid: Grid) -> Array:
     return np.stack([np.sin(phi) * np.cos(theta), np.sin(phi) * np.sin(theta), np.cos(phi)], axis=1)
 
 
-def half_cube(pixels: int) -> Array:
+def half_cube(pixels: int) -> Floats:
     """(3·pixels²/4, 3) unit directions of a lookin's camera, as (right, up, along the normal).
 
     A camera with a perspective picture cannot see 180°, so five stand in for it: a face of 90° along the normal with
@@ -68,7 +68,7 @@ def half_cube(pixels: int) -> Array:
     return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True), np.float64)
 
 
-def upright_frames(normal: Array) -> Array:
+def upright_frames(normal: Floats) -> Floats:
     """(n, 3, 3) rows right, up, normal: up is the vertical as far as the surface lets it, +x on floor and ceiling.
 
     The text fixes the cameras' axis only, the surface normal; their roll is chosen here.
@@ -91,13 +91,13 @@ class Seen(NamedTuple):
     alpha : (n,) α = 1 / Σ B, 0 where B is 0 in all directions.
     """
 
-    position: Array
-    normal: Array
+    position: Floats
+    normal: Floats
     face: NDArray[np.int32]
-    part: NDArray[np.int64]
-    distance: Array
-    share: Array
-    alpha: Array
+    part: Ints
+    distance: Floats
+    share: Floats
+    alpha: Floats
 
 
 @dataclass(frozen=True)
@@ -108,12 +108,12 @@ class PrintedLookins:
     distance : (n,) R_j, metres. amplitude : (n,) A₁ of Eq. 6. alpha : α₁ of Eq. 6, of all of them.
     """
 
-    position: Array
-    normal: Array
+    position: Floats
+    normal: Floats
     face: NDArray[np.int32]
-    part: NDArray[np.int64]
-    distance: Array
-    amplitude: Array
+    part: Ints
+    distance: Floats
+    amplitude: Floats
     alpha: float
 
     def __len__(self) -> int:
@@ -128,13 +128,13 @@ class PrintedLookins:
 class Lighting(NamedTuple):
     """How the laser point lights observed points, (n, m) each: B₁ towards them, 0 in shadow, and R_k in metres."""
 
-    brdf: Array
-    distance: Array
+    brdf: Floats
+    distance: Floats
 
 
 @dataclass(frozen=True)
 class PrintedRoom:
-    """A scene of K parts and a capture as the printed equations want them.
+    """A scene of K parts and a capture in the quantities of the printed equations.
 
     unit_m : the unit of length u of every 1/R². reflectivity : (K,) Γ. sine : (K,) whether B = |sinθ| and not cosφ.
     axis : (K, 3) from whose projection on the surface θ counts. beta : (K,) β, see `simulate_as_printed`.
@@ -146,10 +146,10 @@ class PrintedRoom:
     cones: PixelCones
     points: LaserPoints
     unit_m: float
-    reflectivity: Array
-    sine: NDArray[np.bool_]
-    axis: Array
-    beta: Array
+    reflectivity: Floats
+    sine: Bools
+    axis: Floats
+    beta: Floats
 
     @classmethod
     def of(cls, scene: Scene, capture: Capture, unit_m: float) -> PrintedRoom:
@@ -168,7 +168,7 @@ class PrintedRoom:
         beta = 1.0 / np.where(sine, HEMISPHERE_OF_SINE, HEMISPHERE_OF_COSINE)
         return cls(caster, scene, capture, cones, points, unit_m, gamma, sine, np.array(axes, np.float64), beta)
 
-    def brdf(self, part: NDArray[np.int64], normal: Array, direction: Array) -> Array:
+    def brdf(self, part: Ints, normal: Floats, direction: Floats) -> Floats:
         """(n,) B towards unit directions (n, 3) at surfaces (n,), (n, 3): cosφ, or |sinθ| with θ of Eq. 5.
 
         The light's incidence plays no part (sec. 3.2); below the surface B is 0. As printed, sinθ would be negative
@@ -176,16 +176,16 @@ class PrintedRoom:
         """
         return _brdf(self.sine[part], self.axis[part], normal, direction)
 
-    def loss(self, distance: Array, passes: int = 1) -> Array:
+    def loss(self, distance: Floats, passes: int = 1) -> Floats:
         """C_atm^(passes · R) / R² of legs R in metres, R² in the unit of length."""
         air = np.exp(-passes * self.scene.attenuation_per_m * distance)
         return air * (self.unit_m / distance) ** 2
 
-    def bins(self, path_m: Array) -> Array:
+    def bins(self, path_m: Floats) -> Floats:
         """A path's length in bins of the time axis."""
         return path_m / float(path_from_time(self.capture.time.width_s))
 
-    def look(self, position: Array, normal: Array, part: NDArray[np.int64], directions: Array) -> Seen:
+    def look(self, position: Floats, normal: Floats, part: Ints, directions: Floats) -> Seen:
         """Cast `directions` (m, 3), given in the surface's own frame, from surface points (n, 3) with normals, parts.
 
         The normalisation α = 1 / Σ B over the directions sampled is the text's "constant, to ensure the conservation
@@ -204,7 +204,7 @@ class PrintedRoom:
         place = where, hits.normal.reshape(n, m, 3), hits.face.reshape(n, m)
         return Seen(*place, seen, distance, alpha[:, None] * brdf, alpha)
 
-    def lookins(self, laser: int, directions: Array) -> PrintedLookins:
+    def lookins(self, laser: int, directions: Floats) -> PrintedLookins:
         """Where rays along `directions` from one laser point first meet the scene (sec. 3.1), with A₁ of Eq. 6."""
         row, points = slice(laser, laser + 1), self.points
         seen = self.look(points.position[row], points.normal[row], points.part[row], directions)
@@ -214,13 +214,13 @@ class PrintedRoom:
         surface = seen.position[0, hit], seen.normal[0, hit], seen.face[0, hit], seen.part[0, hit]
         return PrintedLookins(*surface, distance, amplitude, float(seen.alpha[0]))
 
-    def observed(self, lookins: PrintedLookins, camera: Array) -> Seen:
+    def observed(self, lookins: PrintedLookins, camera: Floats) -> Seen:
         """What the cameras at the lookins see (sec. 3.1): (lookin, pixel of the half cube)."""
         return self.look(lookins.position, lookins.normal, lookins.part, camera)
 
 
 @compiled()
-def _brdf(sine: NDArray[np.bool_], axis: Array, normal: Array, direction: Array) -> Array:
+def _brdf(sine: Bools, axis: Floats, normal: Floats, direction: Floats) -> Floats:
     out = np.zeros(len(direction))
     for i in range(len(direction)):
         n = (normal[i, 0], normal[i, 1], normal[i, 2])
@@ -232,9 +232,7 @@ def _brdf(sine: NDArray[np.bool_], axis: Array, normal: Array, direction: Array)
     return out
 
 
-def leaving(
-    room: PrintedRoom, lookins: PrintedLookins, seen: Seen, pixels: NDArray[np.int64]
-) -> tuple[Paths, NDArray[np.int64]]:
+def leaving(room: PrintedRoom, lookins: PrintedLookins, seen: Seen, pixels: Ints) -> tuple[Paths, Ints]:
     """A₂A₃ of Eq. 6, without the aperture, for all observed points within the field of view of `pixels` (sec. 3.2).
 
     Paths of the rows (lookin, pixel), and of each the index of its observed point into (lookin, observed point).

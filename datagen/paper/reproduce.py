@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config import load_config
 from datagen.errors import InputError
 from datagen.paper.figures import envelope_figure, light_figure, lookins_figure
 from datagen.paper.runs import FULL, PEAKS_NS, QUICK, Runs, Simulation, run_all
+from datagen.records.arrays import Floats
 from datagen.report.html import head, table
 from datagen.report.style import save_png
 from datagen.store.environment import processor
@@ -22,7 +22,7 @@ from datagen.store.files import check_writable, finite, json_bytes, read_json
 
 MADE_BY, PAGE, NUMBERS = "datagen reproduce", "index.html", "numbers.json"
 ROOM = Path(__file__).with_name("demonstration_room.yaml")
-"""The configuration of the same name in `configs/`, which a wheel does not carry."""
+"""A copy of the configuration of the same name in `configs/`, which is not part of a wheel."""
 PUBLISHED_SECONDS = {
     (10, "all"): "≈ 1 hour (paper, sec. 4)",
     (10, "strongest"): "< 30 s (paper, sec. 4)",
@@ -44,7 +44,7 @@ def reproduce(
     ----------
     out : folder to make; an earlier reproduction in it is replaced, anything else refused.
     config : a configuration with one laser point and one pixel; default the paper's demonstration room.
-    quick : few rays and pixels, seconds instead of minutes: to see how it works.
+    quick : few rays and pixels, for seconds instead of minutes.
     progress : called with the name of each stage as it begins.
 
     Returns
@@ -111,7 +111,7 @@ def _page(runs: Runs, command: str, figures: tuple[str, ...]) -> Iterator[str]:
     yield "</body></html>"
 
 
-def peak_ns(curve: NDArray[np.float64], time_ns: NDArray[np.float64]) -> float:
+def peak_ns(curve: Floats, time_ns: Floats) -> float:
     """Time of the highest bin; NaN for no light."""
     return float(time_ns[int(np.argmax(curve))]) if curve.any() else float("nan")
 
@@ -119,7 +119,7 @@ def peak_ns(curve: NDArray[np.float64], time_ns: NDArray[np.float64]) -> float:
 def _numbers(runs: Runs, command: str) -> dict[str, Any]:
     """Levels, seconds and curves as plain values; what is not a number becomes null."""
 
-    def six_digits(curve: NDArray[np.float64]) -> list[float]:
+    def six_digits(curve: Floats) -> list[float]:
         return [float(f"{number:.6g}") for number in curve]
 
     def plain(case: Simulation) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The simulations behind the figures, and what one pixel sees in each: likelihood envelopes by part and bounces.
+"""The simulations behind the figures, and the likelihood envelopes of one pixel by part and by number of bounces.
 
 Both estimators, two densities of samples, two secondary schemes, and the seconds that each takes.
 """
@@ -12,7 +12,6 @@ from itertools import cycle
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
@@ -21,6 +20,7 @@ from datagen.detector.irf import response_kernel, spread
 from datagen.errors import InputError
 from datagen.paper.as_printed import AsPrinted, simulate_as_printed
 from datagen.records import Accuracy, Capture, Scene, TimeAxis, Transient
+from datagen.records.arrays import Floats
 from datagen.report.time_plots import busy_window
 from datagen.scene import generate_scene
 from datagen.transport import simulate
@@ -28,10 +28,9 @@ from datagen.units import time_from_path
 
 Estimator = Literal["as printed", "radiometric", "converged"]
 Scheme = Literal["all", "strongest"]
-Curve = NDArray[np.float64]
 
 PEAKS_NS = {"walls, floor, ceiling": 25.6, "box": 24.9, "pillar": 35.3}
-"""Where the paper's Fig. 7 has its peaks, since the light reached the laser point."""
+"""Part → time of its peak in the paper's Fig. 7, since the light reached the laser point."""
 ROOM, SECONDARY = "#1F5FB4", "#D62728"
 TIME_LABEL = "time since the light reached the laser point (ns)"
 _PAPER_COLORS = {"box": "#7B3FA0", "pillar": "#E8820C"}
@@ -40,7 +39,7 @@ _OTHER_COLORS = ("#1B9E77", "#C51B7D", "#8C6D31", "#35978F", "#E6AB02", "#666666
 
 @dataclass(frozen=True)
 class ComponentCurves:
-    """What one pixel would see in the limit of infinite exposure: events per emitted photon and bin.
+    """The signal of one pixel in the limit of infinite exposure: events per emitted photon and bin.
 
     Attributes
     ----------
@@ -50,10 +49,10 @@ class ComponentCurves:
     total : their sum, all (bin,).
     """
 
-    time_ns: Curve
-    parts: dict[str, Curve]
-    orders: dict[str, Curve]
-    total: Curve
+    time_ns: Floats
+    parts: dict[str, Floats]
+    orders: dict[str, Floats]
+    total: Floats
 
 
 def component_curves(config: DatasetConfig, scene: Scene, capture: Capture, transient: Transient) -> ComponentCurves:
@@ -67,7 +66,7 @@ def component_curves(config: DatasetConfig, scene: Scene, capture: Capture, tran
     width = capture.time.width_s
     pulse = response_kernel(width, exposure.pulse_fwhm_s, spad.jitter_tail_s, spad.jitter_tail_fraction)
 
-    def seen(transients: NDArray[np.float64]) -> Curve:
+    def seen(transients: Floats) -> Floats:
         curve = transients[0, 0]
         for kernel in (pulse, response_kernel(width, spad.jitter_fwhm_s)):
             curve = spread(curve, kernel)[kernel.before : kernel.before + len(curve)]
@@ -75,7 +74,7 @@ def component_curves(config: DatasetConfig, scene: Scene, capture: Capture, tran
 
     objects = scene.objects
     room = [name for name in scene.part_names if name not in objects]
-    # The relay wall sends nothing back to itself, so it is not named where it is flat.
+    # A flat relay wall scatters no light to itself, so it is not named.
     label = ", ".join([name for name in room if name != "relay_wall"] or room)
     parts = {label: np.sum([seen(transient.parts[name]) for name in room], axis=0)} if room else {}
     parts |= {name: seen(transient.parts[name]) for name in objects}
@@ -102,8 +101,8 @@ def curve_window(curves: ComponentCurves) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much is simulated: sides of the two grids of rays, side of a lookin's unfolded picture, and lookins of the
-    converged run."""
+    """Sample counts: sides of the two grids of rays, side of a lookin's unfolded picture, lookins of the converged
+    run."""
 
     rays: tuple[int, int] = (10, 45)
     pixels: int = 60
@@ -117,8 +116,8 @@ FULL, QUICK = Sizes(), Sizes(rays=(8, 16), pixels=20, reference=1 << 14)
 class Simulation:
     """One simulation.
 
-    curves : its likelihood envelopes. level : component → energy per emitted photon, or what stands for it as
-    printed. seconds, processor_s : elapsed and processor time of all of it.
+    curves : its likelihood envelopes. level : component → energy per emitted photon, or the printed equations' sum in
+    its place. seconds, processor_s : elapsed and processor time.
     """
 
     curves: ComponentCurves
@@ -139,7 +138,7 @@ class Runs:
 
     @property
     def converged(self) -> Simulation:
-        """The radiometric run that the others are held against."""
+        """The radiometric run with which the others are compared."""
         return self.cases["converged", 0, "all"]
 
 
@@ -178,7 +177,7 @@ def run_all(config: DatasetConfig, sizes: Sizes, progress: Callable[[str], None]
             progress(f"as printed, {rays} × {rays} rays, {scheme}")
             runs.cases["as printed", rays, scheme] = printed(rays, sizes.pixels, scheme)
             progress(f"radiometric, {rays * rays} lookins, {scheme}")
-            # Twice: which kernels it needs, and so compiles, depends on room and counts.
+            # Twice, as the first run may compile kernels: which ones depends on room and counts.
             for _ in range(2):
                 runs.cases["radiometric", rays, scheme] = radiometric(rays, sizes.pixels, scheme)
     progress(f"radiometric, converged, {sizes.reference} lookins")

@@ -1,4 +1,4 @@
-"""The accuracy of a transient: sample counts, or an error to be met."""
+"""The accuracy of a transient: sample counts, or the largest error."""
 
 from __future__ import annotations
 
@@ -13,63 +13,67 @@ LIMITS = {
     "lookins": (1, 2**31), "fov_samples": (1, 2**20), "max_bounces": (3, MAX_BOUNCES), "replicates": (1, 1024),
     "observed": (1, 2**24), "max_lookins": (2048, 2**40),
 }  # fmt: skip
-"""Count → least and largest value. The first round of a target and one more need the least `max_lookins`."""
+"""Count → smallest and largest value. The smallest `max_lookins` is what the first round of a target and one more
+round need."""
 TARGETS = (1e-4, 1.0)
-"""Least and largest relative L2 error that can be asked for."""
+"""Smallest and largest relative L2 error that a target may be."""
 CHOSEN_BY_TARGET = ("lookins", "fov_samples", "replicates")
 """The counts that the solver chooses where a target is given."""
 FIRST_FOV_SAMPLES = 16
-"""FoV points for each vertex in the first round of a target, from which a better number is looked for. Halved, the
-first round has fewer connections for each ray, and is noisier."""
+"""FoV points for each hidden vertex in the first round of a target; later rounds take a number found by that round.
+Halved, the first round is noisier, and its choice worse."""
 PARTS_PER_TARGET = 2.5
-"""The default of `part_target`, in units of `target`: half as much would follow each object's light as closely as the
-whole, at several times the cost."""
+"""Default of `part_target` in units of `target`. Half as much would simulate each object's light nearly as accurately
+as the whole transient, at several times the cost."""
 
 
 class _Default(int):
-    """A count that the user left out. A target chooses such a count, and refuses one that was given."""
+    """A count that the user left out: a target may choose it, while a count that was given is refused."""
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How exactly to follow the light: sample counts, or a `target` from which the solver chooses them itself.
+    """How accurately the light is simulated: by sample counts, or to a `target` for which the solver chooses them.
 
     Attributes
     ----------
-    lookins : rays from each laser point into the scene (paper, sec. 3.1), over all replicates; ≥ 1.
-    fov_samples : FoV points that each vertex connects to, per pixel; ≥ 1.
-    max_bounces : highest bounce order followed, 3 (the primary) … 64; None follows light until Russian roulette ends
-        every path, which leaves nothing out on average.
+    lookins : rays from each laser point into the scene, over all replicates; ≥ 1. Each meets a hidden vertex (the
+        paper's lookin, sec. 3.1).
+    fov_samples : FoV points to which each vertex of a path is connected, per pixel; ≥ 1.
+    max_bounces : highest number of bounces, 3 (the primary) … 64; None: paths go on until Russian roulette ends them,
+        which leaves no light out on average.
     replicates : independent randomisations of the quasi-random points, which give the standard error; ≥ 1
         (with 1 there is no error estimate). Reduced to `lookins` when that is smaller.
-    observed : how the secondary (4 bounces) is found. None: by the walk that gives all orders. A number: the paper's
-        scheme, exactly and for all paths, with so many observed points for each lookin; what arrives at a lookin and
-        what leaves it factorise on Lambertian surfaces, and on others the walk takes over. Where surfaces stand right
-        beside the field of view, whose light the walk would seldom find, None is taken for 64.
+    observed : how the secondary (4 bounces) is computed. None: by path tracing, like all other orders. A number: by
+        the paper's factorised scheme, for all paths and without bias, with so many second hidden vertices (the
+        paper's observed points) for each hidden vertex. Light that arrives at a hidden vertex and light that leaves
+        it are independent on Lambertian surfaces only, so paths by other surfaces are traced. Where surfaces stand
+        right beside the field of view, whose light path tracing would seldom meet, None is taken for 64.
     secondary : `"all"` paths; `"none"` leaves the secondary out; `"strongest"` or a number k keeps only the k
-        strongest arriving paths of each lookin (the paper's optimised scheme, k = 1), which loses energy and needs
-        `observed`.
+        strongest arriving paths of each hidden vertex (the paper's optimised scheme, k = 1), which loses energy and
+        needs `observed`.
     direct : also compute the direct return (1 and 2 bounces: the laser point, or a surface it lights, inside the
         FoV), which a gated measurement keeps out.
-    occlusion : whether anything may stand between a vertex and a FoV point. `"auto"` and `"on"`: every connection
-        that could carry energy sends a shadow ray (in quadrature `"auto"` saves those to elements that are proven to
-        be seen whole, which gives the same transient up to the order of summation); `"off"`: none is sent, as if no
-        occluder stood behind the first surface that light meets. That adds light wherever one does.
-        The factorised secondary (`observed`) tests what stands between, whatever is set here.
-    target : relative L2 error of the whole transient to be met, ‖error‖ / ‖truth‖ over all laser points, pixels and
-        bins, 0.0001 … 1. Then the solver chooses lookins, fov_samples, replicates and the way of the secondary, and
-        naming one of them too is refused (`observed` belongs to the k strongest paths and stays). What it is held to
-        is the upper bound of its own error estimate; the bias of the k strongest paths is not part of it.
-    part_target : with a target: relative L2 error of each object's own primary (parts of role `object`), over all
-        laser points, pixels and bins, 0.0001 … 1; left out: 2.5 times the target, at most 1.
-    faint_part : with a target: photons, per emitted photon and over all histograms together, under which an object's
-        light is not held to `part_target`; ≥ 0.
-    max_lookins : with a target: give up (`Transient.met_target` False) before more rays than this would leave each
-        laser point, on average, over all components; ≥ 2048.
+    occlusion : whether something may stand between a vertex and a FoV point. `"auto"` and `"on"`: a shadow ray is
+        sent for every connection that could carry energy (in quadrature `"auto"` saves the rays to surface elements
+        that are proven to be wholly visible, which gives the same transient up to the order of summation). `"off"`:
+        no shadow ray is sent, which adds light wherever an occluder stands behind the first surface that light meets.
+        The factorised secondary (`observed`) always tests for occluders.
+    target : largest relative L2 error of the whole transient, ‖error‖ / ‖truth‖ over all laser points, pixels and
+        bins, 0.0001 … 1. The solver then chooses lookins, fov_samples, replicates and the method for the secondary;
+        giving one of them as well is refused (but for `observed` where only the k strongest paths are kept). The
+        target is met when the upper bound of the solver's own error estimate is below it; that estimate does not
+        contain the bias of the k strongest paths.
+    part_target : with a target: largest relative L2 error of each object's own primary (parts of role `object`), over
+        all laser points, pixels and bins, 0.0001 … 1; left out: 2.5 times the target, at most 1.
+    faint_part : with a target: objects whose light, over all histograms together, is fewer photons per emitted photon
+        than this need not meet `part_target`; ≥ 0.
+    max_lookins : with a target: give up (`Transient.met_target` False) before more rays than this, over all
+        components, would leave the average laser point; ≥ 2048.
 
     Examples
     --------
-    Counts of samples, or the error to be met:
+    Sample counts, or the largest error:
 
     >>> import datagen as dg
     >>> dg.Accuracy(lookins=4096, fov_samples=4, max_bounces=4).lookins
@@ -93,13 +97,13 @@ class Accuracy:
 
     @property
     def each_part(self) -> float:
-        """The relative L2 error asked of each object's own light, where a target is set."""
+        """Largest relative L2 error of each object's own light, where a target is set."""
         assert self.target is not None
         return min(PARTS_PER_TARGET * self.target, 1.0) if self.part_target is None else self.part_target
 
     @property
     def strongest(self) -> int | None:
-        """The number of arriving paths of each lookin that the secondary keeps; None for all."""
+        """How many arriving paths of each hidden vertex the secondary keeps; None for all."""
         if self.secondary == "strongest":
             return 1
         return self.secondary if isinstance(self.secondary, int) else None
@@ -140,7 +144,7 @@ class Accuracy:
 
 
 def chosen_by_target(prefix: str, name: str, value: object) -> str:
-    """The message of refusal where both a target and a sample count that it chooses are given."""
+    """The error message where both a target and a sample count that it chooses are given."""
     return (
         f"{prefix}{name} = {value!r}: given together with {prefix}target, which wins and chooses it; "
         f"leave out {name}, or leave out target to fix the counts yourself"

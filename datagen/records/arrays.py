@@ -1,4 +1,4 @@
-"""Short names for the arrays that signatures speak of, whose shapes stand in the docstrings; and their norm."""
+"""Short names for types of arrays, whose shapes are in the docstrings of those who use them; and the L2 norm."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Bools = NDArray[np.bool_]
 
 
 def l2_norm(values: Floats) -> float:
-    """√Σv² over an array of any shape. `numpy.linalg.norm` has a BLAS do this, whose threads, once woken for a large
-    array, turn idly for milliseconds: of a scan that took as much processor time as its light."""
+    """√Σv² over an array of any shape. `numpy.linalg.norm` calls a BLAS, whose threads spin idly for milliseconds
+    after a large array: for a scan that took as much processor time as its light."""
     flat = values.reshape(-1)
     return math.sqrt(np.einsum("i,i", flat, flat))

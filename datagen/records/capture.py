@@ -21,7 +21,7 @@ Illumination = Literal["scan", "flood"]
 
 WIDEST_APERTURE_M = 1.0
 WIDEST_BIN_S = 1e-3
-"""Above these a number was most likely given in another unit, which is warned of."""
+"""A larger aperture or bin was most likely given in another unit: users get a warning."""
 MOST_BINS = 2**26
 MOST_VALUES = 2**36
 
@@ -33,7 +33,7 @@ class Laser:
     Attributes
     ----------
     position : (3,) where the light comes from, metres.
-    targets : (L, 3) one for each laser point, metres: only its direction from `position` counts.
+    targets : (L, 3) one target for each laser point, metres; only the direction from `position` to it counts.
 
     Raises
     ------
@@ -200,7 +200,7 @@ class Capture:
 
     Attributes
     ----------
-    laser, sensor, time : where light enters, where it is seen, and into which bins it falls by arrival time.
+    laser, sensor, time : where light enters the scene, where it is detected, and the bins of its arrival time.
     pairing : `exhaustive`: every pixel for every laser point; `confocal`: pixel i for laser point i.
     illumination : `scan`: one laser point after the other; `flood`: all at once, each with an equal share of the
         light, as one wide beam: one histogram a pixel.

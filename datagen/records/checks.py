@@ -11,7 +11,7 @@ from datagen.errors import InputError
 from datagen.records.arrays import Floats
 
 LONGEST_SHOWN = 60
-"""Characters of a value in an error message; with half as many a short list would be named by its type alone."""
+"""Most characters of a value in an error message; with half as many a short list would be shown as its type."""
 
 
 def check_number(record: str, name: str, value: object, low: float, high: float, remedy: str) -> None:
@@ -72,9 +72,9 @@ def check_reals(name: str, value: object, shape: tuple[int | None, ...]) -> None
 
 
 def numbers_of(what: str, text: str, count: int) -> list[int]:
-    """`"0-2,7"` → the numbers, ascending, each once; raises `InputError` for what are none of 0 … count − 1.
+    """`"0-2,7"` → the numbers, ascending, each once; raises `InputError` for numbers that are not in 0 … count − 1.
 
-    what : "shards" or "scenes", as the option `--shards` or `--scenes` has it.
+    what : "shards" or "scenes", after the option `--shards` or `--scenes`.
     """
     chosen: set[int] = set()
     for piece in text.split(","):
@@ -92,7 +92,7 @@ def numbers_of(what: str, text: str, count: int) -> list[int]:
 
 
 def shown(value: object) -> str:
-    """A value in one short line: as Python writes it, or what kind and shape it has."""
+    """A value in one short line: its `repr` where that is short, else its type, or the shape of an array."""
     shape = getattr(value, "shape", None)
     if isinstance(shape, tuple) and shape:
         return f"an array of shape {shape}"
@@ -102,7 +102,7 @@ def shown(value: object) -> str:
 
 
 def as_reals(name: str, value: ArrayLike) -> Floats:
-    """`value` as an array of float64; raises `InputError` for what holds other than real numbers or is ragged."""
+    """`value` as an array of float64; raises `InputError` for ragged rows and for anything but real numbers."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, RuntimeError):
@@ -130,7 +130,7 @@ def as_points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Flo
 
 
 FARTHEST_M = 1e9
-"""Coordinates beyond it are no place of a scene: their squares' squares leave single precision."""
+"""Largest coordinate. Fourth powers of larger ones overflow single precision."""
 
 
 def check_places(name: str, points: Floats) -> None:

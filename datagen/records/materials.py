@@ -1,4 +1,4 @@
-"""Materials, as parameters only: how a surface scatters light; `transport/brdf` evaluates and samples them.
+"""Materials: the parameters by which a surface scatters light; `transport/brdf` evaluates and samples them.
 
 Every model is reciprocal, returns no more light than arrives at any incidence, acts on both sides, and is linear in
 its albedo: the BRDF is `albedo` times a function of the other parameters.
@@ -15,7 +15,7 @@ from datagen.records.checks import check_number, shown
 
 @dataclass(frozen=True)
 class Material:
-    """Common to all materials: the albedo, the share of arriving light that leaves again (0 to 1)."""
+    """What all materials have: the albedo, the share of arriving light that is scattered (0 to 1)."""
 
     albedo: float
 
@@ -49,12 +49,12 @@ class SinLobe(Material):
 
         f = (albedo / 2) |sin θ_in| |sin θ_out|,  directional albedo = albedo · |sin θ_in|
 
-    As printed, B = sin θ_out is what leaves per solid angle whatever came in: that changes sign, is not reciprocal,
-    and does not fall off towards grazing. Here the modulus is taken, the same factor stands at the incidence, and the
-    polar dependence is Lambert's. A reciprocal BRDF that returned everything at every incidence would send isotropic
-    light out isotropically; a lobe that favours one plane whatever comes in must therefore keep some: |sin θ_in| is
-    2/π on average. Where an azimuth has no meaning (light along the normal; a normal along the axis, as on a floor)
-    |sin θ| takes that mean.
+    As printed, B = sin θ_out is the light that leaves per solid angle, whatever its incidence: B changes sign, is not
+    reciprocal, and does not fall off towards grazing. Here the modulus is taken, the incidence has the same factor,
+    and the polar dependence is Lambert's. A reciprocal BRDF that scattered all light at every incidence would scatter
+    isotropic light isotropically; a lobe that favours one plane must therefore absorb some: |sin θ_in| is 2/π on
+    average. Where an azimuth has no meaning (light along the normal; a normal along the axis, as on a floor) |sin θ|
+    takes that mean.
 
     axis : direction (3,) that the lobe avoids, any length > 0; the vertical by default.
     """
@@ -85,11 +85,11 @@ class Phong(Material):
         f = albedo · [ specular · (n + 2)/(2π) · cosⁿα + (1 − specular)/π ]
 
     The physically based form of Lafortune & Willems, "Using the modified Phong reflectance model for physically based
-    rendering", KU Leuven Report CW 197 (1994). The lobe returns all of its share at normal incidence and, if
-    narrow, about cosθ_in of it elsewhere: that is the price of being reciprocal. Exponent 0 is Lambert's law exactly.
+    rendering", KU Leuven Report CW 197 (1994). The lobe scatters all of its share at normal incidence
+    and, if narrow, about cosθ_in of it elsewhere: the price of reciprocity. Exponent 0 is Lambert's law exactly.
 
-    exponent : n, 0 … 10 000. The lobe's half width at half maximum is √(2 ln 2 / n): 15° at n = 20, 0.7° at the
-        upper end, beyond which a surface is a mirror for paths that random samples would hardly meet.
+    exponent : n, 0 … 10 000. The lobe's half width at half maximum is √(2 ln 2 / n): 15° at n = 20, 0.7° at
+        10 000; a narrower lobe is a mirror, whose paths random samples hardly ever meet.
     specular : share of the albedo in the lobe, 0 … 1.
 
     >>> import datagen as dg
@@ -138,8 +138,8 @@ class GGX(Material):
     13(3) (1994), F = f0 + (1 − f0)(1 − cos)⁵; f_ms gives back what single scattering loses, in the separable form of
     Kulla & Conty (SIGGRAPH 2017 course). With f0 = 1 every incidence returns `albedo`, to 2·10⁻⁴ and never more.
 
-    roughness : 0.1 … 1; the lobe's half width at half maximum is about 1.3 α rad at normal incidence, 0.7° at the
-        lower end, below which a surface is a mirror for paths that random samples would hardly meet.
+    roughness : 0.1 … 1; the lobe's half width at half maximum is about 1.3 α rad at normal incidence, 0.7° at
+        0.1; a narrower lobe is a mirror, whose paths random samples hardly ever meet.
     f0 : Fresnel reflectance at normal incidence, 0 … 1: 1 leaves out Fresnel's law, 0.04 is paint, glass or plastic.
     """
 

@@ -28,16 +28,17 @@ class Spend:
 
     Attributes
     ----------
-    lookins : component → lookins from each laser point, on average over the laser points, over all replicates; cells
-        where cells give it.
-        Components that one walk finds together share its lookins.
-    share : component → share of the cost, which adds to 1; those of a shared walk have equal parts of it.
-    way : component → "cells", "walk", "factorised", or "walk + factorised" where both find a part of the secondary.
+    lookins : component → hidden vertices of a laser point (average over the laser points, sum over the replicates),
+        or surface elements where the component comes from those. Components from the same traced paths share the
+        number.
+    share : component → fraction of the cost; all add up to 1. Components from the same traced paths have equal ones.
+    way : component → method: "cells" (quadrature over surface elements), "walk" (path tracing), "factorised", or
+        "walk + factorised" where each finds a part of the secondary.
     fov_samples : component → FoV points for each vertex and pixel.
     rounds : passes over the scene; 1 for fixed sample counts.
-    cost : all work in units of one connection with its shadow ray (`transport/error_control/cost.py`), by counts.
-    outcome : why it ended, in words.
-    second_opinion : what unbiased samples say of light that was found by cells, in words; empty where none was.
+    cost : all work, counted in units of one connection with its shadow ray (`transport/error_control/cost.py`).
+    outcome : why the simulation ended, in words.
+    second_opinion : how unbiased samples agree with light from surface elements, in words; empty without such light.
 
     Raises
     ------
@@ -87,21 +88,21 @@ class Transient:
     ----------
     time : the time axis of the bins.
     components : "direct", "primary", "secondary", "higher" → (L, P, T) float64; only those simulated.
-    parts : the primary split by the part that the lookin lies on, part name → (L, P, T).
+    parts : the primary split by the part on which the hidden vertex lies, part name → (L, P, T).
     stderr : (L, P, T) standard error of `total` from independent replicates; NaN when there was only one.
     overflow : (L, P) energy that arrives outside the window.
-    laser_points : (L, 3) where each laser ray met the scene, metres; NaN where it met nothing. A flood has all its
-        points here, and L = 1 elsewhere.
+    laser_points : (L, 3) where each laser ray met the scene, metres; NaN where it met nothing. For a flood L here is
+        the number of its points, and 1 in the other arrays.
     seconds : wall-clock seconds of the simulation by stage.
-    rays : connections from vertices to FoV points that could carry energy, by how their visibility was found: "asked"
-        by a shadow ray, or "assumed" (`Accuracy.occlusion = "off"`); empty where path tracing had no part in it.
-    spend : where the work went; None where nothing was counted.
-    error_bound : with an accuracy target, the upper confidence bound of the relative L2 error that was held against
-        it; None with fixed sample counts.
+    rays : number of connections from vertices to FoV points that could carry energy: "asked", tested by a shadow ray,
+        or "assumed" to be visible (`Accuracy.occlusion = "off"`); empty where no paths were traced.
+    spend : cost report; None where nothing was counted.
+    error_bound : with an accuracy target, the upper confidence bound of the relative L2 error that was compared with
+        the target; None with fixed sample counts.
     met_target : whether target and part target are met; None with fixed sample counts.
-    part_errors : with an accuracy target, object part → estimated relative L2 error of its own primary; only parts
-        whose light `Accuracy.faint_part` lets count, and none where the primary is sampled (narrow lobes). More than
-        the part target where an object is so nearly hidden that its light was not worth the rays.
+    part_errors : with an accuracy target, object part → estimated relative L2 error of its own primary. Parts fainter
+        than `Accuracy.faint_part` are left out, and all parts where the primary is sampled (narrow lobes). The error
+        is above the part target where an object is so nearly hidden that its light was not worth the rays.
 
     Raises
     ------
@@ -160,8 +161,8 @@ class Transient:
 
     @property
     def relative_error(self) -> float:
-        """Relative L2 error of the whole transient: with a target the upper bound held against it, else the bare
-        estimate ‖stderr‖ / ‖total‖. 0 for an empty transient."""
+        """Relative L2 error of the whole transient: with a target its upper bound, else the estimate
+        ‖stderr‖ / ‖total‖; 0 for a transient without light."""
         if self.error_bound is not None:
             return self.error_bound
         norm = float(np.linalg.norm(self.total))
@@ -170,13 +171,13 @@ class Transient:
 
 @dataclass(frozen=True)
 class Sample:
-    """One scene's row of a dataset.
+    """What a dataset stores of one scene.
 
     arrays : field name → array, as `store/schema.py` describes them (no scene axis).
-    parameters : scalars for the table `samples.parquet`: what was drawn, the error estimate, the effects decided.
+    parameters : scalars for the table `samples.parquet`: drawn numbers, error estimates, decisions about effects.
     seconds : wall-clock seconds by stage ("scene", "transport", "detector", "background", "evidence", "labels").
 
-    Raises `InputError` for values of other types; what a dataset holds is compared with it when it is written.
+    Raises `InputError` for values of other types; shapes are compared with the dataset's schema when it is written.
     """
 
     index: int

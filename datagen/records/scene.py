@@ -1,4 +1,4 @@
-"""A scene as it travels: triangles, the part each belongs to, the material of each part."""
+"""A scene: triangles, the part that each belongs to, and the material of each part."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     import trimesh
 
 Role = Literal["relay_wall", "structure", "object"]
-"""`relay_wall` is the visible wall and what stands before it; `structure` the other walls, floor and ceiling;
-`object` what a reconstruction would want to find."""
+"""`relay_wall`: the visible wall and what stands before it; `structure`: the other walls, floor and ceiling;
+`object`: what a reconstruction should find."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Class and orientation of an object, which its triangles alone do not say.
+    """Class and orientation of an object, which do not follow from its triangles.
 
     Attributes
     ----------
@@ -54,8 +54,8 @@ class Pose:
 
 @dataclass(frozen=True)
 class Part:
-    """A named surface with one material. Raises `InputError` for what is of another type; `Scene.from_parts` checks
-    its triangles.
+    """A named surface with one material. Raises `InputError` for values of other types; `Scene.from_parts` checks the
+    triangles.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Part:
         vertices; triangles scatter on both sides, whichever way they are wound.
     material : how it scatters (`Lambertian`, `Phong`, `GGX` …).
     role : "relay_wall", "structure" (other walls, floor, ceiling) or "object" (to be reconstructed).
-    pose : class and axes for the label of boxes; left out: the part's name, and the scene's axes.
+    pose : class and axes of its label box; left out: the part's name, and the axes of the scene.
 
     Examples
     --------
@@ -105,7 +105,8 @@ class Rectangle:
 
     @classmethod
     def of(cls, center: ArrayLike, right: ArrayLike, up: ArrayLike) -> Rectangle:
-        """Build from anything array-like; raises `InputError` for half extents that are not perpendicular, or 0."""
+        """The rectangle of array-like values; raises `InputError` for half extents that are 0 or not
+        perpendicular."""
         made = cls(center, right, up)  # type: ignore[arg-type]
         across = float(np.linalg.norm(made.right) * np.linalg.norm(made.up))
         if across == 0 or abs(float(made.right @ made.up)) > 1e-9 * across:
@@ -132,19 +133,19 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Scene:
-    """Triangles with parts and materials, and what a capture and the labels need to know of the room.
+    """Triangles with parts and materials, and the places in the room that captures and labels refer to.
 
     Attributes
     ----------
     vertices : (V, 3) float64, metres; right-handed frame, z up.
     triangles : (F, 3) int32 indices into `vertices`.
     face_part : (F,) int32, index into `part_names`, `materials`, `roles`.
-    relay_wall : the rectangle of the relay wall that the device can see, or None if nobody said; where the wall is
-        uneven, the part of its nominal plane.
-    hidden_view : the rectangle in the plane of the relay wall from which the hidden part is looked at
-        (orthographically, along its normal) to make label images; None if nobody said.
-    hidden_bounds : (2, 3) corners of the box that holds the hidden part, for volume labels; or None.
-    device_position : (3,) where a generated room puts laser and sensor; or None.
+    relay_wall : the rectangle of the relay wall that the device sees, in the nominal plane of an uneven wall; None if
+        unknown.
+    hidden_view : the window in the plane of the relay wall through which label images look at the hidden part
+        (orthographically, along the normal); None if unknown.
+    hidden_bounds : (2, 3) corners of the box that volume labels fill; None if unknown.
+    device_position : (3,) where laser and sensor stand unless a capture says otherwise; None if unknown.
     parameters : every number drawn for this scene, by dotted name; stored with the sample.
     attenuation_per_m : Napierian attenuation of the air, 1/m: every leg R passes exp(−a R).
     poses : object part → its class and axes; a part without one stands along the scene's axes, named by its part.
@@ -241,9 +242,9 @@ class Scene:
         return tuple(name for name, role in zip(self.part_names, self.roles, strict=True) if role == "object")
 
     def without(self, *names: str) -> Scene:
-        """The scene without the named parts; all else, parameters too, stays.
+        """The scene without the named parts; everything else, parameters too, stays.
 
-        Raises `InputError` for a part that is not there, and where none would be left.
+        Raises `InputError` for an unknown part, and where no part would be left.
         """
         gone = self.faces_of(*names)
         kept = [k for k, name in enumerate(self.part_names) if name not in names]

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
@@ -17,6 +16,7 @@ from datagen.errors import InputError
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, ObjectBoxes, make_labels
 from datagen.labels.boxes import classes_in
 from datagen.records import Scene
+from datagen.records.arrays import Floats
 from datagen.report.cutaway import room_faces
 from datagen.report.label_plots import draw_boxes, draw_label
 from datagen.report.room_plots import RoomPicture, draw_opened, draw_plan
@@ -123,8 +123,8 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
 
 
 def first_scenes(configs: Sequence[DatasetConfig], count: int) -> list[tuple[DatasetConfig, int]]:
-    """(configuration, scene number) of the first scenes, shared evenly among the configurations. Raises `InputError`
-    for a mesh file that cannot be used."""
+    """(configuration, scene number) of `count` scenes: the first of each configuration, equally many of each. Raises
+    `InputError` for a mesh file that cannot be used."""
     for config in configs:
         check_scene_config(config.scene)
     configs = [with_exposure_found(config) if config.scene.asks_for_evidence else config for config in configs]
@@ -149,13 +149,14 @@ def mark_sight(axes: Axes, scene: Scene) -> None:
     eye = scene.device_position[:2]
     walls = _plan_walls(scene, below_m=float(scene.device_position[2]))
     fan = visible_fan(np.concatenate([walls, _frame(axes)]), eye)
-    # Over the picture, since nothing that is hidden stands there; without edges, which would show where two overlap.
+    # Drawn over the picture, since all objects are outside; without edges, which would be seen where triangles
+    # overlap.
     style = {"facecolors": IN_SIGHT, "edgecolors": "none", "alpha": 0.5, "zorder": 2.5, "antialiased": False}
     axes.add_collection(PolyCollection(list(fan), **style), autolim=False)  # type: ignore[arg-type]
 
 
-def _plan_walls(scene: Scene, below_m: float) -> NDArray[np.float64]:
-    """(n, 2, 2) walls and relay wall in plan, lintels left out: the long side of every upright triangle."""
+def _plan_walls(scene: Scene, below_m: float) -> Floats:
+    """(n, 2, 2) walls and relay wall in plan, without lintels: the longest side of every upright triangle."""
     relay = np.array([name == "relay_wall" for name in scene.part_names])[scene.face_part]
     faces = scene.corners[np.union1d(room_faces(scene)[0], np.flatnonzero(relay))]
     corners = faces[faces[..., 2].min(axis=1) < below_m][..., :2]
@@ -164,8 +165,8 @@ def _plan_walls(scene: Scene, below_m: float) -> NDArray[np.float64]:
     return np.unique(sides[np.arange(len(sides)), longest], axis=0)
 
 
-def _frame(axes: Axes) -> NDArray[np.float64]:
-    """(4, 2, 2) the border of the picture: in the open, what the device sees ends there."""
+def _frame(axes: Axes) -> Floats:
+    """(4, 2, 2) sides of the picture, where the view of the device ends in the open."""
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
     return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)

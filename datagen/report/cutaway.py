@@ -1,4 +1,4 @@
-"""A room opened like a doll's house: which surfaces to draw, and a shaded picture of them without perspective."""
+"""A room opened like a doll's house: the surfaces to draw, and a shaded picture of them without perspective."""
 
 from __future__ import annotations
 
@@ -9,22 +9,25 @@ from numpy.typing import NDArray
 
 from datagen.labels.raster import first_hits, hidden_pixels
 from datagen.records import Scene
+from datagen.records.arrays import Bools, Floats, Ints
 
 Extent = tuple[float, float, float, float]
 """Left, right, bottom, top of a picture, metres."""
 
-Shaded = tuple[NDArray[np.float64], Extent]
+Shaded = tuple[Floats, Extent]
 """A picture (rows, columns, 4), RGBA in 0 … 1, and its extent."""
 
 _SURVEY_PIXELS = 220
+"""Longer side of the picture that decides which walls go. Halved, narrow walls are misjudged."""
 _HORIZONTAL = 0.7
+"""Least vertical part of the normal of floor and ceiling."""
 
 
 @dataclass(frozen=True)
 class Camera:
     """Parallel projection. `axes` (3, 3): unit vectors right, up, and into the scene, as rows."""
 
-    axes: NDArray[np.float64]
+    axes: Floats
 
     @classmethod
     def looking(cls, azimuth_deg: float, elevation_deg: float) -> Camera:
@@ -39,7 +42,7 @@ class Camera:
         """The camera of a plan: x to the right, y up."""
         return cls(np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, -1]]))
 
-    def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def project(self, points: Floats) -> Floats:
         """(..., 3) world → (..., 3): metres right, up and into the picture."""
         return points @ self.axes.T
 
@@ -48,15 +51,15 @@ class Camera:
 class Cutaway:
     """The part of a room that is drawn.
 
-    faces : triangles that stay.
-    outlines : (E, 2, 3) edges of walls that were taken away.
+    faces : triangles to draw.
+    outlines : (E, 2, 3) edges of the walls that are not drawn.
     """
 
-    faces: NDArray[np.int64]
-    outlines: NDArray[np.float64]
+    faces: Ints
+    outlines: Floats
 
 
-def normals_of(scene: Scene) -> NDArray[np.float64]:
+def normals_of(scene: Scene) -> Floats:
     """(F, 3) unit normals of all triangles (0 for one without area)."""
     corners = scene.corners
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -64,8 +67,9 @@ def normals_of(scene: Scene) -> NDArray[np.float64]:
     return normal / np.where(length > 0, length, 1.0)
 
 
-def room_faces(scene: Scene) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Triangles of the structure as (walls, floor, ceiling): upright, and lying in the lower or upper half."""
+def room_faces(scene: Scene) -> tuple[Ints, Ints, Ints]:
+    """Triangles of the structure, upright, lying in the lower half, and lying in the upper half: walls, floor,
+    ceiling."""
     structure = np.array([role == "structure" for role in scene.roles])[scene.face_part]
     lying = structure & (abs(normals_of(scene)[:, 2]) > _HORIZONTAL)
     height = scene.corners[..., 2].mean(axis=1)
@@ -74,7 +78,7 @@ def room_faces(scene: Scene) -> tuple[NDArray[np.int64], NDArray[np.int64], NDAr
 
 
 def cut_open(scene: Scene, camera: Camera) -> Cutaway:
-    """The room without ceiling and any wall that hides more than a sliver of floor, objects or relay wall."""
+    """The room without its ceiling and without walls that hide more than 0.2 % of the picture of the rest."""
     walls, _, ceiling = room_faces(scene)
     shown = np.setdiff1d(np.arange(len(scene.triangles)), np.concatenate([walls, ceiling]))
     if len(walls) == 0:
@@ -93,8 +97,9 @@ def cut_open(scene: Scene, camera: Camera) -> Cutaway:
     )
 
 
-def flat_groups(scene: Scene, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[NDArray[np.float64]]]:
-    """Groups of triangles that touch in one plane: number of each face's group, and the border (E, 2, 3) of each."""
+def flat_groups(scene: Scene, faces: Ints) -> tuple[Ints, list[Floats]]:
+    """Groups of triangles that touch in one plane: the group number of each face, and the border (E, 2, 3) of each
+    group."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -106,10 +111,11 @@ def flat_groups(scene: Scene, faces: NDArray[np.int64]) -> tuple[NDArray[np.int6
     offset = (normal * (corners.mean(axis=1) - scene.vertices.mean(axis=0))).sum(axis=1) / extent
     plane = _numbered(np.round(np.column_stack([normal, offset]) * 1e3))
     place = _numbered(np.round(corners.reshape(-1, 3) / (1e-6 * extent))).reshape(-1, 3)
-    knots = _numbered(np.column_stack([np.repeat(plane, 3), place.ravel()]))
-    count = len(faces) + int(knots.max()) + 1
+    # Faces and the corners of each plane are the nodes of a graph; faces that share a corner are connected.
+    corner = _numbered(np.column_stack([np.repeat(plane, 3), place.ravel()]))
+    count = len(faces) + int(corner.max()) + 1
     owner = np.repeat(np.arange(len(faces)), 3)
-    graph = coo_array((np.ones(len(knots), np.int8), (owner, knots + len(faces))), shape=(count, count))
+    graph = coo_array((np.ones(len(corner), np.int8), (owner, corner + len(faces))), shape=(count, count))
     group = _numbered(connected_components(graph, directed=False)[1][: len(faces), None])
     border = []
     for g in range(int(group.max()) + 1):
@@ -121,14 +127,13 @@ def flat_groups(scene: Scene, faces: NDArray[np.int64]) -> tuple[NDArray[np.int6
     return group, border
 
 
-def _numbered(rows: NDArray[np.generic]) -> NDArray[np.int64]:
+def _numbered(rows: NDArray[np.generic]) -> Ints:
+    """Number of each row; equal rows have equal numbers."""
     return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1].ravel(), np.int64)
 
 
-def to_pixels(
-    scene: Scene, camera: Camera, faces: NDArray[np.int64], pixels: int
-) -> tuple[NDArray[np.float64], int, int, Extent]:
-    """Triangles in pixels, picture size, extent (left, right, bottom, top) in metres; longer side about `pixels`."""
+def to_pixels(scene: Scene, camera: Camera, faces: Ints, pixels: int) -> tuple[Floats, int, int, Extent]:
+    """Triangles in pixels, rows and columns of the picture (the larger about `pixels`), and its extent in metres."""
     in_view = camera.project(scene.vertices)[scene.triangles[faces]]
     low, high = in_view[..., :2].min(axis=(0, 1)), in_view[..., :2].max(axis=(0, 1))
     size = max(float((high - low).max()), 1e-9)
@@ -142,11 +147,8 @@ def to_pixels(
     return np.stack([column, row, in_view[..., 2]], axis=-1), rows, columns, extent
 
 
-def shaded(scene: Scene, camera: Camera, faces: NDArray[np.int64], colors: dict[str, str], pixels: int) -> Shaded:
-    """A picture of the faces in their parts' colours.
-
-    Returns (rows, columns, 4) RGBA in 0 … 1, clear where there is nothing, and its extent in metres of the camera.
-    """
+def shaded(scene: Scene, camera: Camera, faces: Ints, colors: dict[str, str], pixels: int) -> Shaded:
+    """A picture of the faces in their parts' colours, transparent where there is none, and its extent."""
     from matplotlib.colors import to_rgb
 
     if len(faces) == 0:
@@ -165,10 +167,8 @@ def shaded(scene: Scene, camera: Camera, faces: NDArray[np.int64], colors: dict[
     return np.clip(small, 0, 1), extent
 
 
-def _edges(
-    hit: NDArray[np.int64], part: NDArray[np.int32], normal: NDArray[np.float64], depth: NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """Pixels beside an outline: another part, a sharp crease, or the border of what there is."""
+def _edges(hit: Ints, part: NDArray[np.int32], normal: Floats, depth: Floats) -> Bools:
+    """Pixels that carry an outline: between parts, along a sharp crease, or around everything."""
     edge = np.zeros(hit.shape, np.bool_)
     part = np.where(hit < 0, -1, part)
     for axis in (0, 1):

@@ -1,6 +1,6 @@
-"""Pictures of evidence: how far objects stand out of the noise, by the SNR of a matched filter (their significance).
+"""Pictures of evidence: how detectable objects are, by the SNR of a matched filter (their significance).
 
-Of a scene each object's light over the noise; of a dataset the significance of each kind of object.
+For a scene the light of each object over the noise; for a dataset the significance of each kind of object.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.records import Scalar, Scene, TimeAxis
+from datagen.records.arrays import Floats
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.style import EXPECTED, INK, captioned, empty_note, part_colors
 from datagen.report.time_plots import busy_window, time_label
@@ -27,11 +27,11 @@ FAINT = 1.0
 """Significance, in standard deviations, under which an object is as good as absent."""
 _WEAK = "#A33030"
 _EDGES = np.geomspace(0.01, 1000, 41)
-"""Of the bins in which kinds are counted; what lies outside is counted in the first or the last."""
+"""Edges of the bins in which objects are counted; those outside are counted in the first or the last bin."""
 
 
 def verdict(significance: float, presence: tuple[float, float] | None = None) -> str:
-    """In words, whether a network can find an object in the data, by its significance.
+    """Words that say whether an object of this significance can be found in the data.
 
     presence : significance of its presence, and how far that may be off.
     """
@@ -43,14 +43,14 @@ def verdict(significance: float, presence: tuple[float, float] | None = None) ->
 
 
 def stated_significance(stored: StoredScene, scene: Scene) -> dict[str, float]:
-    """Object → its stored significance; objects without one are left out."""
+    """Object → stored significance; objects without one are left out."""
     found = {name: stored.parameters.get(f"evidence.{name}.significance") for name in scene.objects}
     return {name: float(value) for name, value in found.items() if isinstance(value, int | float) and value == value}
 
 
 def evidence_page(stored: StoredScene, again: Replay) -> Figure | None:
-    """The page of evidence: each object's light over the noise in time, and its significance; None where no object
-    has a known one."""
+    """The page of evidence: each object's light over the noise in time, and its significance; None where no
+    significance is known."""
     significance = stated_significance(stored, again.scene) or {
         name: float(np.sqrt((curve**2).sum())) for name, curve in again.own.items()
     }
@@ -102,7 +102,7 @@ def _draw_in_time(axes: Axes, again: Replay, significance: Mapping[str, float], 
         axes.stairs(curve, edges, fill=True, color=colors[name], alpha=0.35 if seen else 0.12, linewidth=0)
         axes.stairs(curve, edges, color=colors[name], linewidth=1.4 if seen else 0.8, label=name)
     axes.set_xlim(*busy_window(np.sum([curve**2 for curve in curves.values()], axis=0), time))
-    # On a scale of its own an object of no significance would look like one of much.
+    # Scaled to its own height, light of no significance would look like much.
     axes.set_ylim(0, max(1.08 * highest, 1.0))
 
 
@@ -116,7 +116,7 @@ def _draw_significance(
     highest = max(*significance.values(), *(a + b for a, b in presence.values()), 10 * LEAST)
     low = 0.01
     axes.set_xscale("log")
-    # To the right of a bar stands what it says.
+    # Space to the right of each bar for its text.
     axes.set(xlim=(low, highest * (highest / low) ** 0.75), ylim=(min(-0.6, len(order) - 3.4), len(order) - 0.4))
     axes.axvspan(low, LEAST, color="#E9E9E9", linewidth=0, zorder=0)
     axes.axvline(LEAST, color=INK, linewidth=0.9, zorder=1)
@@ -150,16 +150,16 @@ def _short(value: float) -> str:
 
 
 def kinds_report(scenes: Sequence[Mapping[str, Scalar]]) -> str:
-    """HTML: how the significance of each kind of object is distributed over scenes, with the line that says what to
-    do; empty where no evidence is stored. Text is no picture, so that it can be read on any screen.
+    """HTML: the distribution of the significance of each kind of object over scenes, with a line that says what to
+    do; empty where no evidence is stored. Its text is no picture, so that it can be read on any screen.
     """
     values = significance_by_kind(scenes)
     lines = {re.sub(":.*", "", line): line for line in evidence_lines(evidence_by_kind(scenes))}
     return "".join(f"<p>{escape(lines[kind])}</p>{_strip(np.array(of))}" for kind, of in values.items())
 
 
-def _strip(values: NDArray[np.float64]) -> str:
-    """A histogram over a logarithmic axis from 0.01 to 1000, its bars under `LEAST` in red."""
+def _strip(values: Floats) -> str:
+    """An SVG histogram over a logarithmic axis from 0.01 to 1000; bars under `LEAST` are red."""
     counts, _ = np.histogram(np.clip(values, _EDGES[0], _EDGES[-1] * (1 - 1e-9)), _EDGES)
     width, high = 100 / len(counts), max(int(counts.max()), 1)
     bars = "".join(

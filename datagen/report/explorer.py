@@ -1,6 +1,6 @@
-"""What a reader of the preview can turn, slide and filter: rooms, labels, and the light of some scans.
+"""The interactive part of the preview: rooms to turn, labels to filter, scans to slide through.
 
-The page's script (`explorer_page.html`) draws all of it from the numbers given here; it asks for nothing elsewhere.
+The page's script (`explorer_page.html`) draws everything from the numbers given here and loads nothing else.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.labels import ViewFrame
 from datagen.labels.boxes import classes_in
 from datagen.records import Scene
+from datagen.records.arrays import Floats
 from datagen.report import scan_plots as scans
 from datagen.report.evidence_pictures import stated_significance
 from datagen.report.replay import Replay, StoredScene
@@ -25,23 +25,24 @@ from datagen.report.style import part_colors
 from datagen.report.time_plots import busy_window, clear_channel
 
 MOST_TRIANGLES = 400
-"""A part of more is shown as the box about it."""
+"""A part of more triangles is shown as its bounding box. Half as many would show furniture as boxes."""
 MOST_BINS = 128
 DECADES = 4.0
+"""Time bins of a scan, and range of its brightness."""
 _IMAGES = ("depth", "albedo", "shaded", "normal", "part_id")
 _CUBE = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
                   [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
 
 
 def explorer(scenes: Sequence[dict[str, Any]]) -> str:
-    """The part of the page that shows `scenes`, each of `scene_data`: HTML with its style and script."""
+    """HTML with style and script that shows `scenes`, each made by `scene_data`."""
     page = (Path(__file__).parent / "explorer_page.html").read_text(encoding="utf-8")
     # A closing tag within the data must not end the script.
     return page.replace("[/*scenes*/]", json.dumps(scenes, separators=(",", ":")).replace("</", "<\\/"))
 
 
 def scene_data(stored: StoredScene, scene: Scene, error: float | None, again: Replay | None) -> dict[str, Any]:
-    """One scene as plain values: triangles, labels and the keys of the filters; with `again`, its light, too."""
+    """One scene as plain values: triangles, labels and what filters need; with `again`, its light, too."""
     return {
         "index": stored.index,
         "layout": str(stored.parameters.get("layout.kind", "")),
@@ -73,7 +74,7 @@ def _parts(scene: Scene, significance: Mapping[str, float]) -> list[dict[str, An
 
 
 def _labels(stored: StoredScene, scene: Scene) -> list[dict[str, Any]]:
-    """Stored label images as bytes: of one grey, or of red, green and blue."""
+    """Stored label images as bytes, of one band (grey) or three (red, green, blue)."""
     frame = ViewFrame.of(scene)
     images = []
     for name in _IMAGES:
@@ -134,7 +135,7 @@ def _scan(again: Replay) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _layers(again: Replay, total: NDArray[np.float64]) -> Mapping[str, NDArray[np.float64]]:
+def _layers(again: Replay, total: Floats) -> Mapping[str, Floats]:
     """Name → (laser, pixel, bin): all light, the light of each of the first five objects, and the rest."""
     chosen = {name: again.transient.parts[name] for name in again.scene.objects if name in again.transient.parts}
     chosen = dict(itertools.islice(chosen.items(), 5))
@@ -144,12 +145,12 @@ def _layers(again: Replay, total: NDArray[np.float64]) -> Mapping[str, NDArray[n
     return {"all light": total, **chosen, "the rest": rest}
 
 
-def _summed(values: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+def _summed(values: Floats, step: int) -> Floats:
     short = -values.shape[-1] % step
     padded = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, short)])
     return np.asarray(padded.reshape(*padded.shape[:-1], -1, step).sum(axis=-1))
 
 
-def _bytes(values: NDArray[np.float64]) -> str:
+def _bytes(values: Floats) -> str:
     """Values in 0 … 1 as one byte each, in base64."""
     return base64.b64encode(np.clip(np.rint(255 * values), 0, 255).astype(np.uint8).tobytes()).decode()

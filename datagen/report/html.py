@@ -1,4 +1,4 @@
-"""What our HTML pages share: their look, tables, and pictures inside the file."""
+"""Parts of all HTML pages: head and style, tables, and pictures inside the file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pre, .wide { overflow-x: auto; } code { background: #f0f0f0; padding: 0 .25em; }
 
 
 def head(title: str) -> str:
-    """Everything up to and with the page's headline; `title` is plain text."""
+    """The beginning of a page, headline included; `title` is plain text."""
     text = escape(title)
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -39,7 +39,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def inside(figure: Figure, meaning: str) -> str:
-    """A figure as a PNG within the page itself; `meaning` is what is read where it cannot be seen."""
+    """A figure as a PNG within the page itself; `meaning` is read aloud to those who cannot see it."""
     file = io.BytesIO()
     figure.savefig(file, format="png", metadata={"Software": None})
     data = base64.b64encode(file.getvalue()).decode()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS
 from datagen.labels.frame import scan_place
 from datagen.records import Scene
+from datagen.records.arrays import Floats
 from datagen.report import scan_plots as scans
 from datagen.report import time_plots as times
 from datagen.report.label_plots import draw_label, labels_figure
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 UNDIVIDED = "all light"
-"""Stands for the parts where light is not split by part."""
+"""Name of the only layer where light is not split by part."""
 _MOMENTS = 4
 
 
@@ -43,7 +44,7 @@ def transient_page(stored: StoredScene, again: Replay) -> Figure:
     one.set_title(_channel_name(again, laser, pixel))
     times.draw_stack(whole, again.scene, _curves(again, None), again.capture.time)
     whole.set_title(_whole_name(again))
-    # What has light anywhere is in the sum.
+    # Every part with light anywhere is in the sum over the scan.
     handles, labels = whole.get_legend_handles_labels()
     if handles:
         whole.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.0, 0.5), title="top to bottom")
@@ -72,7 +73,7 @@ def histogram_page(stored: StoredScene, again: Replay) -> Figure:
 
 
 def _where_the_scan_is(scene: Scene, stored: StoredScene) -> str:
-    """A sentence, with a space behind it: where the scan lies on the label images."""
+    """A sentence on where the scan lies on the label images, with a space at its end."""
     view = scene.hidden_view
     points = stored.arrays.get("laser_points")
     found = None if view is None or points is None else scan_place(view, points)
@@ -106,8 +107,8 @@ def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray
 
 
 def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
-    """Slices of the scan, all light above and the objects' alone below; of one without a grid, time against laser
-    point; None when there is a single channel."""
+    """Slices of the scan, all light above and that of objects below; for laser points without a grid, time against
+    laser point; None when there is a single channel."""
     raster = scans.raster_of(again.capture, clear_channel(again.scene, again.transient), again.frame)
     if raster is None:
         wall = again.scene.relay_wall
@@ -151,9 +152,9 @@ def overview_page(
     time, channel = again.capture.time, clear_channel(again.scene, again.transient)
     text = (
         "Above: the room in plan and opened; ceiling and walls in the way are taken off (dashed edges). "
-        f"{_way(again)} The green rectangle is the window that the label images look through, along the arrow. "
-        "Below: the expected light of the whole scan split by part (stacked, logarithmic), photon counts over their "
-        f"{_mean_name(again)} in one channel, and the depth label. {_provenance(again)}"
+        f"{_light_path(again)} The green rectangle is the window that the label images look through, along the "
+        "arrow. Below: the expected light of the whole scan split by part (stacked, logarithmic), photon counts over "
+        f"their {_mean_name(again)} in one channel, and the depth label. {_provenance(again)}"
     )
     if room.boxes is not None:
         text += " Black outlines in the plan: the objects' boxes as stored, a tick at the front of each."
@@ -182,7 +183,7 @@ def overview_page(
         draw_label(figure, depth, again.scene, "depth", labels["depth"])
     else:
         depth.set_axis_off()
-    # The colour bar stands beside the picture, and the room for it at the right of the column.
+    # At the left of the column, which leaves space for the colour bar at the right.
     depth.set_anchor("W")
     return figure
 
@@ -198,7 +199,7 @@ def labels_of(stored: StoredScene) -> list[str]:
     return [name for name in names if name in stored.arrays or name == "depth"]
 
 
-def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, NDArray[np.float64]]]:
+def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, Floats]]:
     """(part, (bin,) curve) in stacking order, of one channel or summed over all; parts without light left out."""
     parts = again.transient.parts or {UNDIVIDED: again.transient.total}
     pick = {name: values.sum(axis=(0, 1)) if channel is None else values[channel] for name, values in parts.items()}
@@ -206,8 +207,8 @@ def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, N
     return [(name, curve) for name, curve in curves if parts[name].any()]
 
 
-def _way(again: Replay) -> str:
-    """A sentence: the way of the light, and how laser points and pixels go together."""
+def _light_path(again: Replay) -> str:
+    """A sentence on the path of the light, and on how laser points and pixels are paired."""
     lasers, pixels, _ = again.capture.shape
     if again.capture.illumination == "flood":
         count = len(again.capture.laser.targets)
@@ -219,7 +220,7 @@ def _way(again: Replay) -> str:
     return f"Light goes from the laser {lit}, around the corner to the objects, back and into the sensor{looks}."
 
 
-def _objects(again: Replay) -> NDArray[np.float64]:
+def _objects(again: Replay) -> Floats:
     """(laser, pixel, bin) light that objects scattered."""
     total = np.zeros(again.capture.shape)
     for name in again.scene.objects:
@@ -229,7 +230,7 @@ def _objects(again: Replay) -> NDArray[np.float64]:
 
 
 def _provenance(again: Replay) -> str:
-    """Where the curves come from, and whether they are the stored ones."""
+    """Sentences on where the curves come from, and whether they agree with the stored ones."""
     start = "Parts are not stored; they come from simulating this scene again from its stored configuration and seed"
     if not again.reproduced:
         far = "" if again.difference is None else f" (its transient differs by {again.difference:.2g}, relative L2)"

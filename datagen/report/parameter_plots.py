@@ -1,4 +1,4 @@
-"""What was drawn for the scenes of a dataset: one small histogram for each parameter that varies."""
+"""The drawn parameters of a dataset's scenes: one small histogram for each parameter that varies."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _EDGE: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.5}
 
 
 def varying(parameters: Sequence[Mapping[str, Scalar]]) -> dict[str, list[Scalar]]:
-    """Parameter → its values over the scenes that have it, for those with more than one value. Texts of many values
-    (lists of names) and seeds tell nothing as a distribution and are left out.
+    """Parameter → its values over the scenes that have it, if these differ. Seeds, and texts of many different values
+    (lists of names), are left out: their distributions mean nothing.
     """
     names = dict.fromkeys(name for scene in parameters for name in scene)
     columns = {name: [scene[name] for scene in parameters if name in scene] for name in names}
@@ -70,7 +70,7 @@ def _draw(axes: Axes, values: Sequence[Scalar]) -> None:
         axes.hist(numbers, bins=np.geomspace(low, high, bins + 1).tolist(), color=EXPECTED, **_EDGE)
     else:
         axes.hist(numbers, bins=bins, range=(low, high if high > low else low + 1), color=EXPECTED, **_EDGE)
-        # Each number whole: a common factor at the axis's end is cut off by the next picture.
+        # Without a common factor at the end of the axis, which the next picture would cover.
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:.4g}")
         axes.locator_params(axis="x", nbins=5)
     axes.locator_params(axis="y", nbins=4, integer=True)

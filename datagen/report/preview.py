@@ -32,11 +32,11 @@ SCENES = 3
 
 
 def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int = SCENES) -> Path:
-    """Write one HTML file about a dataset: what `info` says, fields, rooms with their labels to turn and filter, some
-    scenes in full with their scans to slide through, what was drawn.
+    """Write one HTML file about a dataset and return its path: the text of `info`, fields, rooms with their labels to
+    turn and filter, some scenes in full with their scans to slide through, and the drawn parameters.
 
-    Pictures, numbers and script are inside the file; it asks for nothing from anywhere. A dataset that is still being
-    built is shown as far as it is committed.
+    Pictures, numbers and script are inside the file; it loads nothing else. Of a dataset that is still being built
+    the committed scenes are shown.
 
     Parameters
     ----------

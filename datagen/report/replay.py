@@ -1,4 +1,4 @@
-"""A stored scene, and the same scene simulated again for what was not stored: its geometry, the split by part."""
+"""A stored scene, and the same scene simulated again for what is not stored: its geometry and the light by part."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from datagen.evidence.own import significance_in_time
 from datagen.labels import ViewFrame
 from datagen.pipeline import detector_effects
 from datagen.records import Capture, Scalar, Scene, TimeAxis, Transient
+from datagen.records.arrays import Floats
 from datagen.seeding import Purpose, derived_seed
 from datagen.store import Manifest
 from datagen.store.scenes import Scenes
@@ -34,8 +35,8 @@ SAME_PLACE_M = 1e-6
 class StoredScene:
     """What a dataset holds of one scene.
 
-    arrays : field → values of the scene. parameters : what was drawn for it. classes : what the numbers of
-    `object_class` stand for. meshes : whether the mesh files it was made with are there.
+    arrays : field → values. parameters : drawn numbers and others, by name. classes : names of the numbers in
+    `object_class`. meshes : whether the mesh files of its objects are still there.
     """
 
     config: DatasetConfig
@@ -47,7 +48,7 @@ class StoredScene:
 
     @property
     def title(self) -> str:
-        """The heading of its pictures: dataset and scene."""
+        """Heading of its pictures: dataset and scene."""
         return f"{self.config.name}, scene {self.index}"
 
 
@@ -60,29 +61,29 @@ class Replay:
     mean_is_exact : whether that mean is exact, or the detector's approximate one.
     is_poisson : whether all counts are independent Poisson numbers of that mean.
     difference : relative L2 distance of the new transient from the stored one; None where none is stored.
-    moved_m : how far the farthest laser point now lies from where it is stored, metres.
-    own : object → (bin,) its own light over the noise, √Σ s²/b over the scan; none where light is not split by part.
+    moved_m : largest distance of a laser point from its stored place, metres.
+    own : object → (bin,) its own light over the noise, √Σ s²/b over the scan; empty where light is not split by part.
     """
 
     scene: Scene
     capture: Capture
     transient: Transient
     counts: NDArray[Any]
-    expected: NDArray[np.float64]
+    expected: Floats
     difference: float | None
     moved_m: float = 0.0
     mean_is_exact: bool = True
     is_poisson: bool = True
-    own: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    own: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def frame(self) -> ViewFrame | None:
-        """The frame of the label images, in which pictures give places on the wall, too."""
+        """The frame of the label images, in which pictures show places on the wall, too."""
         return None if self.scene.hidden_view is None else ViewFrame.of(self.scene)
 
     @property
     def reproduced(self) -> bool:
-        """Whether the simulated scene agrees with all that is stored of it."""
+        """Whether the simulation agrees with everything that is stored."""
         return self.moved_m <= SAME_PLACE_M and (self.difference is None or self.difference <= REPRODUCED)
 
 
@@ -108,7 +109,7 @@ def config_of(manifest: Manifest) -> tuple[DatasetConfig, bool]:
     try:
         return manifest.parsed_config(), True
     except InputError:
-        # Either a mesh file is gone, or this fails in the same way.
+        # Without a look at mesh files; where those were not the cause, this raises the same error.
         return manifest.parsed_config(meshes=False), False
 
 
@@ -137,17 +138,15 @@ def replay(stored: StoredScene) -> Replay:
     return Replay(scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact, is_poisson, own)
 
 
-def _mean(
-    total: NDArray[np.float64], time: TimeAxis, spad: Spad, exposure: Exposure
-) -> tuple[NDArray[np.float64], bool]:
-    """Expected counts, and whether exactly so: the approximate mean where the detector has no exact one."""
+def _mean(total: Floats, time: TimeAxis, spad: Spad, exposure: Exposure) -> tuple[Floats, bool]:
+    """Expected counts, and whether they are exact: the approximate mean where the detector has no exact one."""
     try:
         return expected_histogram(total, time, spad, exposure), True
     except InputError:
         return expected_histogram(total, time, spad, exposure, approximate=True), False
 
 
-def _difference(stored: StoredScene, total: NDArray[np.float64]) -> float | None:
+def _difference(stored: StoredScene, total: Floats) -> float | None:
     kept = stored.arrays.get("transient")
     if kept is None:
         return None
@@ -155,7 +154,7 @@ def _difference(stored: StoredScene, total: NDArray[np.float64]) -> float | None
     return float(np.linalg.norm(total - kept)) / norm if norm > 0 else float(np.linalg.norm(total) > 0)
 
 
-def _moved_m(stored: StoredScene, points: NDArray[np.float64]) -> float:
+def _moved_m(stored: StoredScene, points: Floats) -> float:
     kept = stored.arrays.get("laser_points")
     if kept is None:
         return 0.0

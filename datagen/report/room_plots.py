@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.labels import ObjectBoxes, ViewFrame
 from datagen.labels.raster import first_hits
 from datagen.records import Capture, Scene
+from datagen.records.arrays import Floats, Ints
 from datagen.report import cutaway
 from datagen.report.cutaway import Camera, Cutaway, Extent, Shaded, room_faces, shaded
 from datagen.report.style import FIELD_OF_VIEW, INK, LASER, part_colors
@@ -29,17 +29,17 @@ HIDDEN_VIEW = "#117733"
 
 @dataclass(frozen=True)
 class RoomPicture:
-    """What the pictures of a room show besides the room.
+    """A room, and what its pictures show besides it.
 
     laser_points : (L, 3) where the laser rays met the scene; NaN where they met nothing.
-    pixels : about how wide the shaded pictures are.
+    pixels : about the width of the shaded pictures.
     boxes : of the objects, outlined in the plan.
     colors : of all parts; left out: those of `part_colors`.
     """
 
     scene: Scene
     capture: Capture | None = None
-    laser_points: NDArray[np.float64] | None = None
+    laser_points: Floats | None = None
     pixels: int = 560
     boxes: ObjectBoxes | None = None
     colors: dict[str, str] | None = None
@@ -59,7 +59,7 @@ class RoomPicture:
         return shaded(self.scene, Camera.from_above(), faces, part_colors(self.scene), self.pixels)
 
     @property
-    def devices(self) -> dict[str, NDArray[np.float64]]:
+    def devices(self) -> dict[str, Floats]:
         """Label → position of laser and sensor, one entry where they stand together."""
         if self.capture is None:
             here = self.scene.device_position
@@ -81,7 +81,7 @@ def draw_plan(axes: Axes, room: RoomPicture) -> None:
     if "relay_wall" in scene.roles:
         name = scene.part_names[scene.roles.index("relay_wall")]
         edges = scene.corners[scene.faces_of(name)][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
-        # A flat wall is a broad line; the profile of an uneven one needs a fine pen.
+        # A flat wall is a broad line; a broad line would hide the profile of an uneven one.
         width = 4.5 if len(edges) < 60 else 0.8
         _lines(axes, edges[..., :2], color=part_colors(scene)[name], linewidth=width, zorder=4)
     _mark_hidden_view(axes, scene, camera)
@@ -110,7 +110,7 @@ def draw_opened(axes: Axes, room: RoomPicture, arrows: bool = True) -> None:
 
 
 def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
-    """Camera and cut-open room: of a few directions before the relay wall, the one that shows most of the objects and
+    """Camera and opened room: from the direction, of a few before the relay wall, that shows most of the objects and
     of that wall."""
     normal = np.array([-1.0, 0.0, 0.0]) if scene.relay_wall is None else scene.relay_wall.normal
     front = float(np.degrees(np.arctan2(normal[1], normal[0])))
@@ -126,7 +126,7 @@ def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
     return best
 
 
-def _seen_share(scene: Scene, camera: Camera, cut: Cutaway, wanted: NDArray[np.int64]) -> float:
+def _seen_share(scene: Scene, camera: Camera, cut: Cutaway, wanted: Ints) -> float:
     """Sum over the wanted parts of the share of their outline that is not hidden."""
     triangles, rows, columns, _ = cutaway.to_pixels(scene, camera, cut.faces, 200)
     part = scene.face_part[cut.faces]
@@ -173,7 +173,7 @@ def _show(axes: Axes, picture: Shaded) -> None:
     axes.imshow(picture[0], extent=picture[1], interpolation="bilinear", zorder=2)
 
 
-def _lines(axes: Axes, segments: NDArray[np.float64], **style: object) -> None:
+def _lines(axes: Axes, segments: Floats, **style: object) -> None:
     from matplotlib.collections import LineCollection
 
     if len(segments):
@@ -234,7 +234,7 @@ def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera) -> None:
         axes.scatter(here[0], here[1], s=55, marker=_marker(label), **mark)
 
 
-def _dots(axes: Axes, points: NDArray[np.float64], extent: float) -> None:
+def _dots(axes: Axes, points: Floats, extent: float) -> None:
     """Dots that grow with the picture, and leave gaps where points are dense."""
     from matplotlib.collections import EllipseCollection
     from scipy.spatial import KDTree
@@ -249,7 +249,7 @@ def _dots(axes: Axes, points: NDArray[np.float64], extent: float) -> None:
     axes.add_collection(EllipseCollection(size, size, np.zeros(len(places)), **at, **style), autolim=True)  # type: ignore[arg-type]
 
 
-def _mark_axes(axes: Axes, camera: Camera, scene: Scene, picture: NDArray[np.float64], extent: Extent) -> None:
+def _mark_axes(axes: Axes, camera: Camera, scene: Scene, picture: Floats, extent: Extent) -> None:
     """The directions x, y, z, 1 m long (or the power of ten that suits the scene), in the emptier lower corner."""
     size = float(np.ptp(scene.vertices, axis=0).max())
     length = 10.0 ** np.floor(np.log10(max(size, 1e-9) / 3))

@@ -1,6 +1,6 @@
 """The pictures of a scene whose room cannot be drawn: made in Python, captured elsewhere, or without its mesh files.
 
-They show what is stored, and nothing else.
+They show stored values only.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config import DatasetConfig
 from datagen.config.scene_layouts import ImportedCaptures, NoLayout
@@ -49,7 +48,7 @@ def why_roomless(config: DatasetConfig, meshes: bool) -> str | None:
 def roomless_pages(stored: StoredScene) -> Iterator[tuple[str, Figure]]:
     """(name, figure) of each stored measurement, `histogram` and `transient`, and of the stored `labels`.
 
-    To be used within `house_style()`. Raises `InputError` where nothing of it is stored.
+    To be used within `house_style()`. Raises `InputError` where none of them is stored.
     """
     there = [name for name in QUANTITIES if name in stored.arrays]
     images = [name for name in (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS) if name in stored.arrays]
@@ -87,13 +86,13 @@ def _measured_page(stored: StoredScene, name: str) -> Figure:
         )
     heights = [4.4] if raster is None else [4.4, 3.4]
     figure, grid = captioned(15, heights, text, f"{stored.title}: {name}")
-    # Subfigures, so that one row's columns are not another's.
+    # Subfigures, so that the rows may have different columns.
     above = figure.add_subfigure(grid[0, 0])
     places, sliced, curves = (above.add_subplot(1, 3, k) for k in (1, 2, 3))
     unit = _unit(stored, name)
     counted, listed = _listed(values)
     scan = listed if raster is None else scans.scan_of(values, raster)
-    shown = raster or scans.numbered(scan.shape[1])
+    shown = raster or scans.numbered_raster(scan.shape[1])
     _draw_places(places, capture, raster, scan.sum(axis=-1), frame)
     row = scans.clear_row(scan)
     limits = busy_window(scan.reshape(-1, time.bins), time, 0.98)
@@ -119,9 +118,7 @@ def _unit(stored: StoredScene, name: str) -> str:
     return "signal per bin" if imported else "photons per emitted photon and bin"
 
 
-def _draw_curves(
-    axes: Axes, values: NDArray[np.float64], channel: tuple[int, int], stored: StoredScene, unit: str
-) -> None:
+def _draw_curves(axes: Axes, values: Floats, channel: tuple[int, int], stored: StoredScene, unit: str) -> None:
     time = stored.config.capture.time.axis()
     whole, one = values.sum(axis=(0, 1)), values[channel]
     axes.set(xlabel=time_label(time), ylabel=unit, title="Over time")
@@ -139,7 +136,7 @@ def _draw_curves(
 
 
 def _draw_places(
-    axes: Axes, capture: Capture, raster: scans.Raster | None, total: NDArray[np.float64], frame: ViewFrame | None
+    axes: Axes, capture: Capture, raster: scans.Raster | None, total: Floats, frame: ViewFrame | None
 ) -> None:
     """The sum over time as a picture of the wall, or as points on it where they make no grid."""
     axes.set_title("Sum over time, on the relay wall")
@@ -150,7 +147,7 @@ def _draw_places(
     scans.draw_places(axes, points, frame, values=total.ravel() if total.size == len(points) else None)
 
 
-def _listed(values: NDArray[np.float64]) -> tuple[str, NDArray[np.float64]]:
+def _listed(values: Floats) -> tuple[str, Floats]:
     """Name of the channels of a scan without a grid, "laser point" or "pixel", and their (1, N, bin) histograms."""
     if len(values) > 1 or values.shape[1] == 1:
         return "laser point", values.sum(axis=1)[None]
@@ -163,13 +160,13 @@ def _rectangle(stored: StoredScene, name: str) -> Rectangle | None:
 
 
 def _frame(stored: StoredScene) -> ViewFrame | None:
-    """The frame in which pictures give places: that of the labels, or else of the relay wall."""
+    """The frame for places in pictures: that of the labels, or else of the relay wall; None without either."""
     found = _rectangle(stored, "hidden_view") or _rectangle(stored, "relay_wall")
     return None if found is None else ViewFrame.about(found)
 
 
 def _capture(stored: StoredScene) -> Capture:
-    """The stored capture; a device without a stored place, which no picture here shows, gets some place."""
+    """The stored capture. A device without a stored place gets an arbitrary one, which no picture here shows."""
     arrays, settings = stored.arrays, stored.config.capture
     lit, pixels = np.asarray(arrays["laser_points"], np.float64), np.asarray(arrays["sensor_pixels"], np.float64)
     middle = pixels.mean(axis=(0, 1))
@@ -184,7 +181,7 @@ def _capture(stored: StoredScene) -> Capture:
 
 
 def _as_labelled(stored: StoredScene) -> Scene:
-    """A scene that stands for the unknown one where labels are drawn: their window, and a pane in it for a part."""
+    """A stand-in for the unknown scene in pictures of labels: the window, and for each part a pane in it."""
     import trimesh
 
     view = _rectangle(stored, "hidden_view")

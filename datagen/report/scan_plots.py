@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.labels import ViewFrame
 from datagen.records import Capture, Rectangle, TimeAxis
+from datagen.records.arrays import Floats, Ints
 from datagen.report.style import LASER, captioned, empty_note
 from datagen.report.time_plots import busy_window, time_label
 
@@ -20,28 +20,28 @@ if TYPE_CHECKING:
 _COLORS = "magma"
 _DECADES = 3.5
 _NUMBERED = 40
-"""Up to so many laser points carry their number in the picture."""
+"""Largest number of laser points that are numbered in the picture. More numbers would cover one another."""
 
 
 @dataclass(frozen=True)
 class Raster:
     """Channels that lie on a grid on the wall.
 
-    channels : (row, column, 2) laser and pixel number of each. x_m, z_m : (column,) and (row,) metres right and up in
-    the frame of the labels; without one from the grid's middle. what : "laser points" or "pixels".
+    channels : (row, column, 2) laser and pixel number of each channel. x_m, z_m : (column,) and (row,) metres right
+    and up in the frame of the labels; without such a frame, from the grid's middle. what : "laser points" or
+    "pixels".
     """
 
-    channels: NDArray[np.int64]
-    x_m: NDArray[np.float64]
-    z_m: NDArray[np.float64]
+    channels: Ints
+    x_m: Floats
+    z_m: Floats
     what: str
 
 
 def raster_of(capture: Capture, channel: tuple[int, int], frame: ViewFrame | None = None) -> Raster | None:
-    """The grid that the scan's laser points make; else that of the pixels, for the laser point of `channel`.
+    """The grid of the scan's laser points; else that of the pixels, for the laser point of `channel`; else None.
 
-    A grid is recognised by its places: rows of equally many points at equal steps. None when there is none with at
-    least two points in a row.
+    A grid is recognised by its places: rows of equally many points, at least two, at equal steps.
     """
     lasers, pixels, _ = capture.shape
     for count, places, what in (
@@ -62,13 +62,13 @@ def raster_of(capture: Capture, channel: tuple[int, int], frame: ViewFrame | Non
     return None
 
 
-def numbered(count: int) -> Raster:
-    """One row of so many channels without a place, in the order of their numbers."""
+def numbered_raster(count: int) -> Raster:
+    """A row of `count` channels without known places, in the order of their numbers."""
     return Raster(np.zeros((1, count, 2), np.int64), np.arange(count, dtype=np.float64), np.zeros(1), "laser points")
 
 
-def _columns(places: NDArray[np.float64]) -> int | None:
-    """Length of the rows of a regular grid listed row by row, or None."""
+def _columns(places: Floats) -> int | None:
+    """Length of the rows of a regular grid that is listed row by row; None for other places."""
     steps = np.diff(places, axis=0)
     if (np.linalg.norm(steps, axis=1) == 0).any():
         return None
@@ -83,7 +83,7 @@ def _columns(places: NDArray[np.float64]) -> int | None:
     return columns if regular and (len(down) < 2 or abs(down - down[0]).max() <= tolerance) else None
 
 
-def scan_of(values: NDArray[np.float64], raster: Raster) -> NDArray[np.float64]:
+def scan_of(values: Floats, raster: Raster) -> Floats:
     """(laser, pixel, bin) → (row, column, bin)."""
     return np.asarray(values[raster.channels[..., 0], raster.channels[..., 1]], np.float64)
 
@@ -91,7 +91,7 @@ def scan_of(values: NDArray[np.float64], raster: Raster) -> NDArray[np.float64]:
 def draw_time_slice(
     figure: FigureBase,
     axes: Axes,
-    scan: NDArray[np.float64],
+    scan: Floats,
     row: int,
     raster: Raster,
     time: TimeAxis,
@@ -118,7 +118,7 @@ def draw_time_slice(
     figure.colorbar(image, ax=axes, pad=0.02, label=unit)
 
 
-def draw_moment(axes: Axes, scan: NDArray[np.float64], bins: slice, raster: Raster) -> None:
+def draw_moment(axes: Axes, scan: Floats, bins: slice, raster: Raster) -> None:
     """The whole scan summed over a few bins: the wall as a picture, square root of the signal as brightness."""
     top, bottom = _reach(raster.z_m)
     extent = (*_reach(raster.x_m), bottom, top)
@@ -127,8 +127,8 @@ def draw_moment(axes: Axes, scan: NDArray[np.float64], bins: slice, raster: Rast
     axes.set(xlabel="right (m)", ylabel="up (m)")
 
 
-def moments(objects: NDArray[np.float64], count: int) -> list[slice]:
-    """Groups of bins in which the objects' light moves over the wall, early to late: equal shares of its energy."""
+def moments(objects: Floats, count: int) -> list[slice]:
+    """Groups of bins, early to late, about the middles of `count` equal shares of the objects' light."""
     curve = objects.sum(axis=(0, 1))
     if not curve.any():
         return []
@@ -139,12 +139,12 @@ def moments(objects: NDArray[np.float64], count: int) -> list[slice]:
     return [slice(max(0, c - half), min(len(curve), c + half + 1)) for c in centers]
 
 
-def clear_row(objects: NDArray[np.float64]) -> int:
-    """The row that gets the most of the objects' light."""
+def clear_row(objects: Floats) -> int:
+    """The row with most of the objects' light."""
     return int(np.argmax(objects.sum(axis=(1, 2))))
 
 
-def time_limits(scan: NDArray[np.float64], objects: NDArray[np.float64], time: TimeAxis) -> tuple[float, float]:
+def time_limits(scan: Floats, objects: Floats, time: TimeAxis) -> tuple[float, float]:
     """Nanoseconds between which the scan has most of its light and all of the objects'."""
     low, high = busy_window(scan.reshape(-1, scan.shape[-1]), time, 0.98)
     if objects.any():
@@ -152,20 +152,20 @@ def time_limits(scan: NDArray[np.float64], objects: NDArray[np.float64], time: T
     return low, high
 
 
-def _reach(places: NDArray[np.float64]) -> tuple[float, float]:
+def _reach(places: Floats) -> tuple[float, float]:
     """From half a step before the first place to half a step after the last."""
     half = float(places[1] - places[0]) / 2 if len(places) > 1 else 0.5
     return float(places[0]) - half, float(places[-1]) + half
 
 
 def listed_page(
-    title: str, wall: Rectangle, capture: Capture, whole: NDArray[np.float64], objects: NDArray[np.float64],
+    title: str, wall: Rectangle, capture: Capture, whole: Floats, objects: Floats,
     note: str, frame: ViewFrame | None = None,
 ) -> Figure:  # fmt: skip
     """The laser points on the wall, and the transient of each in the scan's order.
 
-    whole, objects : (laser, pixel, bin) all light, and what objects scattered. note : ends the caption. frame : of
-    the labels, in which places are given; left out, the wall's.
+    whole, objects : (laser, pixel, bin) all light, and light that objects scattered. note : end of the caption.
+    frame : of the labels, for places; left out, that of the wall.
     """
     count = len(capture.laser.targets)
     text = (
@@ -177,7 +177,7 @@ def listed_page(
     places = figure.add_subplot(grid[0, 0])
     draw_places(places, capture.laser.targets, frame or ViewFrame.about(wall), wall)
     places.set_title("Laser points on the relay wall")
-    raster = numbered(count)
+    raster = numbered_raster(count)
     scans = [values.sum(axis=1)[None] for values in (whole, objects)]
     limits = time_limits(scans[0], scans[1], capture.time)
     for column, (what, scan) in enumerate(zip(("all light", "objects only"), scans, strict=True)):
@@ -188,13 +188,13 @@ def listed_page(
 
 
 def draw_places(
-    axes: Axes, places: NDArray[np.float64], frame: ViewFrame | None, outline: Rectangle | None = None,
-    values: NDArray[np.float64] | None = None,
+    axes: Axes, places: Floats, frame: ViewFrame | None, outline: Rectangle | None = None,
+    values: Floats | None = None,
 ) -> None:  # fmt: skip
-    """Places on the wall, (n, 3), in the labels' frame or about their middle: in order and numbered where they are
-    few, or coloured by (n,) `values`; with the `outline` of what the device sees of the wall."""
+    """Draw places on the wall, (n, 3), in the frame of the labels or about their middle: coloured by (n,) `values`;
+    or, with the `outline` of the wall's visible part, joined in their order and numbered if they are few."""
 
-    def on_wall(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def on_wall(points: Floats) -> Floats:
         return (points - places.mean(axis=0) if frame is None else frame.to_view(points))[:, :2].T
 
     x, y = on_wall(places)

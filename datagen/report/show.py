@@ -28,11 +28,10 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
 
     An overview with the room in plan and opened in 3D, the transient stacked by part, counts over their expectation,
     each object's light over the noise with its significance, the labels, and slices of the scan where it has several
-    channels. The
-    scene is simulated again from the stored configuration and seed for what a dataset does not hold (geometry, the
-    split by part); counts, labels and significances are the stored ones. Where a room cannot be drawn (scenes made in
-    Python, imported captures, mesh files that are gone) what is stored is drawn: measurements over wall and time, and
-    labels.
+    channels. For geometry and light by part, which a dataset does not hold, the scene is simulated again from the
+    stored configuration and seed; counts, labels and significances are the stored ones. Where a room cannot be drawn
+    (scenes made in Python, imported captures, mesh files that are gone) only stored measurements and labels are
+    drawn.
 
     Parameters
     ----------
@@ -54,8 +53,8 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
 
 
 def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> Iterator[tuple[str, Figure]]:
-    """(name, figure) of the pictures asked for, made one at a time; `scan` only where there are several channels,
-    `evidence` where there are objects.
+    """(name, figure) of the pictures in `names`, made one at a time; `scan` only where there are several channels,
+    `evidence` only where there are objects.
 
     To be used within `house_style()`.
     """

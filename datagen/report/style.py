@@ -1,7 +1,7 @@
 """How all pictures look: fonts, colours that colour-blind readers can tell apart, captions, the PNG writer.
 
-Figures are made through matplotlib's objects with the Agg canvas: no window, no global figure, and no setting of the
-caller's is changed or obeyed, so the same data give the same picture everywhere.
+Figures are made through matplotlib's objects with the Agg canvas: no window, no global figure. Settings of the caller
+are neither used nor changed, so the same data give the same picture everywhere.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def house_style() -> Iterator[None]:
 
 
 def part_colors(scene: Scene) -> dict[str, str]:
-    """Part name → colour: bright ones for objects, greys for the room, light blue for the relay wall, darker blue for
-    what stands before it."""
+    """Part name → colour: bright for objects, grey for the room, light blue for the relay wall, darker blue for
+    clutter before it."""
     colors, objects, walls, relays = {}, 0, 0, 0
     for name, role in zip(scene.part_names, scene.roles, strict=True):
         if role == "relay_wall":
@@ -81,9 +81,8 @@ def part_colors(scene: Scene) -> dict[str, str]:
 
 
 def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figure:
-    """An empty figure on an Agg canvas; `arranged`: its axes are placed by their contents (constrained layout, which
-    is slow for many of them).
-    """
+    """An empty figure on an Agg canvas. `arranged`: axes are placed by their contents (constrained layout, which is
+    slow for many axes)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -121,7 +120,7 @@ def caption(figure: Figure, axes: Axes, text: str) -> None:
     axes.set_axis_off()
     lines = textwrap.wrap(text, width=int(figure.get_figwidth() * 15.5))
     written = axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8.5, color="#444444", linespacing=1.35)
-    # Its row is high enough already; counted in, long lines would take room from the pictures beside it.
+    # Its row is high enough already; in the layout, long lines would take space from the pictures.
     written.set_in_layout(False)
 
 

@@ -1,4 +1,4 @@
-"""Curves over time: the transient split by part; counts over their expectation, and what is left of them."""
+"""Curves over time: the transient split by part; counts over their expectation, and their residuals."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Scene, TimeAxis, Transient
+from datagen.records.arrays import Floats
 from datagen.report.style import EXPECTED, INK, empty_note, part_colors
 from datagen.units import path_from_time
 
@@ -27,19 +28,20 @@ def time_label(axis: TimeAxis) -> str:
 
 
 def clear_channel(scene: Scene, transient: Transient) -> tuple[int, int]:
-    """(laser, pixel) where objects stand out most, by energy times share; without objects the brightest."""
+    """(laser, pixel) where objects' light is clearest, by its energy times its share; without objects the
+    brightest."""
     total = transient.total.sum(axis=2)
     objects = sum(
         (transient.parts[name].sum(axis=2) for name in scene.objects if name in transient.parts), np.zeros_like(total)
     )
-    # The share alone would favour channels with next to no light.
+    # By the share alone, channels with hardly any light would win.
     clear = objects * objects / np.maximum(total, np.finfo(np.float64).tiny) if objects.any() else total
     laser, pixel = np.unravel_index(int(np.argmax(clear)), clear.shape)
     return int(laser), int(pixel)
 
 
-def busy_window(curves: NDArray[np.float64], axis: TimeAxis, share: float = 0.9995) -> tuple[float, float]:
-    """Nanoseconds from a little before the first light to a little after `share` of all has come."""
+def busy_window(curves: Floats, axis: TimeAxis, share: float = 0.9995) -> tuple[float, float]:
+    """Nanoseconds from a little before the first light to a little after `share` of all light has come."""
     total = np.atleast_2d(curves).sum(axis=0)
     reached = np.cumsum(total)
     edges = axis.edges_s * 1e9
@@ -52,9 +54,9 @@ def busy_window(curves: NDArray[np.float64], axis: TimeAxis, share: float = 0.99
     return float(edges[low]), float(edges[high])
 
 
-def draw_stack(axes: Axes, scene: Scene, parts: Sequence[tuple[str, NDArray[np.float64]]], time: TimeAxis) -> None:
+def draw_stack(axes: Axes, scene: Scene, parts: Sequence[tuple[str, Floats]], time: TimeAxis) -> None:
     """Stack (part name, (bin,) curve) pairs, objects lowest, on a logarithmic axis."""
-    # What is no part is light that is not split.
+    # A name that is no part is light that is not split by part.
     colors = defaultdict(lambda: "#8FA3B5", part_colors(scene))
     total = np.sum([curve for _, curve in parts], axis=0) if parts else np.zeros(time.bins)
     axes.set(
@@ -70,7 +72,7 @@ def draw_stack(axes: Axes, scene: Scene, parts: Sequence[tuple[str, NDArray[np.f
         bottom = bottom + curve
     axes.stairs(total, edges, color=INK, linewidth=0.7)
     highest = float(total.max())
-    # Down to the weakest part's own peak, so that none drops out of the picture, yet no further than 5 decades.
+    # Down to the peak of the weakest part, so that every part is seen, but at most `_DECADES`.
     peaks = [float(curve.max()) for _, curve in parts if curve.any()]
     decades = min(max(2.5, float(np.log10(highest / min(peaks))) + 1.0), _DECADES)
     axes.set_yscale("log")
@@ -89,7 +91,7 @@ def stacking_order(scene: Scene) -> list[str]:
 
 
 def draw_counts(
-    axes: Axes, counts: NDArray[Any], expected: NDArray[np.float64], time: TimeAxis, *, mean: str = "exact mean"
+    axes: Axes, counts: NDArray[Any], expected: Floats, time: TimeAxis, *, mean: str = "exact mean"
 ) -> None:
     """(bin,) counts as bars, (bin,) expectation as a line; logarithmic when the peak is 30 times the median bin.
 
@@ -113,12 +115,13 @@ def draw_counts(
 
 
 def draw_residuals(
-    axes: Axes, counts: NDArray[Any], expected: NDArray[np.float64], time: TimeAxis, *, is_poisson: bool = True
+    axes: Axes, counts: NDArray[Any], expected: Floats, time: TimeAxis, *, is_poisson: bool = True
 ) -> None:
-    """Residuals in units of the Poisson spread; for Poisson counts the band that holds 95 % of them where many."""
+    """Residuals in units of the Poisson spread; for Poisson counts with a band that holds 95 % of them where counts
+    are high."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        left = (counts - expected) / np.sqrt(expected)
-    values = np.where((expected > 0) | (counts > 0), left, np.nan)
+        residuals = (counts - expected) / np.sqrt(expected)
+    values = np.where((expected > 0) | (counts > 0), residuals, np.nan)
     if is_poisson:
         axes.axhspan(-2, 2, color=EXPECTED, alpha=0.12, linewidth=0)
     axes.axhline(0, color=EXPECTED, linewidth=0.8)
@@ -128,8 +131,8 @@ def draw_residuals(
     axes.set(xlabel=time_label(time), ylabel="(counts − expectation)\n/ √expectation", ylim=(-reach, reach))
 
 
-def mean_square_residual(counts: NDArray[Any], expected: NDArray[np.float64]) -> tuple[float, float, int] | None:
-    """Mean of (n − μ)²/μ over all bins with μ > 0, its standard error for Poisson counts, and how many bins.
+def mean_square_residual(counts: NDArray[Any], expected: Floats) -> tuple[float, float, int] | None:
+    """Mean of (n − μ)²/μ over all bins with μ > 0, its standard error for Poisson counts, and the number of bins.
 
     For Poisson counts (n − μ)²/μ has mean 1 and variance 2 + 1/μ. None when nothing is expected.
     """

@@ -1,4 +1,5 @@
-"""Scenes: a room is drawn, furnished and checked; everything hidden is hidden, the relay wall in view."""
+"""Scenes: rooms are drawn, furnished and checked; objects are hidden from the device, the relay wall is in its
+view."""
 
 from datagen.scene.generate import check_scene_config, generate_scene, meshes_named
 

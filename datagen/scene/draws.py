@@ -1,4 +1,4 @@
-"""Draws from settings to things: a layout's plan, an item's solid, surfaces' materials; no object has a place yet."""
+"""Draw a room and its objects from the settings: floor plan, solids, materials. Objects get their place later."""
 
 from __future__ import annotations
 
@@ -36,17 +36,13 @@ from scene_library.solids import Solid, Surface, prism, rectangle, regular_polyg
 
 @dataclass(frozen=True)
 class Thing:
-    """An object to be placed: all that is drawn for it but its place.
+    """An object to be placed: everything that is drawn for it except its place.
 
     Attributes
     ----------
-    where : its settings, such as contents[0].
-    item : those settings.
-    name : of its part.
-    label : its class.
+    where, item : key of its settings, such as contents[0], and the settings.
+    name, label : of its part, and its class.
     solid : its triangles, standing at the origin.
-    material : how it scatters.
-    rotation_deg, elevation_m : drawn as declared.
     """
 
     where: str
@@ -61,13 +57,12 @@ class Thing:
 
 @dataclass(frozen=True)
 class DrawnRoom:
-    """Everything of a room that is drawn once: what is left are the places of its objects.
+    """A drawn room, whose objects have no places yet.
 
     Attributes
     ----------
-    plan : its floor plan.
     surfaces, materials : of the room's own parts, by name.
-    clutter : the place taken by those parts that stand before the relay wall.
+    clutter : the space taken by those parts that stand before the relay wall.
     things : its objects.
     parameters : every number drawn, by dotted name.
     """
@@ -81,7 +76,7 @@ class DrawnRoom:
 
 
 def draw_room(spec: SceneConfig, rng: np.random.Generator) -> DrawnRoom:
-    """Layout, materials, and the objects with their number, classes and sizes, each from its declared distribution.
+    """A room: layout, materials, and objects with number, classes and sizes, each from its declared distribution.
 
     Raises `scene_library.rooms.RoomDoesNotClose`.
     """
@@ -103,19 +98,18 @@ def draw_room(spec: SceneConfig, rng: np.random.Generator) -> DrawnRoom:
         parameters |= {f"{name}.{key}": value for key, value in piece.parameters.items()}
     for i, item in enumerate(spec.contents):
         for _ in range(draw_count(item.count, rng)):
-            found = draw_object(item, plan.height_m, rng)
-            name = _free_name(item.name or label_of(found.label), names)
+            drawn_object = draw_object(item, plan.height_m, rng)
+            name = _free_name(item.name or label_of(drawn_object.label), names)
             names.add(name)
-            parameters |= {f"{name}.kind": item.kind, f"{name}.class": found.label}
-            parameters |= {f"{name}.{key}": value for key, value in found.sizes.items()}
+            parameters |= {f"{name}.kind": item.kind, f"{name}.class": drawn_object.label}
+            parameters |= {f"{name}.{key}": value for key, value in drawn_object.sizes.items()}
             rotation = draw(item.rotation_deg, rng)
             elevation = draw(item.elevation_m, rng) if isinstance(item, Standing) else 0.0
             if isinstance(item, Standing):
                 parameters |= {f"{name}.placement": item.placement, f"{name}.elevation_m": elevation}
             material = _material(spec, item, name, parameters, rng)
-            things.append(
-                Thing(f"contents[{i}]", item, name, found.label, found.solid, material, rotation, elevation)
-            )
+            label, solid = drawn_object.label, drawn_object.solid
+            things.append(Thing(f"contents[{i}]", item, name, label, solid, material, rotation, elevation))
     parameters["objects"] = len(things)
     return DrawnRoom(plan, room, materials, clutter, tuple(things), parameters)
 
@@ -132,7 +126,7 @@ def _free_name(wanted: str, taken: set[str]) -> str:
 def _material(
     spec: SceneConfig, surface: SurfaceMaterial, name: str, parameters: dict[str, Scalar], rng: np.random.Generator
 ) -> Material:
-    """Draw the material of the part `name`, and note its numbers."""
+    """Draw the material of the part `name`, and add its numbers to `parameters`."""
     material, catalogue_name = surface.draw_material(spec.wavelength_nm, rng)
     if catalogue_name is not None:
         parameters[f"{name}.material"] = catalogue_name
@@ -144,7 +138,7 @@ def _material(
 
 
 def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[FloorPlan, dict[str, Scalar]]:
-    """A plan and the dimensions drawn for it. Raises `scene_library.rooms.RoomDoesNotClose`."""
+    """A floor plan, and the numbers drawn for it by name. Raises `scene_library.rooms.RoomDoesNotClose`."""
     dimensions = {name: draw(d, rng) for name, d in layout.dimensions().items()}
     side = ("left", "right")[int(rng.integers(2))] if layout.turn == "random" else layout.turn
     plan = PLANS[layout.plan](**dimensions)
@@ -162,7 +156,7 @@ def draw_plan(layout: AnyLayout, rng: np.random.Generator) -> tuple[FloorPlan, d
 
 @dataclass(frozen=True)
 class Drawn:
-    """An object before it is placed: its solid, its class, and the sizes drawn for it."""
+    """Solid, class and sizes of a drawn object."""
 
     solid: Solid
     label: str
@@ -170,7 +164,7 @@ class Drawn:
 
 
 def draw_object(item: Item, room_height_m: float, rng: np.random.Generator) -> Drawn:
-    """An item's solid, standing at the origin. Raises `InputError` for a mesh file that cannot be used."""
+    """An object of an item, standing at the origin. Raises `InputError` for a mesh file that cannot be used."""
     sizes = {name: draw(d, rng) for name in item.sizes if (d := getattr(item, name)) is not None}
     match item:
         case Pillar():
@@ -200,7 +194,7 @@ def draw_object(item: Item, room_height_m: float, rng: np.random.Generator) -> D
 
 
 def load_mesh(item: MeshItem, file: Path, shown: str) -> Solid:
-    """The file's solid at height 1. Raises `InputError` naming it as `shown`."""
+    """The solid in a mesh file, 1 m high. Raises `InputError`, which calls the file `shown`."""
     try:
         return unit_mesh(file, MeshOptions(item.up, item.front, item.max_triangles))
     except BadMesh as error:

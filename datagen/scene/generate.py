@@ -1,7 +1,7 @@
 """Scene settings + scene library → Scene: draw a room, furnish it, check it, or say why that cannot be done.
 
-`generate_scene` is a pure function of (settings, seed, index). Every room drawn has its own random stream, and so has
-every try at placing its objects, so what one consumed never shifts the next.
+`generate_scene` is a pure function of (settings, seed, index). Every drawn room and every attempt at placing its
+objects has a random stream of its own, so that no attempt changes what a later one draws.
 """
 
 from __future__ import annotations
@@ -32,33 +32,31 @@ from scene_library.solids import Solid, joined
 from scene_library.visibility import visible_fan, visible_interval
 
 MESHES_CHECKED = 200
-"""At most about this many files of a folder are loaded before a build."""
+"""About how many files of a folder are loaded, at most, before a build. Half as many find half of rare bad files."""
 SMALLEST_VIEW_M = 0.05
-"""A relay wall seen over less than this width is no relay wall."""
-
-
+"""Least visible width of the relay wall: scans of a narrower one would be a line."""
 Shortfall = Callable[[Scene, Mapping[str, float]], str | None]
-"""Scene, and the least evidence of its objects by name → one that has less; None where all have enough."""
+"""(scene, least significance of its objects by name) → an object that has less; None where all have enough."""
 
 
 def generate_scene(spec: SceneConfig, seed: int, index: int, short_of: Shortfall | None = None) -> Scene:
     """Draw scene `index` of the dataset with this `seed`.
 
-    A room is drawn with everything in it, then its objects are placed: inside, with `clearance_m` to walls and other
-    objects, none to be seen from the device, and each seen from the visible part of the relay wall (`minimum_seen`).
-    Where that fails the same objects are placed anew; only after many tries (`placings`) is the room given up and all
-    of it drawn again, so that what is declared is what is found in the dataset, whether it is easy to place or not.
+    A room is drawn with all its objects, which are then placed: inside, with `clearance_m` to walls and other
+    objects, hidden from the device, and each visible from the visible part of the relay wall (`minimum_seen`). Where
+    that fails the same objects are placed anew, and only after many attempts (`placings`) everything is drawn again.
+    So objects that are hard to place are as frequent in the dataset as they are declared to be.
 
     Parameters
     ----------
     spec : the section `scene` of a configuration.
-    seed, index : of the dataset, and of the scene in it, ≥ 0; the same arguments give the same scene, whoever asks.
-    short_of : tells an object with less evidence than `evidence_at_least` asks for, and all are placed anew;
-        `dg.scene_for` has the one that follows from capture and detector.
+    seed, index : seed of the dataset and number of the scene in it, ≥ 0; the same arguments give the same scene.
+    short_of : returns an object with less evidence than `evidence_at_least`, for which all objects are placed anew;
+        `dg.scene_for` passes the function that follows from capture and detector.
 
     Returns
     -------
-    Scene with relay wall, hidden view and bounds, the device's position, and every number drawn as `parameters`.
+    Scene with relay wall, hidden view, hidden bounds, device position, and every number drawn as `parameters`.
 
     Raises
     ------
@@ -87,16 +85,16 @@ def generate_scene(spec: SceneConfig, seed: int, index: int, short_of: Shortfall
         except RoomDoesNotClose as error:
             reasons["layout", str(error)] += 1
         else:
-            tries = min(left, placings(spec.max_attempts, draws))
-            for number in range(tries):
+            attempts = min(left, placings(spec.max_attempts, draws))
+            for number in range(attempts):
                 rng = generator(seed, index, Purpose.SCENE, draws, 1 + number)
-                counted: dict[str, Scalar] = {"attempts": reasons.total() + 1, "draws": draws + 1}
+                counts: dict[str, Scalar] = {"attempts": reasons.total() + 1, "draws": draws + 1}
                 if short_of is not None:
-                    counted["evidence.placed_anew"] = sum(n for (_, what), n in reasons.items() if what == "dim")
+                    counts["evidence.placed_anew"] = sum(n for (_, what), n in reasons.items() if what == "dim")
                 try:
-                    scene = _furnished(spec, room, view, rng, counted, rotate_anew=2 * number > tries)
+                    scene = _furnished(spec, room, view, rng, counts, rotate_anew=2 * number > attempts)
                     if short_of is not None:
-                        _check_seen(room, short_of, scene)
+                        _check_evidence(room, short_of, scene)
                     return scene
                 except Unmet as unmet:
                     reasons[unmet.args] += 1
@@ -115,26 +113,26 @@ def _check_needs_no_light(spec: SceneConfig) -> None:
             )
 
 
-def _check_seen(room: DrawnRoom, short_of: Shortfall, scene: Scene) -> None:
-    """Raises `Unmet` for an object with less evidence than is asked for."""
-    asked = {thing.name: least for thing in room.things if (least := thing.item.evidence_at_least) is not None}
-    dim = short_of(scene, asked) if asked else None
+def _check_evidence(room: DrawnRoom, short_of: Shortfall, scene: Scene) -> None:
+    """Raise `Unmet` for an object with less evidence than its `evidence_at_least`."""
+    least_of = {thing.name: least for thing in room.things if (least := thing.item.evidence_at_least) is not None}
+    dim = short_of(scene, least_of) if least_of else None
     if dim is not None:
         raise Unmet(next(thing.where for thing in room.things if thing.name == dim), "dim")
 
 
 def placings(max_attempts: int, draw_number: int) -> int:
-    """How often the objects of a drawn room are placed before it is given up.
+    """How often the objects of a drawn room are placed before another room is drawn.
 
     An eighth of all attempts for the first room, half as many for each further one, at least one: most attempts are
-    left for rooms drawn anew, in case few of those that can be drawn are possible at all.
+    left for other rooms, in case the objects fit into few of them.
     """
     return max(1, max_attempts >> min(3 + draw_number, 62))
 
 
 @dataclass(frozen=True)
 class _View:
-    """What the device sees: `fan` (n, 3, 2) in plan, and the part of the relay wall in it."""
+    """What the device sees: `fan`, (n, 3, 2) triangles in plan, and the visible part of the relay wall."""
 
     fan: Floats
     relay_wall: Rectangle
@@ -147,14 +145,15 @@ class _View:
 
 
 def _furnished(
-    spec: SceneConfig, room: DrawnRoom, view: _View, rng: np.random.Generator, counted: dict[str, Scalar],
+    spec: SceneConfig, room: DrawnRoom, view: _View, rng: np.random.Generator, counts: dict[str, Scalar],
     rotate_anew: bool,
 ) -> Scene:  # fmt: skip
-    """Place every object and check what is seen of it. Raises `Unmet`.
+    """The scene of a room whose objects are placed and checked. Raises `Unmet`.
 
-    rotate_anew : draw rotations afresh too, since an object may only fit at another one.
+    counts : numbers of attempts and draws, for the scene's parameters. rotate_anew : draw rotations again, too, since
+    an object may fit at another rotation only.
     """
-    plan, parameters = room.plan, counted | room.parameters
+    plan, parameters = room.plan, counts | room.parameters
     surfaces, materials, poses = room.surfaces.copy(), room.materials.copy(), dict[str, Pose]()
     space = FreeSpace(plan.outline, plan.hidden, plan.walls, plan.height_m, view.fan, spec.clearance_m)
     space.taken.extend(room.clutter.values())
@@ -189,7 +188,7 @@ def _furnished(
 def _role(name: str, room: DrawnRoom) -> Role:
     if name not in room.surfaces:
         return "object"
-    # What stands before the relay wall scatters like it: labels look through it, scans may meet it.
+    # Clutter before the relay wall counts as part of it: labels look through it, and scans may meet it.
     return "relay_wall" if name == "relay_wall" or name in room.clutter else "structure"
 
 
@@ -205,27 +204,29 @@ def _visible_relay_wall(plan: FloorPlan, fan: Floats) -> Rectangle:
 
 
 def _hidden_view(plan: FloorPlan) -> Rectangle:
-    """The hidden part's width and height in the plane of the relay wall."""
+    """The rectangle in the plane of the relay wall that is as wide and high as the hidden part."""
     x = plan.relay_segment[0, 0]
     return _upright(np.array([x, plan.hidden[0, 1]]), np.array([x, plan.hidden[1, 1]]), plan.height_m)
 
 
 def _upright(right_end: Floats, left_end: Floats, height_m: float) -> Rectangle:
-    """The rectangle above a plan segment given from right to left as seen from the room; its normal points there."""
+    """The upright rectangle on a plan segment; with ends given as seen from the room its normal points into the
+    room."""
     center = np.array([*(right_end + left_end) / 2, height_m / 2])
     return Rectangle.of(center, [*(right_end - left_end) / 2, 0.0], [0.0, 0.0, height_m / 2])
 
 
 def check_scene_config(spec: SceneConfig) -> None:
-    """Load the meshes named, so that a bad file is refused before anything is built. Raises `InputError`."""
+    """Raise `InputError` for a bad mesh file, before anything is built."""
     for _ in meshes_named(spec):
         pass
 
 
 def meshes_named(spec: SceneConfig) -> Iterator[tuple[str, Solid]]:
-    """Each mesh that the settings name, as `scene.contents[0].path = 'spot.obj'` and its solid at height 1.
+    """Each mesh of the settings: where it is named, as `scene.contents[0].path = 'spot.obj'`, and its solid, 1 m
+    high.
 
-    Of a folder with very many files an even selection. Raises `InputError` for a bad file.
+    Of a folder with more than `MESHES_CHECKED` files only some, evenly spread. Raises `InputError` for a bad file.
     """
     for i, item in enumerate(spec.contents):
         if not isinstance(item, Mesh | MeshFolder):

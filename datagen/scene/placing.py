@@ -18,13 +18,14 @@ from scene_library.rounding import length
 from scene_library.solids import Solid
 
 POSITIONS_PER_OBJECT = 40
-"""Positions tried for one object before all objects of the room are placed anew."""
+"""Positions tried for one object before all objects of the room are placed anew. With half as many, more rooms are
+placed anew or given up."""
 
 
 class Unmet(Exception):
-    """One attempt at a room failed; the arguments are (where, what) for the tally.
+    """An attempt to furnish a room failed: an object (`where`) met an obstacle (`what`), for the message of refusal.
 
-    `final`: no other places of the objects would mend it.
+    final : no other places of the objects would help.
     """
 
     def __init__(self, where: str, what: str, *, final: bool = False) -> None:
@@ -34,12 +35,8 @@ class Unmet(Exception):
 
 @dataclass(frozen=True)
 class Spot:
-    """The pose of an object: rotated about z, then moved.
+    """The pose of an object: rotated by `rotation_deg` about z, counter-clockwise, then moved to (x_m, y_m, z_m).
 
-    Attributes
-    ----------
-    x_m, y_m, z_m : where its origin stands.
-    rotation_deg : about z, counter-clockwise.
     along, across : its place as shares of the hidden part, 0 … 1.
     """
 
@@ -58,9 +55,9 @@ class Spot:
 def place(
     thing: Thing, rotation_deg: float, plan: FloorPlan, wall: Rectangle, space: FreeSpace, rng: np.random.Generator
 ) -> Spot:
-    """Try positions until one is free, and take it. Raises `Unmet` with the commonest obstacle.
+    """A free place of an object, which then is taken in `space`. Raises `Unmet` with the most frequent obstacle.
 
-    wall : the visible part of the relay wall, about whose middle objects are placed that have an offset from it.
+    wall : the visible part of the relay wall; `offset_m` counts from its middle.
     """
     where, item, solid = thing.where, thing.item, thing.solid
     placement = item.placement if isinstance(item, Standing) else "floor"
@@ -74,7 +71,7 @@ def place(
         if spots is None:
             spot = _spot(item, plan, wall, z, rotation_deg, draw(along, rng), draw(across, rng))
         else:
-            # A hair more than the clearance, which rounding must not eat.
+            # Slightly more than the clearance, so that it is kept in spite of rounding.
             pose = spots.pose(solid.hull, space.clearance_m * (1 + 1e-6) + 1e-9, rng)
             if pose is None:
                 raise Unmet(where, "no_wall", final=True)
@@ -93,7 +90,7 @@ def place(
 def _spot(
     item: Item, plan: FloorPlan, wall: Rectangle, z: float, rotation_deg: float, along: float, across: float
 ) -> Spot:
-    """Where an object comes to stand; `along` and `across` in metres where its settings are."""
+    """The place of an object; `along` and `across` are metres where its settings give metres."""
     (x0, y0), (x1, y1) = plan.hidden
     x = x0 + along * (x1 - x0) if item.distance_m is None else plan.relay_segment[0, 0] - along
     if item.offset_m is not None:
@@ -112,6 +109,6 @@ def _spot_at(plan: FloorPlan, z: float, x: float, y: float, rotation_deg: float)
 
 
 def _wall_spots(plan: FloorPlan) -> WallSpots:
-    """The walls of the hidden part other than the relay wall; in the open, none."""
+    """Places along the walls of the hidden part, the relay wall left out; none in the open."""
     edges = np.delete(plan.edges, plan.relay_edge, axis=0)
     return WallSpots.within(edges[:0] if plan.open_air else edges, plan.hidden)

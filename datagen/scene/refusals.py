@@ -1,4 +1,4 @@
-"""Why no room could be drawn, in one line: what failed how often, and which range to change."""
+"""The error message where no room could be drawn: what failed how often, and which range to change."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from datagen.config.scene_contents import Item
 
 
 def explain(spec: SceneConfig, seed: int, index: int, reasons: Counter[tuple[str, str]]) -> str:
-    """The message for a scene that was given up; `reasons` counts (where, what) over the tries."""
+    """The message for a scene that was given up; `reasons` counts the (where, what) of each failed attempt."""
     lines = [_line(spec, where, what, times) for (where, what), times in reasons.most_common(3)]
     others = sum(reasons.values()) - sum(times for _, times in reasons.most_common(3))
     more = f"; {others} × other reasons" if others else ""

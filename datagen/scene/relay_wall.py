@@ -1,4 +1,4 @@
-"""The relay wall's own shape, and the clutter before it: from settings and a plan to surfaces."""
+"""The surfaces of an uneven relay wall and of the clutter before it, drawn from settings and a floor plan."""
 
 from __future__ import annotations
 
@@ -21,13 +21,15 @@ from scene_library.solids import Surface
 from scene_library.visibility import visible_fan, visible_interval
 
 CLUTTER_GAP_M = 0.01
-"""Between the relay wall's nominal plane and the clutter before it."""
+"""Gap between the relay wall's nominal plane and the clutter before it; half as much would still be
+far above the rounding of rays in single precision."""
 _PLACES_TRIED = 40
+"""With half as many, rooms with much clutter are drawn again more often."""
 
 
 @dataclass(frozen=True)
 class PlacedClutter:
-    """One thing before the relay wall: its kind, shape and place, and its numbers by short name."""
+    """A piece of clutter before the relay wall: kind, shape, the space it takes, and its numbers by short name."""
 
     kind: str
     surface: Surface
@@ -38,7 +40,7 @@ class PlacedClutter:
 def draw_relay_wall(
     settings: RelayWall, plan: FloorPlan, rng: np.random.Generator
 ) -> tuple[Surface | None, dict[str, Scalar]]:
-    """The uneven relay wall, or None for a flat one (which draws nothing), and the numbers drawn.
+    """The surface of an uneven relay wall, and the numbers drawn; for a flat wall None, and nothing is drawn.
 
     Raises `scene_library.rooms.RoomDoesNotClose` when its triangle budget cannot resolve it.
     """
@@ -74,10 +76,10 @@ def _relief(settings: RelayWall, size: tuple[float, float], length_m: float, rng
 def draw_clutter(
     settings: RelayWall, plan: FloorPlan, clearance_m: float, rng: np.random.Generator
 ) -> list[PlacedClutter]:
-    """Things before the visible part of the relay wall, clear of the other walls and of each other.
+    """Clutter before the visible part of the relay wall, clear of the other walls and of each other.
 
-    None are drawn, and nothing from `rng`, where the settings have none. Raises
-    `scene_library.rooms.RoomDoesNotClose` when one finds no place.
+    Where the count is 0 nothing else is drawn from `rng`. Raises `scene_library.rooms.RoomDoesNotClose` where a piece
+    has no place.
     """
     clutter = settings.clutter
     count = draw_count(clutter.count, rng)
@@ -110,7 +112,8 @@ def draw_clutter(
 
 
 def _before_wall(piece: Surface, along_m: float, start: Floats, end: Floats) -> tuple[Surface, Occupied]:
-    """A piece (x along the wall, y out of it, z up) before the wall, its middle `along_m` from the wall's start."""
+    """Surface and space of a piece (x along the wall, y out of it, z up) with its middle `along_m` from the wall's
+    start."""
     vertices, faces = piece
     along = (end - start) / length(end - start)
     inward = np.array([-along[1], along[0]])

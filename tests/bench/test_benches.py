@@ -86,8 +86,8 @@ def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
 def test_a_million_scenes(config: str, capsys: pytest.CaptureFixture[str]) -> None:
     printed = printed_by(["stages", config, "--scan", "2x2x54", "--million", "--scenes", "8"], capsys)
     assert "2x2x54, tiny" in printed and "mean of 8" in printed
-    told = stages.a_million(load_config(config), [1.0, 2.0])
-    assert "1.5 processor s" in told and "1.1 days on 16 cores" in told, "10⁶ × 1.5 s / 16 / 86 400 s"
+    line = stages.a_million(load_config(config), [1.0, 2.0])
+    assert "1.5 processor s" in line and "1.1 days on 16 cores" in line, "10⁶ × 1.5 s / 16 / 86 400 s"
 
 
 def test_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,9 +114,9 @@ def test_errors_of_a_case_and_a_peer_s_agreement() -> None:
     assert 1 < apart < 4 and noise == pytest.approx(10 / math.sqrt(20), rel=0.2)
 
 
-def test_a_contender_that_is_asked_for_an_error_pays_for_that_one() -> None:
+def test_a_contender_that_takes_an_error_is_judged_by_its_run_to_that_error() -> None:
     runs = [peers.Run(seconds, {"": error}, np.zeros(1)) for seconds, error in ((1.0, 0.01), (3.0, 0.004))]
-    contender = peer_cases.Contender("", "", lambda n, seed: np.zeros(1), (10, 50), np.zeros(1), asks=True)
+    contender = peer_cases.Contender("", "", lambda n, seed: np.zeros(1), (10, 50), np.zeros(1), takes_error=True)
     assert peers.seconds_to_target(contender, runs, 0.02) == (3.0, True)
 
 

@@ -12,24 +12,16 @@ import sys
 import tempfile
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from datasets import write_dataset
+
 from datagen.bench.measuring import machine, markdown, processor_seconds
 from datagen.config import DatasetConfig, load_config
 from datagen.forecast.forecast import Outcome, forecast, outcomes
 from datagen.forecast.pilots import run_pilots
 from datagen.forecast.text import quantity
-from datagen.pipeline import simulate_sample
-from datagen.store import ShardRecord, committed, finish, prepare, schema_of, write_shard
-
-
-def built(config: DatasetConfig, root: Path) -> list[ShardRecord]:
-    """A dataset, in this process."""
-    manifest = prepare(root, config)
-    for shard in range(manifest.schema.shards):
-        made = ((index, simulate_sample(config, index)) for index in manifest.schema.scenes_of(shard))
-        write_shard(root, manifest.schema, shard, manifest.fingerprint, made)
-    records = committed(root, manifest)
-    finish(root, manifest, records)
-    return records
+from datagen.store import committed, read_manifest, schema_of
 
 
 def row(config: DatasetConfig, scenes: int, seconds: float) -> list[str]:
@@ -37,11 +29,11 @@ def row(config: DatasetConfig, scenes: int, seconds: float) -> list[str]:
     few = config.with_scenes(min(scenes, config.scenes))
     expected = forecast(schema_of(few), run_pilots(config, seconds), startup_s=0.0, workers=1, cores=1)
     with tempfile.TemporaryDirectory() as folder:
-        records, taken_s = processor_seconds(lambda: built(few, Path(folder) / "set"))
-        _, *others = outcomes(expected, records, Path(folder) / "set")
-    held = [Outcome("seconds per scene", "s", expected.processor_s, taken_s / few.scenes), *others]
+        root, taken_s = processor_seconds(lambda: write_dataset(few, Path(folder) / "set"))
+        _, *others = outcomes(expected, committed(root, read_manifest(root)), root)
+    shown = [Outcome("seconds per scene", "s", expected.processor_s, taken_s / few.scenes), *others]
     pilots = str(expected.pilots) if expected.effort == 1.0 else f"1 of {expected.effort:.2g} effort"
-    cells = (f"{quantity(of.predicted, of.unit)} → {quantity(of.actual, of.unit)} ({of.ratio:.2f})" for of in held)
+    cells = (f"{quantity(of.predicted, of.unit)} → {quantity(of.actual, of.unit)} ({of.ratio:.2f})" for of in shown)
     return [config.name, str(few.scenes), pilots, *cells]
 
 

@@ -94,6 +94,7 @@ def test_a_room_that_no_draw_can_meet(here: Path, capsys: pytest.CaptureFixture[
         (["plan", "config.yaml", "--workers", "1000000"], "--workers 1000000"),
         (["preview", "nothing", "--scenes", "-1"], "--scenes -1: must lie in 0 … 100"),
         (["sheet", "config.yaml", "out.xyz"], "OUT = 'out.xyz': pictures are PNG files"),
+        (["sheet", "nan.yaml", "out.png"], "scene.contents[0].path"),
         (["sheet", "out.png"], "missing argument"),
         (["build", "config.yaml", "out", "--shards", "7"], "--shards 7"),
         (["build", "config.yaml", "out", "--engine", "spark"], "--engine spark: must be local or dask"),
@@ -110,6 +111,8 @@ def test_a_room_that_no_draw_can_meet(here: Path, capsys: pytest.CaptureFixture[
     ],
 )
 def test_arguments(here: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], piece: str) -> None:
+    Path("nan.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n")
+    Path("nan.yaml").write_text("scene: {contents: [{kind: mesh, path: nan.obj}]}")
     assert piece in refused(capsys, *arguments)
 
 

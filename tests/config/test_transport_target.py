@@ -1,4 +1,4 @@
-"""`transport: {target: …}` in a configuration: refused beside sample counts, kept in a manifest, told afterwards."""
+"""`transport: {target: …}` in a configuration: refused beside sample counts, kept in a manifest, reported afterwards."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ def test_what_is_written_can_be_read_again() -> None:
 
 def test_a_dataset_says_whether_its_targets_were_met(tmp_path: Path) -> None:
     build(configured(target=0.3), tmp_path / "targeted", progress=False)
-    told = info(tmp_path / "targeted")
-    assert "target met in 2 of 2 scenes" in told
-    assert "share of the transport's cost (median): primary 100%" in told
+    text = info(tmp_path / "targeted")
+    assert "target met in 2 of 2 scenes" in text
+    assert "share of the transport's cost (median): primary 100%" in text
     build(configured(target=1e-4, max_lookins=2048), tmp_path / "hopeless", progress=False)
     assert "target met in 0 of 2 scenes" in info(tmp_path / "hopeless")

@@ -8,7 +8,7 @@ from handmade_rooms import box_mesh, l_corridor
 from matplotlib.colors import to_rgb
 
 from datagen.records import Lambertian, Part, Scene
-from datagen.report.cutaway import Camera, cut_open, flat_groups, room_faces, shaded
+from datagen.report.cutaway import Camera, cut_open, shaded
 from datagen.report.room_plots import best_view
 from datagen.report.style import part_colors
 
@@ -30,20 +30,6 @@ def test_walls_between_viewer_and_room_go_and_those_behind_stay() -> None:
     # From −x and +y: the wall at y = −1 and the one that goes on from the relay wall are behind everything.
     assert {"wall_5", "wall_0"} <= kept
     assert not {"wall_1", "wall_2", "wall_3", "wall_4"} & kept
-
-
-def test_flat_groups_join_triangles_and_keep_the_rim() -> None:
-    scene = Scene.from_parts([Part("box", box_mesh((1, 2, 3), (0, 0, 0)), Lambertian(0.5))])
-    group, border = flat_groups(scene, np.arange(12))
-    assert len(border) == 6 and np.bincount(group).tolist() == [2] * 6
-    assert all(len(edges) == 4 for edges in border)
-
-
-def test_room_faces_tell_walls_floor_and_ceiling_apart() -> None:
-    scene = l_corridor()
-    walls, floor, ceiling = room_faces(scene)
-    assert set(floor) == set(scene.faces_of("floor")) and set(ceiling) == set(scene.faces_of("ceiling"))
-    assert set(walls) == set(scene.faces_of(*(n for n in scene.part_names if n.startswith("wall_"))))
 
 
 def test_picture_shows_the_nearest_part_where_it_is() -> None:

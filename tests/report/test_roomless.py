@@ -79,10 +79,10 @@ def test_scenes_made_in_python(given: Path, tmp_path: Path) -> None:
     assert [path.stem for path in pictures] == [
         f"scene-000001-{name}" for name in ("histogram", "transient", "labels")
     ]
-    told = texts(given, 1)
-    assert "made in Python" in told["transient"] and "photons per emitted photon" in told["transient"]
-    assert "counts per bin" in told["histogram"] and "4 moments" in told["histogram"]
-    assert all(word in told["labels"] for word in ("box_1", "Depth (m)", "Occupancy", "Objects"))
+    written = texts(given, 1)
+    assert "made in Python" in written["transient"] and "photons per emitted photon" in written["transient"]
+    assert "counts per bin" in written["histogram"] and "4 moments" in written["histogram"]
+    assert all(word in written["labels"] for word in ("box_1", "Depth (m)", "Occupancy", "Objects"))
     page = preview(given, tmp_path / "page.html", scenes=1).read_text()
     assert "There are no rooms to show: these scenes were made in Python" in page
     pictured = re.findall(r'alt="([^"]+)"', page)
@@ -111,10 +111,10 @@ def test_imported_captures(kind: str, tmp_path: Path) -> None:
     }[kind])  # fmt: skip
     (picture,) = show(path, 0, tmp_path / "show")
     assert picture.stem == f"scene-000000-{'histogram' if kind in ('grid', 'dark') else 'transient'}"
-    (told,) = texts(path).values()
-    assert "imported, and have no room to draw. File: c.mat" in told
-    assert ("signal per bin" in told) == (kind in ("lists", "one", "single"))
-    assert ("number of the pixel" in told) == (kind == "single")
+    (written,) = texts(path).values()
+    assert "imported, and have no room to draw. File: c.mat" in written
+    assert ("signal per bin" in written) == (kind in ("lists", "one", "single"))
+    assert ("number of the pixel" in written) == (kind == "single")
     if kind == "grid":
         page = preview(path, tmp_path / "page.html").read_text()
         assert "have no room to draw" in page and 'alt="scene 0, histogram"' in page

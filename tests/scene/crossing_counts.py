@@ -1,4 +1,4 @@
-"""How many triangles a segment passes through, in double precision: the oracle of the laws, plain and compiled."""
+"""How many triangles a segment passes through, in double precision: the oracle of the laws of rooms."""
 
 from __future__ import annotations
 
@@ -7,23 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 
-def crossings(triangles: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> np.ndarray:
-    """(n, F): whether segment start → end (n, 3) passes through triangle (F, 3, 3) (Möller & Trumbore 1997)."""
-    a, e1, e2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    d = (end - start)[:, None]
-    p = np.cross(d, e2[None])
-    det = (e1[None] * p).sum(-1)
-    safe = np.where(np.abs(det) < 1e-14, 1.0, det)
-    s = start[:, None] - a[None]
-    u = (s * p).sum(-1) / safe
-    q = np.cross(s, e1[None])
-    v = (d * q).sum(-1) / safe
-    t = (e2[None] * q).sum(-1) / safe
-    return (np.abs(det) >= 1e-14) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-9) & (t < 1 - 1e-9)
-
-
 def crossing_counts(triangles: np.ndarray, start: np.ndarray, end: np.ndarray) -> NDArray[np.int64]:
-    """(n,): the row sums of `crossings`, many times as fast."""
+    """(n,): how many triangles (F, 3, 3) each segment start → end (n, 3) passes through (Möller & Trumbore 1997)."""
     start, end = np.broadcast_arrays(start, end)
     return _counts(
         np.ascontiguousarray(triangles, np.float64), np.ascontiguousarray(start), np.ascontiguousarray(end)

@@ -71,13 +71,13 @@ def check_rooms(kind: str, specs: range, seed: int) -> Tally:
         try:
             scene = generate_scene(spec, seed=seed, index=number)
         except InputError as error:
-            scene, told = None, str(error)
+            scene, message = None, str(error)
         tally.seconds += time.process_time() - start
         try:
             if scene is None:
-                assert f"scene {number} (seed {seed}): no room met the constraints" in told, told
-                assert any(word in told for word in REMEDIES), told
-                assert "\n" not in told
+                assert f"scene {number} (seed {seed}): no room met the constraints" in message, message
+                assert any(word in message for word in REMEDIES), message
+                assert "\n" not in message
                 tally.refused += 1
                 continue
             assert_room_laws(scene, rng, spec.clearance_m)

@@ -13,7 +13,6 @@ import pytest
 from random_specs import LAYOUTS
 from scipy import stats
 
-import datagen.scene.generate
 from datagen.config import SceneConfig, config_from_mapping
 from datagen.config.distributions import support
 from datagen.scene import generate_scene
@@ -115,21 +114,9 @@ def _large_share(scenes: int) -> tuple[float, float]:
     return stats.binomtest(large, 2 * scenes, 0.5).pvalue, float(np.mean([room["draws"] > 1 for room in rooms]))
 
 
-def test_what_is_hard_to_place_is_drawn_as_often_as_declared(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Regression: a room that failed used to be drawn again with all its objects, so that large ones were rarer."""
+def test_what_is_hard_to_place_is_drawn_as_often_as_declared() -> None:
+    """Regression: a room that failed used to be drawn again with all its objects, so that large ones were rarer (here
+    in a fifth of all rooms)."""
     p_value, redrawn = _large_share(100)
     assert redrawn < 0.1
     assert p_value > LEVEL
-    monkeypatch.setattr(datagen.scene.generate, "placings", lambda max_attempts, draw_number: 1)
-    p_value, redrawn = _large_share(100)
-    assert redrawn > 0.2
-    assert p_value < LEVEL
-
-
-def test_tries_leave_most_of_them_for_rooms_drawn_anew() -> None:
-    for most in (1, 2, 7, 20, 200, 100_000):
-        kept = [datagen.scene.generate.placings(most, number) for number in range(100)]
-        assert kept[0] == max(1, most // 8)
-        assert kept == sorted(kept, reverse=True)
-        assert kept[-1] == 1
-        assert sum(k - 1 for k in kept) <= most / 4

@@ -7,7 +7,6 @@ import pytest
 from scipy import stats
 
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.errors import InputError
 from datagen.records import Lambertian
 from datagen.scene import generate_scene
 from scene_library.materials import MATERIALS, WAVELENGTHS_NM
@@ -85,20 +84,3 @@ def test_same_settings_after_a_round_trip() -> None:
     np.testing.assert_array_equal(
         generate_scene(again.scene, 0, 1).vertices, generate_scene(config.scene, 0, 1).vertices
     )
-
-
-@pytest.mark.parametrize(
-    ("surface", "told"),
-    [
-        ({"material": ["pine"]}, "scene.materials.walls.material: 'pine' is no material.*did you mean 'pine_wood'"),
-        ({"material": ["concrete"], "albedo": 0.5}, "scene.materials.walls: albedo and material are both given"),
-    ],
-)
-def test_bad_materials_are_refused(surface: dict[str, object], told: str) -> None:
-    with pytest.raises(InputError, match=told):
-        config_from_mapping({"scene": {"materials": {"walls": surface}}})
-
-
-def test_wavelengths_beyond_the_catalogue_are_refused() -> None:
-    with pytest.raises(InputError, match=r"scene\.wavelength_nm = 400"):
-        config_from_mapping({"scene": {"wavelength_nm": 400}})

@@ -56,7 +56,6 @@ def cells_at_an_edge() -> HardCase:
         cells(distance) / inside,
         "light to 2 % either way",
         allowed=10.0,
-        where="test_hard_case[cells_at_an_edge]",
     )
 
 
@@ -76,7 +75,6 @@ def cells_far_away() -> HardCase:
         max(apart(one, truth) for one in found),
         "the same room at the origin",
         allowed=TARGET / 4,
-        where="test_hard_case[cells_far_away]",
     )
 
 
@@ -105,7 +103,6 @@ def cells_of_needles() -> HardCase:
         apart(cut, truth),
         "the same screen of two triangles",
         allowed=2.5 * TARGET,
-        where="test_hard_case[cells_of_needles]",
     )
 
 
@@ -124,7 +121,6 @@ def cells_in_one_plane() -> HardCase:
         abs(float(found.total.sum() / truth) - 1),
         "the wall without it",
         allowed=2e-3,
-        where="test_hard_case[cells_in_one_plane]",
     )
 
 

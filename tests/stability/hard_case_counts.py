@@ -39,7 +39,6 @@ def tiny_flux() -> HardCase:
         float(np.abs(one_per_cycle_mean(flux) / np.where(reached, truth, 1.0) - 1)[reached].max()),
         "mpmath, 60 digits",
         allowed=1e-12,
-        where="test_hard_case[tiny_flux]",
     )
 
 
@@ -58,7 +57,6 @@ def narrow_response() -> HardCase:
         float(np.abs(kernel.weights - truth).max()),
         "mpmath",
         allowed=1e-14,
-        where="test_kernel_is_bin_integrated",
     )
 
 
@@ -86,7 +84,6 @@ def wide_tail() -> HardCase:
         float(np.abs(mean / truth - 1).max()),
         "geometric series in mpmath",
         allowed=1e-9,
-        where="test_hard_case[wide_tail]",
     )
 
 
@@ -108,7 +105,6 @@ def contrast() -> HardCase:
         float(np.abs(ours[1500:4000] / 1e-10 - 1).max()),
         "the constant itself",
         allowed=1e-12,
-        where="test_direct_peak_ten_orders_above_the_signal",
     )
 
 
@@ -126,7 +122,6 @@ def long_dead_time() -> HardCase:
         float(np.abs(mean / truth - 1).max()),
         "λ/(1 + 7Λ), exact for whole periods",
         allowed=1e-9,
-        where="test_dead_time_of_whole_periods_leaves_the_shape",
     )
 
 
@@ -148,7 +143,6 @@ def many_cycles() -> HardCase:
         float((z**2).sum() / stats.chi2(100).isf(1e-3)),
         "the binomial law",
         allowed=1.0,
-        where="test_hard_case[many_cycles]",
     )
 
 
@@ -165,7 +159,6 @@ def rare_binomial() -> HardCase:
         abs(drawn / (draws * trials * p) - 1),
         "the mean, 0.03",
         allowed=3.9 / float(np.sqrt(draws * trials * p)),
-        where="test_binomial_at_its_extremes",
     )
 
 
@@ -186,7 +179,6 @@ def arrival_time() -> HardCase:
         float(np.abs(narrow.reshape(-1, 4).sum(axis=1) - wide).sum() / 2 / len(positions)),
         "bins are integrals: narrow ones add up to wide ones",
         allowed=1e-12,
-        where="test_walks_add_up_exactly",
     )
 
 

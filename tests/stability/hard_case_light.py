@@ -67,7 +67,6 @@ def contact() -> HardCase:
         float(ours.max() / mean),
         "bound 2ρ₁ρ₂ρ₃A/πR²: no sample beyond it",
         allowed=2 * 0.8 * 0.6 * 0.8 / math.pi * APERTURE_M2 / DEVICE[0] ** 2 / mean,
-        where="test_surfaces_that_touch_converge_and_stay_bounded",
     )
 
 
@@ -90,7 +89,6 @@ def edge() -> HardCase:
         abs(later(1e-6) / later(1e-4) - 1),
         "the limit at 0.1 mm",
         allowed=5e-3,
-        where="test_later_bounces_reach_their_limit_at_the_edge",
     )
 
 
@@ -112,7 +110,6 @@ def far_away() -> HardCase:
         relative_l1(far.total, near.total),
         "the same room at the origin",
         allowed=1e-4,
-        where="test_the_same_light_at_every_scale_and_place",
     )
 
 
@@ -132,7 +129,6 @@ def window() -> HardCase:
         abs(energy(part) / energy(whole) - 1),
         "a window that holds everything",
         allowed=1e-12,
-        where="test_no_energy_is_lost_or_made_by_the_window",
     )
 
 
@@ -158,7 +154,6 @@ def furnace() -> HardCase:
         abs(float(every.total.mean()) / even - 1),
         "c/(4πV) · AΩ in equilibrium",
         allowed=1e-2,
-        where="test_hard_case[furnace]",
     )
 
 
@@ -190,7 +185,6 @@ def thin_gap() -> HardCase:
         abs(found / truth - 1),
         "polar quadrature",
         allowed=2e-3,
-        where="test_hard_case[thin_gap]",
     )
 
 
@@ -217,7 +211,6 @@ def many_triangles() -> HardCase:
         relative_l1(result.total, plain.total),
         f"the same surfaces in {len(scene.triangles)} triangles",
         allowed=1e-9,
-        where="test_hard_case[many_triangles]",
     )
 
 
@@ -251,7 +244,6 @@ def coplanar() -> HardCase:
         found,
         "exactly 0",
         allowed=0.0,
-        where="test_hard_case[coplanar]",
     )
 
 
@@ -279,7 +271,6 @@ def edge_on() -> HardCase:
         abs(found / truth - 1),
         "closed form of a small patch",
         allowed=5e-3,
-        where="test_hard_case[edge_on]",
     )
 
 

@@ -14,7 +14,7 @@ from hard_case_cells import CELLS
 from hard_case_counts import COUNTS
 from hard_case_light import LIGHT
 
-HEAD = "| case | naively | here | truth | test |\n|---|---|---|---|---|"
+HEAD = "| case | naively | here | truth |\n|---|---|---|---|"
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""A hard case as measured: what the obvious way makes of it, and what we do."""
+"""A hard case as measured: the result of the obvious formula, ours, and the truth."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ class HardCase:
     ours: float
     truth: str
     allowed: float
-    where: str
 
     def row(self) -> str:
         naive, ours = f"{self.naive_way}: **{self.naive:.2g}**", f"{self.our_way}: **{self.ours:.2g}**"
-        cells = (self.name, naive, ours, self.truth)
-        return f"| {' | '.join(cells)} | `{self.where}` |"
+        return f"| {' | '.join((self.name, naive, ours, self.truth))} |"
