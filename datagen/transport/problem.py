@@ -26,13 +26,13 @@ def component_of(order: int) -> str:
 def components_asked(accuracy: Accuracy) -> tuple[str, ...]:
     """Names of the components that an accuracy asks for, in the order of `COMPONENTS`."""
     orders = accuracy.max_bounces or 5
-    asked = {
+    requested = {
         "direct": accuracy.direct,
         "primary": True,
         "secondary": orders >= 4 and accuracy.secondary != "none",
         "higher": orders >= 5,
     }
-    return tuple(name for name in COMPONENTS if asked[name])
+    return tuple(name for name in COMPONENTS if requested[name])
 
 
 @dataclass(frozen=True)
@@ -104,10 +104,10 @@ class Problem:
     @property
     def last_order(self) -> int | None:
         """The highest number of bounces of paths that path tracing follows; None for no limit."""
-        asked = self.tally_rows.components
-        if "higher" in asked:
+        requested = self.tally_rows.components
+        if "higher" in requested:
             return self.accuracy.max_bounces
-        return 4 if "secondary" in asked and self.walked.any() else 3
+        return 4 if "secondary" in requested and self.walked.any() else 3
 
     def for_lasers(self, lasers: Ints) -> Problem:
         """The same problem for some of its laser points, and confocally for their pixels.

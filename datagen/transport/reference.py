@@ -169,18 +169,18 @@ def plain_paths(
 
 
 def _between(
-    caster: Raycaster, x: Floats, n_x: Floats, y: Floats, n_y: Floats, asked: bool = True
+    caster: Raycaster, x: Floats, n_x: Floats, y: Floats, n_y: Floats, shadow_rays: bool = True
 ) -> tuple[Floats, Floats, Floats]:
     """Unit directions (n, 3) from points x to points y, distances R (n,), and cosθ cosθ′ V / R² (n,).
 
-    n_x, n_y : (n, 3) unit normals at the points; a surface that faces away gives 0. asked : whether shadow rays find
-    the visibility V, which is else taken for 1.
+    n_x, n_y : (n, 3) unit normals at the points; a surface that faces away gives 0. shadow_rays : whether shadow rays
+    find the visibility V, which is else taken for 1.
     """
     span = y - x
     r = np.linalg.norm(span, axis=1)
     w = span / np.maximum(r, 1e-300)[:, None]
     cosines = np.maximum(_dot(n_x, w), 0.0) * np.maximum(-_dot(n_y, w), 0.0)
-    visible = ~caster.occluded(x + caster.offset_m * n_x, y + caster.offset_m * n_y) if asked else 1.0
+    visible = ~caster.occluded(x + caster.offset_m * n_x, y + caster.offset_m * n_y) if shadow_rays else 1.0
     return w, r, np.divide(cosines, r**2, where=r > 0, out=np.zeros_like(r)) * visible
 
 
@@ -239,12 +239,12 @@ def reference(
     scatter = np.maximum(squares - by_row.sum(axis=0).ravel() ** 2 / replicates, 0.0)
     stderr = np.sqrt(scatter * replicates / (replicates - 1)) if replicates > 1 else np.full(values, np.nan)
     last = MAX_BOUNCES if max_bounces is None else max_bounces
-    asked = {"direct": direct, "primary": True, "secondary": last > 3, "higher": last > 4}
+    requested = {"direct": direct, "primary": True, "secondary": last > 3, "higher": last > 4}
     found = {"direct": by_row[parts], "primary": by_row[:parts].sum(axis=0), "secondary": by_row[parts + 1],
              "higher": by_row[parts + 2]}  # fmt: skip
     return Transient(
-        axis, {name: found[name] for name in found if asked[name]}, dict(zip(scene.part_names, by_row, strict=False)),
-        stderr.reshape(shape), overflow.reshape(shape[:2]), laser_points(caster, capture),
+        axis, {name: found[name] for name in found if requested[name]}, dict(zip(scene.part_names, by_row,
+        strict=False)), stderr.reshape(shape), overflow.reshape(shape[:2]), laser_points(caster, capture),
     )  # fmt: skip
 
 

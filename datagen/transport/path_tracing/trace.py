@@ -45,14 +45,14 @@ def trace_chunk(problem: Problem, chunk: Ints, pool: FovPool, count: int, stream
     replicates; confocally one set, with the FoV points of each laser point's own pixel.
     """
     receiver = _receiver(problem, chunk, pool, streams)
-    asked, last = problem.tally_rows.components, problem.last_order
+    requested, last = problem.tally_rows.components, problem.last_order
     rays, connections, bright = 0, 0, 0
     per_vertex = problem.accuracy.fov_samples * (1 if receiver.rows.confocal else receiver.rows.pixels)
-    if "direct" in asked:
+    if "direct" in requested:
         bright += _add_direct(problem, receiver, chunk, count, streams)
         rays += count * len(chunk)
         connections += count * len(chunk) * per_vertex
-    if asked == ("direct",):
+    if requested == ("direct",):
         return receiver.tally, Work(rays, connections, receiver.tally.histogram.size, bright=bright)
     vertices = ends.draw_hidden_vertices(
         problem.caster, problem.scene, problem.materials, problem.points, chunk, count, problem.aim(), streams,
@@ -65,7 +65,7 @@ def trace_chunk(problem: Problem, chunk: Ints, pool: FovPool, count: int, stream
     while len(vertices.laser):
         numbers = vertices.numbers(order - 3)
         name = component_of(order)
-        connected = np.arange(len(vertices.laser)) if name in asked else np.empty(0, np.int64)
+        connected = np.arange(len(vertices.laser)) if name in requested else np.empty(0, np.int64)
         # What the factorised form adds is not connected here.
         if order == 4:
             connected = connected[problem.walked[vertices.part[connected]]]
