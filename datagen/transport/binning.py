@@ -1,4 +1,4 @@
-"""A path's energy into the time bins. A bin is the integral of the flux between its edges, what a TDC counts."""
+"""Time bins: a bin holds the integral of the flux between its edges, as a TDC counts it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from datagen.records.arrays import Floats
 
 @compiled(inline="always")
 def put(histogram: Floats, position: float, energy: float) -> float:
-    """Add `energy` to the bin that holds `position` (bin i spans i … i + 1); returns what fell outside the window.
+    """The energy that falls outside the window: 0 after `energy` was added to a bin, else all of it.
 
-    Narrow bins thus add up to wide ones. Nothing is wrapped or piled into an end bin: what lies beyond is returned,
-    to be tallied as overflow.
+    position : fractional bin; bin i spans i … i + 1. A contribution goes whole into one bin, so that narrow bins add
+    up exactly to wide ones. Light outside the window is neither wrapped around nor added to an end bin: the caller
+    adds it to the overflow.
     """
+    # Written so that a position that is NaN falls outside.
     if not 0.0 <= position < len(histogram):
         return energy
     histogram[int(position)] += energy

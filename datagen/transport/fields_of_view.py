@@ -1,4 +1,4 @@
-"""FoV points: where a pixel's lines of sight first meet the scene, and what each is worth.
+"""FoV points: the points where a pixel's lines of sight first meet the scene, and the weight of each.
 
 A FoV point drawn uniformly on the pixel's quadrilateral stands for the solid angle J = dΩ/(du dv) of the sensor, so
 the photons it sends into an aperture of area A are f₃ E₃ · A J / M for M points a pixel (docs/physics.md).
@@ -22,14 +22,14 @@ from datagen.transport.visibility.raycast import Raycaster
 
 
 class FovPool(NamedTuple):
-    """Q FoV points for each of P pixels, grouped in blocks of M that each cover the whole pixel.
+    """Q FoV points for each of P pixels, in blocks of M points; each block covers the whole pixel.
 
-    sets : independent sets of blocks side by side, as many of them in each; one for each replicate traced at once.
+    sets : number of independent sets with equally many blocks, one after the other; a replicate uses one set.
 
-    position, normal, to_sensor : (P, Q, 3) point in metres, unit normal facing the sensor, unit direction to it.
+    position, normal, to_sensor : (P, Q, 3) metres; unit normal facing the sensor; unit direction to the sensor.
     part : (P, Q) part index, −1 where the line of sight meets nothing.
-    weight : (P, Q) A J / M in m² sr, A the effective aperture.
-    footprint : (P, Q) wall area that one of M points stands for, m².
+    weight : (P, Q) A J / M, m² sr, with A the effective area of the aperture.
+    footprint : (P, Q) area of wall that one of M points stands for, m².
     last_leg : (P, Q) distance to the sensor, m.
     """
 
@@ -43,7 +43,7 @@ class FovPool(NamedTuple):
     sets: int = 1
 
     def side_by_side(self, sets: int) -> FovPool:
-        """A pool of (sets · P, Q) points, set after set, as one of `sets` sets for P pixels: (P, sets · Q)."""
+        """The same points as a pool (P, sets · Q) of `sets` sets, from this pool (sets · P, Q), set after set."""
         pixels = len(self.weight) // sets
 
         def joined(values: NDArray[Any]) -> NDArray[Any]:
@@ -54,10 +54,10 @@ class FovPool(NamedTuple):
 
 
 class PixelCones(NamedTuple):
-    """The pixels as cones of directions from the sensor.
+    """P pixels as cones of directions from the sensor.
 
-    planes : (P, 4, 3) inward normals of the four side planes; a direction inside has all four products ≥ 0.
-    solid_angle : (P,) sr.
+    planes : (P, 4, 3) inward normals of the four side planes; for a direction inside all four scalar products are ≥
+    0. solid_angle : (P,) sr.
     """
 
     planes: Floats
@@ -65,7 +65,10 @@ class PixelCones(NamedTuple):
 
     @classmethod
     def of(cls, sensor: Sensor) -> PixelCones:
-        """Raises `InputError` for a pixel that, seen from the sensor, is no convex quadrilateral with an area."""
+        """The cones of a sensor's pixels.
+
+        Raises `InputError` for a pixel that, seen from the sensor, is no convex quadrilateral with an area.
+        """
         w = sensor.pixels - sensor.position
         length = np.linalg.norm(w, axis=2)
         if (length == 0).any():
@@ -74,7 +77,7 @@ class PixelCones(NamedTuple):
         w = w / length[:, :, None]
         signed = [_triangle_solid_angle(w[:, 0], w[:, a], w[:, b]) for a, b in ((1, 2), (2, 3))]
         solid_angle = signed[0] + signed[1]
-        # From a point in its own plane a pixel covers half of all directions, or none.
+        # Seen from a point in its own plane a pixel covers half of all directions, or none.
         inside = np.flatnonzero(np.abs(solid_angle) > 2 * np.pi * (1 - 1e-9))
         if len(inside):
             raise InputError(
@@ -96,20 +99,21 @@ class PixelCones(NamedTuple):
         return cls(planes, np.abs(solid_angle))
 
     def take(self, pixels: Ints) -> PixelCones:
-        """Those of some pixels."""
+        """The cones of some pixels."""
         return PixelCones(self.planes[pixels], self.solid_angle[pixels])
 
 
 NEGLIGIBLE_SHARE = 0.05
-"""Largest share of a FoV point's footprint that one connection may fill before followed rays take part."""
+"""Share of a FoV point's footprint up to which a connection counts whole; where it fills more, rays of the vertex
+take part (`path_tracing/connections.py`). Half of it sends more rays for little less noise."""
 
 
 class PixelPatches(NamedTuple):
-    """Roughly where each pixel's patch of wall lies, from a fixed 3 × 3 grid of lines of sight.
+    """The patch of wall that each of P pixels sees, roughly, from a fixed 3 × 3 grid of lines of sight.
 
-    center : (P, 3) and radius : (P,) a ball about the patch, metres (infinite where a line of sight meets nothing).
-    reach : (P,) hidden vertices nearer to the centre than this could overfill a footprint, so they follow rays, too.
-        A rule of position alone: whatever it says, the mean is the same.
+    center : (P, 3), radius : (P,) a sphere about the patch, m (infinite where a line of sight meets nothing).
+    reach : (P,) distance from the centre within which a hidden vertex could overfill a footprint, so that its ray
+        counts, too, m. As it depends on positions alone, the mean is the same for any reach.
     """
 
     center: Floats
@@ -118,7 +122,7 @@ class PixelPatches(NamedTuple):
 
     @classmethod
     def of(cls, caster: Raycaster, sensor: Sensor, cones: PixelCones, points_per_vertex: int) -> PixelPatches:
-        """Those of all pixels, for vertices that connect with so many FoV points of each."""
+        """The patches of a sensor's pixels, for vertices that connect with `points_per_vertex` FoV points of each."""
         lines = lines_of_sight(caster, sensor, 3)
         w, valid = lines.inner, lines.valid
         position = np.where(valid[..., None], lines.met.position.reshape(w.shape), np.inf)
@@ -138,15 +142,13 @@ class PixelPatches(NamedTuple):
         )
 
     def take(self, pixels: Ints) -> PixelPatches:
-        """Those of some pixels."""
+        """The patches of some pixels."""
         return PixelPatches(self.center[pixels], self.radius[pixels], self.reach[pixels])
 
 
 def _triangle_solid_angle(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Signed solid angle of triangles of unit vectors (van Oosterom & Strackee, IEEE TBME 30 (1983)).
-
-    The triple product is taken of differences, which keeps its digits for a pixel far smaller than its distance.
-    """
+    """(P,) signed solid angles of triangles of unit vectors (van Oosterom & Strackee, IEEE TBME 30 (1983)), sr."""
+    # The triple product of differences keeps its digits for a pixel that is far smaller than its distance.
     triple = np.einsum("pk,pk->p", a, np.cross(b - a, c - a))
     dots = 1 + sum(np.einsum("pk,pk->p", x, y) for x, y in ((a, b), (b, c), (c, a)))
     return np.asarray(2 * np.arctan2(triple, dots))
@@ -156,7 +158,7 @@ def fov_pool(
     caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones, pixels: Ints, points_per_vertex: int,
     blocks: int, seeds: NDArray[np.uint64],
 ) -> FovPool:  # fmt: skip
-    """Draw `blocks` × `points_per_vertex` FoV points for each of `pixels`, with one seed of scrambling a pixel."""
+    """Quasi-random FoV points, `blocks` blocks of `points_per_vertex` for each of `pixels`; (P,) seeds."""
     uv = scrambled_sobol(seeds, blocks * points_per_vertex, 2)
     return fov_points(caster, scene, sensor, cones, pixels, uv, points_per_vertex)
 
@@ -164,7 +166,10 @@ def fov_pool(
 def fov_points(
     caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones, pixels: Ints, uv: Floats, each: int
 ) -> FovPool:
-    """The FoV points at the places uv (P, Q, 2) of `pixels`' quadrilaterals, each of which stands for 1/`each`."""
+    """The FoV points at the coordinates uv (P, Q, 2) of the quadrilaterals of `pixels`.
+
+    each : number M of points that together stand for a whole pixel.
+    """
     direction, jacobian = _lines_of_sight(uv, sensor.pixels[pixels] - sensor.position)
     hits = caster.closest(sensor.position, direction.reshape(-1, 3))
     shape = jacobian.shape
@@ -181,14 +186,17 @@ def fov_points(
 
 @compiled()
 def _lines_of_sight(uv: Floats, corner: Floats) -> tuple[Floats, Floats]:
-    """Unit directions (P, Q, 3) through the points uv (P, Q, 2) of quadrilaterals (P, 4, 3) about the sensor, and the
-    solid angle for each unit of uv (P, Q)."""
+    """Unit directions (P, Q, 3) from the sensor through points of the pixels, and solid angles J = dΩ/(du dv) (P, Q).
+
+    uv : (P, Q, 2) coordinates of the points. corner : (P, 4, 3) corners of the pixels, relative to the sensor.
+    """
     direction, jacobian = np.empty((uv.shape[0], uv.shape[1], 3)), np.empty(uv.shape[:2])
     w, along_u, along_v = np.empty(3), np.empty(3), np.empty(3)
     for p in range(len(uv)):
         for q in range(uv.shape[1]):
             u, v = uv[p, q]
             square = 0.0
+            # The point w(u, v) between the four corners, and its derivatives along u and v.
             for k in range(3):
                 a, b, c, d = corner[p, 0, k], corner[p, 1, k], corner[p, 2, k], corner[p, 3, k]
                 w[k] = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
@@ -196,6 +204,8 @@ def _lines_of_sight(uv: Floats, corner: Floats) -> tuple[Floats, Floats]:
                 along_v[k] = (1 - u) * (d - a) + u * (c - b)
                 square += w[k] * w[k]
             length = math.sqrt(square)
+            # J = |w · (∂w/∂u × ∂w/∂v)| / |w|³: the area of the quadrilateral for each unit of uv, seen from the
+            # sensor.
             volume = (
                 w[0] * (along_u[1] * along_v[2] - along_u[2] * along_v[1])
                 + w[1] * (along_u[2] * along_v[0] - along_u[0] * along_v[2])
@@ -212,12 +222,12 @@ def _seen_points(
     found: Floats, normal: Floats, part: Ints, direction: Floats, jacobian: Floats, sensor: Floats,
     solid_angle: Floats, aperture_area: float, aperture_square: float, points_per_vertex: int,
 ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
-    """Position, weight, footprint and distance of each FoV point, as in `FovPool`; `part` loses what faces away.
+    """Position, weight, footprint and distance of each FoV point, as in `FovPool`.
 
-    The effective aperture area A in f₃ E₃ A dΩ is that of a small aperture, or of a near disc that faces the point
-    (`aperture_square` > 0). From a point at distance R a facing disc of radius a fills a cone of
-    sin²α = a²/(R² + a²), over which ∫ cosθ dω = π sin²α cosθ₀ exactly: the small-aperture value π a²/R² becomes
-    π a²/(R² + a²).
+    `part` is set to −1 for surfaces that face away. The effective area A of the aperture in f₃ E₃ A dΩ is that of a
+    small aperture, or of a disc of finite size that faces the point (`aperture_square` > 0). From a point at distance
+    R a facing disc of radius a fills a cone of sin²α = a²/(R² + a²), over which ∫ cosθ dω = π sin²α cosθ₀ exactly:
+    the small-aperture value π a²/R² becomes π a²/(R² + a²).
     """
     weight, footprint, distance = np.zeros(part.shape), np.ones(part.shape), np.empty(part.shape)
     position = found.copy()
@@ -225,13 +235,13 @@ def _seen_points(
         for q in range(part.shape[1]):
             cosine = square = 0.0
             for k in range(3):
-                # Where nothing was met the position is undefined: no NaN may reach the loops that come later.
+                # The position is undefined where nothing was met, and later loops must not meet a NaN.
                 if part[p, q] < 0:
                     position[p, q, k] = 0.0
                 cosine -= normal[p, q, k] * direction[p, q, k]
                 square += (position[p, q, k] - sensor[k]) ** 2
             distance[p, q] = math.sqrt(square)
-            # Edge-on, a patch of wall of any size would fill the point's solid angle.
+            # Seen edge-on, a patch of wall of any size could lie behind the point's solid angle.
             if part[p, q] < 0 or cosine <= 0.0:
                 part[p, q] = -1
                 continue

@@ -1,14 +1,15 @@
 """Flood illumination: one wide beam as a sum over laser points.
 
-A flood lights a whole field of view at once, so a pixel gets one histogram: the mean over the L laser points of what
-each would give with all of the light,
+A flood lights a whole field of view at once, so a pixel has one histogram: the mean over L laser points of the
+transients that they would give if each got all of the light,
 
     transient(t) = (1/L) Σ_l transient_l(t),
 
-which is the quadrature, with equal weights, of the integral over the lit patch of wall. Midpoints of equal cells make
-it exact to second order in the cells' size wherever the transient varies smoothly over the patch; steps (a zone that
-ends inside a cell, a shadow's edge) cost first order. The first return of a zone, four points of which are lit 2 m
-away, is within 0.2 % of its integral (`tests/capture/test_flood.py` holds the order).
+which is a quadrature, with equal weights, of the integral over the lit patch of wall. If the laser points are the
+middles of equal cells, its error is of second order in the size of a cell where the transient varies smoothly over
+the patch, and of first order where it has steps (a zone that ends inside a cell, the edge of a shadow). With four
+laser points in a zone 2 m away the first return is within 0.2 % of the integral (`tests/capture/test_flood.py` checks
+the order).
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ from datagen.records.arrays import Floats
 
 
 def flooded(transient: Transient) -> Transient:
-    """The transient (1, P, T) of a flood from that (L, P, T) of its laser points.
+    """The transient (1, P, T) of a flood, from the transient (L, P, T) of its laser points.
 
-    `stderr` takes the laser points' errors as independent, which they are but for the FoV points they share.
+    `stderr` treats the errors of the laser points as independent. They are, except for the FoV points that the laser
+    points share.
     """
 
     def mean(values: Floats) -> Floats:

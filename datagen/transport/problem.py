@@ -1,4 +1,4 @@
-"""The problem that all integrators are given: scene, capture and accuracy, and the scene for compiled loops."""
+"""The problem that every integrator solves: scene, capture, accuracy, and the scene as arrays for compiled loops."""
 
 from __future__ import annotations
 
@@ -19,32 +19,34 @@ COMPONENTS: tuple[str, ...] = ("direct", "primary", "secondary", "higher")
 
 
 def component_of(order: int) -> str:
-    """The component that paths of `order` bounces belong to."""
+    """Name of the component that paths of `order` bounces belong to."""
     return "direct" if order < 3 else "primary" if order == 3 else "secondary" if order == 4 else "higher"
 
 
 def components_asked(accuracy: Accuracy) -> tuple[str, ...]:
-    """The components that an accuracy asks for, in the order of `COMPONENTS`."""
+    """Names of the components that an accuracy asks for, in the order of `COMPONENTS`."""
     orders = accuracy.max_bounces or 5
-    asked = {
+    requested = {
         "direct": accuracy.direct,
         "primary": True,
         "secondary": orders >= 4 and accuracy.secondary != "none",
         "higher": orders >= 5,
     }
-    return tuple(name for name in COMPONENTS if asked[name])
+    return tuple(name for name in COMPONENTS if requested[name])
 
 
 @dataclass(frozen=True)
 class TallyRows:
-    """Rows of the tally for each laser point and pixel: one for each part of the primary (or one for all of it), then
-    one for each other component.
+    """Histogram rows for each laser point and pixel.
+
+    The primary comes first, with one row for each part of the scene, or one row if it is not split by part. Then
+    there is one row for each other component.
 
     Attributes
     ----------
-    parts : names of the parts that the primary is split by; none for all of it in one row.
-    components : those computed.
-    all_parts : how many parts the scene has.
+    parts : names of the scene's parts if the primary is split by part, else empty.
+    components : names of the components to be computed.
+    all_parts : number of parts of the scene.
     """
 
     parts: tuple[str, ...]
@@ -53,21 +55,21 @@ class TallyRows:
 
     @property
     def primary(self) -> int:
-        """How many rows the primary takes."""
+        """Number of rows of the primary."""
         return max(len(self.parts), 1) if "primary" in self.components else 0
 
     @property
     def others(self) -> tuple[str, ...]:
-        """The components other than the primary, in order."""
+        """Names of the components other than the primary, in the order of their rows."""
         return tuple(name for name in self.components if name != "primary")
 
     @property
     def count(self) -> int:
-        """Rows for each laser point and pixel."""
+        """Number of rows for each laser point and pixel."""
         return self.primary + len(self.others)
 
     def of_part(self, order: int) -> Ints:
-        """(K,) the row of a contribution of `order` bounces that comes from a vertex on each part."""
+        """(K,) row of a path of `order` bounces, by the part that its last vertex before the FoV point lies on."""
         name = component_of(order)
         if name == "primary":
             return np.arange(self.all_parts) if self.parts else np.zeros(self.all_parts, np.int64)
@@ -76,10 +78,10 @@ class TallyRows:
 
 @dataclass(frozen=True)
 class Problem:
-    """A transient to be found: what is looked at, how exactly, and the scene as compiled loops want it.
+    """A transient to be computed: scene, capture and accuracy, and the same as arrays for compiled loops.
 
-    `capture`, `cones`, `patches` and `points` may be some laser points (and, confocally, their pixels) of a larger
-    capture. The components to be found are those of `splits`.
+    `capture`, `cones`, `patches` and `points` may be those of some laser points (and, confocally, of their pixels) of
+    a larger capture. The components to be computed are those of `tally_rows`.
     """
 
     scene: Scene
@@ -91,25 +93,27 @@ class Problem:
     patches: PixelPatches
     points: LaserPoints
     aim: Callable[[], AreaTarget]
-    """The small parts that hidden vertices are drawn on by area. Trial rays choose them when this is first called:
-    quadrature never does."""
+    """Returns the small parts on which path tracing draws hidden vertices by area. Trial rays choose these parts at
+    the first call, which quadrature never makes."""
     seed: int
     tally_rows: TallyRows
     walked: Bools
-    """(K,) parts whose vertices path tracing connects with the field of view in paths of four bounces; the others are
-    left out, or left to the factorised form (`factorised/secondary.py`)."""
+    """(K,) whether path tracing finds the paths of four bounces whose second hidden vertex lies on a part. The paths
+    of other parts are left out, or left to the factorised form (`factorised/secondary.py`)."""
 
     @property
     def last_order(self) -> int | None:
-        """The highest order to be followed; None for all."""
-        asked = self.tally_rows.components
-        if "higher" in asked:
+        """The highest number of bounces of paths that path tracing follows; None for no limit."""
+        requested = self.tally_rows.components
+        if "higher" in requested:
             return self.accuracy.max_bounces
-        return 4 if "secondary" in asked and self.walked.any() else 3
+        return 4 if "secondary" in requested and self.walked.any() else 3
 
     def for_lasers(self, lasers: Ints) -> Problem:
-        """The same problem for some of its laser points (confocally, and their pixels), or for several copies of
-        them."""
+        """The same problem for some of its laser points, and confocally for their pixels.
+
+        lasers : indices of laser points, which may repeat.
+        """
         sensor, cones, patches = self.capture.sensor, self.cones, self.patches
         if self.capture.pairing == "confocal":
             sensor = Sensor(sensor.position, sensor.pixels[lasers], sensor.aperture_radius_m, sensor.finite_aperture)
@@ -119,7 +123,9 @@ class Problem:
         return replace(self, capture=capture, cones=cones, patches=patches, points=self.points.take(lasers))
 
     def patch_detail(self, pixels: Ints) -> float:
-        """Width of the largest patch of some pixels, in details: arrival times vary by the bin, amplitudes by some
-        hundredth of the scene."""
+        """Width of the largest patch of some pixels, over the size of the smallest detail that matters.
+
+        Arrival times matter to a bin's length of path, and amplitudes vary over some hundredth of the scene.
+        """
         detail_m = min(float(path_from_time(self.capture.time.width_s)), self.caster.half_extent_m / 50)
         return 2 * float(self.patches.radius[pixels].max()) / detail_m

@@ -1,4 +1,4 @@
-"""The definition of a transient, in plain numpy: what every faster method is held against.
+"""The definition of a transient, in plain numpy, against which every faster method is tested.
 
 A path of B bounces goes from the laser by x₁ … x_B to the sensor: x₁ is the laser point, x_B a point in the pixel's
 field of view (FoV point), and those between are hidden vertices. The expected photons in the aperture per emitted
@@ -11,12 +11,12 @@ aperture A and the pixel's solid angle Ω. A path arrives at its length / c. Sur
 transmit nothing, so both directions at a vertex lie on one side of it. A finite aperture of radius a counts A R²/(R²
 + a²) at distance R.
 
-`plain_paths` is a Monte Carlo estimate of (1) with nothing done to be fast: hidden vertices uniform on all surfaces,
-FoV points uniform on the pixel. Its mean is right in every scene, for every BRDF and order of bounces; its noise is
-large where lobes are narrow. `reference` adds such paths up in time bins.
+`plain_paths` is the plainest Monte Carlo estimate of (1): hidden vertices are uniform on all surfaces, and FoV points
+are uniform on the pixel. Its mean is right in every scene, for every BRDF and number of bounces; its noise is large
+where lobes are narrow. `reference` adds such paths up in time bins.
 
-`sampled_paths.py` draws the same paths where light is, with far less noise. Tests hold it against `plain_paths`, and
-quadrature, path tracing and the factorised form against it.
+`sampled_paths.py` draws paths of the same integral where most light is, with far less noise. Tests compare it with
+`plain_paths`, and quadrature, path tracing and the factorised form with `sampled_paths.py`.
 """
 
 from __future__ import annotations
@@ -38,25 +38,27 @@ from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import time_from_path
 
 AT_ONCE = 1 << 16
-"""Samples in memory together."""
+"""Samples traced in one call, which bounds the memory; half as many make twice the calls."""
 GOES_ON = 0.5
-"""Chance to follow a path further than four bounces, where all orders are asked for. Whatever it is, the mean is the
-same."""
+"""Chance to follow a path beyond each bounce after the fourth, where all orders are asked for. The mean is the same
+for any chance; half of it makes paths shorter and the light of many bounces noisier."""
 
 
 @dataclass(frozen=True)
 class Paths:
-    """n weighted paths: those of one pair of laser point and pixel, and of one order, add up to its expected photons.
+    """n weighted paths. All paths of one pair of laser point and pixel and of one order add up to its expected
+    photons.
 
     Attributes
     ----------
     pair : (n,) row of `pairs`.
-    sample : (n,) number of the sample that found it, pair · samples + 0 … samples − 1. The samples of a pair are
-        drawn alike, so the spread of their sums gives a standard error (too large a one where they are stratified).
-    order : (n,) bounces B.
+    sample : (n,) number of the sample that the path belongs to, pair · samples + 0 … samples − 1. All samples of a
+        pair follow the same distribution, so the spread of their sums gives a standard error (one that is too large
+        where the samples are stratified).
+    order : (n,) number of bounces B.
     part : (n,) index of the part that the last hidden vertex x_{B−1} lies on; with one or two bounces, that of x_B.
-    path_m : (n,) length that counts for the time axis, metres: legs from laser and to sensor only with the time
-        origin `source`.
+    path_m : (n,) length that counts for the time axis, m. The legs from the laser and to the sensor count only with
+        the time origin `source`.
     photons : (n,) expected photons at the aperture per emitted photon.
     """
 
@@ -68,13 +70,17 @@ class Paths:
     photons: Floats
 
     def take(self, which: Ints | Bools) -> Paths:
-        """Some of them."""
+        """The paths of some rows."""
         return Paths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
 @compiled()
 def brdf(kind, values, part, normal, w_in, w_out):  # type: ignore[no-untyped-def]
-    """(n,) f at vertices, 1/sr. part : (n,). w_in, w_out : (n, 3) away from them, on the side of `normal` (n, 3)."""
+    """(n,) BRDFs f at n vertices, 1/sr.
+
+    part : (n,) indices. w_in, w_out : (n, 3) unit directions away from the vertices. normal : (n, 3) on the side of
+    both.
+    """
     f = np.empty(len(part))
     for i in range(len(part)):
         n = (normal[i, 0], normal[i, 1], normal[i, 2])
@@ -87,10 +93,11 @@ def plain_paths(
     caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int, *,
     max_bounces: int | None = 3, direct: bool = False, occlusion: bool = True, seed: int = 0,
 ) -> Paths:  # fmt: skip
-    """Paths of `samples` samples for each pair of laser point and pixel; each sample gives one path of every order.
+    """Weighted paths: for each pair of laser point and pixel `samples` samples, each of one path of every order.
 
-    pairs : (n, 2) indices of laser point and pixel. max_bounces : highest order, or None for all. direct : orders 1
-        and 2 as well. occlusion : whether anything may stand between the last hidden vertex and the FoV point.
+    pairs : (n, 2) indices of laser point and pixel. max_bounces : highest number of bounces, or None for no limit.
+    direct : whether to add paths of one and two bounces. occlusion : whether a surface may hide the last hidden
+    vertex from the FoV point.
     """
     rng = np.random.default_rng([LightStream.PLAIN_REFERENCE, seed])
     laser, pixel = np.repeat(pairs, samples, axis=0).T
@@ -162,15 +169,18 @@ def plain_paths(
 
 
 def _between(
-    caster: Raycaster, x: Floats, n_x: Floats, y: Floats, n_y: Floats, asked: bool = True
+    caster: Raycaster, x: Floats, n_x: Floats, y: Floats, n_y: Floats, shadow_rays: bool = True
 ) -> tuple[Floats, Floats, Floats]:
-    """From x to y, each (n, 3) with a unit normal: unit direction (n, 3), distance R, and cosθ cosθ′ V / R², which is
-    0 where a surface faces away. V is taken for 1 unless `asked`."""
+    """Unit directions (n, 3) from points x to points y, distances R (n,), and cosθ cosθ′ V / R² (n,).
+
+    n_x, n_y : (n, 3) unit normals at the points; a surface that faces away gives 0. shadow_rays : whether shadow rays
+    find the visibility V, which is else taken for 1.
+    """
     span = y - x
     r = np.linalg.norm(span, axis=1)
     w = span / np.maximum(r, 1e-300)[:, None]
     cosines = np.maximum(_dot(n_x, w), 0.0) * np.maximum(-_dot(n_y, w), 0.0)
-    visible = ~caster.occluded(x + caster.offset_m * n_x, y + caster.offset_m * n_y) if asked else 1.0
+    visible = ~caster.occluded(x + caster.offset_m * n_x, y + caster.offset_m * n_y) if shadow_rays else 1.0
     return w, r, np.divide(cosines, r**2, where=r > 0, out=np.zeros_like(r)) * visible
 
 
@@ -179,7 +189,7 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def _aperture(capture: Capture, distance: Floats) -> Floats:
-    """A of (1), m²: of a small aperture, or of a disc of finite size."""
+    """(n,) area A of equation (1), m², seen from distances (n,): that of a small aperture or of a finite disc."""
     sensor = capture.sensor
     near = sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0
     return np.asarray(sensor.aperture_area_m2 * distance**2 / (distance**2 + near))
@@ -190,11 +200,11 @@ def reference(
     direct: bool = False, occlusion: bool = True, seed: int = 0, caster: Raycaster | None = None,
     draw: Callable[..., Paths] = plain_paths,
 ) -> Transient:  # fmt: skip
-    """The transient of a capture by its definition: (L, P, T) by component and part, with standard errors.
+    """The transient (L, P, T) of a capture by its definition, by component and part, with standard errors.
 
-    samples : of each laser point and pixel, in each of `replicates` independent runs, whose spread is the standard
-        error. draw : the function that draws the paths, with the arguments of `plain_paths`, as which
-        `sampled_paths.sample_paths` has the same mean with far less noise. The other arguments are those of `draw`.
+    samples : number for each pair of laser point and pixel in each of `replicates` independent runs, whose spread is
+        the standard error. draw : function that draws the paths: `plain_paths`, or `sampled_paths.sample_paths`,
+        which has the same arguments and the same mean with far less noise. The other arguments are those of `draw`.
     """
     caster = Raycaster(scene) if caster is None else caster
     materials, axis, shape = MaterialTable.of(scene.materials), capture.time, capture.shape
@@ -219,6 +229,7 @@ def reference(
             place = np.floor((time_from_path(paths.path_m) - axis.start_s) / axis.width_s)
             inside = (place >= 0) & (place < axis.bins)
             histogram, photons = histogram_of[start + paths.pair], share * paths.photons
+            # The rows are the primary of each part, then direct light, the secondary and higher orders.
             row = np.where(paths.order == 3, paths.part, parts + np.clip(paths.order - 3, 0, 2))
             to = (row * len(overflow) + histogram) * axis.bins + place.astype(np.int64)
             light += np.bincount(to[inside], photons[inside], len(light))
@@ -228,17 +239,20 @@ def reference(
     scatter = np.maximum(squares - by_row.sum(axis=0).ravel() ** 2 / replicates, 0.0)
     stderr = np.sqrt(scatter * replicates / (replicates - 1)) if replicates > 1 else np.full(values, np.nan)
     last = MAX_BOUNCES if max_bounces is None else max_bounces
-    asked = {"direct": direct, "primary": True, "secondary": last > 3, "higher": last > 4}
+    requested = {"direct": direct, "primary": True, "secondary": last > 3, "higher": last > 4}
     found = {"direct": by_row[parts], "primary": by_row[:parts].sum(axis=0), "secondary": by_row[parts + 1],
              "higher": by_row[parts + 2]}  # fmt: skip
     return Transient(
-        axis, {name: found[name] for name in found if asked[name]}, dict(zip(scene.part_names, by_row, strict=False)),
-        stderr.reshape(shape), overflow.reshape(shape[:2]), laser_points(caster, capture),
+        axis, {name: found[name] for name in found if requested[name]}, dict(zip(scene.part_names, by_row,
+        strict=False)), stderr.reshape(shape), overflow.reshape(shape[:2]), laser_points(caster, capture),
     )  # fmt: skip
 
 
 def pairs_of(capture: Capture) -> Ints:
-    """(n, 2) laser point and pixel of each histogram, in their order; of a flood, of each of its laser points."""
+    """(n, 2) indices of laser point and pixel, a row for each histogram in their order.
+
+    A flood has a row for each of its laser points and each pixel.
+    """
     lasers, pixels = len(capture.laser.targets), len(capture.sensor.pixels)
     if capture.pairing == "confocal":
         return np.stack([np.arange(lasers), np.arange(lasers)], axis=1)
@@ -246,6 +260,6 @@ def pairs_of(capture: Capture) -> Ints:
 
 
 def laser_points(caster: Raycaster, capture: Capture) -> Floats:
-    """(L, 3) where the laser's rays first meet the scene, NaN where they meet nothing."""
+    """(L, 3) points where the laser's rays first meet the scene, NaN for rays that meet nothing."""
     hits = caster.closest(capture.laser.position, capture.laser.targets - capture.laser.position)
     return np.where(hits.valid[:, None], hits.position, np.nan)

@@ -1,17 +1,16 @@
-"""Unbiased paths of light, drawn where light is: the truth that tests, benchmarks and second opinions use.
+"""Unbiased paths of light, drawn where most light is: the reference that tests, benchmarks and second opinions use.
 
-The integral is that of `reference.py`, equation (1) there, and the mean is the same in every scene, to which more
-samples go; what differs is the noise. Nothing is shared with quadrature or path tracing but the ray
-caster and the BRDFs.
+The paths estimate the integral of `reference.py`, equation (1) there: the mean is the same in every scene, and the
+noise is far smaller. Nothing is shared with quadrature or path tracing but the ray caster and the BRDFs.
 
-The last two vertices, h = x_{B−1} and v = x_B, are drawn in three ways, given b = x_{B−2}:
+The last two vertices of a path, h = x_{B−1} and v = x_B, are drawn in three ways, given b = x_{B−2}:
 
-- *join*: h from b (by b's BRDF; x₂ also uniform on the parts' areas), v from the pixel;
-- *back*: v from the pixel, h from v by v's BRDF: this finds what stands right beside the field of view;
-- *land*: h from b, v from h by h's BRDF, if that falls inside the pixel: for h on parts whose BRDF has a lobe.
+- *join*: h from b, by the BRDF at b or, for x₂, also uniformly on the parts' areas; v from the pixel;
+- *back*: v from the pixel, h from v by the BRDF at v. This way finds surfaces right beside the field of view;
+- *land*: h from b, v from h by the BRDF at h, if v falls inside the pixel. This way is for BRDFs with a lobe.
 
-Whichever way found it, a path counts the integrand over the sum of the densities of all three ways (the balance
-heuristic: Veach & Guibas, SIGGRAPH 1995), so together they count every path once.
+A path counts with the integrand over the sum of the densities of all three ways, whichever of them found it (the
+balance heuristic: Veach & Guibas, SIGGRAPH 1995). So together they count every path once.
 
 `sample_paths` returns weighted paths, to be added up as the caller likes; `reference` puts them into time bins:
 
@@ -40,27 +39,29 @@ from datagen.transport.sampling import scrambled_sobol, stream_seeds
 from datagen.transport.visibility.raycast import Hits, Raycaster
 
 BY_AREA = 0.5
-"""Share of x₂ drawn by area: whatever it is, the mean is the same. Half of it meets what is small or far half as
-often, and what is near more often."""
+"""Share of the first hidden vertices x₂ that are drawn by area. The mean is the same for any share. Half of it meets
+small or distant parts half as often, and near ones more often."""
 SOBOL_DIMENSIONS = 9
-"""Quasi-random numbers of a sample: two aim at the pixel, three at x₂, two go back from the pixel, two aim at x₃.
-Later vertices, for which they gain little, have independent numbers."""
+"""Quasi-random numbers of a sample: two draw the FoV point, three x₂, two the ray back from the FoV point, two x₃.
+Later vertices have independent numbers, as quasi-random ones would gain little there."""
 SURVIVAL = (0.05, 0.95)
-"""Least and greatest chance to go on, where paths of all orders are followed: the one bounds how much a path's weight
-grows at once, the other ends it in the end."""
+"""Least and greatest chance of a path to go on, where all orders are followed. The least one bounds the growth of a
+weight at a bounce (20-fold; half of it allows 40-fold); the greatest one makes every path end."""
 ROULETTE_FROM = 4
-"""Bounce order from which paths may end so."""
+"""Number of bounces from which paths may end by Russian roulette; half of it would add noise to the primary."""
 SMALLEST = 1e-200
-"""Densities below are taken for 0: far below any with which a path is drawn, and safe to divide by."""
+"""Densities below this count as 0. It is far below any density with which a path is drawn, and safe to divide by;
+half of it would do the same."""
 
 
 @dataclass(frozen=True)
 class _Vertices:
-    """Where n samples' paths have come to.
+    """The last vertices of n paths so far, at most one for each sample.
 
-    sample, face, part : (n,). position, normal, back : (n, 3) metres; unit normal on the side that the path came
-    from; unit direction back along it. power : (n,) photons that arrive. density : (n,) 1/m², with which the way from
-    the laser draws this place. path : (n,) metres so far.
+    sample, face, part : (n,) index of the sample, of the triangle, of the part. position, normal, back : (n, 3)
+    metres; unit normal on the side that the path came from; unit direction to the vertex before. power : (n,) photons
+    that arrive, over the density of drawing the path. density : (n,) 1/m², with which the way from the laser draws
+    the vertex. path : (n,) length so far, m.
     """
 
     sample: Ints
@@ -83,7 +84,8 @@ class _Vertices:
 
 @compiled()
 def _brdf(kind, values, part, normal, w_in, w_out):  # type: ignore[no-untyped-def]
-    """At n vertices the BRDF, and the density with which `_drawn` draws `w_out` for `w_in`; both (n,), 1/sr."""
+    """BRDFs (n,) at n vertices, and densities (n,) with which `_drawn` draws `w_out` (n, 3) for `w_in`; both 1/sr."""
+    # Both in one pass, as every weight needs both.
     f, density = np.empty(len(part)), np.empty(len(part))
     for i in range(len(part)):
         k, material, n = kind[part[i]], values[part[i]], (normal[i, 0], normal[i, 1], normal[i, 2])
@@ -94,7 +96,7 @@ def _brdf(kind, values, part, normal, w_in, w_out):  # type: ignore[no-untyped-d
 
 @compiled()
 def _drawn(kind, values, part, normal, w_in, uv):  # type: ignore[no-untyped-def]
-    """(n, 3) directions drawn by the BRDFs of n vertices from points uv (n, 2) of the unit square."""
+    """(n, 3) unit directions drawn by the BRDFs of n vertices from points uv (n, 2) of the unit square."""
     w = np.empty((len(part), 3))
     for i in range(len(part)):
         n, a = (normal[i, 0], normal[i, 1], normal[i, 2]), (w_in[i, 0], w_in[i, 1], w_in[i, 2])
@@ -107,7 +109,8 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def _leg(a: _Vertices, b: _Vertices) -> tuple[Floats, Floats, Floats, Floats]:
-    """From a to b: unit direction (n, 3), distance, and the cosines at a and at b, 0 where a side faces away."""
+    """Unit directions (n, 3) from a to b, distances (n,), and the cosines (n,) at a and at b, 0 for a side that faces
+    away."""
     span = b.position - a.position
     distance = np.sqrt(_dot(span, span))
     w = span / np.maximum(distance, 1e-300)[:, None]
@@ -115,12 +118,12 @@ def _leg(a: _Vertices, b: _Vertices) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def _over(a: Floats, b: Floats) -> Floats:
-    """a / b, and 0 where b is all but 0: a density that nothing is drawn with."""
+    """(n,) quotients a / b; 0 where b is 0 or so small that nothing is drawn with this density."""
     return np.divide(a, b, out=np.zeros_like(a), where=b > SMALLEST)
 
 
 class _Tracer:
-    """The paths of some pairs of laser point and pixel: the steps that `sample_paths` takes."""
+    """The steps of `sample_paths` for some pairs of laser point and pixel."""
 
     def __init__(
         self, caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int,
@@ -150,7 +153,10 @@ class _Tracer:
         return at.position + self.caster.offset_m * at.normal
 
     def met(self, sample: Ints, hits: Hits) -> _Vertices:
-        """The surfaces that samples' rays met; those of rays that met none are left out. What arrives comes later."""
+        """The vertices where rays of samples landed, without power and direction, which `lit` or `seen` adds.
+
+        sample : (n,) index of each ray's sample. Rays that met nothing are left out.
+        """
         rows = np.flatnonzero(hits.valid)
         face, zero = hits.face[rows].astype(np.int64), np.zeros(len(rows))
         part, nowhere = self.scene.face_part[face].astype(np.int64), np.zeros((len(rows), 3))
@@ -158,7 +164,7 @@ class _Tracer:
         return _Vertices(sample[rows], face, part, position, normal, nowhere, zero, zero, zero)
 
     def laser_points(self) -> tuple[_Vertices, Ints]:
-        """x₁ of the laser rays that meet a surface, the first along each; and which of them a sample has, or −1."""
+        """The laser points x₁ of rays that meet a surface, and (n,) the index among these for each sample, or −1."""
         laser = self.capture.laser
         used, of_sample = np.unique(self.laser, return_inverse=True)
         span = laser.targets[used] - laser.position
@@ -172,7 +178,7 @@ class _Tracer:
         return points, number[of_sample]
 
     def aimed(self, pairs: Ints) -> Aim:
-        """Where x₂ is drawn by area, which changes nothing but the variance."""
+        """The densities with which x₂ is drawn by area; they change nothing but the variance."""
         lasers, number = self.lasers, self.of_sample[:: self.samples]
         seen, gain = self.fov_points(pairs[:, 1], np.full((len(pairs), 2), 0.5))
         half = 0.5 * np.sqrt(self.solid_angle[pairs[:, 1]]) * seen.path
@@ -183,7 +189,7 @@ class _Tracer:
         return aim(self.caster, self.scene, self.materials, planes, x, v, len(self.pixel))
 
     def fov_points(self, pixel: Ints, uv: Floats) -> tuple[_Vertices, Floats]:
-        """v of every sample, and the photons that it gives for each unit of f E there: A dΩ/(du dv); 0 without a v.
+        """FoV points v of the samples, and A dΩ/(du dv) (n,), the photons for each unit of f E at v; 0 without a v.
 
         A point uniform on the pixel's quadrilateral q(u, v), as seen from the sensor, stands for the solid angle
         dΩ/(du dv) = |q · (∂q/∂u × ∂q/∂v)| / |q|³.
@@ -200,7 +206,7 @@ class _Tracer:
         return points, np.where(there, self.aperture(points) * jacobian, 0.0)
 
     def seen(self, points: _Vertices) -> _Vertices:
-        """Places that the sensor sees as FoV points: `back` leads to the sensor, `path` is the distance to it."""
+        """The points as FoV points: `back` leads to the sensor, and `path` is the distance to the sensor."""
         to_sensor = self.capture.sensor.position - points.position
         leg = np.sqrt(_dot(to_sensor, to_sensor))
         return replace(points, back=to_sensor / leg[:, None], path=leg)
@@ -211,7 +217,10 @@ class _Tracer:
         return np.asarray(sensor.aperture_area_m2 * v.path**2 / (v.path**2 + near))
 
     def second(self, b: _Vertices, numbers: Floats) -> _Vertices:
-        """x₂ seen from the laser points b: by area or by the BRDF, as the first of three numbers says."""
+        """First hidden vertices x₂ that the laser points b light, drawn by area or by the BRDF.
+
+        numbers : (n, 3), of which the first chooses between the two ways, and the triangle.
+        """
         by_area = numbers[:, 0] < BY_AREA
         face = self.aim.drawn(b.sample // self.samples, numbers[:, 0] / BY_AREA)
         root, other = np.sqrt(numbers[:, 1]), numbers[:, 2]
@@ -219,18 +228,19 @@ class _Tracer:
         place = np.einsum("nk,nkj->nj", weights, self.caster.corners[face])
         w = np.where(by_area[:, None], place - self.lifted(b), self.drawn(b, numbers[:, 1:]))
         hits = self.caster.leaving(b.position, b.normal, w)
-        # A place counts for the one surface that is met there first, even where two lie on each other.
+        # A place drawn by area counts only if its own triangle is met first, so that of two triangles that coincide
+        # one counts, the same as for rays.
         hits.face[by_area & (hits.face != face)] = -1
         hits.position[by_area] = place[by_area]
         return self.lit(b.take(hits.valid), self.met(b.sample, hits), order=2)
 
     def onward(self, b: _Vertices, numbers: Floats, order: int) -> _Vertices:
-        """x of `order` ≥ 3: by the BRDF of the vertex b before it."""
+        """The next vertices x of `order` ≥ 3, drawn by the BRDF at the vertex b before."""
         hits = self.caster.leaving(b.position, b.normal, self.drawn(b, numbers))
         return self.lit(b.take(hits.valid), self.met(b.sample, hits), order)
 
     def lit(self, b: _Vertices, x: _Vertices, order: int) -> _Vertices:
-        """The vertices x of `order` that b lights: the photons f_b cosθ_b cosθ_x / R² per area, over x's density."""
+        """The vertices x of `order` that b lights, with their power f_b cosθ_b cosθ_x / R² over the density of x."""
         w, r, cos_b, cos_x = _leg(b, x)
         f, density = self.brdf(b, b.back, w)
         density = self.by_light(_over(density * cos_x, r**2), x, order)
@@ -239,7 +249,10 @@ class _Tracer:
         return x.take(power > 0)
 
     def by_light(self, by_brdf: Floats, x: _Vertices, order: int) -> Floats:
-        """1/m², with which the way from the laser draws the vertices x of `order`."""
+        """(n,) density, 1/m², with which the way from the laser draws the vertices x of `order`.
+
+        by_brdf : (n,) density by the BRDF at the vertex before. Only x₂ is drawn by area as well.
+        """
         if order > 2:
             return by_brdf
         return np.asarray((1 - BY_AREA) * by_brdf + BY_AREA * self.aim.at(x.sample // self.samples, x.face))
@@ -255,16 +268,16 @@ class _Tracer:
         return self.paths(x, v, photons, path_m, order).take(bright)
 
     def beside(self, fov: _Vertices, gain: Floats, numbers: Floats) -> _Vertices:
-        """What the FoV points see along rays drawn by their BRDFs, against the light."""
+        """The vertices that FoV points see along rays drawn by their BRDFs, against the direction of light."""
         v = fov.take(gain > 0)
         hits = self.caster.leaving(v.position, v.normal, self.drawn(v, numbers[gain > 0]))
         return self.met(v.sample, hits)
 
     def back(self, b: _Vertices, x: _Vertices, fov: _Vertices, gain: Floats, order: int) -> Paths:
-        """Paths of `order` bounces from vertices b by way of the x `beside` the FoV."""
+        """Paths of `order` bounces from vertices b by way of vertices x that `beside` found."""
         both, of_b, of_x = np.intersect1d(b.sample, x.sample, assume_unique=True, return_indices=True)
         b, x = b.take(of_b), x.take(of_x)
-        # x is what b meets first at that place, which is what a ray from b would have found.
+        # A path counts if a ray from b would have met x at this place first: the two ways must draw the same paths.
         hits = self.caster.closest(self.lifted(b), x.position - self.lifted(b))
         same = np.abs(hits.position - x.position).max(axis=1) < self.caster.offset_m
         seen = np.flatnonzero(hits.valid & same)
@@ -275,7 +288,7 @@ class _Tracer:
         return self.paths(x, v, photons, path_m, order).take(photons > 0)
 
     def land(self, x: _Vertices, v: _Vertices, order: int) -> Paths:
-        """Paths of `order` bounces whose last vertex v, met from x, falls inside the pixel."""
+        """Paths of `order` bounces whose last vertex v, where a ray from x landed, falls inside the pixel."""
         of_x = np.searchsorted(x.sample, v.sample)
         if order > 2:
             lobed = np.flatnonzero(self.has_lobe[x.part[of_x]])
@@ -289,7 +302,7 @@ class _Tracer:
         return self.paths(x, v, photons, path_m, order).take(bright[~hidden])
 
     def one_bounce(self, x: _Vertices) -> Paths:
-        """The laser points themselves, where the pixel sees them: f cosθ A / R²."""
+        """Paths of one bounce, f cosθ A / R²: the laser points x themselves where the pixel sees them."""
         v = self.seen(x)
         inside = np.einsum("nk,njk->nj", v.back, self.planes[self.pixel[v.sample]]).max(axis=1) <= 0
         f, _ = self.brdf(x, x.back, v.back)
@@ -300,13 +313,14 @@ class _Tracer:
         return self.paths(x, x, photons, x.path + device, 1).take(bright[~hidden])
 
     def photons(self, x: _Vertices, v: _Vertices, gain: Floats, order: int) -> tuple[Floats, Floats]:
-        """What paths by way of x and v bring, and their length: the integrand over the sum of all ways' densities.
+        """Photons (n,) of paths by way of x and v, and lengths (n,), m.
 
-        With p of `by_light`, 1/Ω of v from the pixel, per solid angle at the sensor, these are
+        The photons are the integrand over the sum of the densities of all three ways. With p as in `by_light`, and
+        with 1/Ω for v drawn from the pixel, per solid angle at the sensor, these densities are
 
             join: p/Ω     back: pdf_v cosθ_x/R² /Ω     land: p · pdf_x cosθ_v/R² · R_s²/cosθ_s
 
-        gain : (n,) m² sr, what v stands for: A dΩ/(du dv) where it was drawn from the pixel, A Ω where it was met.
+        gain : (n,) m² sr that v stands for: A dΩ/(du dv) if v was drawn from the pixel, A Ω if a ray from x met it.
         """
         w, r, cos_x, cos_v = _leg(x, v)
         f_x, onto_v = self.brdf(x, x.back, w)
@@ -322,7 +336,7 @@ class _Tracer:
         return photons, x.path + r + device
 
     def paths(self, x: _Vertices, v: _Vertices, photons: Floats, path_m: Floats, order: int) -> Paths:
-        """All of them, those without light too."""
+        """The paths by way of x and v as `Paths`, also those without light."""
         part = x.part if order > 2 else v.part
         return Paths(x.sample // self.samples, x.sample, np.full(len(part), order), part, path_m, photons)
 
@@ -333,10 +347,11 @@ def sample_paths(
 ) -> Paths:  # fmt: skip
     """Weighted paths of light for some pairs of laser point and pixel, unbiased for any number of samples.
 
-    pairs : (n, 2) indices of laser point and pixel. samples : of each pair; each finds up to three paths of an order.
-        A power of two makes the most of the quasi-random numbers.
-    max_bounces : highest order, ≥ 3, or None for all (by Russian roulette). direct : orders 1 and 2 as well.
-    occlusion : whether anything may stand between last hidden vertex and FoV point (`Accuracy.occlusion` not "off").
+    pairs : (n, 2) indices of laser point and pixel. samples : number for each pair; a sample finds up to three paths
+        of each order. A power of two makes the most of the quasi-random numbers.
+    max_bounces : highest number of bounces, ≥ 3, or None for no limit (Russian roulette). direct : whether to add
+        paths of one and two bounces. occlusion : whether a surface may hide the last hidden vertex from the FoV point
+        (`Accuracy.occlusion` is not "off").
     seed : the same seed gives the same paths.
     """
     t = _Tracer(caster, scene, materials, capture, np.asarray(pairs), samples, occlusion)

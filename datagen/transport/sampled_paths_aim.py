@@ -1,8 +1,9 @@
-"""Where `sampled_paths.py` looks for hidden vertices by area: a matter of its variance, never of its mean.
+"""Densities with which `sampled_paths.py` draws first hidden vertices by area, which change only its variance.
 
-Small parts get more points for their area, as rays seldom meet them, and parts that no laser point can light get
-none. Within a part its triangles get points by a guess, for each pair of laser point and pixel: the integrand at
-the middle of each, with a lobe as wide as what the triangle and the pixel span: a glossy mesh is bright on few.
+Small parts get more points for their area, as rays seldom meet them. Parts that no laser point can light get none.
+Among the triangles of a part points are shared by a guess of the light for each pair of laser point and pixel, as few
+triangles of a glossy mesh are bright. The guess is the integrand at the middle of the triangle, with lobes widened to
+the angle that the triangle and the pixel span.
 """
 
 from __future__ import annotations
@@ -20,17 +21,18 @@ from datagen.transport.brdf import GGX_LOBE, PHONG, RETROREFLECTOR, MaterialTabl
 from datagen.transport.visibility.raycast import Raycaster
 
 EVENLY = 0.25
-"""Share of the points of a part that are drawn evenly over its area all the same: where a guess is wrong, they count
-at most four times what they would without guesses."""
+"""Share of a part's points that are drawn evenly over its area in spite of the guesses. Where a guess is far too low,
+a point then weighs four times as much as without guesses at most; with half of it, eight times."""
 GUESSES_PER_SAMPLE = 16
-"""Guesses for each sample up to which they are made: as many take about half the time of a sample. Where meshes have
-more triangles, points are drawn evenly over them."""
+"""Guesses made for each sample at most; they take about half the time of the sample. Points are drawn evenly over
+meshes with more triangles; with half as many, over meshes half as fine already, which adds noise where they gloss."""
 
 
 class Ends(NamedTuple):
-    """The laser points, or what the middles of the pixels see, of n pairs; a part of −1 where there is none.
+    """The laser points of n pairs, or the points that the middles of their pixels see.
 
-    position, normal, back : (n, 3), `back` towards laser or sensor. part : (n,). size : (n,) half the width, metres.
+    position, normal, back : (n, 3) metres; unit normal; unit direction to the laser or sensor. part : (n,) index, −1
+    where there is no point. size : (n,) half the width of the patch that the pixel sees, m.
     """
 
     position: Floats
@@ -42,17 +44,20 @@ class Ends(NamedTuple):
 
 @dataclass(frozen=True)
 class Aim:
-    """How points are drawn by area for n pairs: on each part as often for all of them, and within the parts for whose
-    G triangles there are guesses by those of each pair. The other triangles have none, and no row for each pair.
+    """The densities with which points are drawn by area for n pairs of laser point and pixel.
+
+    All pairs draw points on a part equally often. G of the F triangles have a guess for each pair, which shares a
+    part's points among them; on all others the density is the same for every pair.
 
     Attributes
     ----------
-    density : (F,) 1/m², of a point on each triangle, where there is no guess.
-    guessed : (n, G) 1/m², where there is one.
-    column : (F,) that of a triangle in `guessed`, −1 for those without a guess.
-    faces, others : (G,) triangles with a guess; those without.
-    share : of all points, those that fall on triangles with a guess.
-    cumulative : (n · G,) running share of these in each row, one more in each row; and of the others.
+    density : (F,) density of points on each triangle without a guess, 1/m².
+    guessed : (n, G) density of points of each pair on each triangle with a guess, 1/m².
+    column : (F,) column of each triangle in `guessed`, −1 for a triangle without a guess.
+    faces, others : (G,) indices of the triangles with a guess; (F − G,) of those without.
+    share : share of all points that fall on triangles with a guess.
+    cumulative : (n · G,) running shares of the triangles with a guess, those of pair k in k … k + 1, so that one
+        search serves all pairs; (F − G,) running shares of the triangles without a guess.
     """
 
     density: Floats
@@ -65,7 +70,7 @@ class Aim:
 
     @classmethod
     def of(cls, density: Floats, area: Floats, faces: Ints, guessed: Floats) -> Aim:
-        """From densities on all triangles (F,), their areas, and densities (n, G) on those `faces` with a guess."""
+        """The record from `density` (F,) and `area` (F,) of all triangles, and `guessed` (n, G) of `faces` (G,)."""
         column = np.full(len(area), -1)
         column[faces] = np.arange(len(faces))
         others = np.flatnonzero(column < 0)
@@ -78,10 +83,10 @@ class Aim:
         return cls(density, guessed, column, faces, others, share, (rows.ravel(), running))
 
     def drawn(self, pair: Ints, number: Floats) -> Ints:
-        """(m,) a triangle for each pair and number in 0 … 1."""
+        """(m,) indices of triangles, drawn for each pair (m,) by a number (m,) in 0 … 1."""
         found, first = np.empty(len(number), np.int64), (number < self.share) | (len(self.others) == 0)
         rows, running = self.cumulative
-        # Kept off its ends, where rounding would fall into a neighbouring row.
+        # Kept off the ends of 0 … 1, where rounding would lead into the row of the neighbouring pair.
         within = np.clip(number[first] / (self.share or 1.0), 1e-12, 1 - 1e-12)
         at = np.searchsorted(rows, pair[first] + within, side="right") - pair[first] * len(self.faces)
         found[first] = self.faces[np.clip(at, 0, len(self.faces) - 1)]
@@ -91,7 +96,7 @@ class Aim:
         return found
 
     def at(self, pair: Ints, face: Ints) -> Floats:
-        """(m,) the density, 1/m², of points of some pairs on some triangles."""
+        """(m,) densities, 1/m², with which pairs (m,) draw points on triangles (m,)."""
         column, density = self.column[face], self.density[face]
         known = column >= 0
         density[known] = self.guessed[pair[known], column[known]]
@@ -101,7 +106,10 @@ class Aim:
 def aim(
     caster: Raycaster, scene: Scene, materials: MaterialTable, planes: Floats, x: Ends, v: Ends, samples: int
 ) -> Aim:
-    """For pairs of ends x, v and so many samples in all. planes : (L, 6) positions and normals of laser points."""
+    """The densities for n pairs of laser point x and pixel v.
+
+    planes : (L, 6) positions and normals of the laser points. samples : total number, which limits the guesses.
+    """
     area = np.bincount(scene.face_part, caster.face_area_m2, len(scene.part_names))
     drawn = _lit(caster, scene, planes) & (area > 0)
     drawn = drawn if drawn.any() else area > 0
@@ -123,7 +131,8 @@ def aim(
 
 
 def _guessed(scene: Scene, drawn: Bools, most: int) -> Bools:
-    """(K,) parts for whose triangles guesses are made: of those drawn the ones with the fewest, up to so many."""
+    """(K,) whether the triangles of a part get guesses: of the parts in `drawn` (K,) those with the fewest triangles,
+    as long as these are `most` in all."""
     count = np.bincount(scene.face_part, minlength=len(drawn))
     order = np.argsort(np.where(drawn, count, 0), kind="stable")
     guessed = np.zeros(len(drawn), np.bool_)
@@ -132,7 +141,7 @@ def _guessed(scene: Scene, drawn: Bools, most: int) -> Bools:
 
 
 def _lit(caster: Raycaster, scene: Scene, planes: Floats) -> Bools:
-    """(K,) parts of which a corner of the box about them lies before the tangent plane of a laser point."""
+    """(K,) whether a part may be lit: a corner of its bounding box lies before the tangent plane of a laser point."""
     boxes = np.empty((len(scene.part_names), 2, 3))
     for part in range(len(boxes)):
         corners = caster.corners[scene.face_part == part].reshape(-1, 3)
@@ -143,7 +152,11 @@ def _lit(caster: Raycaster, scene: Scene, planes: Floats) -> Bools:
 
 @compiled()
 def _guesses(kind, values, part, normal, middle, radius, x, v):  # type: ignore[no-untyped-def]
-    """(n, F) f₁ cosθ₁ |cosθ₂| / R₁² · f₂ · |cosθ₂′| cosθ₃ / R₃² · f₃ at the middles of F triangles, for n pairs."""
+    """(n, F) guesses f₁ cosθ₁ |cosθ₂| / R₁² · f₂ · |cosθ₂′| cosθ₃ / R₃² · f₃ for n pairs on F triangles.
+
+    The light of a triangle is that of its middle.
+    radius : (F,) distance from a triangle's middle to its farthest corner, m. Visibility is not checked.
+    """
     out = np.zeros((len(x.part), len(part)))
     row = np.empty(values.shape[1])
     for p in range(len(x.part)):
@@ -156,16 +169,18 @@ def _guesses(kind, values, part, normal, middle, radius, x, v):  # type: ignore[
             d3 = (v.position[p, 0] - middle[i, 0], v.position[p, 1] - middle[i, 1], v.position[p, 2] - middle[i, 2])
             n = (normal[i, 0], normal[i, 1], normal[i, 2])
             up1, up3 = dot(n, d1), dot(n, d3)
+            # Surfaces transmit nothing: laser point and FoV point must lie on one side.
             if up1 * up3 <= 0.0:
                 continue
             if up1 < 0.0:
                 n = (-n[0], -n[1], -n[2])
             r1, r3 = math.sqrt(dot(d1, d1)), math.sqrt(dot(d3, d3))
             w1, w3 = (d1[0] / r1, d1[1] / r1, d1[2] / r1), (d3[0] / r3, d3[1] / r3, d3[2] / r3)
-            # The angle by which the mirror direction and that to the pixel differ from one end to the other.
+            # The angle by which mirror direction and direction to the pixel vary over triangle and patch. A lobe is
+            # widened to it, as a narrow lobe may miss the middle and still be bright elsewhere on the triangle.
             span = radius[i] / r1 + (radius[i] + v.size[p]) / r3
             k = kind[part[i]]
-            # In a loop: the message for arrays that do not fit would be compiled with `row[:] = …`, text and all.
+            # A loop, as `row[:] = …` would also compile the error message for arrays that do not fit.
             for j in range(len(row)):
                 row[j] = values[part[i], j]
             if k in (PHONG, RETROREFLECTOR):
@@ -176,7 +191,7 @@ def _guesses(kind, values, part, normal, middle, radius, x, v):  # type: ignore[
             f3 = evaluate(kind[v.part[p]], values[v.part[p]], n3, (-w3[0], -w3[1], -w3[2]), back3)
             f2 = evaluate(k, row, n, w1, w3)
             cosines = max(-dot(n1, w1), 0.0) * max(-dot(n3, w3), 0.0) * abs(up1 * up3) / (r1 * r3)
-            # Not nearer than its own size: the rest comes by rays.
+            # A triangle counts as no nearer than its own size: rays by the BRDF find the light of nearer places.
             near1, near3 = max(r1, radius[i]), max(r3, radius[i])
             out[p, i] = f1 * f2 * f3 * cosines / (near1 * near1 * near3 * near3)
     return out

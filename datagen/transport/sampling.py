@@ -1,8 +1,8 @@
 """Quasi-random points: Sobol' sequences under independent nested uniform (Owen) scramblings.
 
-Scrambling keeps each point uniform (so every estimate is unbiased), keeps the net (so smooth integrands converge
-faster than 1/√N), and makes repetitions independent (so their spread is a standard error).
-Owen, "Randomly permuted (t,m,s)-nets and (t,s)-sequences" (1995); by hashing after Laine & Karras (2011) and
+Scrambling has three uses: each point is uniform, so every estimate is unbiased; the points stay evenly spread, so the
+error for smooth integrands falls faster than 1/√N; and repetitions are independent, so their spread is a standard
+error. Owen, "Randomly permuted (t,m,s)-nets and (t,s)-sequences" (1995); by hashing after Laine & Karras (2011) and
 Burley, "Practical hash-based Owen scrambling", JCGT 9(4) (2020).
 """
 
@@ -18,7 +18,7 @@ from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 
 BITS = 32
-
+"""Bits of a point's coordinates, and of the index of a point: a sequence has 2³² points."""
 
 _JOE_KUO = (
     (1, 0, (1,)),
@@ -58,13 +58,14 @@ def direction_numbers() -> NDArray[np.uint64]:
     return numbers
 
 
-# numba widens every product of 32-bit words to 64 bits, so words live in 64 bits and are cut back by this mask.
+# numba widens every product of 32-bit words to 64 bits. So words are kept in 64 bits, and this mask cuts them back.
 _WORD = np.uint64(0xFFFFFFFF)
 
 
 @compiled()
 def mix(a: np.uint64, b: np.uint64) -> np.uint64:
-    """Hash two words into one 32-bit word, so that nearby seeds give unrelated streams."""
+    """A 32-bit hash of two words: words that differ little give hashes that have nothing in common."""
+    # Without the added constant two zeros would hash to 0.
     x = (a * np.uint64(0x9E3779B97F4A7C15)) ^ (b + np.uint64(0xD1B54A32D192ED03))
     for _ in range(2):
         x ^= x >> np.uint64(32)
@@ -74,12 +75,14 @@ def mix(a: np.uint64, b: np.uint64) -> np.uint64:
 
 @compiled()
 def word_of(seed: int, row: int, number: int) -> np.uint64:
-    """The word of a number in a row of a stream."""
+    """A 32-bit pseudo-random word: that of index `number` in row `row` of the stream with seed `seed`."""
     return mix(mix(np.uint64(seed), np.uint64(row)), np.uint64(number))
 
 
 @compiled()
 def _reverse_bits(x: np.uint64) -> np.uint64:
+    """The 32-bit word with its bits in reverse order."""
+    # Neighbouring bits change places, then pairs, fours, eights and halves.
     x = ((x >> np.uint64(1)) & np.uint64(0x55555555)) | ((x & np.uint64(0x55555555)) << np.uint64(1))
     x = ((x >> np.uint64(2)) & np.uint64(0x33333333)) | ((x & np.uint64(0x33333333)) << np.uint64(2))
     x = ((x >> np.uint64(4)) & np.uint64(0x0F0F0F0F)) | ((x & np.uint64(0x0F0F0F0F)) << np.uint64(4))
@@ -89,7 +92,9 @@ def _reverse_bits(x: np.uint64) -> np.uint64:
 
 @compiled()
 def _owen(x: np.uint64, seed: np.uint64) -> np.uint64:
-    """Nested uniform scrambling: each bit is flipped by a hash of all higher bits (and the seed)."""
+    """The word under nested uniform scrambling: each bit is flipped by a hash of `seed` and all higher bits."""
+    # Products and sums carry only upwards. On the reversed word each bit therefore depends on the lower ones alone,
+    # which are the higher ones of `x`.
     x = _reverse_bits(x)
     x ^= (x * np.uint64(0x3D20ADEA)) & _WORD
     x = (x + seed) & _WORD
@@ -101,15 +106,16 @@ def _owen(x: np.uint64, seed: np.uint64) -> np.uint64:
 
 @compiled()
 def _fill(numbers: NDArray[np.uint64], first: int, seeds: NDArray[np.uint64], out: Floats) -> None:
+    """Write the points of `scrambled_sobol` to out (scrambling, point, dimension); `first` is the first dimension."""
     streams, count, dimensions = out.shape
     for s in range(streams):
         for d in range(dimensions):
-            # The scrambling hash wants its seed well mixed.
+            # The scrambling hash is good only for seeds whose bits are well mixed.
             seed = mix(seeds[s], np.uint64(first + d + 1))
             x = np.uint64(0)
             for i in range(count):
                 out[s, i, d] = (np.float64(_owen(x, seed)) + 0.5) * 2.0**-BITS
-                # Gray-code order: the next point differs by the direction number of the lowest zero bit of i.
+                # In Gray-code order the next point differs by one direction number: that of the lowest zero bit of i.
                 bit = 0
                 while (i >> bit) & 1:
                     bit += 1
@@ -117,10 +123,9 @@ def _fill(numbers: NDArray[np.uint64], first: int, seeds: NDArray[np.uint64], ou
 
 
 def scrambled_sobol(seeds: NDArray[np.uint64], count: int, dimensions: int, first_dimension: int = 0) -> Floats:
-    """Independent scramblings of a Sobol' sequence.
+    """(s, count, dimensions) points in the open interval (0, 1): s independent scramblings of one Sobol' sequence.
 
-    seeds : (s,) one a scrambling. Returns (s, count, dimensions) in the open interval (0, 1); dimension k
-    is dimension `first_dimension + k` of the sequence.
+    seeds : (s,) one for each scrambling. Dimension k of the result is `first_dimension + k` of the sequence.
     """
     numbers = direction_numbers()
     if first_dimension + dimensions > len(numbers):
@@ -132,10 +137,12 @@ def scrambled_sobol(seeds: NDArray[np.uint64], count: int, dimensions: int, firs
 
 @dataclass(frozen=True)
 class Streams:
-    """Where each of n rows has its random numbers from: one replicate of one laser point (or pixel) each, so that
-    replicates traced together are what they would be one by one.
+    """The random numbers of n rows, each of which is one replicate of one laser point (or pixel).
 
-    replicate, index : (n,) which replicate of which laser point.
+    The numbers of a row depend on its replicate and index alone: replicates that are traced together give the same
+    result as one by one.
+
+    replicate, index : (n,) number of the replicate, and index of the laser point or pixel.
     """
 
     seed: int
@@ -144,28 +151,32 @@ class Streams:
 
     @classmethod
     def of(cls, seed: int, replicates: Ints, index: Ints) -> Streams:
-        """Each replicate of each of some laser points, replicate by replicate."""
+        """Streams with a row for each pair of `replicates` and `index`, sorted by replicate."""
         return cls(seed, np.repeat(replicates, len(index)), np.tile(index, len(replicates)))
 
     def seeds(self, purpose: int, rows: Ints, *more: NDArray[np.integer]) -> NDArray[np.uint64]:
-        """(m,) a seed for each of m rows, each purpose, and each of what else tells them apart."""
+        """(m,) seeds for m of the rows, for a purpose and for further coordinates, each a number or (m,)."""
         return stream_seeds(self.seed, purpose, self.replicate[rows], self.index[rows], *more)
 
 
 def stream_seeds(seed: int, *coordinates: NDArray[np.integer] | int) -> NDArray[np.uint64]:
-    """32-bit seeds as a hash of (seed, coordinates…); coordinates broadcast (laser, replicate, purpose …)."""
+    """(n,) 32-bit seeds, each a hash of (seed, coordinates …), such as purpose, replicate and laser point.
+
+    The coordinates are broadcast against each other; the result is flat.
+    """
     broadcast = np.broadcast_arrays(*[np.asarray(c, np.uint64) for c in coordinates])
     return _hash_all(np.uint64(seed), np.stack([c.ravel() for c in broadcast], axis=1))
 
 
 @compiled()
 def _hash_all(seed: np.uint64, coordinates: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """(n,) 32-bit hashes of `seed` and each row of coordinates (n, k)."""
     out = np.empty(len(coordinates), np.uint64)
     start = (mix(seed >> np.uint64(32), np.uint64(1)) << np.uint64(32)) | mix(seed & _WORD, np.uint64(2))
     for i in range(len(coordinates)):
         h = start
         for k in range(coordinates.shape[1]):
-            # Two words a step keep 64 bits of state between coordinates.
+            # Two hashes at each step keep 64 bits of state, so that few of many rows share a seed.
             h = (mix(h, coordinates[i, k]) << np.uint64(32)) | mix(h + np.uint64(k + 1), ~coordinates[i, k])
         out[i] = h >> np.uint64(32)
     return out

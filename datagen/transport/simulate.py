@@ -1,8 +1,9 @@
-"""The transport: scene and capture in, transient out; and which integrator finds it.
+"""Light transport: from scene and capture to transient, and the choice of the integrator.
 
-With a target (`Accuracy.target`) `error_control/meet_target.py` decides: quadrature where it can, samples for the
-rest. With sample counts everything is path tracing (`path_tracing/`), but for the secondary where `observed` asks for
-the paper's factorised form (`factorised/`), or where path tracing would seldom meet the surfaces that bring it.
+With a target (`Accuracy.target`) `error_control/meet_target.py` chooses: quadrature where that is possible, sampled
+paths for the rest. With sample counts path tracing (`path_tracing/`) computes all components. The one exception is
+the secondary: its factorised form (`factorised/`) is used if `Accuracy.observed` asks for it, or if path tracing
+would seldom meet the surfaces that the secondary comes from.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from datagen.transport.problem import Problem, TallyRows, components_asked
 from datagen.transport.visibility.raycast import Raycaster
 
 OBSERVED_IN_CONTACT = 64
-"""Second hidden vertices for each hidden vertex where the factorised form steps in unasked; half as many halve its
-cost and nearly double its variance."""
+"""Observed points for each lookin where the factorised form is used although `Accuracy.observed` does not ask for it.
+Half as many halve its cost and nearly double its variance."""
 
 
 def simulate(
@@ -104,14 +105,17 @@ def simulate(
 
 
 def _astray(scene: Scene, accuracy: Accuracy, part: Ints) -> str:
-    """What is wrong with laser points (L,) on these parts, −1 for none, in words; empty if nothing is."""
+    """A warning about laser rays that meet nothing or an object instead of the relay wall; empty if all is well.
+
+    part : (L,) index of the part that each laser ray meets, −1 for none.
+    """
     missing = part < 0
     if missing.any():
         return (
             f"{missing.sum()} of {len(part)} laser rays, the first to Laser.targets[{missing.argmax()}], meet "
             "nothing and bring no light; aim them at the relay wall"
         )
-    # Somebody who asks for the first return may well look straight at objects.
+    # A user who asks for direct light may well point the laser at objects on purpose.
     roles = np.array(scene.roles)
     on_object = roles[part] == "object"
     if accuracy.direct or "relay_wall" not in scene.roles or not on_object.any():
@@ -127,9 +131,9 @@ def transient_of(
     scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool = True,
     caster: Raycaster | None = None,
 ) -> Transient:  # fmt: skip
-    """`simulate` of what was checked already, such as the scenes of a dataset; it warns of nothing.
+    """The same as `simulate`, without checks and warnings, for arguments that were checked before.
 
-    caster : of the scene's triangles, where one was made already.
+    caster : the ray caster of the scene, if there is one already.
     """
     if capture.illumination == "flood":
         one_by_one = replace(capture, illumination="scan")
@@ -152,7 +156,7 @@ def prepared(
     scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool,
     caster: Raycaster | None = None,
 ) -> Problem:  # fmt: skip
-    """What `simulate` works with: the scene as the kernels want it, and what is asked of it."""
+    """The problem that the integrators of `simulate` solve."""
     caster = Raycaster(scene) if caster is None else caster
     materials = MaterialTable.of(scene.materials)
     cones = PixelCones.of(capture.sensor)
@@ -171,7 +175,8 @@ def prepared(
 
 
 def _factorises_unasked(problem: Problem) -> bool:
-    """Whether path tracing would seldom meet the surfaces that give the field of view its secondary."""
+    """Whether the secondary needs the factorised form although `Accuracy.observed` does not ask for it: path tracing
+    would seldom meet the surfaces beside the field of view that it comes from."""
     accuracy = problem.accuracy
     unasked = accuracy.target is None and accuracy.observed is None and accuracy.occlusion != "off"
     if not unasked or "secondary" not in problem.tally_rows.components or not factorising(problem.materials).any():
@@ -180,14 +185,18 @@ def _factorises_unasked(problem: Problem) -> bool:
 
 
 def _walked(accuracy: Accuracy, materials: MaterialTable) -> Bools:
-    """(K,) parts whose secondary path tracing finds: all, none, or those that do not factorise."""
+    """(K,) whether path tracing finds the secondary by a part: of all parts, of none, or of those that do not
+    factorise."""
     if accuracy.secondary == "none":
         return np.zeros(len(materials.kind), np.bool_)
     return np.ones(len(materials.kind), np.bool_) if accuracy.observed is None else ~factorising(materials)
 
 
 def _with_factorised(problem: Problem, average: Average) -> Estimate:
-    """What path tracing found, with what the factorised form gives of the secondary; its error is independent."""
+    """The result of path tracing, to which the factorised form adds its part of the secondary.
+
+    Their errors are independent and add up as squares.
+    """
     accuracy, splits = problem.accuracy, problem.tally_rows
     components, parts = split_rows(average.rows, splits)
     stderr, overflow = average.stderr, average.overflow

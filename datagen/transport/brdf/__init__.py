@@ -1,8 +1,8 @@
-"""BRDFs, each with evaluate, sample and pdf, compiled for the transport kernels: one model to a file.
+"""BRDFs for the transport kernels, one model in each file; every model has `evaluate`, `sample` and `pdf`.
 
-A scene's materials become one table (`MaterialTable`): a kind and a row of numbers for each part. Directions are unit
-vectors that point away from the surface; `n` is the unit normal on the side of the incoming light; a direction below
-the surface receives nothing (no transmission).
+The materials of a scene become one table (`MaterialTable`) with a kind and a row of numbers for each part. Directions
+are unit vectors that point away from the surface, and `n` is the unit normal on the side of the incoming light.
+Surfaces do not transmit: a direction below the surface gets no light.
 """
 
 from datagen.transport.brdf.albedo import albedo

@@ -14,7 +14,7 @@ from datagen.transport.brdf import ggx, retroreflector
 from datagen.transport.brdf.table import MaterialTable
 
 GRAZING = 1e-9
-"""Cosine that stands for edge-on incidence where a closed form would divide by it."""
+"""Least cosine of incidence where a closed form divides by the cosine; half of it changes nothing visible."""
 
 
 def albedo(material: Material, cos_in: ArrayLike, azimuth_rad: ArrayLike = math.pi / 2) -> Floats:
@@ -60,17 +60,21 @@ def albedo(material: Material, cos_in: ArrayLike, azimuth_rad: ArrayLike = math.
 
 
 def _positive_part_over_azimuth(a: Floats, b: Floats) -> Floats:
-    """∫ max(a + b cosφ, 0) dφ over a full turn, b ≥ 0."""
+    """The integral ∫ max(a + b cosφ, 0) dφ over a full turn, for arrays a and b ≥ 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         edge = np.arccos(np.clip(np.where(b > 0, -a / b, np.where(a > 0, -1.0, 1.0)), -1.0, 1.0))
     return np.asarray(2 * (a * edge + b * np.sin(edge)))
 
 
 def _phong_lobe(exponent: float, cosine: Floats) -> Floats:
-    """(n + 2)/(2π) ∫ cosⁿα cosθ dω, split where part of the lobe begins to dip below the surface."""
+    """Albedo (n + 2)/(2π) ∫ cosⁿα cosθ dω of a Phong lobe at some cosines of incidence.
+
+    The integral over α is split at the angle from which part of the lobe lies below the surface.
+    """
     nodes, weights = ggx.unit_gauss(96)
     sine = np.sqrt(1 - cosine**2)
-    # In p = cos^(n+1) α the lobe is flat; nodes drawn towards the ends of both pieces, where roots begin.
+    # The lobe is constant in p = cos^(n+1) α. Easing moves nodes towards the ends of both pieces, where the integrand
+    # begins like a square root.
     bend = sine ** (exponent + 1)
     total = np.zeros_like(cosine)
     for x, weight in zip(nodes, weights, strict=True):
@@ -83,7 +87,10 @@ def _phong_lobe(exponent: float, cosine: Floats) -> Floats:
 
 
 def _retro_lobe(half_width_rad: float, cosine: Floats) -> Floats:
-    """∫ D min(1, cosθ_out / cosθ_in) dω: the difference of two positive parts."""
+    """Albedo ∫ D min(1, cosθ_out / cosθ_in) dω of a retroreflector's lobe at some cosines of incidence.
+
+    The minimum is the difference of two positive parts, max(cosθ_out, 0) and max(cosθ_out − cosθ_in, 0).
+    """
     kappa = retroreflector.concentration(half_width_rad)
     cosine = np.maximum(cosine, GRAZING)
     sine = np.sqrt(1 - cosine**2)
@@ -98,7 +105,7 @@ def _retro_lobe(half_width_rad: float, cosine: Floats) -> Floats:
 
 
 def _ggx(material: GGX, cosine: Floats) -> Floats:
-    """Single scattering by quadrature, multiple scattering in closed form of its table."""
+    """Albedo of GGX facets at some cosines: single scattering by quadrature, multiple scattering from its table."""
     row = MaterialTable.of((material,)).values[0]
     gauss = ggx.unit_gauss(64)
     single = [ggx.single_albedo(row[1], row[2], c, gauss) for c in cosine.ravel()]

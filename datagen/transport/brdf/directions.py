@@ -1,4 +1,4 @@
-"""Unit vectors as tuples: products, frames about a normal, cosine-distributed directions."""
+"""Vectors as tuples: scalar product, frames about a normal, cosine-distributed directions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ def dot(a: Vector, b: Vector) -> float:
 
 @compiled()
 def sample_cosine(n: Vector, u: float, v: float) -> Vector:
-    """Direction about `n` with density cosθ/π, by Malley's projection of Shirley's concentric disk map."""
+    """Unit direction about `n` with density cosθ/π, from a point (u, v) of the unit square.
+
+    Malley's projection of a disk onto the hemisphere, after Shirley's concentric map from the square onto the disk.
+    """
+    # Concentric squares become concentric circles, so that points spread evenly on the square stay so on the disk.
     a, b = 2.0 * u - 1.0, 2.0 * v - 1.0
     if abs(a) > abs(b):
         radius, angle = a, (math.pi / 4.0) * (b / a)
@@ -33,7 +37,7 @@ def sample_cosine(n: Vector, u: float, v: float) -> Vector:
 @compiled()
 def in_frame_of(n: Vector, x: float, y: float, z: float) -> Vector:
     """The vector with components x, y, z in a right-handed frame whose third axis is the unit vector `n`."""
-    # Without a branch on n's largest component: Duff et al., JCGT 6(1) (2017).
+    # Duff et al., JCGT 6(1) (2017), which needs no branch on the largest component of n.
     sign = 1.0 if n[2] >= 0.0 else -1.0
     p = -1.0 / (sign + n[2])
     q = n[0] * n[1] * p
@@ -46,7 +50,8 @@ def in_frame_of(n: Vector, x: float, y: float, z: float) -> Vector:
 
 @compiled()
 def around(axis: Vector, one_minus_cos: float, revolutions: float) -> Vector:
-    """The direction at the angle arccos(1 − `one_minus_cos`) from `axis`, at azimuth 2π · `revolutions` about it."""
+    """The unit direction at the angle arccos(1 − `one_minus_cos`) from `axis`, and at azimuth 2π · `revolutions`."""
+    # 1 − cos rather than cos: close to the axis the sine would lose its digits.
     cosine, azimuth = 1.0 - one_minus_cos, 2.0 * math.pi * revolutions
     sine = math.sqrt(max(one_minus_cos * (1.0 + cosine), 0.0))
     return in_frame_of(axis, sine * math.cos(azimuth), sine * math.sin(azimuth), cosine)
@@ -54,7 +59,7 @@ def around(axis: Vector, one_minus_cos: float, revolutions: float) -> Vector:
 
 @compiled()
 def cosine_directions(normals: Floats, points: Floats) -> Floats:
-    """(n, 3) directions about (n, 3) normals from (n, ≥ 2) points, of which the first two coordinates are used."""
+    """(n, 3) cosine-distributed unit directions about normals (n, 3), from two numbers of each row of `points`."""
     out = np.empty((len(points), 3))
     for i in range(len(points)):
         n = (normals[i, 0], normals[i, 1], normals[i, 2])

@@ -1,14 +1,17 @@
-"""Mirror facets with the GGX distribution (`records.GGX`). Row: albedo, α, f0, Ē, E at `NODES` incidences, and the
-`PANELS` shares of multiple scattering between them, summed up.
+"""Mirror facets with the GGX distribution (`records.GGX`).
+
+Row: albedo, α, f0, Ē, E at `NODES` angles of incidence, and for `PANELS` panels between them the running shares of
+the light of multiple scattering that leaves in them.
 
 With S(c) = √(α² + (1 − α²) c²) the Smith terms need no division by a cosine (Heitz, JCGT 3(2) (2014)):
 
     G₂ / (4 cosθ_in cosθ_out) = 1 / (2 (cosθ_out S(cosθ_in) + cosθ_in S(cosθ_out)))
     G₁ / cosθ = 2 / (cosθ + S(cosθ))
 
-Facets are drawn from those visible (Heitz, JCGT 7(4) (2018)). What single scattering loses comes back as the
-separable term of Kulla & Conty (SIGGRAPH 2017 course), (1 − E(θ_in)) (1 − E(θ_out)) / (π (1 − Ē)), from a table of
-the directional albedo E of white facets, and is drawn from that table too: of a smooth surface it leaves at grazing.
+`sample` draws facets in proportion to their visible area (Heitz, JCGT 7(4) (2018)). The light that single scattering
+loses is added by the separable term of Kulla & Conty (SIGGRAPH 2017 course), (1 − E(θ_in)) (1 − E(θ_out)) /
+(π (1 − Ē)), with a table of the directional albedo E of white facets. `sample` draws its directions from this table,
+too, as on a smooth surface they are grazing.
 """
 
 from __future__ import annotations
@@ -23,20 +26,24 @@ from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, around, dot, in_frame_of
 
 PANELS = 32
+"""Panels of the table, with a parabola in each; half as many make interpolation about eight times less precise."""
 NODES = 2 * PANELS + 1
 FIRST_NODE = 4
 FIRST_SHARE = FIRST_NODE + NODES
 MARGIN = 1e-4
-"""Added to the tabulated E, more than interpolation can miss, so that the two terms never exceed 1."""
+"""Added to the tabulated E, more than interpolation can miss, so that the albedo never exceeds 1. Half of it would
+halve the light that this takes away, but may be less than interpolation misses."""
 
 
 @compiled()
 def _smith_root(alpha: float, cosine: float) -> float:
+    """S(c) of the module's docstring."""
     return math.sqrt(alpha * alpha + (1.0 - alpha * alpha) * cosine * cosine)
 
 
 @compiled()
 def _schlick(f0: float, cosine: float) -> float:
+    """Schlick's approximation to Fresnel reflectance; `cosine` is that between light and facet normal."""
     away = 1.0 - min(max(cosine, 0.0), 1.0)
     return f0 + (1.0 - f0) * away * away * away * away * away
 
@@ -44,16 +51,19 @@ def _schlick(f0: float, cosine: float) -> float:
 @compiled()
 def _visible_facet(alpha: float, w: Vector, u: float, v: float) -> Vector:
     """Facet normal drawn in proportion to its area seen from `w`; both in the surface's frame, w[2] ≥ 0."""
+    # Stretched to α = 1, the facets are those of a hemisphere, whose projection along `w` is easily drawn from.
     stretched = (alpha * w[0], alpha * w[1], w[2])
     length = math.sqrt(dot(stretched, stretched))
     h = (stretched[0] / length, stretched[1] / length, stretched[2] / length)
     across = math.sqrt(h[0] * h[0] + h[1] * h[1])
     t = (-h[1] / across, h[0] / across, 0.0) if across > 0.0 else (1.0, 0.0, 0.0)
     b = (h[1] * t[2] - h[2] * t[1], h[2] * t[0] - h[0] * t[2], h[0] * t[1] - h[1] * t[0])
+    # A point uniform on the disk, squeezed to the visible part of the hemisphere's projection.
     radius, angle = math.sqrt(u), 2.0 * math.pi * v
     p, q = radius * math.cos(angle), radius * math.sin(angle)
     lit = 0.5 * (1.0 + h[2])
     q = (1.0 - lit) * math.sqrt(max(1.0 - p * p, 0.0)) + lit * q
+    # Back onto the hemisphere, and from the hemisphere to the facets.
     r = math.sqrt(max(1.0 - p * p - q * q, 0.0))
     x, y = alpha * (p * t[0] + q * b[0] + r * h[0]), alpha * (p * t[1] + q * b[1] + r * h[1])
     z = max(p * t[2] + q * b[2] + r * h[2], 1e-30)
@@ -65,12 +75,13 @@ def _visible_facet(alpha: float, w: Vector, u: float, v: float) -> Vector:
 def _facet_and_density(
     alpha: float, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
 ) -> tuple[float, float]:
-    """Cosine between the light and the facet that mirrors it, and the distribution D of that facet."""
+    """Cosine between the light and the normal of the facet that mirrors it, and the density D of these facets."""
     h = (w_in[0] + w_out[0], w_in[1] + w_out[1], w_in[2] + w_out[2])
     length = math.sqrt(dot(h, h))
     if length == 0.0:
         return 0.0, 0.0
-    # Both products of the half vector with the light are the same cosine; the mean is symmetric to rounding.
+    # The half vector makes the same angle with both directions; half its length before scaling is the cosine, which
+    # is the same to the last bit if the two directions change places.
     to_facet = 0.5 * length
     facet_cos = min((cos_in + cos_out) / length, 1.0)
     spread = facet_cos * facet_cos * (alpha * alpha - 1.0) + 1.0
@@ -79,19 +90,21 @@ def _facet_and_density(
 
 @compiled()
 def place(alpha: float, cosine: float) -> float:
-    """The table's coordinate 0 … `PANELS` of an incidence: it spreads the steep rise from grazing, cosθ ≲ α."""
+    """Coordinate of the table, 0 … `PANELS`, for a cosine of incidence."""
+    # It spreads the cosines below α, where E rises steeply from grazing incidence.
     return math.sqrt(min(cosine * (1.0 + alpha) / (cosine + alpha), 1.0)) * PANELS
 
 
 @compiled()
 def _cosine_at(alpha: float, place: float) -> float:
+    """The cosine of incidence at a coordinate of the table, the inverse of `place`."""
     square = (place / PANELS) * (place / PANELS)
     return min(alpha * square / (1.0 + alpha - square), 1.0)
 
 
 @compiled()
 def tabulated(values: Floats, cosine: float) -> float:
-    """E between the nodes: a parabola over each panel."""
+    """E at a cosine of incidence, interpolated by a parabola through the three nodes of each panel."""
     position = place(values[1], cosine)
     panel = min(int(position), PANELS - 1)
     t, node = position - panel, FIRST_NODE + 2 * panel
@@ -103,18 +116,20 @@ def tabulated(values: Floats, cosine: float) -> float:
 
 @compiled()
 def _multiple_pdf(values: Floats, cos_out: float) -> float:
-    """Density of the directions drawn for multiple scattering: even in the table's coordinate within each panel."""
+    """Density of directions drawn for multiple scattering, 1/sr: within a panel uniform in the table's coordinate."""
     alpha = values[1]
     position = place(alpha, cos_out)
     panel = min(int(position), PANELS - 1)
     below = values[FIRST_SHARE + panel - 1] if panel > 0 else 0.0
-    # dc of the coordinate that `place` is: with x = place / PANELS, dx/dc = α (1 + α) / (2 x (c + α)²).
+    # From a density in the coordinate to one in the cosine c: with x = place / PANELS, dx/dc = α (1 + α) / (2 x (c +
+    # α)²).
     slope = 0.5 * alpha * (1.0 + alpha) * PANELS * PANELS / (position * (cos_out + alpha) * (cos_out + alpha))
     return float((values[FIRST_SHARE + panel] - below) * slope / (2.0 * math.pi))
 
 
 @compiled()
 def _multiple_cosine(values: Floats, u: float) -> float:
+    """Cosine of a direction of multiple scattering, drawn by a number u in 0 … 1."""
     panel, below = 0, 0.0
     while panel < PANELS - 1 and u >= values[FIRST_SHARE + panel]:
         below = values[FIRST_SHARE + panel]
@@ -125,7 +140,11 @@ def _multiple_cosine(values: Floats, u: float) -> float:
 
 @compiled()
 def multiple_share(f0: float, mean: float) -> float:
-    """Share of the light lost to single scattering that leaves in the end: geometric series of Fresnel's mean."""
+    """Share of the light lost to single scattering that leaves after further reflections, 0 … 1.
+
+    `mean` is Ē. At each reflection the mean Fresnel reflectance is kept and Ē of it leaves: a geometric series.
+    """
+    # The cosine-weighted mean of Schlick's approximation.
     fresnel = (1.0 + 20.0 * f0) / 21.0
     return fresnel * fresnel * mean / (1.0 - fresnel * (1.0 - mean))
 
@@ -151,8 +170,8 @@ def _of_facets(values: Floats, to_facet: float, facets: float, cos_in: float, co
 def at_most(
     values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
 ) -> float:
-    """`models.evaluate_at_most`: the half vector turns by the sum of what its two directions turn, over the length
-    of their sum."""
+    """`models.evaluate_at_most` for GGX."""
+    # The half vector turns by at most `turn`, the sum of the two directions' turns, over the length of their sum.
     alpha = values[1]
     sum_length = math.sqrt(max(2.0 + 2.0 * dot(w_in, w_out), 1e-12))
     facet_angle = math.acos(min((cos_in + cos_out) / sum_length, 1.0)) - turn / sum_length - tilt
@@ -164,7 +183,9 @@ def at_most(
 
 @compiled()
 def _facet_share(values: Floats, cos_in: float) -> float:
-    """How often `sample` draws a facet rather than a direction of multiple scattering."""
+    """Share of directions that `sample` draws by a facet; the others are directions of multiple scattering."""
+    # In proportion to the light of each. The Fresnel factor of single scattering is only estimated: any share is
+    # valid.
     f0, once = values[2], tabulated(values, cos_in)
     single = max(_schlick(f0, cos_in), (1.0 + 20.0 * f0) / 21.0) * once
     return float(single / (single + multiple_share(f0, values[3]) * (1.0 - once)))
@@ -185,7 +206,7 @@ def sample(values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: 
     share = _facet_share(values, cos_in)
     if u >= share and share < 1.0:
         return around(n, 1.0 - _multiple_cosine(values, (u - share) / (1.0 - share)), v)
-    # The surface's own frame, by its axes: no model property depends on their azimuth.
+    # The azimuth of the surface's frame is arbitrary, as facets have no preferred azimuth.
     across, along = in_frame_of(n, 1.0, 0.0, 0.0), in_frame_of(n, 0.0, 1.0, 0.0)
     local = (dot(across, w_in), dot(along, w_in), cos_in)
     h = _visible_facet(values[1], local, u / share, v)
@@ -195,11 +216,12 @@ def sample(values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: 
 
 @compiled()
 def single_albedo(alpha: float, f0: float, cos_in: float, gauss: Floats) -> float:
-    """Directional albedo of single scattering, ∫ F D G₂ / (4 cosθ_in) dω_out, over facets rather than directions.
+    """Directional albedo of single scattering, ∫ F D G₂ / (4 cosθ_in) dω_out.
 
-    Facets of slope t = tanθ_h weigh D cosθ_h dω = du dφ/(2π) with u = t²/(α² + t²); the azimuths at which they send
-    light above the surface are an interval about the light's own: all of them up to θ_h = (π/2 − θ_in)/2, none from
-    (π/2 + θ_in)/2. So both integrals run over smooth pieces. `gauss` (2, k): nodes in 0 … 1, weights that sum to 1.
+    The integral runs over facets rather than directions. Facets of slope t = tanθ_h have the weight
+    D cosθ_h dω = du dφ/(2π) with u = t²/(α² + t²). They send light above the surface at an interval of azimuths about
+    that of the light: at all azimuths up to θ_h = (π/2 − θ_in)/2, at none from (π/2 + θ_in)/2 on. So the integrals
+    over both pieces in between are smooth. gauss : (2, k) nodes in 0 … 1, and weights that sum to 1.
     """
     theta_in = math.acos(min(cos_in, 1.0))
     sin_in, root_in = math.sin(theta_in), _smith_root(alpha, cos_in)
@@ -209,19 +231,22 @@ def single_albedo(alpha: float, f0: float, cos_in: float, gauss: Floats) -> floa
         if not end > start:
             continue
         for i in range(gauss.shape[1]):
-            # u = sin²y, and nodes drawn towards both ends of the piece, where the interval opens like a root.
+            # u = sin²y. Easing moves nodes towards both ends of the piece, where the interval of azimuths opens like
+            # a square root.
             z = gauss[0, i]
             y = start + (end - start) * z * z * (3.0 - 2.0 * z)
             weight = gauss[1, i] * (end - start) * 6.0 * z * (1.0 - z) * 2.0 * math.sin(y) * math.cos(y)
             slope = alpha * math.tan(y)
             cos_facet = 1.0 / math.sqrt(1.0 + slope * slope)
             sin_facet, opening = slope * cos_facet, math.pi
+            # Only azimuths about the light's send it above the surface.
             if piece == 1:
                 least = cos_in * (1.0 - 2.0 * cos_facet * cos_facet)
                 opening = math.acos(min(max(least / (2.0 * cos_facet * sin_facet * sin_in), -1.0), 1.0))
             for k in range(gauss.shape[1]):
                 to_facet = sin_in * sin_facet * math.cos(opening * gauss[0, k]) + cos_in * cos_facet
                 cos_out = max(2.0 * to_facet * cos_facet - cos_in, 0.0)
+                # Rounding at the end of the interval may leave nothing.
                 if cos_out > 0.0:
                     masking = 2.0 * cos_out / (cos_out * root_in + cos_in * _smith_root(alpha, cos_out))
                     share = weight * gauss[1, k] * opening / (math.pi * cos_facet)
@@ -241,12 +266,13 @@ def unit_gauss(count: int) -> Floats:
 
 @lru_cache(maxsize=256)
 def white_table(alpha: float) -> tuple[float, ...]:
-    """Ē, E at the nodes, and the running shares of what E leaves: a row of the table from its fourth number on."""
+    """The numbers of a row from the fourth on: Ē, E at the nodes, and running shares of the light that E loses."""
     gauss = unit_gauss(32)
     places = np.linspace(0.0, PANELS, NODES)
     table = [single_albedo(alpha, 1.0, _cosine_at(alpha, p), gauss) + MARGIN for p in places]
     row = np.array([1.0, alpha, 1.0, 0.0, *table])
-    # Ē = ∫ 2c E dc of the interpolated E, so that what both terms return adds up; panel by panel in its coordinate.
+    # Ē = ∫ 2c E dc is taken of the interpolated E, so that both terms of the BRDF add up to albedo 1. Quadrature runs
+    # panel by panel in the table's coordinate.
     x, weight = unit_gauss(8)
     within = (np.arange(PANELS)[:, None] + x) / PANELS
     cosines = alpha * within**2 / (1.0 + alpha - within**2)

@@ -1,8 +1,8 @@
-"""Which model answers: evaluate, pdf and sample by the kind of a material. Lambert's law comes first and alone.
+"""evaluate, pdf and sample of any material, by its kind.
 
-Loops in which a call to another model merely stands, never made, run at half the speed and take longer to compile. So
-the type of `kind` tells the compiler what it may meet: `MaterialTable` gives a scene of Lambertian parts 8-bit kinds,
-and its loops are compiled without the other models.
+A loop that contains a call to a model other than Lambert's law runs at half the speed, even if it never makes the
+call, and takes longer to compile. So the type of `kind` tells the compiler which models can occur: `MaterialTable`
+uses 8-bit kinds for a scene of Lambertian parts alone, whose loops are compiled without the other models.
 """
 
 from __future__ import annotations
@@ -26,10 +26,12 @@ R = TypeVar("R")
 
 @compiled(inline="always")
 def evaluate(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
-    """BRDF in 1/sr for light that comes from `w_in` and leaves along `w_out`; 0 where either is below the surface."""
+    """BRDF, 1/sr, for light that comes from `w_in` and leaves along `w_out`; 0 where either is below the surface."""
+    # Surfaces do not transmit. Here, once for all models, which may then divide by both cosines.
     cos_in, cos_out = dot(n, w_in), dot(n, w_out)
     if cos_in <= 0.0 or cos_out <= 0.0:
         return 0.0
+    # Lambert's law needs no call, which matters in the innermost loops of most scenes.
     if kind == LAMBERTIAN:
         return float(values[0] / math.pi)
     return _other_brdf(kind, values, n, w_in, w_out, cos_in, cos_out)
@@ -39,14 +41,16 @@ def evaluate(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) 
 def evaluate_at_most(
     kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector, turn: float, tilt: float
 ) -> float:
-    """The largest BRDF, 1/sr, of a piece of surface, though no direction that was tried may meet its lobe.
+    """The largest BRDF, 1/sr, that a piece of surface may have, even if its lobe lies between the directions tried.
 
-    turn : by how much the directions of incidence and exitance deviate from `w_in` and `w_out` over the piece, both
-        together, rad. tilt : by how much its normals deviate from `n`, rad.
+    turn : sum of the angles by which the directions of incidence and exitance deviate from `w_in` and `w_out` over
+        the piece, rad. tilt : angle by which its normals deviate from `n`, rad.
 
-    A bound for Phong's and retroreflectors' lobes and for facets (GGX) but for their cosines, which vary slowly; what
-    `evaluate` gives for a rough matt surface, which has no lobe. 0 where either direction is below the surface.
+    For the lobes of Phong, retroreflectors and GGX facets it is a bound, except that their cosine factors, which vary
+    slowly, are taken at `w_in` and `w_out`. For a rough matt surface, which has no lobe, it is `evaluate`. It is 0
+    where either direction is below the surface.
     """
+    # Lambert's law has no lobe that could be missed.
     if kind == LAMBERTIAN:
         return evaluate(kind, values, n, w_in, w_out)
     return _other_at_most(kind, values, n, w_in, w_out, turn, tilt)
@@ -58,6 +62,7 @@ def pdf(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> fl
 
     The integral over the hemisphere is less than 1 by the share of draws that `sample` loses below the surface.
     """
+    # Such draws carry no light, so their density is never needed.
     cos_out = dot(n, w_out)
     if cos_out <= 0.0:
         return 0.0
@@ -68,8 +73,10 @@ def pdf(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> fl
 
 @compiled()
 def sample(kind: int, values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vector:
-    """Draw `w_out` with density `pdf` from a point (u, v) of the unit square; it may lie below the surface, where
-    `evaluate` is 0."""
+    """A unit direction `w_out` drawn with density `pdf` from a point (u, v) of the unit square.
+
+    It may lie below the surface, where `evaluate` is 0.
+    """
     if kind == LAMBERTIAN:
         return sample_cosine(n, u, v)
     return _other_sample(kind, values, n, w_in, dot(n, w_in), u, v)
@@ -112,7 +119,8 @@ def _other_evaluated_at_most(
 def _pdf_other(
     kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
 ) -> float:
-    # Light edge-on by rounding: nothing is reflected, and `sample` answers likewise.
+    # Rounding may put the light below the surface, for which the models have no density: `evaluate` is then 0, and
+    # `_sample_other` draws by the cosine, too.
     if cos_in <= 0.0:
         return cos_out / math.pi
     if kind == SIN_LOBE:
@@ -142,7 +150,7 @@ def _sample_other(kind: int, values: Floats, n: Vector, w_in: Vector, cos_in: fl
 
 
 def _unless_lambertian(answer: Callable[P, R], otherwise: Callable[..., R]) -> Callable[P, R]:
-    """For compiled code: `answer`, or `otherwise` where the type of `kind` says that there is no other model."""
+    """A function for compiled code: `answer`, or `otherwise` if the type of `kind` is that of a Lambertian scene."""
 
     def chosen(*arguments: P.args, **_: P.kwargs) -> R:
         raise NotImplementedError("compiled code only")

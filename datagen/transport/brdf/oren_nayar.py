@@ -6,7 +6,7 @@ Portsmouth, Kutz & Hill, JCGT 14(1) (2025), for white facets:
     t = max(cosθ_in, cosθ_out) where s > 0, else 1;   A = 1 / (1 + (1/2 − 2/(3π)) r)
 
 E is the directional albedo of the first term, Ē its cosine-weighted mean; both have closed forms, and the second term
-returns exactly what the first loses.
+adds exactly the light that the first loses.
 """
 
 from __future__ import annotations
@@ -18,20 +18,23 @@ from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
 
 LOSS = 0.5 - 2.0 / (3.0 * math.pi)
+"""The coefficient of r in 1/A, a number of the model."""
 MEAN_GAIN = 2.0 / 3.0 - 28.0 / (15.0 * math.pi)
+"""The coefficient of r in Ē / A, a number of the model."""
 
 
 def roughness(sigma_rad: float) -> float:
-    """The r for which both terms are in the proportion that Oren & Nayar's qualitative model gives them, B/A."""
+    """The roughness r with which both summands of the first term have the ratio B/A of Oren & Nayar's qualitative
+    model for facets whose slope angles have the standard deviation `sigma_rad`."""
     square = sigma_rad**2
     return (0.45 * square / (square + 0.09)) / (1.0 - 0.5 * square / (square + 0.33))
 
 
 @compiled()
 def single_albedo(r: float, cosine: float) -> float:
-    """E: directional albedo of single scattering from white facets."""
+    """E, the directional albedo of single scattering from white facets, at a cosine of incidence."""
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    # (1 − sin³)/cos written without the division, which is 0/0 at grazing incidence.
+    # (1 − sin³)/cos, written without this division, which is 0/0 at grazing incidence.
     rise = cosine * (1.0 + sine + sine * sine) / (1.0 + sine)
     g = sine * (math.acos(min(cosine, 1.0)) - sine * cosine) + (2.0 / 3.0) * sine * (rise - 1.0)
     return min((1.0 + r * g / math.pi) / (1.0 + LOSS * r), 1.0)
@@ -43,6 +46,7 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
     r = values[1]
     s = dot(w_in, w_out) - cos_in * cos_out
     single = (1.0 + r * (s / max(cos_in, cos_out) if s > 0.0 else s)) / (1.0 + LOSS * r)
+    # The mean loss 1 − Ē. A smooth surface loses nothing, and 0/0 must not arise.
     lost = 1.0 - (1.0 + MEAN_GAIN * r) / (1.0 + LOSS * r)
     multiple = (1.0 - single_albedo(r, cos_in)) * (1.0 - single_albedo(r, cos_out)) / lost if lost > 1e-12 else 0.0
     return float(values[0] / math.pi * (single + multiple))
@@ -50,7 +54,8 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
 
 @compiled()
 def _uniform_share(r: float, cos_in: float) -> float:
-    """How often `sample` draws evenly from the hemisphere: at grazing incidence most light leaves at grazing."""
+    """Share of directions that `sample` draws uniformly: at grazing incidence most light leaves at grazing angles,
+    where cosine-distributed directions are rare."""
     return 0.5 * r * (1.0 - cos_in)
 
 

@@ -13,6 +13,7 @@ from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
 def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     exponent, specular = values[1], values[2]
+    # Cosine between `w_out` and the mirror direction 2 cosθ_in n − w_in, which need not be computed for it.
     from_mirror = 2.0 * cos_in * cos_out - dot(w_in, w_out)
     lobe = (exponent + 2.0) / (2.0 * math.pi) * from_mirror**exponent if from_mirror > 0.0 else 0.0
     return float(values[0] * (specular * lobe + (1.0 - specular) / math.pi))
@@ -22,7 +23,7 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
 def at_most(
     values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
 ) -> float:
-    """`models.evaluate_at_most`: the mirror direction turns twice as far as the normal."""
+    """`models.evaluate_at_most` for Phong: the mirror direction turns twice as far as the normal."""
     exponent, specular = values[1], values[2]
     from_mirror = 2.0 * cos_in * cos_out - dot(w_in, w_out)
     angle = math.acos(min(max(from_mirror, -1.0), 1.0)) - turn - 2.0 * tilt
@@ -49,5 +50,5 @@ def sample(values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vecto
         return sample_cosine(n, (u - specular) / (1.0 - specular), v)
     twice = 2.0 * dot(n, w_in)
     mirror = (twice * n[0] - w_in[0], twice * n[1] - w_in[1], twice * n[2] - w_in[2])
-    # cos α = u^(1/(n+1)); of a narrow lobe 1 − cos α keeps its digits.
+    # cos α = u^(1/(n+1)), taken as 1 − cos α, which keeps its digits in a narrow lobe.
     return around(mirror, -math.expm1(math.log(max(u / specular, 1e-300)) / (exponent + 1.0)), v)

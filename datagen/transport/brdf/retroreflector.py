@@ -16,8 +16,8 @@ def concentration(half_width_rad: float) -> float:
 
 @compiled()
 def density(kappa: float, w_in: Vector, w_out: Vector) -> float:
-    """Von Mises and Fisher's density on the sphere about `w_in`, 1/sr."""
-    # 1 − cos of the angle as |difference|²/2, which keeps its digits for a narrow lobe.
+    """The von Mises–Fisher density on the sphere about `w_in`, 1/sr."""
+    # 1 − cos of the angle is |w_in − w_out|²/2, which keeps its digits in a narrow lobe.
     d = (w_in[0] - w_out[0], w_in[1] - w_out[1], w_in[2] - w_out[2])
     one_minus_cos = 0.5 * (d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
     return kappa / (2.0 * math.pi * -math.expm1(-2.0 * kappa)) * math.exp(-kappa * one_minus_cos)
@@ -33,7 +33,7 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
 
 @compiled()
 def at_most(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float) -> float:
-    """`models.evaluate_at_most`: the lobe knows no normal."""
+    """`models.evaluate_at_most` for retroreflectors: the lobe does not depend on the normal."""
     kappa, retro = values[1], values[2]
     angle = max(math.acos(min(max(dot(w_in, w_out), -1.0), 1.0)) - turn, 0.0)
     lobe = kappa / (2.0 * math.pi * -math.expm1(-2.0 * kappa)) * math.exp(-2.0 * kappa * math.sin(0.5 * angle) ** 2)

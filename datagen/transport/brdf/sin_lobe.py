@@ -9,14 +9,17 @@ from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
 
 MEAN_SINE = 2.0 / math.pi
-"""Mean of |sin θ| over all azimuths, which stands where an azimuth has no meaning."""
+"""Mean of |sin θ| over all azimuths, used where the azimuth is undefined."""
 ALONG_SQUARED = 1e-12
-"""Squared length of a projection on the surface below which its direction is taken for rounding noise."""
+"""Squared length of a projection on the surface below which its direction counts as rounding noise and the azimuth as
+undefined; half of it moves that limit to directions closer to the normal by 1/√2."""
 
 
 @compiled()
 def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
-    """|sin θ| of the azimuth of `w` about the normal, from the projection of `axis` on the surface."""
+    """|sin θ| of the azimuth θ of `w` about the normal, measured from the projection of `axis` on the surface."""
+    # By the projections of `axis` and `w`: the sine follows from their vector product without a trigonometric
+    # function.
     along_axis, along_w = dot(axis, n), dot(w, n)
     t = (axis[0] - along_axis * n[0], axis[1] - along_axis * n[1], axis[2] - along_axis * n[2])
     p = (w[0] - along_w * n[0], w[1] - along_w * n[1], w[2] - along_w * n[2])
@@ -36,7 +39,8 @@ def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
 
 @compiled()
 def at_most(values: Floats, n: Vector, w_in: Vector, w_out: Vector, turn: float, tilt: float) -> float:
-    """`models.evaluate_at_most`: an azimuth turns by the angle over the sine of the polar one."""
+    """`models.evaluate_at_most` for SinLobe."""
+    # An azimuth turns by the turn of its direction, over the sine of the direction's polar angle.
     axis, away = (values[1], values[2], values[3]), turn + tilt
     both = 1.0
     for w in (w_in, w_out):

@@ -1,4 +1,4 @@
-"""A scene's materials as plain numbers for the compiled loops."""
+"""The materials of a scene as plain numbers for compiled loops."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from datagen.transport.brdf import ggx, oren_nayar, retroreflector
 
 LAMBERTIAN, SIN_LOBE, PHONG, OREN_NAYAR, GGX_LOBE, RETROREFLECTOR = range(6)
 NARROWEST_ROW = 4
+"""Least number of columns of a table, enough for most models; half of it would only make some tables narrower."""
 
 
 class Materials(NamedTuple):
-    """A `MaterialTable` as compiled loops take it; its fields."""
+    """The fields of a `MaterialTable` as a tuple, which compiled loops can take."""
 
     kind: Ints | NDArray[np.uint8]
     values: Floats
@@ -26,10 +27,10 @@ class Materials(NamedTuple):
 
 @dataclass(frozen=True)
 class MaterialTable:
-    """What each of K parts is made of.
+    """The materials of K parts.
 
-    kind : (K,) int64, or uint8 where all are Lambertian, for which the loops are then compiled (see `models.py`).
-    values : (K, ≥ 4) float64, the albedo first, then what the kind needs.
+    kind : (K,) int64; uint8 if all parts are Lambertian, for which loops are compiled apart (see `models.py`).
+    values : (K, ≥ 4) float64, the albedo first, then the parameters that the kind needs.
     """
 
     kind: Ints | NDArray[np.uint8]
@@ -37,7 +38,10 @@ class MaterialTable:
 
     @classmethod
     def of(cls, materials: tuple[Material, ...]) -> MaterialTable:
-        """Raises `InputError` for a material the transport does not know."""
+        """The table of some materials, one for each part.
+
+        Raises `InputError` for a material that the transport does not know.
+        """
         described = [_described(material) for material in materials]
         values = np.zeros((len(described), max([NARROWEST_ROW, *(len(row) for _, row in described)])))
         for place, (_, row) in zip(values, described, strict=True):
@@ -47,12 +51,12 @@ class MaterialTable:
 
     @property
     def arrays(self) -> Materials:
-        """The same for compiled loops."""
+        """The table for compiled loops."""
         return Materials(self.kind, self.values)
 
 
 def _described(material: Material) -> tuple[int, tuple[float, ...]]:
-    """Kind and row; the layout of each row stands at the head of its model's file."""
+    """Kind and row of a material; the docstring of each model's file gives the order of its row."""
     match material:
         case Lambertian() | Phong(exponent=0):
             return LAMBERTIAN, (material.albedo,)

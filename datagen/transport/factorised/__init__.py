@@ -1,1 +1,1 @@
-"""The secondary as a convolution in time of what arrives at a lookin and what leaves it."""
+"""The secondary as a convolution in time: light that arrives at a hidden vertex with light that leaves it."""

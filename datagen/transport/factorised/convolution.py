@@ -1,17 +1,19 @@
-"""What arrives at a lookin, convolved in time with what leaves it.
+"""Light that arrives at a hidden vertex, convolved in time with light that leaves it.
 
-The paths into a Lambertian lookin and the paths out of it factorise: energies multiply, lengths add. So the double
-sum over all pairs (Eq. 8 of Scholes & Leach, Sensors 24, 6522 (2024)) is a convolution of two histograms, O(Ñ) and
-not O(Ñ²). What leaves towards a pixel fills few bins, so that a plain double loop over both histograms is as fast as
-transforms are, or faster.
+The hidden vertex is the last one before the FoV point; Scholes & Leach, Sensors 24, 6522 (2024), call it *lookin*,
+and so does the code of this folder. A half path leads either from the laser into a lookin or from a lookin into the
+aperture. If the lookin is Lambertian, every path in combines with every path out: their energies multiply and their
+lengths add. So the double sum over all pairs (Eq. 8 there) is a convolution of two histograms, and its cost grows
+with the number of half paths, not with its square. The light that leaves towards one pixel fills few bins, so that a
+plain double loop over both histograms is at least as fast as Fourier transforms.
 
-A pair belongs into the bin that holds its length, but of two binned halves only the sum to within a bin is known. So
-the halves are held in sub-bins, `SUB_BINS` to each bin of the window, and only their convolution is added up into
-bins. Each half is put whole into one sub-bin of a grid that is displaced by u sub-bins for the arriving and by −u for
-the leaving half, u stratified over the lookins: for u uniform in 0 … 1 the pair then falls into one of the two
-sub-bins whose centres are nearest to it, with probabilities linear in the distance. On average a bin thus counts the
-flux smoothed over one sub-bin: only pairs within half a sub-bin of an edge can fall on its other side, which spreads
-arrival times by 1/(12 SUB_BINS²) bin², whatever the width of the bins.
+A pair of half paths belongs into the bin of its summed length, but binned half paths only tell that sum to within a
+bin. Therefore half paths are binned finely, with `SUB_BINS` sub-bins to each bin of the window, and only the
+convolution is added up into whole bins. In addition, the sub-bins of a lookin are displaced by u for arriving and by
+−u for leaving half paths, with u stratified over the lookins. For u uniform in 0 … 1 a pair then falls into one of
+the two sub-bins whose centres are nearest to its length, with probabilities linear in the distance. On average a bin
+thus counts the flux smoothed over one sub-bin: only pairs within half a sub-bin of an edge can fall on its other
+side, which spreads arrival times by 1/(12 SUB_BINS²) bin², whatever the width of the bins.
 """
 
 from __future__ import annotations
@@ -26,14 +28,14 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.binning import put
 
 SUB_BINS = 4
-"""A power of two, so that bins and sub-bins have their edges in common to the last bit. With half as many, arrival
-times spread twice as far."""
+"""Sub-bins per bin of the window. A power of two, so that bins and sub-bins share their edges to the last bit. With
+half as many, arrival times spread twice as far."""
 
 
 class Paths(NamedTuple):
-    """Half paths, those of row r at `first[r] : first[r + 1]`.
+    """n half paths in rows: row r holds the half paths `first[r] : first[r + 1]`.
 
-    first : (rows + 1,); position : (n,) length in sub-bins; energy : (n,), 0 for a path that something hides.
+    first : (rows + 1,). position : (n,) length in sub-bins. energy : (n,), 0 for a half path that a surface hides.
     """
 
     first: Ints
@@ -41,32 +43,35 @@ class Paths(NamedTuple):
     energy: Floats
 
     def take(self, rows: Bools) -> Paths:
-        """Those of some rows."""
+        """The half paths of the rows that are True in `rows`, renumbered."""
         counts = np.diff(self.first)
         kept = np.repeat(rows, counts)
         return Paths(np.append(0, np.cumsum(counts[rows])), self.position[kept], self.energy[kept])
 
 
 class Sums(NamedTuple):
-    """transient (L, P, T) in bins of the window; overflow (L, P)."""
+    """The sums so far: transient (L, P, T) in bins of the window, overflow (L, P) energy outside the window."""
 
     transient: Floats
     overflow: Floats
 
     def of_laser(self, laser: int) -> Sums:
-        """A view of one laser point: (P, T) and (P,) arrays."""
+        """Views (P, T) and (P,) of one laser point's sums, to be added to."""
         return Sums(self.transient[laser], self.overflow[laser])
 
 
 @compiled()
 def convolve(ins: Paths, outs: Paths, displacement: Floats, sums: Sums) -> None:
-    """Add what arrives from one laser point, row b, convolved with what leaves to each pixel, row (b, pixel).
+    """Add to `sums` the light of one laser point by way of every lookin b to every pixel.
 
-    displacement : (lookins,) u of each. sums : (P, T) and (P,) arrays.
+    ins : row b holds the half paths from the laser into lookin b. outs : row b · P + pixel holds those out of it.
+    displacement : (lookins,) the u of each lookin's sub-bins. sums : (P, T) and (P,) arrays.
     """
     pixels, bins = sums.transient.shape[0], sums.transient.shape[1] * SUB_BINS
     summed = np.zeros((pixels, bins))
     for b in range(len(displacement)):
+        # The displacements u and 1 − u of a pair add up to the whole sub-bin that rounding down takes from its sum on
+        # average, a half from each.
         base_in, arriving, before_in = _binned(ins, b, displacement[b])
         if len(arriving) == 0:
             continue
@@ -80,12 +85,15 @@ def convolve(ins: Paths, outs: Paths, displacement: Floats, sums: Sums) -> None:
                 weight, start = x[i], base_in + base_out + i
                 if weight == 0.0:
                     continue
+                # y[lower:upper] falls into the window. The clamps allow for a y that lies wholly before or after it.
                 lower = min(max(0, -start), len(y))
                 upper = max(min(len(y), bins - start), lower)
                 row, part = summed[p, max(start, 0) :], y[lower:upper]
                 for j in range(len(part)):
                     row[j] += weight * part[j]
+                # The rest of y is overflow; the running sums give its energy without another loop.
                 sums.overflow[p] += weight * (before[lower] + (before[len(y)] - before[upper]))
+    # Sub-bins have served to place each pair; whole bins are what is stored.
     for p in range(pixels):
         for i in range(bins):
             sums.transient[p, i // SUB_BINS] += summed[p, i]
@@ -93,7 +101,11 @@ def convolve(ins: Paths, outs: Paths, displacement: Floats, sums: Sums) -> None:
 
 @compiled()
 def _binned(paths, r, displacement):  # type: ignore[no-untyped-def]
-    """The first sub-bin of row r, its energy from there on, none if it has none, and the sums before each of them."""
+    """Row r as a histogram: its first sub-bin, energies (n,) from there on, and their running sums (n + 1,).
+
+    The histogram is empty (n = 0) for a row without energy.
+    """
+    # Only the sub-bins between the shortest and the longest half path: few of the window's, which keeps loops short.
     smallest, largest = np.int64(1) << 60, -(np.int64(1) << 60)
     for k in range(paths.first[r], paths.first[r + 1]):
         if paths.energy[k] > 0.0:
@@ -111,10 +123,10 @@ def _binned(paths, r, displacement):  # type: ignore[no-untyped-def]
 
 @compiled()
 def double_sum(ins: Paths, outs: Paths, sums: Sums) -> None:
-    """Eq. 8 as it is written: every path into a lookin with every path out of it, each pair binned by itself.
+    """Add to `sums` every path into a lookin combined with every path out of it (Eq. 8), each pair binned by itself.
 
-    The plain version of `convolve` for one laser point (`sums` holds (P, T) and (P,) arrays), O(Ñ²). Positions
-    count bins, from the start of the window.
+    The plain version of `convolve` for one laser point, against which tests hold that function. `sums` holds (P, T)
+    and (P,) arrays. Here positions count whole bins from the start of the window.
     """
     pixels = sums.transient.shape[0]
     for b in range(len(ins.first) - 1):
@@ -130,12 +142,13 @@ def double_sum(ins: Paths, outs: Paths, sums: Sums) -> None:
 
 @compiled()
 def keep_strongest(paths: Paths, count: int) -> None:
-    """Leave each row its `count` strongest paths and set the energy of the others to zero."""
+    """Set the energy of all but the `count` strongest paths of each row to zero."""
     for r in range(len(paths.first) - 1):
         row = paths.energy[paths.first[r] : paths.first[r + 1]]
         if len(row) <= count:
             continue
         threshold = _ranked(row.copy(), len(row) - count)
+        # Paths as strong as the threshold fill the places that stronger ones leave, so that exactly `count` remain.
         room = count
         for k in range(len(row)):
             room -= row[k] > threshold
@@ -148,10 +161,14 @@ def keep_strongest(paths: Paths, count: int) -> None:
 
 @compiled()
 def _ranked(values: Floats, rank: int) -> float:
-    """The value that would stand at a rank if they were sorted, which puts them into another order (Hoare, "Algorithm
-    65: Find", Communications of the ACM 4 (1961)); numpy's own takes ten times as long to compile."""
+    """The value at index `rank` of the sorted values; reorders `values`.
+
+    Hoare, "Algorithm 65: Find", Communications of the ACM 4 (1961). `numpy.partition` takes ten times as long to
+    compile.
+    """
     low, high = 0, len(values) - 1
     while low < high:
+        # Values on the wrong side of the pivot change places; then only the side that holds the rank is searched.
         pivot, i, j = values[(low + high) // 2], low, high
         while i <= j:
             while values[i] < pivot:

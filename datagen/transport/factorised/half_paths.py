@@ -1,8 +1,9 @@
-"""The compiled loops behind `secondary.py`: half paths into and out of lookins.
+"""Compiled loops for `secondary.py`: half paths from a laser point into lookins and from lookins into the aperture.
 
-A trailing 1 means at the laser point, o at the observed point, b at the lookin, 4 at the FoV point. A geometry term
-is form = cosθ cosθ′ / R², 1/m². Every half path ends in a line of sight that something may hide; with the paths come
-these lines as rays in embree's unit frame, ready to be sent.
+The light of the secondary goes from the laser point (names that end in 1) by a first hidden vertex, the *observed
+point* (o), and a second one, the *lookin* (b), to a FoV point (4); both words are the paper's (`convolution.py`). The
+geometry term of two points is form = cosθ cosθ′ / R², 1/m². One leg of every half path may be hidden by a surface.
+The loops return that leg as a shadow ray in embree's unit frame (`raycast.lifted_and_scaled`) together with the path.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ Singles = NDArray[np.float32]
 
 
 class Room(NamedTuple):
-    """The scene as the loops want it.
+    """The scene and the time axis as plain arrays and numbers.
 
     Attributes
     ----------
@@ -33,11 +34,11 @@ class Room(NamedTuple):
     part : (F,) part indices.
     kind, values : (K,), (K, n) materials, as in `MaterialTable`.
     frame : (4,) centre and half extent of embree's unit frame, m.
-    offset : by how much ends of rays are lifted, m.
+    offset : height above the surface at which shadow rays begin and end, m.
     per_metre : sub-bins (`convolution.py`) for each metre of path.
-    start : length in sub-bins at which the window starts, to the centre of its first sub-bin.
-    device_legs : 1 where device legs count for the time, else 0.
-    attenuation : 1/m.
+    start : path length, in sub-bins, to the centre of the window's first sub-bin.
+    device_legs : 1 if the legs from the laser and to the sensor count for the time, else 0.
+    attenuation : of the air, 1/m.
     """
 
     corner: Floats
@@ -54,15 +55,15 @@ class Room(NamedTuple):
 
 
 class Lookins(NamedTuple):
-    """n lookins.
+    """n lookins: hidden vertices from which light goes on to FoV points.
 
     Attributes
     ----------
     position, normal : (n, 3) metres, unit normal.
     part : (n,) part index.
-    block : (n,) the block of FoV points each is joined to.
-    displacement : (n,) of its time grid (see `convolution.py`).
-    shift : (n, 2) of its observed points, in revolutions and in cos²θ.
+    block : (n,) index of the block of FoV points that each lookin is connected with.
+    displacement : (n,) displacement u of each lookin's sub-bins (see `convolution.py`).
+    shift : (n, 2) by how much the net of directions to observed points is shifted: azimuth in revolutions, and cos²θ.
     """
 
     position: Floats
@@ -73,12 +74,15 @@ class Lookins(NamedTuple):
     shift: Floats
 
     def take(self, rows: slice | Bools) -> Lookins:
-        """Some of them."""
+        """The lookins of some rows."""
         return Lookins._make(array[rows] for array in self)
 
 
 class FovPoints(NamedTuple):
-    """As in `FovPool`, (P, Q, …); share (P, Q): probability with which a block draws lookins from each point."""
+    """Q FoV points of each of P pixels; the fields are those of `FovPool`.
+
+    share : (P, Q) probability with which a lookin of the point's block is drawn from this point.
+    """
 
     position: Floats
     normal: Floats
@@ -90,17 +94,18 @@ class FovPoints(NamedTuple):
 
 
 class LaserVicinity(NamedTuple):
-    """A laser point and the points near it that its light meets.
+    """A laser point, and points near it where rays from it land.
 
     Attributes
     ----------
-    position, normal, to_laser : (3,) metres, unit normal, unit direction.
+    position, normal, to_laser : (3,) metres, unit normal, unit direction to the laser.
     part : part index.
-    leg : from the laser, m.
-    rays : how many were drawn.
-    near_square : square of the distance within which they count, and within which lookins do not, m².
-    lit_position, lit_normal : (m, 3) where they landed within that distance.
-    lit_part : (m,) on which parts.
+    leg : distance to the laser, m.
+    rays : number of rays drawn from the laser point.
+    near_square : square of the distance that is near, m². Rays that land within it become observed points; lookins
+        within it are left to path tracing.
+    lit_position, lit_normal : (m, 3) points and unit normals where rays landed near.
+    lit_part : (m,) indices of the parts that they landed on.
     """
 
     position: Floats
@@ -119,12 +124,13 @@ class LaserVicinity(NamedTuple):
 def leaving_paths(
     lookins: Lookins, fov: FovPoints, points: int, room: Room
 ) -> tuple[Paths, Floats, Singles, Singles]:
-    """Paths from each lookin through its block of `points` FoV points into the aperture, rows (lookin, pixel).
+    """Half paths from each lookin by each of its block's `points` FoV points into the aperture, rows (lookin, pixel).
 
-    With them the density, per area at the lookin, with which each FoV point draws it, and origins and spans of their
-    rays. Hidden ones are still in.
+    Returns the paths, the density (n,), 1/m², with which each path's FoV point draws its lookin, and origins and
+    spans (n, 3) of the shadow rays. Hidden paths are still among them.
     """
     count, pixels = len(lookins.part), fov.weight.shape[0]
+    # Room for every connection; the views that are returned leave out those that carry nothing.
     size, found = count * pixels * points, 0
     first = np.zeros(count * pixels + 1, np.int64)
     position, energy, density = np.empty(size), np.empty(size), np.empty(size)
@@ -136,10 +142,12 @@ def leaving_paths(
         for p in range(pixels):
             for q in range(lookins.block[n] * points, (lookins.block[n] + 1) * points):
                 weight = fov.weight[p, q]
+                # The line of sight met nothing, or a surface edge-on.
                 if weight == 0.0:
                     continue
                 x, normal_4 = get(fov.position[p], q, 0), get(fov.normal[p], q, 0)
                 u = less(x, b)
+                # Both carry a factor R, so that no square root is taken for surfaces that face away.
                 cos_b, cos_4 = dot(u, normal_b), -dot(u, normal_4)
                 if cos_b <= 0.0 or cos_4 <= 0.0:
                     continue
@@ -148,8 +156,10 @@ def leaving_paths(
                 form = cos_b * cos_4 / (square * square)
                 part = fov.part[p, q]
                 to_b = (-u[0] / distance, -u[1] / distance, -u[2] / distance)
+                # The lookin's BRDF is not among the factors: it is constant, and `arriving_paths` multiplies by it.
                 f4 = evaluate(kind[part], values[part], normal_4, to_b, get(fov.to_sensor[p], q, 0))
                 energy[found] = f4 * weight * form * air(room.attenuation, distance + fov.last_leg[p, q])
+                # Cosine rays from the FoV point have the density cosθ₄ cosθ_b / (π R²) per area at the lookin.
                 density[found] = fov.share[p, q] * form / math.pi
                 length = distance + room.device_legs * fov.last_leg[p, q]
                 position[found] = length * room.per_metre - room.start
@@ -161,7 +171,8 @@ def leaving_paths(
 
 @compiled()
 def _send(origin, span, k, at, to):  # type: ignore[no-untyped-def]
-    """Note the ray of path k."""
+    """Write the shadow ray of path k, from `at` to `to`, both in embree's frame, into `origin` and `span`."""
+    # A span that is not normalised ends the ray at `to`.
     for axis in range(3):
         origin[k, axis] = at[axis]
         span[k, axis] = to[axis] - at[axis]
@@ -169,12 +180,14 @@ def _send(origin, span, k, at, to):  # type: ignore[no-untyped-def]
 
 @compiled()
 def observing_rays(lookins: Lookins, points: Floats, room: Room) -> tuple[Singles, Singles]:
-    """Origins and directions (n · Ñ, 3) of cosine rays from each lookin through its own shift of `points` (Ñ, 2).
+    """Origins and directions (n · Ñ, 3) of cosine-distributed rays from each lookin, Ñ of each.
 
-    A shift on the unit torus keeps each point uniform, and the first coordinate, being an angle, closes upon itself.
+    points : (Ñ, 2) uniform on the unit square: azimuth in revolutions, and cos²θ. All lookins share them, each with
+        its own shift modulo 1, which keeps every point uniform and the net well spread.
     """
     count, size = len(lookins.part), len(points)
     origin, direction = np.empty((count * size, 3), np.float32), np.empty((count * size, 3), np.float32)
+    # An azimuth is shifted by a rotation, so the trigonometric functions of the net are needed once, not per lookin.
     cosine, sine = np.cos(2 * math.pi * points[:, 0]), np.sin(2 * math.pi * points[:, 0])
     for n in range(count):
         normal = get(lookins.normal, n, 0)
@@ -185,6 +198,7 @@ def observing_rays(lookins: Lookins, points: Floats, room: Room) -> tuple[Single
             square = points[k, 1] + lookins.shift[n, 1]
             if square >= 1.0:
                 square -= 1.0
+            # Density cosθ/π: cos²θ is uniform.
             radius, height = math.sqrt(1.0 - square), math.sqrt(square)
             u, v = radius * (c * cosine[k] - s * sine[k]), radius * (s * cosine[k] + c * sine[k])
             i = n * size + k
@@ -196,8 +210,9 @@ def observing_rays(lookins: Lookins, points: Floats, room: Room) -> tuple[Single
 
 @compiled()
 def _scattering(u, v, laser, normal_o, part_o, kind, values):  # type: ignore[no-untyped-def]
-    """f₁ · fₒ of light that travels u from the laser point to o and v on from there."""
+    """f₁ · fₒ, 1/sr², of light that goes by the vector u from the laser point to o, and on by the vector v."""
     normal_1, to_laser, part_1 = laser
+    # The usual case needs no directions.
     if kind[part_1] == LAMBERTIAN and kind[part_o] == LAMBERTIAN:
         return values[part_1, 0] * values[part_o, 0] / (math.pi * math.pi)
     r1, rb = math.sqrt(dot(u, u)), math.sqrt(dot(v, v))
@@ -209,16 +224,20 @@ def _scattering(u, v, laser, normal_o, part_o, kind, values):  # type: ignore[no
 
 @compiled()
 def _weight(u, v, normal_1, normal_o, normal_b, samples, near_square):  # type: ignore[no-untyped-def]
-    """form₁ form_b / (expected samples per area of o and of b), for the legs u to o and v to b, by the balance
-    heuristic; 0 where a surface faces away. samples : Ñ and the laser point's rays, times the density of lookins.
+    """form₁ form_b over the expected number of samples per area of o and of b; 0 where a surface faces away.
 
-    Expected are Ñ density form_b/π, and rays · density form₁/π where o is near the laser point. Numerator and
-    denominator are multiplied by R₁ₒ⁴ Rₒ_b⁴.
+    u, v : vectors from the laser point to o and from o to the lookin b. samples : (number of observed points of a
+    lookin, number of rays from the laser point), each times the density of lookins, 1/m².
+
+    The number is that of both ways to draw o together (balance heuristic): samples₀ form_b/π for rays from b, and
+    samples₁ form₁/π for rays from the laser point, which count where o is near it.
     """
     cos_1, cos_o = dot(u, normal_1), -dot(u, normal_o)
     cos_o_out, cos_b = dot(v, normal_o), -dot(v, normal_b)
     if cos_1 <= 0.0 or cos_o <= 0.0 or cos_o_out <= 0.0 or cos_b <= 0.0:
         return 0.0
+    # Cosines still carry their distances: numerator and denominator are both multiplied by R₁ₒ⁴ Rₒ_b⁴, so that
+    # nothing is divided by a distance, which may be 0 where surfaces touch.
     square_1, square_b = dot(u, u), dot(v, v)
     pair_1, pair_b = cos_1 * cos_o, cos_o_out * cos_b
     expected = samples[0] * pair_b * square_1 * square_1
@@ -229,8 +248,11 @@ def _weight(u, v, normal_1, normal_o, normal_b, samples, near_square):  # type: 
 
 @compiled()
 def _observed_point(start, face, w, room):  # type: ignore[no-untyped-def]
-    """Where a ray from `start` along w meets the plane of a face, the normal there towards the ray, and whether it
-    does. Embree's own distances are single precision, which is too coarse for arrival times."""
+    """Point where a ray from `start` along w meets the plane of a face, unit normal towards `start`, and whether the
+    ray meets it.
+
+    Embree found the face; its distances are single precision, which is too coarse for arrival times.
+    """
     normal = get(room.normal, face, 0)
     approach = dot(w, normal)
     distance = dot(less(get(room.corner, face, 0), start), normal) / approach if approach != 0.0 else math.inf
@@ -245,12 +267,14 @@ def arriving_paths(
     lookins: Lookins, density: Floats, face: NDArray[np.int32], direction: Singles, vicinity: LaserVicinity,
     room: Room,
 ) -> tuple[Paths, Singles, Singles]:  # fmt: skip
-    """Paths from one laser point through its observed points, and through the lit points near it, into each lookin.
+    """Half paths from one laser point by an observed point into each lookin, a row for each lookin.
 
-    With them origins and spans of the rays that tell which of them are hidden. Lookins near the laser point are left
-    out: the walk takes them.
+    Observed points are those that a lookin's rays met and those near the laser point that its rays met. Returns the
+    paths, and origins and spans (n, 3) of the shadow rays that decide which of them are hidden. The rows of lookins
+    near the laser point stay empty: path tracing finds their light (`secondary.py`).
 
-    density : (n,) expected number of lookins per area. face, direction : (n · Ñ, …) what the lookins' rays met.
+    density : (n,) expected number of lookins per area, 1/m². face, direction : (n · Ñ,) triangles that the lookins'
+    rays met (−1 for none) and (n · Ñ, 3) unit directions of these rays.
     """
     count = len(lookins.part)
     observed, lit = len(face) // count, len(vicinity.lit_part)
@@ -266,15 +290,18 @@ def arriving_paths(
     for n in range(count):
         b, normal_b = get(lookins.position, n, 0), get(lookins.normal, n, 0)
         apart = less(b, x1)
+        # Both ways to draw o bound the weight of a path only if its lookin keeps a distance from the laser point.
         if dot(apart, apart) < vicinity.near_square:
             first[n + 1] = found
             continue
         samples = (density[n] * observed, density[n] * vicinity.rays)
+        # The lookin's constant BRDF ρ/π.
         albedo = room.values[lookins.part[n], 0] / math.pi
         from_b = lifted_and_scaled(b, normal_b, room.offset, room.frame)
         start = (b[0] + room.offset * normal_b[0], b[1] + room.offset * normal_b[1], b[2] + room.offset * normal_b[2])
         for k in range(observed + lit):
-            # The one half is known to see the lookin, and asked whether it is lit; the other the reverse.
+            # Rays from the lookin found points that see the lookin: whether the laser point lights them is open. Rays
+            # from the laser point found points that are lit: whether the lookin sees them is open.
             if k < observed:
                 i = n * observed + k
                 if face[i] < 0:
@@ -294,6 +321,7 @@ def arriving_paths(
             value *= albedo * _scattering(u, v, laser, normal_o, part_o, room.kind, room.values)
             if value <= 0.0:
                 continue
+            # The leg from the laser always attenuates, but counts for the time only with the time origin `source`.
             length = math.sqrt(dot(u, u)) + math.sqrt(dot(v, v))
             energy[found] = value * air(room.attenuation, vicinity.leg + length)
             position[found] = (length + room.device_legs * vicinity.leg) * room.per_metre

@@ -1,20 +1,24 @@
-"""Full secondary scattering: laser point → observed point → lookin → FoV point, all paths, at the cost of one sum.
+"""The secondary in its factorised form: laser point → observed point o → lookin b → FoV point, paths of four bounces.
 
-Each lookin b is a Lambertian surface point. What arrives through its Ñ observed points and what leaves it through
-its FoV points factorise, so all Ñ × M pairs are one convolution in time (`convolution.py`). A sample is a pair
-(observed point o, lookin b) drawn in either of two ways, joined by the balance heuristic (Veach & Guibas, SIGGRAPH
-1995):
+The observed point is the first hidden vertex and the lookin the second; both words are those of Scholes & Leach,
+Sensors 24, 6522 (2024). A lookin is a Lambertian surface point with Ñ observed points and M FoV points. Its half
+paths from the laser and its half paths to the sensor factorise, so that all Ñ × M paths by way of it are one
+convolution in time (`convolution.py`). A pair (o, b) is drawn in two ways, which the balance heuristic combines
+(Veach & Guibas, SIGGRAPH 1995):
 
-- b by a cosine ray from a FoV point, o by a cosine ray from b. The density of b, Σ share_q cosθ₄ cosθ_b V / (π R²)
-  over its FoV points q, is a by-product of the paths that leave it, so that what leaves, divided by the density,
-  never exceeds what the whole FoV weighs;
-- b the same, o one of the points that cosine rays from the laser point meet near it, which bounds the 1/R₁ₒ².
+- b by a cosine-distributed ray from a FoV point, o by a cosine-distributed ray from b. The density of b is
+  Σ share_q cosθ₄ cosθ_b V / (π R²) over its FoV points q, the same sum that the half paths out of b take; so their
+  energy divided by the density never exceeds the weight of the whole field of view;
+- b as before, o one of the points near the laser point where cosine-distributed rays from it land; this bounds the
+  1/R₁ₒ² of a short first leg.
 
-Both need b to keep its distance from the laser point. Lookins near it are found by a walk from it instead, whose
-connections to the FoV are bounded by their own means (`connections.py`): where laser point and FoV share a corner, so
-do all vertices of the brightest paths. Any sample count is unbiased, and one sample is bounded.
-Lookins placed by rays from the laser point, as the paper has it (`paper/`), miss all those that the laser does not
-light itself: Scholes & Leach, Sensors 24, 6522 (2024), sec. 4.
+Neither way bounds the weight of a lookin near the laser point. Such lookins are drawn by path tracing from the laser
+point instead, and `path_tracing/connections.py` bounds their connections to the FoV points. They matter most where
+laser point and field of view lie in the same corner, as the brightest paths then stay there. The mean is right for
+any number of samples, and the weight of each sample is bounded.
+
+The paper itself places lookins by rays from the laser point (sec. 4, and `paper/` here), which leaves out all
+lookins that the laser point does not light.
 """
 
 from __future__ import annotations
@@ -55,28 +59,37 @@ from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 from datagen.units import path_from_time
 
 RAYS_PER_CHUNK = 1 << 17
-"""Rays of the lookins followed at once, which bounds the memory; with half as many more calls are made."""
+"""Rays from lookins traced in one call, which bounds the memory. Half as many make twice the calls."""
 WALKS_PER_LOOKIN = 4
-"""Walks from each laser point; only those whose second vertex is near it count, and cost more than two rays."""
+"""Paths traced from each laser point for each lookin. Only those whose second hidden vertex lies near the laser point
+count and cost more than two rays. Half as many double the variance of that light."""
 HISTOGRAM_VALUES_AT_ONCE = 1 << 22
-"""Values of the walks' histograms at once, which bounds the memory, too."""
+"""Histogram entries of path tracing filled at once (32 MiB), which bounds the memory. Half as many make twice the
+calls."""
 FOV_POINTS_PER_POOL = 1 << 16
-"""FoV points at most, in blocks that lookins share; with half as many more lookins share a block's noise."""
+"""FoV points of all pixels at most, in blocks that lookins share. With half as many, twice as many lookins share a
+block and its noise."""
 RAYS_FROM_LASER_POINT = 1 / 8
-"""Rays drawn from each laser point, as a share of the lookins or of the observed points, whichever is more."""
+"""Rays drawn from each laser point, as a share of the number of lookins or of observed points, whichever is larger.
+Half as many double the variance of light by observed points near the laser point, which other rays seldom meet."""
 NEAR = 0.1
-"""Radius of what is near a laser point, in half extents of the scene: 0.5 m in a room of 10 m."""
+"""Distance up to which a vertex is near a laser point, in half extents of the scene: 0.5 m in a room of 10 m. Half of
+it lets the weight of lookins and of observed points just beyond it grow fourfold."""
 
 
 def factorising(materials: MaterialTable) -> Bools:
-    """(K,) the parts whose lookins factorise: where light goes does not depend on where it came from (Lambert)."""
+    """(K,) whether lookins on a part factorise: those of Lambertian parts do, as the direction of the light that
+    arrives has no influence on that of the light that leaves."""
     return np.asarray(materials.kind == LAMBERTIAN)
 
 
 @dataclass(frozen=True)
 class _Secondary:
-    """A secondary to compute: observed points of each lookin, which parts (K,) carry lookins, the scene as the loops
-    want it, and what is found so far."""
+    """A secondary that is being computed.
+
+    observed : number of observed points of each lookin. carries : (K,) whether a part carries lookins. room : the
+    scene for the compiled loops. sums : the light of the current replicate so far.
+    """
 
     task: Problem
     observed: int
@@ -100,12 +113,14 @@ class _Secondary:
 
     @property
     def near_square(self) -> float:
-        """Square of the distance that is near a laser point, m²; nothing is where the strongest paths are kept, as in
-        the paper's scheme."""
+        """Square of the distance up to which a vertex is near a laser point, m².
+
+        0 where only the strongest paths are kept: the paper's scheme knows no second way to draw vertices.
+        """
         return 0.0 if self.task.accuracy.strongest is not None else (NEAR * self.task.caster.half_extent_m) ** 2
 
     def groups(self) -> list[tuple[Ints, Ints]]:
-        """Runs of laser points that share their lookins, with the pixels they are seen by."""
+        """Groups of laser points that share their lookins: (indices of the laser points, indices of the pixels)."""
         existing = np.flatnonzero(self.task.points.part >= 0)
         if self.task.capture.pairing == "confocal":
             return [(existing[k : k + 1], existing[k : k + 1]) for k in range(len(existing))]
@@ -115,23 +130,26 @@ class _Secondary:
 def secondary_transient(
     task: Problem, observed: int, carriers: Bools | None = None, *, sketch: Sketch | None = None
 ) -> Average:
-    """The four-bounce transient, every path from `observed` observed points through all FoV points of a lookin.
+    """The light of paths of four bounces, mean over replicates: one row (L, P, T), with its standard error and work.
+
+    Every lookin b combines all paths by its `observed` observed points o with all paths by its FoV points x₄:
 
         L = ∫∫∫ f₁ cosθ₁cosθₒ V/R₁ₒ² · fₒ · cosθₒ′cosθ_b V/Rₒ_b² · (ρ_b/π) cosθ_b′cosθ₄ V/R_b4² · f₄ · A dΩ dA_b dAₒ
 
     Parameters
     ----------
-    task : its accuracy gives the lookins, the FoV points for each of them, the replicates, and how many of the
-        strongest arriving paths are kept (the paper's optimised scheme has 1); fewer than all leaves out energy.
-    observed : points for each lookin.
-    carriers : (K,) parts that may carry lookins, all of them Lambertian (`factorising`); paths whose lookin lies on
-        another part are left out, for another method to add. None: all parts, which then must all be Lambertian.
-        The other vertices may have any BRDF.
-    sketch : gets each replicate's transient too, for the correlations between bins.
+    task : the problem. Its accuracy gives the number of lookins, of FoV points for each lookin, and of replicates,
+        and how many of the strongest half paths into a lookin are kept (1 in the paper's optimised scheme; fewer than
+        all leave out energy).
+    observed : number of observed points for each lookin.
+    carriers : (K,) whether a part may carry lookins; these parts must be Lambertian (`factorising`). Paths whose
+        lookin lies on another part are left out, for another method to add. None stands for all parts. The other
+        vertices may have any BRDF.
+    sketch : receives each replicate's transient, for the correlations between bins.
 
     Raises
     ------
-    InputError : for a lookin's material that does not factorise.
+    InputError : a part that may carry lookins has a material that does not factorise.
     """
     scene, capture, materials = task.scene, task.capture, task.materials
     allowed = np.ones(len(materials.kind), np.bool_) if carriers is None else carriers
@@ -166,7 +184,7 @@ def secondary_transient(
 
 
 def _add_group(own: _Secondary, lasers: Ints, pixels: Ints, count: int, replicate: int) -> None:
-    """Add `count` lookins' worth of paths from `lasers` to `pixels`."""
+    """Add to the sums the paths from `lasers` by `count` lookins to `pixels`."""
     pool, fov, blocks = _fov_points(own.task, pixels, count, replicate)
     if not fov.share.any():
         return
@@ -183,7 +201,11 @@ def _add_group(own: _Secondary, lasers: Ints, pixels: Ints, count: int, replicat
 
 
 def _fov_points(task: Problem, pixels: Ints, count: int, replicate: int) -> tuple[FovPool, FovPoints, int]:
-    """Blocks of FoV points (their number a power of two, so that they cover the pixel evenly) and how many."""
+    """FoV points of `pixels` in blocks, as the pool and as `FovPoints`, and the number of blocks.
+
+    The number is a power of two, so that the points of all blocks together cover a pixel evenly. Within a block, over
+    all pixels, a lookin is drawn from a FoV point in proportion to the point's weight times its albedo.
+    """
     affordable = FOV_POINTS_PER_POOL // (len(pixels) * task.accuracy.fov_samples)
     blocks = 1 << max(0, min(count, affordable).bit_length() - 1)
     pool = fov_pool(
@@ -198,14 +220,15 @@ def _fov_points(task: Problem, pixels: Ints, count: int, replicate: int) -> tupl
 
 
 def _place_lookins(own: _Secondary, fov: FovPoints, blocks: int, laser: int, count: int, replicate: int) -> Lookins:
-    """Lookins by cosine rays from FoV points; those that cannot carry light are left out."""
+    """Up to `count` lookins where cosine-distributed rays from FoV points land; those on parts that carry no lookins
+    are left out."""
     task, points = own.task, own.task.accuracy.fov_samples
     sobol = scrambled_sobol(stream_seeds(task.seed, LightStream.FACTORISED_FIRST, replicate, laser), count, 6)[0]
     scaled = sobol[:, 0] * blocks
     block = np.minimum(scaled, blocks - 1).astype(np.int64)
     share = fov.share.reshape(len(fov.share), blocks, -1).transpose(1, 0, 2).reshape(blocks, -1)
     running = np.cumsum(share, axis=1)
-    # One search serves all blocks: block k's running shares fill k … k + 1.
+    # One search serves all blocks: the running shares of block k fill k … k + 1.
     shares = (running / np.where(running[:, -1:] > 0, running[:, -1:], 1.0) + np.arange(blocks)[:, None]).ravel()
     pick = np.searchsorted(shares, block + np.clip(scaled - block, 0.0, 1.0), side="left")
     pick = np.clip(pick - block * share.shape[1], 0, share.shape[1] - 1)
@@ -218,7 +241,7 @@ def _place_lookins(own: _Secondary, fov: FovPoints, blocks: int, laser: int, cou
 
 
 def _vicinities(own: _Secondary, lasers: Ints, count: int, replicate: int) -> Iterator[LaserVicinity]:
-    """The laser points, with where cosine rays from each land near it."""
+    """Each laser point, with the points near it where cosine-distributed rays from it land."""
     task, points = own.task, own.task.points
     rays = int(np.ceil(max(count, own.observed) * RAYS_FROM_LASER_POINT)) if own.near_square > 0 else 0
     seeds = stream_seeds(task.seed, LightStream.FACTORISED_LIT, replicate, lasers)
@@ -240,10 +263,13 @@ def _add_lookins(
     own: _Secondary, fov: FovPoints, lookins: Lookins, points: Floats, count: int, lasers: Ints,
     vicinities: list[LaserVicinity],
 ) -> None:  # fmt: skip
-    """Add the paths by way of some lookins, which share the net of `points` that their observed points come from."""
+    """Add to the sums the paths by way of some lookins.
+
+    points : (Ñ, 2) the net of directions to observed points that all lookins share, each with its own shift.
+    """
     caster, pixels = own.task.caster, fov.weight.shape[0]
     leaving, density = _leaving(own, fov, lookins)
-    # What no pixel sees need not be lit.
+    # A lookin that no FoV point sees sends nothing to the sensor, so the light into it need not be found.
     alive = density > 0
     if not alive.any():
         return
@@ -259,7 +285,10 @@ def _add_lookins(
 
 
 def _leaving(own: _Secondary, fov: FovPoints, lookins: Lookins) -> tuple[Paths, Floats]:
-    """Paths out of the lookins, rows (lookin, pixel), and the density with which each lookin is drawn, per area."""
+    """Half paths out of the lookins, rows (lookin, pixel), and the density (n,), 1/m², with which each is drawn.
+
+    The density is the sum over the FoV points of the lookin's block that see it.
+    """
     paths, each, *rays = leaving_paths(lookins, fov, own.task.accuracy.fov_samples, own.room)
     hidden = own.task.caster.occluded_scaled(*rays)
     paths.energy[hidden], each[hidden] = 0.0, 0.0
@@ -268,7 +297,7 @@ def _leaving(own: _Secondary, fov: FovPoints, lookins: Lookins) -> tuple[Paths, 
 
 
 def _walk_near(own: _Secondary, lasers: Ints, pixels: Ints, pool: FovPool, count: int, replicate: int) -> None:
-    """Add the paths whose lookin is near the laser point, by walks from it."""
+    """Add to the sums the paths whose lookin lies near the laser point, by path tracing from the laser point."""
     task, sums, bins = own.task, own.sums, own.sums.transient.shape[2]
     nothing = AreaTarget(0.0, np.empty(0, np.int64), np.empty(0), 1.0, np.zeros(len(task.caster.corners), np.bool_))
     seed = int(stream_seeds(task.seed, LightStream.FACTORISED_WALKS)[0])

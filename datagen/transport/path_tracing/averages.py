@@ -1,5 +1,4 @@
-"""Path tracing, averaged over independent replicates: means by component, their standard error, and what they
-cost."""
+"""Path tracing, averaged over independent replicates: the mean by component, its standard error, and its cost."""
 
 from __future__ import annotations
 
@@ -20,10 +19,11 @@ from datagen.transport.problem import Problem, TallyRows
 from datagen.transport.sampling import Streams
 
 LOOKINS_PER_CHUNK = 1 << 17
-"""Hidden vertices traced at once, over as many laser points as fit: some 30 MiB. Half as many make twice the
-calls."""
+"""First hidden vertices traced in one call, over as many laser points as fit: some 30 MiB. Half as many make twice
+the calls."""
 LOOKINS_TOGETHER = 1 << 14
-"""Hidden vertices up to which replicates are traced in one call: of more, the call itself costs little."""
+"""First hidden vertices up to which several replicates share one call. With more of them the call itself costs
+little; half as many make up to twice the calls where replicates are small."""
 HISTOGRAM_VALUES_PER_CHUNK = 1 << 22
 """Histogram entries filled at once (32 MiB), over as many laser points as fit; half as many make twice the calls."""
 
@@ -34,10 +34,10 @@ class Average:
 
     Attributes
     ----------
-    rows : one (L, P, T) array for each split of the problem.
-    stderr : (L, P, T) standard error of their sum, NaN for one replicate.
+    rows : one (L, P, T) array for each row of `TallyRows`.
+    stderr : (L, P, T) standard error of the sum of `rows`, NaN for one replicate.
     overflow : (L, P) energy outside the window.
-    work : what was done.
+    work : number of rays, connections and calls that the mean took.
     """
 
     rows: list[Floats]
@@ -48,7 +48,7 @@ class Average:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a way of estimating hands to the solver; the fields are those of `Transient`."""
+    """The result of an integrator; the fields have the names and meanings of those of `Transient`."""
 
     components: dict[str, Floats]
     parts: dict[str, Floats]
@@ -62,7 +62,8 @@ class Estimate:
 
 
 def split_rows(rows: list[Floats], splits: TallyRows) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """One array for each split → arrays by component, and the primary's by part."""
+    """Arrays by component, in the order of `splits.components`, and arrays of the primary by part, from one array for
+    each row."""
     components = dict(zip(splits.others, rows[splits.primary :], strict=True))
     if splits.primary:
         primary = rows[0].copy() if splits.primary > 1 else rows[0]
@@ -74,15 +75,16 @@ def split_rows(rows: list[Floats], splits: TallyRows) -> tuple[dict[str, Floats]
 
 
 def rays_of(problem: Problem, work: Work) -> dict[str, int]:
-    """`Transient.rays`: connections that could carry energy, by how it was found whether anything hides them."""
+    """`Transient.rays`: how many connections that could carry energy were checked by a shadow ray, and how many were
+    assumed to be visible."""
     assumed = problem.accuracy.occlusion == "off"
     return {"asked": 0 if assumed else int(work.bright), "assumed": int(work.bright) if assumed else 0}
 
 
 def path_average(problem: Problem, sketch: Sketch | None = None) -> Average:
-    """Average over independent replicates; their spread is the standard error.
+    """The mean of independent replicates of path tracing, with their spread as the standard error.
 
-    sketch : gets each replicate's transient too, for the correlations between bins.
+    sketch : receives each replicate's transient, for the correlations between bins.
     """
     lasers, pixels, bins = problem.capture.shape
     splits, lookins = problem.tally_rows, problem.accuracy.lookins
@@ -110,11 +112,12 @@ def path_average(problem: Problem, sketch: Sketch | None = None) -> Average:
 
 
 def _traced(problem: Problem, count: int, replicates: Ints) -> Iterator[tuple[int, int, Tally, Work]]:
-    """Pieces of the light from `count` hidden vertices of each laser point in each replicate: replicate, first laser
-    point of the piece, its light and that of those after it, and the work.
+    """Pieces of the replicates: (replicate, index of the piece's first laser point, light of a run of laser points
+    from that one on, work).
 
-    A call of the tracing code costs some milliseconds, whatever it traces. So replicates of few hidden vertices are
-    traced together, as copies of the laser points with random numbers of their own.
+    count : first hidden vertices of each laser point in each replicate. A call of the tracing code costs some
+    milliseconds, however little it traces. So several small replicates are traced in one call, as copies of the laser
+    points with random numbers of their own.
     """
     _, pixels, bins = problem.capture.shape
     existing = np.flatnonzero(problem.points.part >= 0)
@@ -128,6 +131,7 @@ def _traced(problem: Problem, count: int, replicates: Ints) -> Iterator[tuple[in
     together = max(1, min(together, FOV_POINTS_PER_POOL // fov_points, len(replicates)))
     size = max(1, min(LOOKINS_PER_CHUNK // count, values) // together)
     for few in np.split(replicates, range(together, len(replicates), together)):
+        # Laser points that all pixels see share their FoV points; confocally each has those of its own pixel.
         shared, drawn = None, Work(calls=0)
         if not confocal:
             shared = _shared_pool(problem, count, few)
@@ -150,7 +154,7 @@ def _traced(problem: Problem, count: int, replicates: Ints) -> Iterator[tuple[in
 
 
 def _shared_pool(problem: Problem, count: int, replicates: Ints) -> FovPool:
-    """FoV points that all laser points share, a set for each replicate."""
+    """FoV points of all pixels that all laser points share, with an independent set for each replicate."""
     pixels = np.arange(problem.capture.shape[1])
     streams = Streams.of(problem.seed, replicates, pixels)
     pool = pool_for(problem, np.tile(pixels, len(replicates)), blocks_for(problem, pixels, count), streams)

@@ -1,18 +1,18 @@
-"""Next-event estimation: path vertices are connected with FoV points, and what arrives is put into time bins.
+"""Next-event estimation: vertices of paths are connected with FoV points, and their light is put into time bins.
 
-Two ways to find the last leg, from a vertex x₂ to a FoV point x₃, are combined by the balance heuristic:
+The last leg of a path, from a vertex x₂ to a FoV point x₃, is found in two ways, combined by the balance heuristic:
 
-- *connect* x₂ to each of M FoV points drawn from the pixel. The factor cosθ₂ cosθ₃ / R₂₃² has no bound where the two
-  surfaces touch;
-- *follow* one ray drawn by the BRDF at x₂, which counts where it lands inside a pixel. It carries no 1/R².
+- *connect*: x₂ is connected with each of M FoV points drawn from the pixel. The factor cosθ₂ cosθ₃ / R₂₃² grows
+  without bound where the two surfaces touch;
+- *follow*: one ray is drawn by the BRDF at x₂ and counts if it lands inside a pixel. It carries no 1/R².
 
-With the footprint a₃ of a FoV point (the wall area one of the M points stands for) and p = pdf·cosθ₃/R₂₃² the area
-density of the second way, the first is worth 1/(1 + p a₃) of itself and the second p a₃/(1 + p a₃). So a connection
-never carries more than its footprint could receive, and what that bound takes away comes back by the rays that are
-followed: bounded for a single sample, unbiased for any number. A vertex too far from a pixel's patch to overfill a
-footprint needs no such ray: there the first way counts whole (`PixelPatches.reach`).
+Let a₃ be the footprint of a FoV point (the area of wall that one of the M points stands for) and p = pdf·cosθ₃/R₂₃²
+the density per area of the second way. Then connections count with weight 1/(1 + p a₃) and rays with p a₃/(1 + p a₃).
+So a connection never carries more light than its footprint could receive, and the rays add the light that this weight
+takes away: each sample is bounded, and the mean is right for any number of samples. A vertex too far from a pixel's
+patch to overfill a footprint needs no ray: its connections count whole (`PixelPatches.reach`).
 
-In the loops a trailing 1 means at the laser point, 2 at a vertex, 3 at a FoV point.
+Names that end in 1 belong to the laser point, in 2 to a vertex, in 3 to a FoV point.
 """
 
 from __future__ import annotations
@@ -34,17 +34,19 @@ from datagen.transport.path_tracing.vertices import LaserPoints, Vertices, at
 from datagen.transport.visibility.raycast import Hits, Raycaster, lifted_and_scaled
 
 CONNECTIONS_PER_BATCH = 1 << 19
-"""Connections whose shadow rays wait together, 24 MiB; with half as many embree's calls still cost nothing."""
+"""Connections whose shadow rays are traced in one call, 24 MiB. Half as many make twice the calls, whose fixed cost
+is negligible either way."""
 
 
 class Clock(NamedTuple):
-    """Path length → fractional bin: position = path · per_metre − start.
+    """Arrival times: a path of some length arrives at the fractional bin length · per_metre − start.
 
     Attributes
     ----------
     per_metre : bins for each metre of path.
-    start : bin number of the window's start.
-    device_leg : (laser,) path from laser to laser point, m; −1 where device legs do not count (time origin `wall`).
+    start : time at which the window starts, in bins.
+    device_leg : (laser,) distance from the laser to each laser point, m; −1 where the legs from the laser and to the
+        sensor do not count (time origin `wall`).
     """
 
     per_metre: float
@@ -53,13 +55,13 @@ class Clock(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Which histogram row a contribution belongs to: rows are ordered (laser, pixel, split).
+    """The order of histogram rows of a chunk of laser points: (laser point, pixel, row of `TallyRows`).
 
     Attributes
     ----------
     first_laser : index of the chunk's first laser point.
-    confocal : pixel i belongs to laser point i alone.
-    pixels : that a laser point has.
+    confocal : whether laser point i has pixel i alone.
+    pixels : number of pixels of each laser point.
     splits : rows for each laser point and pixel.
     """
 
@@ -70,25 +72,25 @@ class Rows(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """Where energy goes: histogram (row, bin) and overflow (row,)."""
+    """The light so far: histogram (row, bin) and overflow (row,), the energy outside the window."""
 
     histogram: Floats
     overflow: Floats
 
     def apart(self, pieces: int) -> list[Tally]:
-        """As many equal runs of rows."""
+        """The tally cut into `pieces` runs of equally many rows."""
         return [
             Tally(*of) for of in zip(np.split(self.histogram, pieces), np.split(self.overflow, pieces), strict=True)
         ]
 
 
 class Device(NamedTuple):
-    """The sensor, and the air before it.
+    """The sensor and the air as plain numbers.
 
     Attributes
     ----------
     position : (3,) metres.
-    aperture_area, aperture_square : m²; what a finite aperture adds to R² (`fields_of_view.py`), or 0.
+    aperture_area : m². aperture_square : m², the addition to R² for a finite aperture (`fields_of_view.py`), or 0.
     fov_samples : FoV points that a vertex is connected with in each pixel.
     attenuation : of the air, 1/m.
     """
@@ -101,16 +103,20 @@ class Device(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """Embree's frame (`raycast.lifted_and_scaled`): how far ray ends are lifted, and centre with half extent (4,)."""
+    """Embree's unit frame (`raycast.lifted_and_scaled`).
+
+    offset : height above the surface at which rays begin and end, m. scale : (4,) centre and half extent, m.
+    """
 
     offset: float
     scale: Floats
 
 
 class Arrivals(NamedTuple):
-    """Energies that arrive if nothing hides them.
+    """n contributions that arrive unless a surface hides them.
 
-    owner : (n,) vertex or laser point. row : (n,) of the histogram. position : (n,) fractional bin. energy : (n,).
+    owner : (n,) index of the vertex or laser point. row : (n,) histogram row. position : (n,) fractional bin.
+    energy : (n,) photons per emitted photon.
     """
 
     owner: Ints
@@ -120,7 +126,8 @@ class Arrivals(NamedTuple):
 
 
 class Waiting(NamedTuple):
-    """Room for connections that wait for their shadow rays: origins and spans (n, 3) in embree's frame."""
+    """n connections that wait for their shadow rays: origins and spans (n, 3) of these in embree's frame, and the
+    contributions."""
 
     origin: NDArray[np.float32]
     span: NDArray[np.float32]
@@ -128,7 +135,7 @@ class Waiting(NamedTuple):
 
     @classmethod
     def room(cls, n: int) -> Waiting:
-        """Room for n connections."""
+        """Empty arrays with room for n connections."""
         arrivals = Arrivals(np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n), np.empty(n))
         return cls(np.empty((n, 3), np.float32), np.empty((n, 3), np.float32), arrivals)
 
@@ -149,13 +156,14 @@ class Receiver:
     rows: Rows
     tally: Tally
     occlusion: bool = True
-    """Whether anything may stand between a vertex and a FoV point."""
+    """Whether surfaces may hide a vertex from a FoV point."""
     pool_set: Ints | None = None
-    """(laser,) the set of the pool that each of the chunk's laser points connects with; None where there is one."""
+    """(laser,) index of the pool's set of FoV points that each of the chunk's laser points uses; None if the pool has
+    one set."""
 
     @property
     def device(self) -> Device:
-        """The sensor as the loops want it."""
+        """The sensor for the compiled loops."""
         sensor = self.sensor
         near = sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0
         return Device(
@@ -163,10 +171,12 @@ class Receiver:
         )
 
     def connect(self, vertices: Vertices, choice: Floats, split_of_part: Ints) -> int:
-        """Connect every vertex with a block of FoV points of each of its pixels, and add what nothing hides; returns
-        how many connections could carry energy.
+        """Number of connections that could carry energy, after adding those that no surface hides to the tally.
 
-        choice : (n,) in 0 … 1 picks the block; split_of_part : (K,) the split for a vertex on each part.
+        Every vertex is connected with one block of FoV points in each of its pixels.
+
+        choice : (n,) numbers in 0 … 1 that pick the blocks. split_of_part : (K,) row of `TallyRows` for a vertex on
+        each part.
         """
         blocks = self.pool.weight.shape[1] // (self.points_per_vertex * self.pool.sets)
         block = np.minimum(choice * blocks, blocks - 1).astype(np.int64)
@@ -192,13 +202,16 @@ class Receiver:
         return bright
 
     def near(self, vertices: Vertices) -> Ints:
-        """The vertices whose followed rays count: those near any of their pixels."""
+        """Indices of the vertices whose own rays count: those near the patch of any of their pixels."""
         return np.asarray(near_a_pixel(vertices, self.materials.kind, self.patches, self.rows))
 
     def follow(
         self, vertices: Vertices, hits: Hits, directions: Floats, throughput: Floats, split_of_part: Ints
     ) -> None:
-        """Add those of the vertices' own rays (with their throughput f cosθ / pdf) that land inside a pixel."""
+        """Add to the tally the light of the vertices' own rays that land inside a pixel.
+
+        hits, directions, throughput : of one ray from each vertex, as `vertices.scattered_rays` returns them.
+        """
         part = np.where(hits.valid, self.scene.face_part[hits.face], -1).astype(np.int64)
         found = landed(
             vertices, hits, part, directions, throughput, self.materials.arrays, self.cones, self.patches,
@@ -207,19 +220,20 @@ class Receiver:
         self._add_if_seen(hits.position[found.owner] + self.caster.offset_m * hits.normal[found.owner], found)
 
     def add_laser_points(self, points: LaserPoints, lasers: Ints, split: int) -> None:
-        """Add the laser points themselves where a pixel looks at them: the direct return of one bounce."""
+        """Add to the tally the light of one bounce: laser points that lie inside a pixel and that the sensor sees."""
         found = laser_points_seen(
             lasers, points, self.materials.arrays, self.cones, self.device, self.clock, self.rows, split
         )  # fmt: skip
         self._add_if_seen(points.position[found.owner] + self.caster.offset_m * points.normal[found.owner], found)
 
     def _add_if_seen(self, lifted: Floats, found: Arrivals) -> None:
+        """Add to the tally the contributions from the points `lifted` (n, 3) that the sensor sees."""
         deposit(found, self.caster.occluded(self.sensor.position, lifted), self.tally)
 
 
 @compiled(inline="always")
 def _is_near(position: Vector, kind: int, patches: PixelPatches, p: int) -> bool:
-    """Whether a vertex could overfill a footprint of pixel p; a lobe narrower than Lambert's always could."""
+    """Whether a vertex could overfill a footprint of pixel p; one whose BRDF has a lobe always could."""
     reach = patches.reach[p]
     if kind != LAMBERTIAN or reach == np.inf:
         return True
@@ -230,30 +244,32 @@ def _is_near(position: Vector, kind: int, patches: PixelPatches, p: int) -> bool
 
 @compiled(inline="always")
 def _first_pixel(rows: Rows, local: int) -> int:
-    """The first pixel that laser point `local` of the chunk is seen by; confocally its own is all it has."""
+    """Index of the first pixel of the chunk's laser point `local`, which confocally has its own pixel alone."""
     return local if rows.confocal else 0
 
 
 @compiled(inline="always")
 def _end_of_pixels(rows: Rows, local: int) -> int:
+    """One more than the index of the last pixel of the chunk's laser point `local`."""
     return local + 1 if rows.confocal else rows.pixels
 
 
 @compiled(inline="always")
 def _row(rows: Rows, local: int, p: int, split: int) -> int:
+    """Histogram row of the chunk's laser point `local`, pixel p and row `split` of `TallyRows`."""
     return (local if rows.confocal else local * rows.pixels + p) * rows.splits + split
 
 
 @compiled(inline="always")
 def _bin(path: float, last_leg: float, local: int, clock: Clock) -> float:
-    """Fractional bin at which a path arrives; legs to and from the devices count where the clock has any."""
+    """Fractional bin at which a path arrives; `path` leads from the laser point to the FoV point, m."""
     device = clock.device_leg[local] + last_leg if clock.device_leg[local] >= 0.0 else 0.0
     return (path + device) * clock.per_metre - clock.start
 
 
 @compiled(inline="always")
 def _inside(span: Vector, cones: PixelCones, p: int) -> bool:
-    """Whether the point from which `span` leads to the sensor lies inside pixel p."""
+    """Whether a point lies inside pixel p, as seen from the sensor; `span` leads from the point to the sensor."""
     inside = True
     for k in range(4):
         inside = inside and dot(span, at(cones.planes[p], k)) <= 0.0
@@ -262,7 +278,7 @@ def _inside(span: Vector, cones: PixelCones, p: int) -> bool:
 
 @compiled()
 def near_a_pixel(v: Vertices, kind: NDArray[np.integer], patches: PixelPatches, rows: Rows) -> Ints:
-    """Indices of the vertices that are near any of their pixels."""
+    """Indices of the vertices that could overfill a footprint of any of their pixels."""
     kept = np.empty(len(v.laser), np.int64)
     n = 0
     for i in range(len(v.laser)):
@@ -280,8 +296,9 @@ def connections(
     v: Vertices, block: Ints, pool: FovPool, patches: PixelPatches, materials: Materials, device: Device,
     clock: Clock, rows: Rows, split_of_part: Ints, frame: Frame, waiting: Waiting,
 ) -> int:  # fmt: skip
-    """Write every connection of the vertices that can carry energy to `waiting`; returns how many these are.
+    """Number of connections that can carry energy, after writing them and their shadow rays to `waiting`.
 
+    block : (n,) index of each vertex's block of FoV points.
     The energy is power · f₂ cosθ₂ · cosθ₃ f₃ / R₂₃² · A dΩ of the FoV point, by the balance heuristic.
     """
     n, wait = 0, waiting.arrivals
@@ -289,12 +306,13 @@ def connections(
         local = v.laser[i] - rows.first_laser
         x2, n2, w_in = at(v.position, i), at(v.normal, i), at(v.to_previous, i)
         k2, material2 = materials.kind[v.part[i]], materials.values[v.part[i]]
-        # Both ends of a shadow ray are lifted off their surfaces, which would hide them by single-precision rounding.
+        # Both ends of a shadow ray are lifted off their surfaces, which embree's single precision could otherwise let
+        # hide them.
         start = lifted_and_scaled(x2, n2, frame.offset, frame.scale)
         for p in range(_first_pixel(rows, local), _end_of_pixels(rows, local)):
             near = _is_near(v.position[i], k2, patches, p)
             for q in range(block[i] * device.fov_samples, (block[i] + 1) * device.fov_samples):
-                # A line of sight that met nothing, or a surface edge-on.
+                # The line of sight met nothing, or a surface edge-on.
                 if pool.weight[p, q] == 0.0:
                     continue
                 x3, n3 = at(pool.position[p], q), at(pool.normal[p], q)
@@ -312,12 +330,12 @@ def connections(
                 f2 = evaluate(k2, material2, n2, w_in, w)
                 part3 = pool.part[p, q]
                 f3 = evaluate(materials.kind[part3], materials.values[part3], n3, back, at(pool.to_sensor[p], q))
-                # 1/R² becomes 1/(R² + pdf cosθ₃ a₃): the balance heuristic's share of this way, which bounds it.
+                # The weight 1/(1 + p a₃) turns 1/R² into 1/(R² + pdf cosθ₃ a₃), bounded where surfaces touch.
                 followed = pdf(k2, material2, n2, w_in, w) * cos3 * pool.footprint[p, q] if near else 0.0
                 energy = v.power[i] * f2 * f3 * cos2 * cos3 * pool.weight[p, q] / (square + followed)
                 if device.attenuation > 0.0:
                     energy *= math.exp(-device.attenuation * (distance + pool.last_leg[p, q]))
-                # Not `<= 0`: what is no number is left out, too.
+                # `not … > 0` leaves out NaN as well, which `<= 0` would let pass.
                 if not energy > 0.0:
                     continue
                 end = lifted_and_scaled(x3, n3, frame.offset, frame.scale)
@@ -332,7 +350,7 @@ def connections(
 
 @compiled()
 def deposit(arrivals: Arrivals, hidden: Bools, tally: Tally) -> None:
-    """Add the arrivals that nothing hides."""
+    """Add to the tally the arrivals (n,) whose `hidden` (n,) is False."""
     for k in range(len(arrivals.row)):
         if not hidden[k]:
             row = arrivals.row[k]
@@ -344,7 +362,10 @@ def landed(
     v: Vertices, hits: Hits, part3: Ints, direction: Floats, throughput: Floats, materials: Materials,
     cones: PixelCones, patches: PixelPatches, device: Device, clock: Clock, rows: Rows, split_of_part: Ints,
 ) -> Arrivals:  # fmt: skip
-    """The vertices' own rays that landed inside a pixel, which count if the sensor sees where."""
+    """Contributions of the vertices' own rays that landed inside a pixel; they count if the sensor sees the place.
+
+    part3 : (n,) index of the part that each ray met, −1 for none. direction, throughput : (n, 3), (n,) of the rays.
+    """
     owners, in_rows = [np.int64(0)], [np.int64(0)]
     positions, energies = [0.0], [0.0]
     for i in range(len(v.laser)):
@@ -362,14 +383,14 @@ def landed(
         local = v.laser[i] - rows.first_laser
         k2, material2 = materials.kind[v.part[i]], materials.values[v.part[i]]
         for p in range(_first_pixel(rows, local), _end_of_pixels(rows, local)):
-            # Of vertices that are not near, connections have taken all of the light.
+            # Connections of a vertex that is not near count whole, so its ray must not add the same light again.
             if not (_is_near(v.position[i], k2, patches, p) and _inside(span, cones, p)):
                 continue
             d = (x3[0] - x2[0], x3[1] - x2[1], x3[2] - x2[2])
             square = dot(d, d)
             distance = math.sqrt(square)
             density = pdf(k2, material2, at(v.normal, i), at(v.to_previous, i), w)
-            # The footprint that a connection would have had here: Ω R_s² / (cosθ_s M).
+            # The balance heuristic needs the footprint that a FoV point would have had here: Ω R_s² / (cosθ_s M).
             followed = density * cos3 * cones.solid_angle[p] * reach_square / (cos_sensor * device.fov_samples)
             f3 = evaluate(materials.kind[part3[i]], materials.values[part3[i]], n3, (-w[0], -w[1], -w[2]), out)
             energy = (
@@ -384,7 +405,7 @@ def landed(
             in_rows.append(np.int64(_row(rows, local, p, split_of_part[v.part[i]])))
             positions.append(_bin(v.path[i] + distance, reach, local, clock))
             energies.append(energy)
-    # The first entries only told the compiler the types of the lists.
+    # The lists began with one entry each, from which the compiler takes their types.
     return Arrivals(np.array(owners[1:]), np.array(in_rows[1:]), np.array(positions[1:]), np.array(energies[1:]))
 
 
@@ -393,7 +414,7 @@ def laser_points_seen(
     lasers: Ints, points: LaserPoints, materials: Materials, cones: PixelCones, device: Device, clock: Clock,
     rows: Rows, split: int,
 ) -> Arrivals:  # fmt: skip
-    """Laser points that a pixel looks at (one bounce), which count if the sensor sees them: f cosθ A / R²."""
+    """Contributions f cosθ A / R² of laser points that lie inside a pixel; they count if the sensor sees them."""
     owners, in_rows = [np.int64(0)], [np.int64(0)]
     positions, energies = [0.0], [0.0]
     for o in lasers:
@@ -403,7 +424,7 @@ def laser_points_seen(
         reach_square = dot(span, span)
         reach = math.sqrt(reach_square)
         out = (span[0] / reach, span[1] / reach, span[2] / reach)
-        # There is no vertex to connect with, so all is known but whether a pixel looks there and the sensor sees it.
+        # One bounce leaves nothing to integrate over: the path is known, and only its visibility is open.
         f = evaluate(materials.kind[part1], materials.values[part1], n1, at(points.to_laser, o), out)
         energy = f * dot(out, n1) * device.aperture_area / (reach_square + device.aperture_square)
         energy *= math.exp(-device.attenuation * (points.leg[o] + reach))

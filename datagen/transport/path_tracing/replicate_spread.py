@@ -1,4 +1,4 @@
-"""The spread of independent replicates: the standard error of their mean, and how many ways it can go wrong."""
+"""The spread of independent replicates: the standard error of their mean, and its number of degrees of freedom."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from datagen.records.arrays import Floats
 from datagen.transport.sampling import mix
 
 SKETCH_SIZE = 4096
+"""Numbers into which a transient is folded, 32 KiB for each replicate; with half as many, scalar products are √2
+times as noisy."""
 
 
 def standard_error(means: Sequence[Floats], squares: Floats, replicates: int) -> Floats:
-    """Standard error of the sum of `means` from the replicates' sum of squares, which it overwrites.
+    """(L, P, T) standard error of the sum of `means`, each (L, P, T); NaN for one replicate.
 
-    Laser point by laser point, so that no further array of a scan's full size is needed.
+    squares : (L, P, T) sum of squares over the replicates, which is overwritten with the result. The laser points are
+    taken one by one, so that no further array of the scan's full size is needed.
     """
     if replicates == 1:
         squares.fill(np.nan)
@@ -43,16 +46,17 @@ class Sketch:
         _fold(transient.reshape(-1), first, self.folded[replicate])
 
     def freedom(self) -> float:
-        """Effective number ν of independent ways in which a replicate deviates: for deviations of covariance Σ,
-        ‖deviation‖² has mean tr Σ and variance 2 tr Σ² (if Gaussian), like χ² of ν = (tr Σ)² / tr Σ² degrees of
-        freedom (Satterthwaite 1946). At least 1; tr Σ² by its unbiased estimate.
+        """Effective number of degrees of freedom ν ≥ 1 of a replicate's deviation from the mean.
+
+        For Gaussian deviations of covariance Σ, ‖deviation‖² has mean tr Σ and variance 2 tr Σ², like χ² with
+        ν = (tr Σ)² / tr Σ² degrees of freedom (Satterthwaite 1946). tr Σ² is taken by its unbiased estimate.
         """
         n = len(self.folded) - 1
         deviation = self.folded - self.folded.mean(axis=0)
         peak = float(np.abs(deviation).max())
         if n < 2 or peak == 0.0:
             return 1.0
-        # By a power of two, which rounds nothing: of very little light the fourth power would be no number any more.
+        # Scaled to about 1, as the fourth power of very little light would underflow. A power of two rounds nothing.
         deviation = np.ldexp(deviation, -math.frexp(peak)[1])
         products = deviation @ deviation.T / n
         trace, square = float(np.trace(products)), float((products**2).sum())
@@ -62,8 +66,10 @@ class Sketch:
 
 @compiled()
 def _fold(values: Floats, first: int, out: Floats) -> None:
+    """Add each of `values`, with a pseudo-random sign, to a pseudo-random entry of `out`."""
     for i in range(len(values)):
         if values[i] != 0.0:
+            # A hash of the flat index: all replicates fold alike, and light from few bins is spread over all entries.
             word = mix(np.uint64(first + i), np.uint64(1))
             place = np.int64(word >> np.uint64(1)) % len(out)
             out[place] += values[i] if word & np.uint64(1) else -values[i]

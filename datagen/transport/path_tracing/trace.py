@@ -1,7 +1,8 @@
-"""Path tracing from a run of laser points: emit hidden vertices, connect them with the field of view, bounce, repeat.
+"""Path tracing from a run of laser points: draw hidden vertices, connect them with the pixels' FoV points, bounce.
 
-One path serves all orders of bounces: its first hidden vertex ends paths of three bounces, the next those of four.
-Orders that are not asked for are visited but not connected, which saves most of their cost.
+One path serves all orders of bounces: connecting its first hidden vertex gives a path of three bounces, the next one
+a path of four. Vertices of orders that the problem does not ask for are passed through but not connected, which saves
+most of their cost.
 """
 
 from __future__ import annotations
@@ -21,34 +22,37 @@ from datagen.transport.sampling import Streams
 from datagen.units import path_from_time
 
 FOV_POINTS_PER_POOL = 1 << 19
-"""FoV points kept at once, over all pixels of a chunk, 50 MiB. Half as many are shared by twice as many vertices."""
+"""FoV points in memory at once, over all pixels of a chunk (50 MiB). With half as many, twice as many vertices share
+each block and its noise."""
 ROULETTE_FROM = 4
-"""Bounce order from which Russian roulette may end paths, when all orders are followed: lower ones bring most
-light."""
+"""Number of bounces from which Russian roulette may end paths, when all orders are asked for. Lower orders bring most
+of the light; half of it would end them early and add noise to the primary."""
 LIVES_PER_WINDOW = 1.0
-"""Mean free paths of the roulette in the window: weights within it grow to e at most, and not with every bounce."""
+"""Mean free paths of the roulette on a length of path as long as the window: weights grow e-fold at most within it,
+however many bounces a path takes. Half of it lets weights grow √e-fold only and follows longer paths."""
 SURVIVAL_BEYOND = 0.95
-"""Survival at each bounce of light that comes after the window: what ends every path. Half of it ends paths sooner
-and makes the overflow noisier."""
+"""Chance to survive a bounce for light that arrives after the window, below 1 so that every path ends. Half of it
+ends paths sooner and makes the overflow noisier."""
 SURVIVAL_AT_LEAST = 0.05
-"""Least chance to survive, so that no weight grows by more than 20 at once; half of it allows 40."""
+"""Least chance to survive a bounce, so that no weight grows more than 20-fold at once; half of it allows 40-fold."""
 
 
 def trace_chunk(problem: Problem, chunk: Ints, pool: FovPool, count: int, streams: Streams) -> tuple[Tally, Work]:
-    """The light from a run of consecutive laser points, and the work of finding it.
+    """The light (row, bin) of a run of consecutive laser points, and the work that it took.
 
-    streams : the random numbers of each of the problem's laser points. pool : as many sets of FoV points as the run
-    has replicates, in the order of their first laser points; confocally one, with each laser point's own pixel.
+    chunk : indices of the laser points. count : first hidden vertices of each. streams : the random numbers of each
+    of the problem's laser points. pool : FoV points, with one set for each replicate in the run, in the order of the
+    replicates; confocally one set, with the FoV points of each laser point's own pixel.
     """
     receiver = _receiver(problem, chunk, pool, streams)
-    asked, last = problem.tally_rows.components, problem.last_order
+    requested, last = problem.tally_rows.components, problem.last_order
     rays, connections, bright = 0, 0, 0
     per_vertex = problem.accuracy.fov_samples * (1 if receiver.rows.confocal else receiver.rows.pixels)
-    if "direct" in asked:
+    if "direct" in requested:
         bright += _add_direct(problem, receiver, chunk, count, streams)
         rays += count * len(chunk)
         connections += count * len(chunk) * per_vertex
-    if asked == ("direct",):
+    if requested == ("direct",):
         return receiver.tally, Work(rays, connections, receiver.tally.histogram.size, bright=bright)
     vertices = ends.draw_hidden_vertices(
         problem.caster, problem.scene, problem.materials, problem.points, chunk, count, problem.aim(), streams,
@@ -61,13 +65,15 @@ def trace_chunk(problem: Problem, chunk: Ints, pool: FovPool, count: int, stream
     while len(vertices.laser):
         numbers = vertices.numbers(order - 3)
         name = component_of(order)
-        connected = np.arange(len(vertices.laser)) if name in asked else np.empty(0, np.int64)
+        connected = np.arange(len(vertices.laser)) if name in requested else np.empty(0, np.int64)
+        # What the factorised form adds is not connected here.
         if order == 4:
             connected = connected[problem.walked[vertices.part[connected]]]
         if len(connected):
             split_of_part = problem.tally_rows.of_part(order)
             bright += receiver.connect(vertices.take(connected), numbers[connected, 0], split_of_part)
             connections += len(connected) * per_vertex
+        # At the last order a ray serves no further bounce, only vertices near a pixel's patch.
         if order == last:
             connected = connected[receiver.near(vertices.take(connected))]
             vertices, numbers, connected = vertices.take(connected), numbers[connected], np.arange(len(connected))
@@ -84,8 +90,8 @@ def trace_chunk(problem: Problem, chunk: Ints, pool: FovPool, count: int, stream
         if order == last:
             break
         if last is None and order >= ROULETTE_FROM:
-            # Within the window light that loses nothing is ended by the metre, not by the bounce: a path that bounces
-            # to and fro in a corner would else come out of it with a weight beyond all bounds.
+            # Within the window the chance to survive falls with each metre of path, not with each bounce: a path that
+            # bounces to and fro in a narrow corner would otherwise come out of it with a weight without bound.
             metres = np.linalg.norm(np.where(hits.valid[:, None], hits.position - vertices.position, 0.0), axis=1)
             stays = np.where(
                 vertices.path > window_end_m, SURVIVAL_BEYOND, np.exp(-LIVES_PER_WINDOW * metres / window_end_m)
@@ -99,8 +105,10 @@ def trace_chunk(problem: Problem, chunk: Ints, pool: FovPool, count: int, stream
 
 
 def _add_direct(problem: Problem, receiver: Receiver, chunk: Ints, count: int, streams: Streams) -> int:
-    """One bounce: the laser point seen by a pixel. Two: a surface in the FoV that the laser point lights. Returns how
-    many connections could carry energy."""
+    """Number of connections that could carry energy, after adding the direct light to the receiver.
+
+    Paths of one bounce: a pixel sees the laser point. Of two: the laser point lights a surface in the field of view.
+    """
     split_of_part = problem.tally_rows.of_part(2)
     receiver.add_laser_points(problem.points, chunk, int(split_of_part[0]))
     vertices = ends.laser_point_vertices(problem.points, chunk, count, streams, problem.scene.attenuation_per_m)
@@ -114,6 +122,7 @@ def _add_direct(problem: Problem, receiver: Receiver, chunk: Ints, count: int, s
 
 
 def _receiver(problem: Problem, chunk: Ints, pool: FovPool, streams: Streams) -> Receiver:
+    """The receiver of a run of laser points, with an empty tally."""
     _, pixels, bins = problem.capture.shape
     confocal = problem.capture.pairing == "confocal"
     axis = problem.capture.time
@@ -131,8 +140,10 @@ def _receiver(problem: Problem, chunk: Ints, pool: FovPool, streams: Streams) ->
 
 
 def blocks_for(problem: Problem, pixels: Ints, count: int) -> int:
-    """How many blocks of FoV points are drawn: enough for what varies across the pixel, never more than hidden
-    vertices to use them or memory to hold them; a power of two, so that they cover the pixel evenly."""
+    """Number of blocks of FoV points for `count` hidden vertices, a power of two, so that they cover a pixel evenly.
+
+    There are as many as the pixel's patch has details, but no more than hidden vertices or than memory has room for.
+    """
     samples = problem.accuracy.fov_samples
     across = problem.patch_detail(pixels)
     useful = 64 * (1 + across) ** 2 / samples
@@ -141,7 +152,7 @@ def blocks_for(problem: Problem, pixels: Ints, count: int) -> int:
 
 
 def pool_for(problem: Problem, pixels: Ints, blocks: int, streams: Streams) -> FovPool:
-    """So many blocks of FoV points for each of `pixels`, which may repeat; `streams` has a row for each."""
+    """`blocks` blocks of FoV points for each of `pixels`, which may repeat; `streams` has a row for each of them."""
     return fov_pool(
         problem.caster, problem.scene, problem.capture.sensor, problem.cones, pixels, problem.accuracy.fov_samples,
         blocks, streams.seeds(LightStream.FOV_POINTS, np.arange(len(pixels))),

@@ -1,12 +1,13 @@
-"""Vertices of light paths: laser points, the hidden vertices they light, and where the light goes from there.
+"""Vertices of light paths: laser points, the first hidden vertices that they light, and later hidden vertices.
 
-A first hidden vertex can be drawn in two ways, combined by the balance heuristic (Veach & Guibas, SIGGRAPH 1995),
-which is unbiased and never gives a vertex more than the rays alone would:
+A first hidden vertex is drawn in either of two ways:
 
-- rays from the laser point drawn by its BRDF, which already carry the 1/R² of the geometry (docs/physics.md);
-- points uniform on the area of small parts, so that a small or distant object gets its share of samples.
+- where a ray from the laser point lands, drawn by the laser point's BRDF; its density already has the 1/R² of the
+  geometry (docs/physics.md);
+- uniformly on the area of small parts, so that a small or distant object gets its share of samples.
 
-Every later vertex is where a ray drawn by the BRDF of the one before it lands.
+The balance heuristic combines them (Veach & Guibas, SIGGRAPH 1995): the mean is unbiased, and no vertex weighs more
+than it would with rays alone. Every later vertex is where a ray lands that the BRDF at the vertex before it draws.
 """
 
 from __future__ import annotations
@@ -27,16 +28,18 @@ from datagen.transport.sampling import Streams, mix, scrambled_sobol, stream_see
 from datagen.transport.visibility.raycast import Hits, Raycaster
 
 CHOICES = 4
-"""Random numbers a vertex needs: one picks its FoV points, two aim its ray, one is for Russian roulette."""
+"""Random numbers that a vertex needs: one picks its block of FoV points, two aim its ray, one is for Russian
+roulette."""
 SOBOL_STEPS = 3
-"""Bounces of a path whose choices are Sobol' coordinates; later ones, which matter less, are independent."""
+"""Bounces of a path whose random numbers are Sobol' coordinates; later bounces, which bring less light, have
+independent ones. With half as many the secondary gets noisier."""
 
 
 class LaserPoints(NamedTuple):
-    """First surfaces of the laser rays.
+    """Laser points: where each of L laser rays first meets a surface.
 
     position, normal, to_laser : (L, 3) metres; unit normal facing the laser; unit direction to it. NaN without a hit.
-    part : (L,) part index, −1 for none. leg : (L,) metres from the laser.
+    part : (L,) part index, −1 without a hit. leg : (L,) distance to the laser, m.
     """
 
     position: Floats
@@ -47,7 +50,7 @@ class LaserPoints(NamedTuple):
 
     @classmethod
     def of(cls, caster: Raycaster, scene: Scene, laser: Laser) -> LaserPoints:
-        """Where the rays towards the laser's targets first meet the scene."""
+        """The laser points of the rays from the laser toward its targets."""
         span = laser.targets - laser.position
         hits = caster.closest(laser.position, span)
         part = np.where(hits.valid, scene.face_part[hits.face], -1).astype(np.int64)
@@ -56,19 +59,19 @@ class LaserPoints(NamedTuple):
         return cls(position, hits.normal, to_laser, part, np.linalg.norm(position - laser.position, axis=1))
 
     def take(self, lasers: Ints) -> LaserPoints:
-        """Some of them, or several copies of them."""
+        """The laser points of some indices, which may repeat."""
         return LaserPoints._make(values[lasers] for values in self)
 
 
 class Vertices(NamedTuple):
-    """n ends of light paths, each begun at one laser point.
+    """The last vertices of n light paths so far, each of which began at a laser point.
 
     laser : (n,) index of the laser point.
-    position, normal, to_previous : (n, 3) metres; unit normal on the lit side; unit direction the light comes from.
+    position, normal, to_previous : (n, 3) metres; unit normal on the lit side; unit direction to the vertex before.
     part : (n,) part index.
-    power : (n,) share of the emitted photon that arrives here.
-    path : (n,) metres travelled so far that count for the time axis.
-    choices : (n, CHOICES · SOBOL_STEPS or fewer) Sobol' coordinates for the choices to come.
+    power : (n,) share of the emitted photon that arrives here, over the density with which the path was drawn.
+    path : (n,) length from the laser point, m.
+    choices : (n, CHOICES · SOBOL_STEPS or fewer) Sobol' coordinates for the choices at the path's hidden vertices.
     stream : (n,) seed of each path's independent numbers.
     """
 
@@ -83,11 +86,11 @@ class Vertices(NamedTuple):
     stream: NDArray[np.uint64]
 
     def take(self, rows: Ints | slice) -> Vertices:
-        """Some of them."""
+        """The vertices of some rows."""
         return Vertices._make(values[rows] for values in self)
 
     def numbers(self, step: int) -> Floats:
-        """(n, CHOICES) numbers in 0 … 1 for the choices at step 0 (the first hidden vertex), 1, 2 …"""
+        """(n, CHOICES) random numbers in 0 … 1 for a path's first hidden vertex (step 0), its second (step 1), …"""
         if (step + 1) * CHOICES <= self.choices.shape[1]:
             return self.choices[:, step * CHOICES : (step + 1) * CHOICES]
         return np.asarray(_independent_numbers(self.stream, step, CHOICES))
@@ -95,15 +98,15 @@ class Vertices(NamedTuple):
 
 @dataclass(frozen=True)
 class AreaTarget:
-    """The triangles sampled by area and the share of hidden vertices they get.
+    """The n triangles on which first hidden vertices are drawn by area.
 
     Attributes
     ----------
-    share : of the hidden vertices, 0 … 7/8.
-    faces : (n,) triangle indices.
-    cumulative : (n,) running share of area.
-    area_m2 : their total.
-    contains : (F,) whether a triangle is one of them.
+    share : share of the first hidden vertices that are drawn by area, 0 … 7/8.
+    faces : (n,) indices of the triangles.
+    cumulative : (n,) running share of their area.
+    area_m2 : total area of the triangles.
+    contains : (F,) whether each triangle of the scene is one of them.
     """
 
     share: float
@@ -116,9 +119,10 @@ class AreaTarget:
     def choose(
         cls, caster: Raycaster, scene: Scene, materials: MaterialTable, points: LaserPoints, seed: int
     ) -> AreaTarget:
-        """Aim at objects that too few rays would meet: some trial rays decide (its seed fixes the answer).
+        """The triangles of objects that rays from the laser points seldom meet, as trial rays tell.
 
-        The share is a matter of variance only; any value gives the same mean.
+        The same seed gives the same triangles. Triangles and share change the variance only; the mean is the same for
+        any of them.
         """
         seen = np.flatnonzero(points.part >= 0)
         object_parts = [k for k, role in enumerate(scene.roles) if role == "object"]
@@ -131,7 +135,7 @@ class AreaTarget:
         hits = _rays(caster, materials, points, trial, scrambled_sobol(seeds, 256, 2).reshape(-1, 2))
         met = scene.face_part[hits.face[hits.valid]]
         frequency = np.bincount(met, minlength=len(scene.part_names)) / len(trial)
-        # A part the laser point itself lies on (a wall made of one part) is lit by nothing of its own plane.
+        # A part that a laser point lies on, such as a wall, gets no light from the points of its own plane.
         chosen = [k for k in object_parts if frequency[k] < 0.25 and k not in points.part]
         faces = np.flatnonzero(np.isin(scene.face_part, chosen))
         if not len(faces):
@@ -146,7 +150,7 @@ class AreaTarget:
 
 
 def runs_of(lasers: Ints, size: int) -> list[Ints]:
-    """Runs of consecutive laser points, at most `size` in each; a laser ray that met nothing ends a run."""
+    """Runs of at most `size` consecutive laser points; a gap in `lasers` (a ray that met nothing) ends a run."""
     runs = np.split(lasers, np.flatnonzero(np.diff(lasers) != 1) + 1)
     return [run[k : k + size] for run in runs for k in range(0, len(run), size)]
 
@@ -154,7 +158,7 @@ def runs_of(lasers: Ints, size: int) -> list[Ints]:
 def laser_point_vertices(
     points: LaserPoints, lasers: Ints, count: int, streams: Streams, attenuation_per_m: float
 ) -> Vertices:
-    """The laser points themselves as vertices, `count` copies of each that share the emitted photon."""
+    """The laser points themselves as vertices: `count` copies of each, which share the emitted photon."""
     owner = np.repeat(lasers, count)
     return Vertices(
         laser=owner, position=points.position[owner], normal=points.normal[owner], to_previous=points.to_laser[owner],
@@ -169,9 +173,10 @@ def draw_hidden_vertices(
     caster: Raycaster, scene: Scene, materials: MaterialTable, points: LaserPoints, lasers: Ints, count: int,
     target: AreaTarget, streams: Streams, steps: int,
 ) -> Vertices:  # fmt: skip
-    """`count` first hidden vertices for each of `lasers` (indices of laser points that exist), those that are lit.
+    """First hidden vertices of each of `lasers`: of `count` samples those that the laser point lights.
 
-    `path` counts from the laser point; `steps` is how many bounces of the path will want Sobol' coordinates.
+    lasers : indices of laser points that exist. steps : number of hidden vertices of a path, which decides how many
+    Sobol' coordinates a sample takes.
     """
     by_area = min(round(count * target.share), count - 1)
     by_ray = count - by_area
@@ -187,7 +192,8 @@ def draw_hidden_vertices(
         area_sobol = area_sobol.reshape(-1, dimensions)
         area_owner = np.repeat(lasers, by_area)
         area_face, area_position = _points_on_area(caster, target, area_sobol)
-        # Seen means: met first. Of two coinciding triangles only the one that a ray would meet then counts.
+        # A place is lit if a ray to it meets its own triangle first. Of two coinciding triangles only the one counts
+        # that a ray drawn by the BRDF would meet, too, as the balance heuristic demands.
         start = points.position[area_owner] + caster.offset_m * points.normal[area_owner]
         first = caster.closest(start, area_position - start)
         face = np.concatenate([face, np.where(first.face == area_face, area_face, -1)])
@@ -199,6 +205,7 @@ def draw_hidden_vertices(
         by_area / target.area_m2,
     )  # fmt: skip
     owner = owner[kept]
+    # The number of a sample within its laser point, by which its independent numbers are seeded.
     rays = by_ray * len(lasers)
     own = np.where(kept < rays, kept % by_ray, by_ray + (kept - rays) % max(by_area, 1))
     power *= np.exp(-scene.attenuation_per_m * (points.leg[owner] + distance))
@@ -212,7 +219,10 @@ def draw_hidden_vertices(
 
 
 def continued(scene: Scene, vertices: Vertices, hits: Hits, directions: Floats, throughput: Floats) -> Vertices:
-    """Where each vertex's light goes next: the end of its ray, with the share of power that the BRDF passes on."""
+    """The next vertices of the paths, where the rays from `vertices` land; paths whose ray met nothing are left out.
+
+    directions : (n, 3) of the rays. throughput : (n,) factor by which a bounce changes the power, 0 to end a path.
+    """
     going = np.flatnonzero(hits.valid & (throughput > 0))
     last = vertices.take(going)
     position = hits.position[going]
@@ -227,21 +237,26 @@ def continued(scene: Scene, vertices: Vertices, hits: Hits, directions: Floats, 
 def scattered_rays(
     caster: Raycaster, materials: MaterialTable, vertices: Vertices, numbers: Floats
 ) -> tuple[Hits, Floats, Floats]:
-    """One ray from each vertex drawn by its BRDF: hits, unit directions (n, 3), throughput f cosθ / pdf (n,)."""
+    """Hits, unit directions (n, 3) and throughput f cosθ / pdf (n,) of one ray from each vertex, drawn by its BRDF.
+
+    numbers : (n, CHOICES), of which the second and third aim the ray.
+    """
     uv = np.ascontiguousarray(numbers[:, 1:3])
     directions, throughput = _scattered(materials.arrays, vertices.part, vertices.normal, vertices.to_previous, uv)
     return caster.leaving(vertices.position, vertices.normal, directions), directions, throughput
 
 
 def _rays(caster: Raycaster, materials: MaterialTable, points: LaserPoints, owner: Ints, uv: Floats) -> Hits:
+    """Hits of n rays from the laser points `owner` (n,), drawn by their BRDFs from the numbers uv (n, ≥ 2)."""
     normals = points.normal[owner]
     directions, _ = _scattered(materials.arrays, points.part[owner], normals, points.to_laser[owner], uv)
     return caster.leaving(points.position[owner], normals, directions)
 
 
 def _points_on_area(caster: Raycaster, target: AreaTarget, sobol: Floats) -> tuple[NDArray[np.int32], Floats]:
-    """Faces (n,) and points (n, 3) uniform on the target's area, from the first two of Sobol' coordinates (n, …)."""
-    # The first coordinate picks the triangle and, stretched back to 0 … 1, serves once more within it.
+    """Triangle indices (n,) and points (n, 3) uniform on the target's area, from the first two columns of `sobol`."""
+    # The first coordinate picks the triangle. Stretched back to 0 … 1 within its share it serves once more as a
+    # coordinate on the triangle.
     pick = np.minimum(np.searchsorted(target.cumulative, sobol[:, 0], side="right"), len(target.faces) - 1)
     upper = target.cumulative[pick]
     lower = np.where(pick > 0, target.cumulative[pick - 1], 0.0)
@@ -253,20 +268,20 @@ def _points_on_area(caster: Raycaster, target: AreaTarget, sobol: Floats) -> tup
 
 @compiled(inline="always")
 def at(array: Floats, i: int) -> Vector:
-    """Row i of (n, 3) numbers."""
+    """Row i of an (n, 3) array as a vector."""
     return (array[i, 0], array[i, 1], array[i, 2])
 
 
 @compiled()
 def _scattered(materials: Materials, part: Ints, normal: Floats, w_in: Floats, uv: Floats) -> tuple[Floats, Floats]:
-    """Directions (n, 3) drawn by each vertex's BRDF, and the throughput f cosθ / pdf (n,)."""
+    """Unit directions (n, 3) drawn by each vertex's BRDF from uv (n, ≥ 2), and their throughput f cosθ / pdf (n,)."""
     directions, throughput = np.empty((len(part), 3)), np.empty(len(part))
     for i in range(len(part)):
         k, material = materials.kind[part[i]], materials.values[part[i]]
         n, incoming = at(normal, i), at(w_in, i)
         w = sample(k, material, n, incoming, uv[i, 0], uv[i, 1])
         directions[i, 0], directions[i, 1], directions[i, 2] = w
-        # A lobe may be drawn below the surface, where nothing leaves.
+        # A lobe may send a ray below the surface, where no light leaves: its throughput is 0.
         density = pdf(k, material, n, incoming, w)
         f = evaluate(k, material, n, incoming, w)
         throughput[i] = f * dot(n, w) / density if f > 0.0 and density > 0.0 else 0.0
@@ -280,7 +295,7 @@ def _independent_numbers(streams: NDArray[np.uint64], step: int, count: int) -> 
     for i in range(len(streams)):
         for k in range(count):
             word = mix(streams[i] + (np.uint64(step) << np.uint64(32)), np.uint64(k + 1))
-            # Half a step up: neither 0, whose logarithm a lobe may take, nor 1.
+            # Half a step above the multiple of 2⁻³²: neither 0, of which a lobe may take the logarithm, nor 1.
             out[i, k] = (np.float64(word) + 0.5) * 2.0**-32
     return out
 
@@ -290,14 +305,19 @@ def _lit(
     face: NDArray[np.int32], position: Floats, owner: Ints, points: LaserPoints, materials: Materials,
     face_normal: Floats, by_area_too: Bools, rays: float, area_density: float,
 ) -> tuple[Ints, Floats, Floats, Floats, Floats]:  # fmt: skip
-    """Which candidates for hidden vertices the laser points light, their normal on the lit side, direction and
-    distance to the laser point, and the power that arrives, f₁ cosθ₁ cosθ₂ / R² over the density of both ways."""
+    """Candidates for first hidden vertices that their laser points light: indices (n,), unit normals on the lit side
+    (n, 3), unit directions (n, 3) and distances (n,) to the laser point, and power (n,).
+
+    The power is f₁ cosθ₁ cosθ₂ / R² over the expected number of samples per area by both ways together. rays : number
+    of rays of a laser point. area_density : 1/m², of points drawn by area on triangles where `by_area_too` (F,).
+    """
     kept = np.empty(len(face), np.int64)
     normal, to_laser_point = np.empty((len(face), 3)), np.empty((len(face), 3))
     distance, power = np.empty(len(face)), np.empty(len(face))
     n = 0
     for i in range(len(face)):
         f, o = face[i], owner[i]
+        # The ray met nothing, or another surface than the one that was drawn by area.
         if f < 0:
             continue
         d = (
@@ -318,14 +338,14 @@ def _lit(
         side = 1.0 if cos2 > 0.0 else -1.0
         k1, material1 = materials.kind[points.part[o]], materials.values[points.part[o]]
         spread = abs(cos2) / square
-        # The balance heuristic: whichever way drew this place, it counts over the density of all that could have.
+        # The balance heuristic: whichever way drew this place, its power is divided by the density of both ways.
         density = rays * pdf(k1, material1, n1, w_in, w) * spread
         if by_area_too[f]:
             density += area_density
         if density <= 0.0:
             continue
         energy = evaluate(k1, material1, n1, w_in, w) * cos1 * spread / density
-        # Not `<= 0`: what is no number is left out, too.
+        # `not … > 0` leaves out NaN as well, which `<= 0` would let pass.
         if not energy > 0.0:
             continue
         kept[n], distance[n], power[n] = i, r, energy
