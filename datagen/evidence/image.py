@@ -25,7 +25,7 @@ from datagen.records import Capture, Scene, Sensor
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot
 from datagen.transport.fields_of_view import FovPool, PixelCones, fov_points
-from datagen.transport.geometry import air, cross, get, less, unit
+from datagen.transport.geometry import cross, get, subtract, transmittance, unit
 from datagen.transport.path_tracing.vertices import LaserPoints
 from datagen.transport.quadrature.weights import weight
 from datagen.transport.visibility.raycast import Raycaster, lifted_and_scaled
@@ -208,7 +208,7 @@ def _points(face, depth, center, axes, half_m, vertices, triangles):  # type: ig
             if face[row, column] < 0:
                 continue
             a, b, c = triangles[face[row, column]]
-            n = unit(cross(less(vertices[b], vertices[a]), less(vertices[c], vertices[a])))
+            n = unit(cross(subtract(vertices[b], vertices[a]), subtract(vertices[c], vertices[a])))
             # The surface behind the pixel is larger than the pixel if it is tilted.
             slant = dot(n, axes[2])
             area[row, column] = pixel_m2 / max(abs(slant), GRAZING)
@@ -234,14 +234,16 @@ def _unoccluded_detections(  # type: ignore[no-untyped-def]
         i = pixels[k]
         place, n, p = get(points.position, i, 0), get(points.normal, i, 0), points.part[i]
         # The side of the surface that the label shows is dark if the laser point lies behind it.
-        if dot(less(ends.lit_from[0], place), n) <= 0.0:
+        if dot(subtract(ends.lit_from[0], place), n) <= 0.0:
             continue
         w, r1, r3 = weight(
             place, n, kind[p], values[p], ends.lit_from, ends.seen_from, ends.footprint_m2, attenuation
         )  # fmt: skip
         arrival = math.floor((r1 + r3 + (ends.legs_m if from_source else 0.0)) / bin_m - first)
         if w > 0.0 and 0 <= arrival < len(gain):
-            out[k] = points.area[i] * w * ends.sensor_share * air(attenuation, ends.legs_m) * gain[int(arrival)]
+            out[k] = (
+                points.area[i] * w * ends.sensor_share * transmittance(attenuation, ends.legs_m) * gain[int(arrival)]
+            )
     return out
 
 

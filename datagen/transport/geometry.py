@@ -11,7 +11,7 @@ from datagen.transport.brdf import dot
 
 
 @compiled()
-def less(a, b):  # type: ignore[no-untyped-def]
+def subtract(a, b):  # type: ignore[no-untyped-def]
     """The difference a − b of two vectors."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
@@ -25,12 +25,12 @@ def cross(a, b):  # type: ignore[no-untyped-def]
 @compiled()
 def distance(a, b):  # type: ignore[no-untyped-def]
     """The distance |a − b| of two points."""
-    d = less(a, b)
+    d = subtract(a, b)
     return np.sqrt(dot(d, d))
 
 
 @compiled()
-def air(attenuation, path):  # type: ignore[no-untyped-def]
+def transmittance(attenuation, path):  # type: ignore[no-untyped-def]
     """Transmittance of air on a path of some metres, 0 … 1; `attenuation` in 1/m."""
     # Most scenes have clear air: testing for it is cheaper than an exponential.
     return math.exp(-attenuation * path) if attenuation > 0.0 else 1.0
@@ -71,13 +71,13 @@ def corner(corners, f, k):  # type: ignore[no-untyped-def]
 def longest(a, b, c):  # type: ignore[no-untyped-def]
     """Number (0 for ab, 1 for bc, 2 for ca) and length of the longest side of a triangle."""
     # Squares compare as lengths do, so one root is enough.
-    u, v, w = less(b, a), less(c, b), less(a, c)
+    u, v, w = subtract(b, a), subtract(c, b), subtract(a, c)
     ab, bc, ca = dot(u, u), dot(v, v), dot(w, w)
     return 0 if ab >= bc and ab >= ca else 1 if bc >= ca else 2, math.sqrt(max(ab, bc, ca))
 
 
 @compiled()
-def ball(box, k):  # type: ignore[no-untyped-def]
+def bounding_sphere(box, k):  # type: ignore[no-untyped-def]
     """Centre and radius of the bounding sphere of box k; a box is its lowest and its highest corner."""
     size = (box[k, 3] - box[k, 0], box[k, 4] - box[k, 1], box[k, 5] - box[k, 2])
     middle = (box[k, 0] + 0.5 * size[0], box[k, 1] + 0.5 * size[1], box[k, 2] + 0.5 * size[2])

@@ -1,4 +1,4 @@
-"""`transport: {target: …}` in a configuration: refused beside sample counts, kept in a manifest, reported afterwards."""
+"""`transport: {target: …}` in a configuration: refused beside sample counts, kept in a manifest, and reported."""
 
 from __future__ import annotations
 

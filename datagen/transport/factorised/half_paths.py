@@ -18,7 +18,7 @@ from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, in_frame_of
 from datagen.transport.factorised.convolution import Paths
-from datagen.transport.geometry import air, get, less
+from datagen.transport.geometry import get, subtract, transmittance
 from datagen.transport.visibility.raycast import lifted_and_scaled
 
 Singles = NDArray[np.float32]
@@ -146,7 +146,7 @@ def leaving_paths(
                 if weight == 0.0:
                     continue
                 x, normal_4 = get(fov.position[p], q, 0), get(fov.normal[p], q, 0)
-                u = less(x, b)
+                u = subtract(x, b)
                 # Both carry a factor R, so that no square root is taken for surfaces that face away.
                 cos_b, cos_4 = dot(u, normal_b), -dot(u, normal_4)
                 if cos_b <= 0.0 or cos_4 <= 0.0:
@@ -158,7 +158,7 @@ def leaving_paths(
                 to_b = (-u[0] / distance, -u[1] / distance, -u[2] / distance)
                 # The lookin's BRDF is not among the factors: it is constant, and `arriving_paths` multiplies by it.
                 f4 = evaluate(kind[part], values[part], normal_4, to_b, get(fov.to_sensor[p], q, 0))
-                energy[found] = f4 * weight * form * air(room.attenuation, distance + fov.last_leg[p, q])
+                energy[found] = f4 * weight * form * transmittance(room.attenuation, distance + fov.last_leg[p, q])
                 # Cosine rays from the FoV point have the density cosθ₄ cosθ_b / (π R²) per area at the lookin.
                 density[found] = fov.share[p, q] * form / math.pi
                 length = distance + room.device_legs * fov.last_leg[p, q]
@@ -255,7 +255,7 @@ def _observed_point(start, face, w, room):  # type: ignore[no-untyped-def]
     """
     normal = get(room.normal, face, 0)
     approach = dot(w, normal)
-    distance = dot(less(get(room.corner, face, 0), start), normal) / approach if approach != 0.0 else math.inf
+    distance = dot(subtract(get(room.corner, face, 0), start), normal) / approach if approach != 0.0 else math.inf
     o = (start[0] + distance * w[0], start[1] + distance * w[1], start[2] + distance * w[2])
     if approach > 0.0:
         normal = (-normal[0], -normal[1], -normal[2])
@@ -289,7 +289,7 @@ def arriving_paths(
     from_1 = lifted_and_scaled(x1, n1, room.offset, room.frame)
     for n in range(count):
         b, normal_b = get(lookins.position, n, 0), get(lookins.normal, n, 0)
-        apart = less(b, x1)
+        apart = subtract(b, x1)
         # Both ways to draw o bound the weight of a path only if its lookin keeps a distance from the laser point.
         if dot(apart, apart) < vicinity.near_square:
             first[n + 1] = found
@@ -314,7 +314,7 @@ def arriving_paths(
             else:
                 o, normal_o = get(vicinity.lit_position, k - observed, 0), get(vicinity.lit_normal, k - observed, 0)
                 part_o, at = np.int32(vicinity.lit_part[k - observed]), from_b
-            u, v = less(o, x1), less(b, o)
+            u, v = subtract(o, x1), subtract(b, o)
             value = _weight(u, v, n1, normal_o, normal_b, samples, vicinity.near_square)
             if value <= 0.0:
                 continue
@@ -323,7 +323,7 @@ def arriving_paths(
                 continue
             # The leg from the laser always attenuates, but counts for the time only with the time origin `source`.
             length = math.sqrt(dot(u, u)) + math.sqrt(dot(v, v))
-            energy[found] = value * air(room.attenuation, vicinity.leg + length)
+            energy[found] = value * transmittance(room.attenuation, vicinity.leg + length)
             position[found] = (length + room.device_legs * vicinity.leg) * room.per_metre
             _send(origin, span, found, at, lifted_and_scaled(o, normal_o, room.offset, room.frame))
             found += 1

@@ -15,7 +15,7 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.transport.brdf import LAMBERTIAN, dot
-from datagen.transport.geometry import air, half, less
+from datagen.transport.geometry import half, subtract, transmittance
 from datagen.transport.quadrature.arrival_times import pour, tent, widened
 from datagen.transport.quadrature.waiting import KEPT, push
 from datagen.transport.quadrature.weights import AT_ONCE, outside, smeared, verdict
@@ -74,7 +74,7 @@ def light_at_points(batch, count, x, n1, attenuation):  # type: ignore[no-untype
     """`weights.weight` at the points of a batch."""
     for j in range(min(count, WIDE)):
         y = _at(batch, POINT, j)
-        d1, d3 = less(y, x), less(y, _at(batch, SEEN_FROM, j))
+        d1, d3 = subtract(y, x), subtract(y, _at(batch, SEEN_FROM, j))
         n, n3 = _at(batch, NORMAL, j), _at(batch, NORMAL3, j)
         square1, square3 = dot(d1, d1), dot(d3, d3)
         up1, up3 = dot(d1, n1), dot(d3, n3)
@@ -87,7 +87,7 @@ def light_at_points(batch, count, x, n1, attenuation):  # type: ignore[no-untype
     if attenuation > 0.0:
         for j in range(min(count, WIDE)):
             path = batch[(LIGHT + 1) * WIDE + j] + batch[(LIGHT + 2) * WIDE + j]
-            batch[LIGHT * WIDE + j] *= air(attenuation, path)
+            batch[LIGHT * WIDE + j] *= transmittance(attenuation, path)
 
 
 @compiled()
@@ -101,7 +101,7 @@ def _middles(batch, count):  # type: ignore[no-untyped-def]
     """Set the points of a batch to the middles of its elements, and their longest sides."""
     for j in range(min(count, WIDE)):
         a, b, c = _at(batch, FIRST, j), _at(batch, SECOND, j), _at(batch, THIRD, j)
-        u, v, w = less(b, a), less(c, b), less(a, c)
+        u, v, w = subtract(b, a), subtract(c, b), subtract(a, c)
         ab, bc, ca = dot(u, u), dot(v, v), dot(w, w)
         for i in range(3):
             batch[(POINT + i) * WIDE + j] = (a[i] + b[i] + c[i]) / 3
@@ -117,8 +117,8 @@ def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-un
     for j in range(min(count, WIDE)):
         z, n3 = _at(batch, SEEN_FROM, j), _at(batch, NORMAL3, j)
         a, b, c = _at(batch, FIRST, j), _at(batch, SECOND, j), _at(batch, THIRD, j)
-        above1 = max(dot(less(a, x), n1), dot(less(b, x), n1), dot(less(c, x), n1))
-        above3 = max(dot(less(a, z), n3), dot(less(b, z), n3), dot(less(c, z), n3))
+        above1 = max(dot(subtract(a, x), n1), dot(subtract(b, x), n1), dot(subtract(c, x), n1))
+        above3 = max(dot(subtract(a, z), n3), dot(subtract(b, z), n3), dot(subtract(c, z), n3))
         w = max(batch[LIGHT * WIDE + j], batch[3 * WIDE + j], batch[8 * WIDE + j], batch[13 * WIDE + j])
         paths = (batch[4 * WIDE + j], batch[9 * WIDE + j], batch[14 * WIDE + j])
         r1, r3, size = batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j], batch[SIZE * WIDE + j]
@@ -146,7 +146,7 @@ def _tents(batch, count, per_metre, start):  # type: ignore[no-untyped-def]
         a = batch[4 * WIDE + j] * per_metre + zero
         b = batch[9 * WIDE + j] * per_metre + zero
         c = batch[14 * WIDE + j] * per_metre + zero
-        d3, to_sensor = less(_at(batch, POINT, j), _at(batch, SEEN_FROM, j)), _at(batch, TO_SENSOR, j)
+        d3, to_sensor = subtract(_at(batch, POINT, j), _at(batch, SEEN_FROM, j)), _at(batch, TO_SENSOR, j)
         side, other = _at(batch, ACROSS, j), _at(batch, ACROSS + 3, j)
         variance = smeared(d3, batch[(LIGHT + 2) * WIDE + j], to_sensor, side, other) * per_metre * per_metre
         wide_a, wide_b, wide_c = widened(a, b, c, variance)

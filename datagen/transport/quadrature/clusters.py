@@ -8,7 +8,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot
-from datagen.transport.geometry import air, ball, corner, distance, less
+from datagen.transport.geometry import bounding_sphere, corner, distance, subtract, transmittance
 from datagen.transport.sampling import mix
 from datagen.transport.visibility.bvh import one_of
 
@@ -24,11 +24,11 @@ def is_small(around, at, x, z, most, allowed, attenuation):  # type: ignore[no-u
 
     most : photons that it would bring at distance 1 m from both ends, facing them. allowed : L2 error, photons.
     """
-    centre, radius = ball(around, at)
+    centre, radius = bounding_sphere(around, at)
     near1, near3 = distance(centre, x) - radius, distance(centre, z) - radius
     if min(near1, near3) <= 0.0 or 2 * radius > COARSEST * min(near1, near3):
         return False, near3
-    most *= air(attenuation, near1 + near3)
+    most *= transmittance(attenuation, near1 + near3)
     return 0.5 * most / (near1 * near1 * near3 * near3) <= allowed, near3
 
 
@@ -39,7 +39,7 @@ def facing_at_most(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-u
     m, radius : bounding sphere of the box. axis, cosine, sine : cone of its normals. rise : height of the box above
     the surface at x. A normal within an angle α of the axis has at most |axis · d| + |d × axis| sin α along d.
     """
-    d = less(m, x)
+    d = subtract(m, x)
     square, along = dot(d, d), abs(dot(d, axis))
     near = math.sqrt(square) - radius
     if near <= 0.0:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, evaluate_at_most
-from datagen.transport.geometry import air, get, less, put
+from datagen.transport.geometry import get, put, subtract, transmittance
 from datagen.transport.quadrature.transfer import (
     ALONG,
     BACK,
@@ -118,7 +118,7 @@ def _joined(one, i, two, j, parts, optics):  # type: ignore[no-untyped-def]
     (part1, part2), kind, values = parts, optics.kind, optics.values
     n1, n2 = get(one, i, NORMAL), get(two, j, NORMAL)
     y1, y2, share = _facing(one, i, two, j)
-    d = less(y2, y1)
+    d = subtract(y2, y1)
     square = dot(d, d)
     r = math.sqrt(square)
     per = 1.0 / r if r > 0.0 else 0.0
@@ -197,7 +197,7 @@ def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
     """
     y1, y2 = get(one, i, 0), get(two, j, 0)
     n1, n2 = get(one, i, NORMAL), get(two, j, NORMAL)
-    d = less(y2, y1)
+    d = subtract(y2, y1)
     up, down = dot(d, n1), -dot(d, n2)
     p, q, s, t = get(one, i, SPAN), get(one, i, SPAN + 3), get(two, j, SPAN), get(two, j, SPAN + 3)
     along_p, along_q, along_s, along_t = dot(n2, p), dot(n2, q), dot(n1, s), dot(n1, t)
@@ -263,7 +263,7 @@ def _ray_from(elements, k, turn, y, other):  # type: ignore[no-untyped-def]
     for j in range(3):
         at = 3 * ((turn + j) % 3)
         z, n = get(elements.corner, k, at), get(elements.corner, k, WEIGHT + at)
-        if dot(less(other, z), n) > 0.0:
+        if dot(subtract(other, z), n) > 0.0:
             return z, n
     return y, get(elements.known, k, NORMAL)
 
@@ -304,7 +304,7 @@ def join(begin, pairs, lit, ones, seen, twos, optics, rules, found, waiting):  #
                     )
                     if not most > 0.0:
                         continue
-                    left = air(rules.attenuation, path)
+                    left = transmittance(rules.attenuation, path)
                     energy, most, variance = energy * left, most * left, variance * per_square
                     larger = _which(ones.known, one, twos.known, two)
                     if (

@@ -25,7 +25,7 @@ from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot, in_frame_of
-from datagen.transport.geometry import corner, distance, get, less, put, unit
+from datagen.transport.geometry import corner, distance, get, put, subtract, unit
 from datagen.transport.quadrature.arrival_times import spread, widened
 from datagen.transport.quadrature.weights import smear, weight
 from datagen.transport.sampling import mix, word_of
@@ -181,7 +181,7 @@ def _plan(pairs, some, scan, outlines, fans):  # type: ignore[no-untyped-def]
         z, n3 = corner(patches.position, p, q), corner(patches.normal, p, q)
         for k in range(len(outlines.radius)):
             m, radius = get(outlines.middle, k, 0), outlines.radius[k]
-            rise1, rise3 = dot(less(m, x), n1) + radius, dot(less(m, z), n3) + radius
+            rise1, rise3 = dot(subtract(m, x), n1) + radius, dot(subtract(m, z), n3) + radius
             if radius == 0.0 or rise1 <= 0.0 or not cutting.error[k] < np.inf:
                 continue
             r1, r3 = max(distance(m, x), radius), max(distance(m, z), radius)
@@ -198,7 +198,7 @@ def _plan(pairs, some, scan, outlines, fans):  # type: ignore[no-untyped-def]
 @compiled(_nrt=False)
 def _frame(o, k, outlines, frame, n):  # type: ignore[no-untyped-def]
     """Put the frame of mesh k, seen from o, into row n; returns its solid angle, about."""
-    axis = less(get(outlines.middle, k, 0), o)
+    axis = subtract(get(outlines.middle, k, 0), o)
     for j in range(9):
         frame[n, j] = 0.0
     if dot(axis, axis) == 0.0:
@@ -207,7 +207,7 @@ def _frame(o, k, outlines, frame, n):  # type: ignore[no-untyped-def]
     right, up = in_frame_of(axis, 1.0, 0.0, 0.0), in_frame_of(axis, 0.0, 1.0, 0.0)
     left, low, most, high = np.inf, np.inf, -np.inf, -np.inf
     for v in range(outlines.first[k], outlines.first[k + 1]):
-        d = less(get(outlines.corners, v, 0), o)
+        d = subtract(get(outlines.corners, v, 0), o)
         depth = dot(d, axis)
         if depth <= 0.0 or depth * depth <= FRAMED * FRAMED * dot(d, d):
             return 2.0 * math.pi
@@ -281,7 +281,7 @@ def _connect(pairs, scan, fans, fan, start, hits, face_part, offset, wide, tally
         y, n, word = get(hits.position, r, 0), get(hits.normal, r, 0), _word(scan, tally, fans, fan)
         lit = (x, n1, get(lasers.to_laser, i, 0), scan.kind[k1], scan.values[k1])
         d, along, across, solid_angle = _direction(fans, fan, j, n1, word)
-        back1, steep = less(y, x), -dot(d, n)
+        back1, steep = subtract(y, x), -dot(d, n)
         reach, length = math.sqrt(dot(back1, back1)), math.sqrt(dot(d, d))
         if not (steep > 0.0 and reach > 0.0):
             continue
@@ -298,7 +298,7 @@ def _connect(pairs, scan, fans, fan, start, hits, face_part, offset, wide, tally
             )  # fmt: skip
             if not w > 0.0:
                 continue
-            back3 = less(y, z)
+            back3 = subtract(y, z)
             h = (g[0] + back3[0] / r3, g[1] + back3[1] / r3, g[2] + back3[2] / r3)
             # Edge-on a cell reaches far beyond the mesh.
             one = min(abs(size * (dot(h, along) + dot(h, d) * dot(n, along) / steep)), reach)

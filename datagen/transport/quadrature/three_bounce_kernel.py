@@ -18,7 +18,7 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, Vector, dot
-from datagen.transport.geometry import above, ball, corner, distance, get, half, less
+from datagen.transport.geometry import above, bounding_sphere, corner, distance, get, half, subtract
 from datagen.transport.quadrature.arrival_times import spread, widened
 from datagen.transport.quadrature.clear_elements import put_clear, room_for_clear, spread_clear
 from datagen.transport.quadrature.clusters import (
@@ -55,7 +55,7 @@ from datagen.transport.quadrature.weights import (
 )
 from datagen.transport.sampling import mix, word_of
 from datagen.transport.visibility.bvh import CLUSTER, SMALLEST
-from datagen.transport.visibility.occlusion import LISTED, RING, hidden, lists, narrowed
+from datagen.transport.visibility.occlusion import LISTED, RING, hidden, lists, narrowed, shaded
 
 PARTLY, UNFOUND, MESH = (0.5, 0.05), 0.05, 256
 """Expected error of an element, relative to its light: of one judged by a single shadow ray, on a part of up to
@@ -324,14 +324,14 @@ def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ign
     whether it is so large that it is divided before the footprint is quartered; and which of its sides is longest."""
     tree, patches, size, side = scan.tree, scan.patches, scan.patches.size[p, q], 0
     if what == BOX:
-        m, h = ball(tree.box, at)
+        m, h = bounding_sphere(tree.box, at)
         area = tree.area[tree.span[at, 1]] - tree.area[tree.span[at, 0]]
         rise, height = above(tree.box, at, lit.x, lit.normal), np.inf
         halve = tree.children[at, 0] >= 0 and h > size
     else:
         m, side, h = middle_of(cell, top)
         area, rise = cell[top, 15], highest_above(cell, top, lit.x, lit.normal)
-        height = abs(dot(less(lit.x, vertex_of(cell, top, 0)), get(tree.normal, at, 0)))
+        height = abs(dot(subtract(lit.x, vertex_of(cell, top, 0)), get(tree.normal, at, 0)))
         halve = h > max(size, SMALLEST * tree.extent)
     if rise <= 0.0 or patches.most[p, q] <= 0.0:
         return -1.0, halve, side
@@ -352,10 +352,10 @@ def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
     start, end = tree.span[at, 0], tree.span[at, 1]
     if end - start <= CLUSTER:
         return OPENED
-    m, h = ball(tree.box, at)
+    m, h = bounding_sphere(tree.box, at)
     axis, cosine = get(tree.cone, at, 0), tree.cone[at, 3]
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    sides = side_turned(less(x, m), h, axis, cosine, sine) * side_turned(less(z, m), h, axis, cosine, sine)
+    sides = side_turned(subtract(x, m), h, axis, cosine, sine) * side_turned(subtract(z, m), h, axis, cosine, sine)
     # The side that is lit is not the one that the footprint's middle sees; parts of a large footprint may see it.
     if sides < 0 and not view.quarters:
         return DROPPED
@@ -381,8 +381,8 @@ def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
 def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type: ignore[no-untyped-def]
     """Let one random point stand for a faint box; returns the elements spread and the rays asked, 0 or 1 each."""
     tree, x, clock = scan.tree, lit.x, scan.clock
-    start, end, m = tree.span[at, 0], tree.span[at, 1], ball(tree.box, at)[0]
-    f, y = anywhere(start, end, tree.area, tree.corners, _word_at(view.word, less(m, x), tree.extent))
+    start, end, m = tree.span[at, 0], tree.span[at, 1], bounding_sphere(tree.box, at)[0]
+    f, y = anywhere(start, end, tree.area, tree.corners, _word_at(view.word, subtract(m, x), tree.extent))
     n = get(tree.normal, f, 0)
     w, r1, r3 = weight(
         y, n, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area, clock.attenuation
@@ -390,7 +390,7 @@ def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type
     if not w > 0.0:
         return 0, 0
     if _seen(y, x, view.z, f, candidates, scan.occluders.row, listed):
-        t, path = (r1 + r3 + view.device) * clock.per_metre - clock.start, less(y, view.z)
+        t, path = (r1 + r3 + view.device) * clock.per_metre - clock.start, subtract(y, view.z)
         variance = smear(path, view.vertex[2], clock.device, scan.patches.across, view.p, view.q)
         at_a, at_b, at_c = widened(t, t, t, variance * clock.per_metre * clock.per_metre)
         energy = w * view.gain * (tree.area[end] - tree.area[start])
@@ -411,7 +411,7 @@ def _light_at_vertices(  # type: ignore[no-untyped-def]
     n, a, kind2, values2 = get(tree.normal, f, 0), vertex_of(cell, top, 0), scan.kind[k], scan.values[k]
     if highest_above(cell, top, x, lit.normal) <= 0.0 or highest_above(cell, top, z, view.normal) <= 0.0:
         return DROPPED
-    rise1, rise3 = dot(less(x, a), n), dot(less(z, a), n)
+    rise1, rise3 = dot(subtract(x, a), n), dot(subtract(z, a), n)
     # The laser point lies in the element's plane and does not light it.
     if abs(rise1) < flat:
         return DROPPED
@@ -436,7 +436,7 @@ def _as_element(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-de
     w, r1, r3 = weight(
         m, n, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area, scan.clock.attenuation
     )  # fmt: skip
-    rise1, rise3 = dot(less(lit.x, a), n), dot(less(view.z, a), n)
+    rise1, rise3 = dot(subtract(lit.x, a), n), dot(subtract(view.z, a), n)
     return Element(f, m, n, h, side, w, r1, r3, rise1, rise3)
 
 
@@ -484,9 +484,12 @@ def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top)
     becomes : the verdict as if nothing hid it, CUT or SPREAD. at_stake : L2 error if all its light were missing.
     """
     first, _, last = candidates
-    # Rays to the halves tell more than rays to an element that is halved anyway.
-    if first == last or becomes == CUT:
+    if first == last:
         return becomes, 0
+    if becomes == CUT:
+        # It gets no rays, for those to its halves tell more. Without a proof, triangles that lie under darker ones
+        # would be halved for minutes.
+        return DROPPED if _proven_hidden(scan, lit, view, element, candidates, room, top) else CUT, 0
     tree, cell = scan.tree, room.cell
     mesh = tree.span[tree.roots[k], 1] - tree.span[tree.roots[k], 0] > MESH
     # One ray to a random point is right on average; it is enough where its error is small.
@@ -496,10 +499,20 @@ def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top)
         return SPREAD if seen > 0 else DROPPED, rays
     # Some of the element may be seen although three rays found nothing: it is halved if that might be too much.
     cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > view.may)
-    if seen == 0 and not cut:
+    if seen == 0 and (not cut or _proven_hidden(scan, lit, view, element, candidates, room, top)):
         return DROPPED, rays
     cell[top, 17] = STILL_UNFOUND * cell[top, 17] if seen == 0 else UNFOUND
     return CUT if cut else SPREAD, rays
+
+
+@compiled(**STEP)
+def _proven_hidden(scan, lit, view, element, candidates, room, top):  # type: ignore[no-untyped-def]
+    """Whether it is proven that one triangle hides all of an element from the laser point or from the footprint."""
+    (first, middle, last), row, listed, cell = candidates, scan.occluders.row, room.listed, room.cell
+    a, b, c = vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2)
+    return (first < middle and shaded(lit.x, a, b, c, element.f, first, middle, row, listed)) or (
+        middle < last and shaded(view.z, a, b, c, element.f, middle, last, row, listed)
+    )
 
 
 @compiled(**STEP)
@@ -508,7 +521,7 @@ def _points_seen(scan, lit, view, element, count, candidates, room, top):  # typ
     or 3), counted until some are seen and some are not; and the number of points asked."""
     tree, x, z, m, cell = scan.tree, lit.x, view.z, element.m, room.cell
     seen, rays = 0, 0
-    word_here = _word_at(view.word, less(m, x), tree.extent)
+    word_here = _word_at(view.word, subtract(m, x), tree.extent)
     for j in range(count):
         rays, word = rays + 1, word_here if count == 1 else mix(word_here, np.uint64(j))
         if count == 1:
@@ -610,7 +623,7 @@ def _spread(scan, view, element, bend, cell, top, histogram, into):  # type: ign
     )  # fmt: skip
     if view.size * per_metre > AT_ONCE:
         # Light reaches the footprint over a range of times.
-        path, across = less(element.m, view.z), scan.patches.across
+        path, across = subtract(element.m, view.z), scan.patches.across
         variance = smear(path, view.vertex[2], scan.clock.device, across, view.p, view.q) * per_metre * per_metre
         at_a, at_b, at_c = widened(at_a, at_b, at_c, variance)
     return spread(histogram, into, at_a, at_b, at_c, wa, wb, wc, energy)

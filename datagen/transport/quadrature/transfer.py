@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, evaluate_at_most
-from datagen.transport.geometry import above, ball, corner, distance, get, half, less, longest, put
+from datagen.transport.geometry import above, bounding_sphere, corner, distance, get, half, longest, put, subtract
 from datagen.transport.sampling import word_of
 from datagen.transport.visibility.bvh import CLUSTER, SMALLEST, Hierarchy, one_of
 from datagen.transport.visibility.occluder_rows import Occluders
@@ -159,7 +159,7 @@ def lit(y, n, p, ends, optics):  # type: ignore[no-untyped-def]
         k = part[p, q]
         if k < 0:
             continue
-        d, n1 = less(y, get(point, q, 0)), get(point, q, UPWARD)
+        d, n1 = subtract(y, get(point, q, 0)), get(point, q, UPWARD)
         square = dot(d, d)
         r, up, down = math.sqrt(square), dot(d, n1), -dot(d, n)
         share = point[q, SHARE]
@@ -181,7 +181,7 @@ def _lit_at_most(y, n, h, p, ends, optics):  # type: ignore[no-untyped-def]
         k = part[p, q]
         if k < 0:
             continue
-        d, n1 = less(y, get(point, q, 0)), get(point, q, UPWARD)
+        d, n1 = subtract(y, get(point, q, 0)), get(point, q, UPWARD)
         square = dot(d, d)
         r, up, down = math.sqrt(square), dot(d, n1), -dot(d, n)
         if up > 0.0 and down > 0.0:
@@ -222,7 +222,7 @@ def condense(elements, k, p, ends, optics):  # type: ignore[no-untyped-def]
     per = 1.0 / whole if whole > 0.0 else 0.0
     put(known, k, 0, (middle[0] * per, middle[1] * per, middle[2] * per))
     known[k, ENERGY], known[k, LENGTH] = corner[k, SIZE] * whole, length * per
-    e, s = less(b, a), less(c, half(a, b))
+    e, s = subtract(b, a), subtract(c, half(a, b))
     one, two = math.sqrt(1 / 24), math.sqrt(1 / 18)
     put(known, k, SPAN, (one * e[0], one * e[1], one * e[2]))
     put(known, k, SPAN + 3, (two * s[0], two * s[1], two * s[2]))
@@ -331,7 +331,7 @@ def _draw(at, p, end, turn, ends, tree, hides, optics, seed, scratch):  # type: 
         n = get(tree.normal, f, 0)
         a, b, c = corner(tree.corners, f, 0), corner(tree.corners, f, 1), corner(tree.corners, f, 2)
         y = ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3)
-        if dot(less(x, y), n) < 0.0:
+        if dot(subtract(x, y), n) < 0.0:
             n = (-n[0], -n[1], -n[2])
         w, path = lit(y, n, p, ends, optics)
         w *= size
@@ -412,7 +412,7 @@ def _scatter(drawn, found, y, length, whole):  # type: ignore[no-untyped-def]
     share = found / max(found - 1, 1) / whole
     xx = xy = xz = yy = yz = zz = rx = ry = rz = 0.0
     for s in range(found):
-        d, w = less(get(drawn, s, 0), y), share * drawn[s, 6]
+        d, w = subtract(get(drawn, s, 0), y), share * drawn[s, 6]
         r = drawn[s, 7] - length
         xx, xy, xz = xx + w * d[0] * d[0], xy + w * d[0] * d[1], xz + w * d[0] * d[2]
         yy, yz, zz = yy + w * d[1] * d[1], yz + w * d[1] * d[2], zz + w * d[2] * d[2]
@@ -474,7 +474,7 @@ def _cut(ends, tree, occluders, optics, fineness, out, scratch):  # type: ignore
                             return -1
                         rays += asked
                     continue
-                centre, radius = ball(tree.box, at)
+                centre, radius = bounding_sphere(tree.box, at)
                 near, size = distance(centre, x) - radius, tree.area[end] - tree.area[start]
                 small = 2.0 * radius <= fineness.coarsest * near and size <= fineness.error * math.pi * near * near
                 if near <= 0.0 or optics.narrow[k] or not small:
@@ -501,7 +501,7 @@ def _cut_triangle(f, p, k, end, ends, tree, occluders, optics, fineness, out, sc
     (x, one, last), points, part, rays = end, ends.part.shape[1], ends.part, 0
     waits, area, error, smallest = scratch.corners, scratch.area, fineness.error, SMALLEST * tree.extent
     n = get(tree.normal, f, 0)
-    height = dot(less(x, corner(tree.corners, f, 0)), n)
+    height = dot(subtract(x, corner(tree.corners, f, 0)), n)
     # A single point in the triangle's own plane lights none of it; a footprint may reach above that.
     if abs(height) < occluders.flat and points == 1:
         return rays

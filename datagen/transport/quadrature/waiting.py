@@ -12,7 +12,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot
-from datagen.transport.geometry import get, less, longest, put
+from datagen.transport.geometry import get, longest, put, subtract
 
 BOX, FRESH, CELL, KEPT = map(np.int64, range(4))
 """Kinds of entries: a box of the BVH; a triangle whose vertices have no weights yet; an element whose vertices have;
@@ -59,7 +59,11 @@ def middle_of(cell, k):  # type: ignore[no-untyped-def]
 @compiled()
 def highest_above(cell, k, x, n):  # type: ignore[no-untyped-def]
     """Height of the highest vertex of entry k above the plane through x with normal n, metres."""
-    a, b, c = less(vertex_of(cell, k, 0), x), less(vertex_of(cell, k, 1), x), less(vertex_of(cell, k, 2), x)
+    a, b, c = (
+        subtract(vertex_of(cell, k, 0), x),
+        subtract(vertex_of(cell, k, 1), x),
+        subtract(vertex_of(cell, k, 2), x),
+    )
     return max(dot(a, n), dot(b, n), dot(c, n))
 
 

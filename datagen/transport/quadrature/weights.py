@@ -17,7 +17,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot, evaluate, evaluate_at_most
-from datagen.transport.geometry import air, distance, less
+from datagen.transport.geometry import distance, subtract, transmittance
 from datagen.transport.quadrature.clusters import UNLIKE
 
 SMEARED = 0.3
@@ -42,7 +42,7 @@ def weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation):  
     """
     x, n1, to_laser, kind1, values1 = lit_from
     z, n3, to_sensor, kind3, values3 = seen_from
-    d1, d3 = less(y, x), less(y, z)
+    d1, d3 = subtract(y, x), subtract(y, z)
     square1, square3 = dot(d1, d1), dot(d3, d3)
     r1, r3 = math.sqrt(square1), math.sqrt(square3)
     up1, up3 = dot(d1, n1), dot(d3, n3)
@@ -57,7 +57,7 @@ def weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation):  
     f2 = evaluate(kind2, values2, n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
     f3 = evaluate(kind3, values3, n3, w3, to_sensor)
     w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
-    return w * air(attenuation, r1 + r3), r1, r3
+    return w * transmittance(attenuation, r1 + r3), r1, r3
 
 
 @compiled()
@@ -72,7 +72,7 @@ def weight_at_most(  # type: ignore[no-untyped-def]
     """
     x, n1, to_laser, kind1, values1 = lit_from
     z, n3, to_sensor, kind3, values3 = seen_from
-    d1, d3 = less(y, x), less(y, z)
+    d1, d3 = subtract(y, x), subtract(y, z)
     square1, square3 = dot(d1, d1), dot(d3, d3)
     r1, r3 = math.sqrt(square1), math.sqrt(square3)
     up1, up3 = dot(d1, n1), dot(d3, n3)
@@ -90,7 +90,7 @@ def weight_at_most(  # type: ignore[no-untyped-def]
     )  # fmt: skip
     f3 = evaluate_at_most(kind3, values3, n3, w3, to_sensor, turn3, 0.0)
     w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * (square3 + footprint / math.pi))
-    return w * air(attenuation, r1 + r3)
+    return w * transmittance(attenuation, r1 + r3)
 
 
 @compiled()
@@ -173,5 +173,5 @@ def brightest(m, radius, area, rise, height, x, z, size, attenuation):  # type: 
     height : that of x above the element's plane."""
     far1, far3 = max(distance(m, x) - radius, 0.0), max(distance(m, z) - radius - size, 0.0)
     near1, near3 = max(far1, math.sqrt(area / (2 * math.pi))), max(far3, 0.25 * size)
-    area *= air(attenuation, far1 + far3)
+    area *= transmittance(attenuation, far1 + far3)
     return area * min(1.0, rise / near1) * min(1.0, height / near1) / (near1 * near3) ** 2

@@ -11,7 +11,7 @@ from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import dot
-from datagen.transport.geometry import corner, cross, get, less
+from datagen.transport.geometry import corner, cross, get, subtract
 from datagen.transport.visibility.bvh import ON_PLANE, Hierarchy, boxes_over
 
 FEW_VERTICES = 256
@@ -104,7 +104,7 @@ def _lie_on_each_other(corners, normal, some, near, found):  # type: ignore[no-u
         for j in some:
             apart = i == j
             for v in range(3):
-                apart |= abs(dot(less(corner(corners, j, v), corner(corners, i, 0)), n)) > near
+                apart |= abs(dot(subtract(corner(corners, j, v), corner(corners, i, 0)), n)) > near
             if not (apart or _apart_in_plane(corners, normal, i, j, near)):
                 found[i] = True
                 break
@@ -122,7 +122,7 @@ def _apart_in_plane(corners, normal, f, g, near):  # type: ignore[no-untyped-def
 
 @compiled()
 def _side(corners, f, i):  # type: ignore[no-untyped-def]
-    return less(corner(corners, f, (i + 1) % 3), corner(corners, f, i))
+    return subtract(corner(corners, f, (i + 1) % 3), corner(corners, f, i))
 
 
 @compiled()
@@ -130,8 +130,8 @@ def _along(corners, f, g, axis):  # type: ignore[no-untyped-def]
     """Least and greatest place of triangle f along an axis, from the first corner of g."""
     a = corner(corners, g, 0)
     one, two, three = (
-        dot(less(corner(corners, f, 0), a), axis), dot(less(corner(corners, f, 1), a), axis),
-        dot(less(corner(corners, f, 2), a), axis),
+        dot(subtract(corner(corners, f, 0), a), axis), dot(subtract(corner(corners, f, 1), a), axis),
+        dot(subtract(corner(corners, f, 2), a), axis),
     )  # fmt: skip
     return min(one, two, three), max(one, two, three)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot
-from datagen.transport.geometry import above, cross, get, less
+from datagen.transport.geometry import above, cross, get, subtract
 from datagen.transport.visibility.occluder_rows import (
     FIRST,
     FLAT,
@@ -43,12 +43,12 @@ def lists(room):  # type: ignore[no-untyped-def]
 def _crosses(x, d, row, f, end):  # type: ignore[no-untyped-def]
     """Whether the line x … x + d · end passes through triangle f (Möller & Trumbore, J. Graphics Tools 2 (1997))."""
     a = get(row, f, 0)
-    along_b, along_c = less(get(row, f, 3), a), less(get(row, f + 1, C), a)
+    along_b, along_c = subtract(get(row, f, 3), a), subtract(get(row, f + 1, C), a)
     p = cross(d, along_c)
     volume = dot(along_b, p)
     if volume == 0.0:
         return False
-    inverse, s = 1.0 / volume, less(x, a)
+    inverse, s = 1.0 / volume, subtract(x, a)
     u = dot(s, p) * inverse
     if u < 0.0 or u > 1.0:
         return False
@@ -68,7 +68,7 @@ def hidden(x, y, of, first, last, row, listed):  # type: ignore[no-untyped-def]
     """
     if first >= last:
         return 0
-    d, suspect = less(y, x), listed[SUSPECT]
+    d, suspect = subtract(y, x), listed[SUSPECT]
     if suspect > 0 and _stands_between(x, d, of, suspect, row):
         return suspect
     per = (1.0 / (d[0] or TINY), 1.0 / (d[1] or TINY), 1.0 / (d[2] or TINY))
@@ -124,6 +124,16 @@ def _opened(listed, top, row, k):  # type: ignore[no-untyped-def]
 
 
 @compiled()
+def shaded(x, a, b, c, of, first, last, row, listed):  # type: ignore[no-untyped-def]
+    """Whether it is proven that x sees nothing of the triangle a, b, c on triangle `of`: one of the candidates
+    first … last stands before all three corners, and so before all between them. False proves nothing."""
+    before = hidden(x, a, of, first, last, row, listed)
+    if before == 0:
+        return False
+    return _stands_between(x, subtract(b, x), of, before, row) and _stands_between(x, subtract(c, x), of, before, row)
+
+
+@compiled()
 def _waiting(listed, first, last):  # type: ignore[no-untyped-def]
     """Put candidates first … last into the ring of what is to be looked at; returns how many."""
     for i in range(last - first):
@@ -143,11 +153,15 @@ def narrowed(x, a, b, c, of, first, last, free, row, listed):  # type: ignore[no
     if first >= last:
         return free
     flat = row[HEAD, FLAT]
-    base = cross(less(b, a), less(c, a))
-    if dot(base, less(x, a)) < 0.0:
+    base = cross(subtract(b, a), subtract(c, a))
+    if dot(base, subtract(x, a)) < 0.0:
         base = (-base[0], -base[1], -base[2])
-    one, two, three = cross(less(a, x), less(b, x)), cross(less(b, x), less(c, x)), cross(less(c, x), less(a, x))
-    if dot(one, less(c, x)) < 0.0:
+    one, two, three = (
+        cross(subtract(a, x), subtract(b, x)),
+        cross(subtract(b, x), subtract(c, x)),
+        cross(subtract(c, x), subtract(a, x)),
+    )
+    if dot(one, subtract(c, x)) < 0.0:
         one, two, three = (-one[0], -one[1], -one[2]), (-two[0], -two[1], -two[2]), (-three[0], -three[1], -three[2])
     near1, near2, near3, near0 = _margin(one, flat), _margin(two, flat), _margin(three, flat), _margin(base, flat)
     head, tail, end = 0, _waiting(listed, first, last), free
@@ -200,13 +214,18 @@ def narrowed(x, a, b, c, of, first, last, free, row, listed):  # type: ignore[no
 @compiled()
 def _beyond(n, x, p, q, r, near):  # type: ignore[no-untyped-def]
     """Whether three points lie on the outer side of the plane through x whose normal n points inwards, or on it."""
-    return dot(n, less(p, x)) <= near and dot(n, less(q, x)) <= near and dot(n, less(r, x)) <= near
+    return dot(n, subtract(p, x)) <= near and dot(n, subtract(q, x)) <= near and dot(n, subtract(r, x)) <= near
 
 
 @compiled()
 def _heights(n, p, x, a, b, c):  # type: ignore[no-untyped-def]
     """Least and greatest height of four points above the plane through p."""
-    at_x, at_a, at_b, at_c = dot(n, less(x, p)), dot(n, less(a, p)), dot(n, less(b, p)), dot(n, less(c, p))
+    at_x, at_a, at_b, at_c = (
+        dot(n, subtract(x, p)),
+        dot(n, subtract(a, p)),
+        dot(n, subtract(b, p)),
+        dot(n, subtract(c, p)),
+    )
     return min(at_x, at_a, at_b, at_c), max(at_x, at_a, at_b, at_c)
 
 
