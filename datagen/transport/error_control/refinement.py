@@ -1,10 +1,11 @@
 """How finely surfaces and pixels are cut, found on some pairs of laser point and pixel that stand for all.
 
-Objects, each for itself, and all else together are cut ever more finely until what that changes is small in the whole
-and in each object's own light. What is no object has one error that an element may make: where it is the same
-everywhere, elements bring the whole nearest to the truth for their number. A change tells of the error only where it
-was one: small triangles stay as they are over many steps and agree with themselves, so that a cutting is believed
-once a finer one, which agrees with it, took markedly more work.
+Each object is a group of its own, and all other parts together are one. A run gathers the light of the trial's pairs
+with a cutting: for each group, the L2 error that one element may make. Cuttings get finer until the difference
+between runs is small in the whole and in each object's own light. Elements of one group may all make the same error,
+for then a given number of them brings the group nearest to the truth. A difference between two runs is an estimate of
+the error only if the finer run did more work: small triangles stay whole over many cuttings, and two runs of the same
+elements agree however wrong they are.
 """
 
 from __future__ import annotations
@@ -22,64 +23,71 @@ TRIALS, MOST_TRIED = (12, 48), 1 << 23
 """Fewest and most pairs of laser point and pixel on which the cutting is chosen, one in 32 in between; and values
 of their histograms at most."""
 COARSE = 1e300
-"""An error that every element may make: surfaces are cut by distance alone."""
+"""L2 error that every element may make in the coarsest cutting: surfaces are then cut by distance alone."""
 FIRST, FINER, LEVELS = 0.03, 0.25, 12
-"""Error that an element may make, relative to the norm of its group, after the coarsest cutting; what it is
-multiplied with from one cutting to the next, finer one; and the number of cuttings at most."""
+"""Error that an element may make in the second cutting, relative to the norm of its group; factor of that error
+from one cutting to the next; and most cuttings."""
 GROWN = 1.5
-"""Elements of a cutting that is finer in fact, relative to the one that it is compared with."""
+"""Factor by which a run must have more elements than another for their difference to be an estimate of error."""
 SURE = 3
-"""Cuttings after the coarsest from which on they are believed: the first ones lack the same light, and where all is
-in one bin two of them may agree by chance."""
+"""Number of cuttings after the coarsest before differences are taken as estimates of error: the first cuttings
+lack the same light, and where all light is in one bin two of them may agree by chance."""
 FALLS = 0.55
-"""How much smaller the last difference has to be than the one before it, where the finest cutting tried is taken
-itself: else nothing tells how much of it is left."""
+"""Factor by which the last difference must be smaller than the one before it, where the finest cutting that was
+tried is chosen itself: without that decrease nothing tells how large the remaining error is."""
 REST = 1.6
-"""Error of a cutting, relative to its difference from the next: errors fall to about four tenths, and
-1 + 0.4 + 0.16 + … is this."""
+"""Error of a cutting, relative to its difference from the next one: errors fall to about 0.4 from one cutting to the
+next, and 1 + 0.4 + 0.16 + … ≈ 1.6."""
 LOOKS = 4
-"""Coarsest cuttings, each with other rays, in which a group is looked for that has no light."""
+"""Most runs with the coarsest cutting, each with other random points, in search of a group's first light."""
 SETTLED = 0.3
-"""Share of the error to be met, for each of G groups over √G, under which one is not cut further for the whole."""
+"""Error of one of G groups, relative to 1/√G of the error asked of the whole, below which it is not cut more
+finely for the sake of the whole."""
 UNSEEN, UNSEEN_BY_RAYS = 1e-4, 1e-2
-"""Norm that a group is taken to have at least, relative to the whole, when it is cut; and one whose light comes by
-rays, for half as much would send twice as many before it is known to be hidden."""
+"""Least norm, relative to the whole, that a group is taken to have when its cutting is chosen; and that of a group
+whose light comes by rays, where half of it sends twice as many rays to what may turn out to be hidden."""
 NEGLIGIBLE, NEGLIGIBLE_BY_RAYS = 1e-9, 1e-5
-"""Norm of a part, relative to the whole, up to which nothing is claimed of its own light: the finest of `LEVELS`
-cuttings does not resolve it, and a cutting that changes nothing agrees with itself; and the same norm of a mesh whose
-light comes by rays, which hardly ever meet it."""
+"""Norm of a part, relative to the whole, up to which no error is claimed for its own light, because the finest of
+`LEVELS` cuttings does not resolve it; and the same for a mesh whose light comes by rays, which hardly ever meet
+it."""
 LOOKED_AT, EVENLY = 12, 0.25
-"""Pairs looked at roughly for each that is tried, and the weight of taking them evenly beside that of their light."""
+"""Pairs whose light is computed roughly, for each that is drawn for the trial; and weight of an even draw beside
+one by light."""
 HELPS = 0.1
-"""Share of the error to be met, for each of G groups over G, under which cutting one does not help the whole."""
+"""Error of one of G groups, relative to 1/G of the error asked of the whole, below which cutting it more finely
+does not help the whole."""
 TOO_DEAR = 1 << 16
-"""Elements and rays of a part in one histogram, after which an object is not cut on for its own sake: what is nearly
-hidden may take any number of rays for light that is a millionth of the whole."""
+"""Elements and rays for one histogram, from which on an object is not cut more finely for the sake of its own
+light: what is nearly hidden may take any number of rays for a millionth of the light."""
 RAYS_CHEAPER = 2.0
-"""How many rays of a lattice, with what they meet, cost as much as an element with its rays, about."""
+"""Number of rays of a lattice, with the connections of their hits, that cost about as much as one element with its
+shadow rays."""
 WITHIN = 0.7
-"""Share of the errors to be met, of the whole and of each object, that their estimates may reach on the pairs tried:
-others may be worse."""
+"""Largest estimate of error on the trial's pairs, relative to the error asked, that is accepted: other pairs may be
+worse."""
 BETWEEN, HALVINGS, WIDELY, TINY = 8, 60, 60.0, 1e-150
-"""Cuttings looked at from one that was tried to the next; how often the range of prices is halved that errors may
-have, and how far it reaches, by powers of e; and what is too small to divide by."""
+"""Cuttings considered between two that were tried; halvings of the range of the Lagrange multiplier, and the range's
+extent in powers of e; and a number too small to divide by."""
 MOST_PATCHES, MOST_PATCHES_TRIED = 1 << 22, 1 << 18
-"""Footprints of all pixels at most, and points of those of the trial that are at edges."""
+"""Most footprints of all pixels, and most points of the trial's pixels at edges."""
 PATCHES_SHARE = 0.2
-"""Share of the error to be met that may come of the size of footprints."""
+"""Share of the error asked that the size of footprints may cause."""
 MOST_LEVELS, FROM_LARGER, FINEST_SHARE = 6, 1 / 3, 0.5
-"""How often pixels of the trial are quartered at most; error of footprints, relative to the difference from those
-twice as large, for it is of second order; and how much of `PATCHES_SHARE` the finest ones may have."""
+"""Most times that pixels of the trial are quartered; error of footprints, relative to their difference from
+footprints twice as large, for it is of second order; and share of `PATCHES_SHARE` that the finest footprints may
+have."""
 FROM_FEWER, SLOWEST = 0.5, 0.4
-"""Error of a net of points, relative to its difference from one of a quarter of them: of order 3/4 in their number
-beside an edge; and that difference, relative to the one before it, at least: it may be small by chance."""
+"""Error of a net of points, relative to its difference from a net of a quarter as many: beside an edge it is of order
+3/4 in their number; and least difference, relative to the one before it, that is taken, for it may be small by
+chance."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """The errors asked for, and which parts (K,) are objects; the others are one group, the first of G.
+    """The relative L2 errors that are asked of the whole (`target`) and of each object's own light (`part_target`).
 
-    faint : photons, per emitted photon and over all histograms, under which an object is not held to `part_target`.
+    faint : energy, photons per emitted photon over all histograms, below which `part_target` does not apply.
+    objects : (K,) which parts are objects. The other parts are one group, the first of G.
     """
 
     target: float
@@ -89,13 +97,13 @@ class Asked:
 
     @property
     def group(self) -> Ints:
-        """(K,) the group of each part."""
+        """(K,) number of the group of each part."""
         return np.where(self.objects, np.cumsum(self.objects), 0)
 
 
 @dataclass
 class Work:
-    """Elements spread and rays asked so far."""
+    """Numbers of elements and of rays so far."""
 
     cells: int = 0
     rays: int = 0
@@ -103,15 +111,16 @@ class Work:
 
 @dataclass(frozen=True)
 class Trial:
-    """Some pairs of laser point and pixel that stand for all, the brighter the more often.
+    """Pairs of laser point and pixel that represent all pairs; bright ones are drawn more often.
 
     Attributes
     ----------
     pairs : (n, 2).
-    weight : (n,) how many of all pairs each stands for.
-    group : (K,) of each part, as `Asked` has it.
-    scale : (G,) by how much each group is brighter in all pairs than these stand for, as far as a rough look tells.
-    levels : how often their pixels are quartered at most, to begin with.
+    weight : (n,) number of pairs that each represents.
+    group : (K,) number of each part's group.
+    scale : (G,) norm of each group over all pairs, relative to that over these pairs with their weights, as a rough
+        computation of many pairs finds it.
+    levels : most times that their pixels are quartered in the first runs.
     """
 
     gathering: Gathering
@@ -125,8 +134,9 @@ class Trial:
 
     @classmethod
     def of(cls, gathering: Gathering, lit: Ints, asked: Asked) -> Trial:
-        """Drawn by what a rough look finds of the whole, which counts for half, and of each object: few points may
-        have all the light of one, and all its error."""
+        """A trial drawn from the pairs `lit` (n, 2) by their light, computed roughly: half by the light of the
+        whole, half by that of each object, since a few pairs may have all the light of an object, and all its
+        error."""
         task, group = gathering.task, asked.group
         groups = 1 + int(group.max())
         wanted = _trials(len(lit), groups * task.capture.time.bins)
@@ -150,11 +160,11 @@ class Trial:
 
     @property
     def by_rays(self) -> Bools:
-        """(G,) groups all of whose parts come by rays."""
+        """(G,) whether the light of all parts of a group comes by rays."""
         return np.asarray(np.bincount(self.group, ~self.gathering.by_rays, len(self.scale)) == 0)
 
     def some(self, which: Bools) -> Trial:
-        """Only some of the pairs."""
+        """The trial with only some of its pairs."""
         return replace(self, pairs=self.pairs[which], weight=self.weight[which], seen={})
 
     def gathered(
@@ -183,16 +193,17 @@ class Trial:
 
 @dataclass(frozen=True)
 class Choice:
-    """The error that an element of each group may make, and what that leaves.
+    """The chosen cutting, and estimates of the errors that it leaves.
 
     Attributes
     ----------
-    cutting : (G,) L2 error of an element. tried, draw : (G,) the finer one of the trial's `histogram`, and its draw.
-    error, whole : L2 error and norm of the whole.
-    still, own : (G,) of each group.
-    held : (G,) which are held to an error of their own, or would be but for `TOO_DEAR`.
-    limit : (G,) that error, infinite for the others.
-    histogram : (n, G, T) of the pairs tried.
+    cutting : (G,) L2 error that one element may make.
+    tried, draw : (G,) the finer cutting that `histogram` was gathered with, and the number of its draw.
+    error, whole : L2 error and L2 norm of the whole.
+    still, own : (G,) L2 error and L2 norm of each group.
+    held : (G,) whether `part_target` applies to a group, even if it was given up as `TOO_DEAR`.
+    limit : (G,) L2 error that the group may have, infinite where none is asked.
+    histogram : (n, G, T) light of the trial's pairs.
     """
 
     cutting: Floats
@@ -209,13 +220,14 @@ class Choice:
 
 @dataclass
 class _Runs:
-    """What ever finer cuttings of a trial found, the coarsest one first.
+    """Runs of a trial with finer and finer cuttings, the coarsest first.
 
     Attributes
     ----------
-    histograms, cuttings, cells, costs : of each run, those of each group.
-    finest : (G,) number of the finest run of each group: the last one, or the one it was settled with.
-    settled, dear : (G,) groups that are cut no further; and those that took more than `TOO_DEAR` in some run.
+    histograms, cuttings, cells, costs : for each run, light (n, G, T), cutting, number of elements, and cost of each
+        group (G,).
+    finest : (G,) number of the finest run of each group: the last run, or that after which it was settled.
+    settled, dear : (G,) whether a group is cut no more finely; and whether it took more than `TOO_DEAR` in some run.
     """
 
     trial: Trial
@@ -229,7 +241,7 @@ class _Runs:
 
     @classmethod
     def begun(cls, trial: Trial) -> _Runs:
-        """With surfaces cut by distance alone."""
+        """The first run, with surfaces cut by distance alone."""
         groups = len(trial.scale)
         coarse, none = np.full(groups, COARSE), np.zeros(groups, np.bool_)
         found = trial.gathered(coarse, trial.levels)
@@ -237,7 +249,7 @@ class _Runs:
         return cls(trial, [found.histogram], [coarse], [found.cells], [costs], np.zeros(groups, np.int64), none, none)
 
     def light_to_cut_for(self) -> Floats:
-        """(n, G, T) the most that the coarsest cutting finds of each group, however its rays fall."""
+        """(n, G, T) largest light of each group that several runs with the coarsest cutting find."""
         groups, scale, draw = len(self.finest), self.histograms[0], 1
         # One ray for a whole face may miss what it sees of it.
         while draw < LOOKS and not _norms(scale).all():
@@ -251,7 +263,7 @@ class _Runs:
         return scale
 
     def refine(self, cutting: Floats) -> None:
-        """Add a run with a finer cutting (G,); settled groups stay as they are."""
+        """Add a run with a finer cutting (G,); settled groups keep the light of the run before."""
         # Points drawn anew: where clusters stay as they are, runs would else agree in what chance made of them.
         draw, settled = np.full(len(cutting), len(self.histograms)), self.settled
         found = self.trial.gathered(np.where(settled, np.inf, cutting), self.trial.levels, draw=draw)
@@ -267,8 +279,8 @@ class _Runs:
         self.finest[~settled] = len(self.histograms) - 1
 
     def tell_of_error(self, in_scale: Floats) -> Bools:
-        """(G,) whether a difference between runs tells of the error: a finer run took markedly more work, is not
-        among the first, and let no element be wrong by more than there is (G,)."""
+        """(G,) whether a group's difference between runs is an estimate of its error: the finer run has more elements
+        by `GROWN`, is not among the first `SURE`, and its elements may each be wrong by less than `in_scale` (G,)."""
         sure = (self.finest >= SURE) & (self.cuttings[-1] <= in_scale)
         grown = GROWN * np.array(self.cells[:-1]) <= self.cells[-1]
         compared = np.minimum(np.arange(len(self.cells))[:, None], self.finest - 1)
@@ -292,8 +304,10 @@ class _Runs:
 
 
 def choose(trial: Trial, asked: Asked) -> Choice | None:
-    """The coarsest cutting of each group that does, found with ever finer ones; None where none does within
-    `max_lookins`, and where there is no light, which must be looked for harder."""
+    """The cheapest cutting of each group that meets the errors asked, found with finer and finer ones.
+
+    None where no cutting does within `max_lookins`, and where no light was found, for then more must be sampled.
+    """
     groups = len(trial.scale)
     every, objects, runs = np.arange(groups), np.arange(groups) > 0, _Runs.begun(trial)
     light = runs.light_to_cut_for()
@@ -344,9 +358,9 @@ def choose(trial: Trial, asked: Asked) -> Choice | None:
 
 @dataclass(frozen=True)
 class Quartering:
-    """How often even pixels are quartered, and those at edges; the L2 error of the footprints of the ones and the
-    points of the others, in the whole and (G,) in each group; and `gain`, the L2 norm of the light by which these
-    footprints differ from those that the cutting was chosen with."""
+    """Times that pixels which see one flat surface are quartered (`levels`), and pixels at edges (`edge_levels`);
+    L2 error that this leaves in the whole and, (G,), in each group (`of_parts`); and L2 norm of the difference
+    between the light of these footprints and of those that the cutting was chosen with (`gain`)."""
 
     levels: int
     edge_levels: int
@@ -356,7 +370,8 @@ class Quartering:
 
 
 def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quartering | None:
-    """As seldom as will do; None where that leaves no room for the footprints of all `pixels`."""
+    """The fewest quarterings of pixels that keep the error of footprints within its share of the error asked; None
+    if that needs more than `MOST_PATCHES` footprints for all `pixels` (their number)."""
     at_edge = trial.gathering.at_edge[trial.pairs[:, 1]]
     edges, even = trial.some(at_edge), trial.some(~at_edge)
     most, limits = PATCHES_SHARE * asked.target * choice.whole, PATCHES_SHARE * choice.limit
@@ -394,8 +409,12 @@ def quarter(trial: Trial, choice: Choice, asked: Asked, pixels: int) -> Quarteri
 
 
 def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tuple[int, float, Floats]:
-    """How often pixels at edges are quartered: until the error of their points fits beside that of elements, or there
-    is no room for more; and that error. Their histograms at the fewest levels are `finer`."""
+    """Times that pixels at edges are quartered, and the L2 error of their points in the whole and, (G,), in each
+    group.
+
+    They are quartered until that error fits beside that of elements, or the number of points reaches its limit.
+    finer : (n, G, T) light of the trial's pixels at edges with the fewest quarterings.
+    """
     level, at_edge = edges.gathering.edge_levels(), int(edges.gathering.at_edge.sum())
     if len(edges.pairs) == 0:
         return level, 0.0, np.zeros(len(choice.own))
@@ -417,11 +436,11 @@ def _at_edges(edges: Trial, choice: Choice, asked: Asked, finer: Floats) -> tupl
 def _cheapest(
     cuttings: Floats, still: Floats, costs: Floats, level: Ints, finest: Ints, limit: Floats, most: float
 ) -> tuple[Floats, Floats]:
-    """(G,) cuttings that cost least while the errors (G,) that they leave, which come second, are each within `limit`
-    and together, added as squares, within `most`.
+    """(G,) the cuttings of least cost whose errors are each within `limit` (G,) and together, added as squares,
+    within `most`; and these errors (G,).
 
-    They lie between those tried, where errors and costs go with powers of the cutting. Those of `level` do, and
-    remain where nothing else is known.
+    Between two cuttings that were tried, errors and costs are interpolated as powers of the cutting. The cuttings of
+    run `level` (G,) meet the limits, and are returned where nothing cheaper is known.
     """
     steps, groups = np.arange(len(still) * BETWEEN) / BETWEEN, len(level)
     cutting, error, cost = (np.empty((len(steps), groups)) for _ in range(3))
@@ -447,7 +466,7 @@ def _cheapest(
 
 
 def _still(runs: list[Floats], finest: Ints) -> Floats:
-    """(n, K) L2 error that each group still has in each run, whose finest one for a group is number `finest`."""
+    """(runs, G) estimated L2 error of each group in each run; `finest` (G,) is the number of a group's finest run."""
     every = np.arange(len(finest))
     last = runs[-1]
     still = np.array([_norms(run - last) for run in runs])
@@ -455,14 +474,14 @@ def _still(runs: list[Floats], finest: Ints) -> Floats:
 
 
 def _falls(runs: list[Floats], finest: Ints) -> Bools:
-    """(K,) whether the last difference of each group is by `FALLS` smaller than the one before."""
+    """(G,) whether the last difference of each group is smaller than the one before by `FALLS`."""
     last = [np.linalg.norm(runs[n][:, k] - runs[n - 1][:, k]) for k, n in enumerate(finest)]
     before = [np.linalg.norm(runs[n - 1][:, k] - runs[max(n - 2, 0)][:, k]) for k, n in enumerate(finest)]
     return np.array(last) <= FALLS * np.array(before)
 
 
 def _whole_error(runs: list[Floats], level: Ints, finest: Ints) -> float:
-    """L2 error of the sum over groups, each as it is in the run of its level."""
+    """Estimated L2 error of the sum over groups, where each group is taken from run `level` (G,)."""
     last = runs[-1].sum(axis=1)
     chosen = sum(runs[min(n, len(runs) - 1)][:, k] for k, n in enumerate(level))
     before = sum(runs[n - 1][:, k] for k, n in enumerate(finest))
@@ -480,9 +499,12 @@ def _norms(histograms: Floats) -> Floats:
 
 
 def by_light(norms: Floats, wanted: int) -> tuple[Ints, Floats]:
-    """At most `wanted` rows drawn by their norms (n, K), and how many each stands for. The first column counts as
-    much as all others together; the brightest are always among them. Errors are neither the same in all rows, for
-    which they should be drawn evenly, nor as large as their light, for which by its square: norms are in between."""
+    """Indices of at most `wanted` rows, drawn by their norms (n, K), and the number of rows that each represents.
+
+    The first column counts as much as all others together. The brightest rows are always among those drawn. If errors
+    were alike in all rows, an even draw would be best; if they went with the light, a draw by its square: the norm is
+    in between.
+    """
     count = len(norms)
     if count <= wanted:
         return np.arange(count), np.ones(count)
@@ -496,8 +518,8 @@ def by_light(norms: Floats, wanted: int) -> tuple[Ints, Floats]:
 
 
 def _drawn(share: Floats, wanted: int) -> tuple[Ints, Floats]:
-    """Places drawn with chances as their shares, and how many each stands for: those whose share is worth a place of
-    their own, and of the others in equal steps along the running sum."""
+    """Indices drawn with probabilities `share`, and the number of rows that each represents: rows whose share is
+    worth a draw of its own are all taken, of the others one in each equal step along the running sum of shares."""
     certain, left = np.zeros(len(share), np.bool_), wanted
     while left > 0:
         others = np.where(certain, 0.0, share)
@@ -517,7 +539,7 @@ def _drawn(share: Floats, wanted: int) -> tuple[Ints, Floats]:
 
 
 def _trials(pairs: int, values: int) -> int:
-    """On how many of so many pairs a cutting is tried, each with so many values of histograms."""
+    """Number of pairs of a trial, out of `pairs`, whose histograms have `values` numbers each."""
     return int(np.clip(min(pairs // 32, MOST_TRIED // values), *TRIALS))
 
 

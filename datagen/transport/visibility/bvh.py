@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records import Scene
@@ -57,7 +58,7 @@ class Hierarchy(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> Hierarchy:
-        """That of a scene, in time nearly linear in its triangles."""
+        """The BVH of a scene, built in time nearly linear in its triangles."""
         order, box, children, span, roots = _boxes(scene.corners, scene.face_part, len(scene.part_names))
         corners = np.ascontiguousarray(scene.corners[order])
         doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -78,7 +79,7 @@ class Hierarchy(NamedTuple):
         )
 
 
-def _boxes(corners: Floats, face_part: Ints, parts: int) -> tuple[Ints, Floats, Ints, Ints, Ints]:
+def _boxes(corners: Floats, face_part: NDArray[np.integer], parts: int) -> tuple[Ints, Floats, Ints, Ints, Ints]:
     """Order of triangles (F, 3, 3) by their parts (F,) and boxes; box, children, span and roots as `Hierarchy` has
     them."""
     low, high = corners.min(axis=1), corners.max(axis=1)
